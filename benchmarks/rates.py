@@ -106,6 +106,16 @@ def first_claim(entry: Entry) -> str:
     return str(entry["steps"][0]["added"]) if claims(entry) else "nothing"
 
 
+def summary(entry: Entry) -> str:
+    """One case in one line."""
+    hidden = " + ".join(entry["effects"]) or "nothing"
+    sight = "" if entry.get("detectable") else " (invisible)"
+    if "error" in entry:
+        return f"{entry['key']} {hidden}{sight} -> FAILED {entry['error'][:120]}"
+    added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
+    return f"{entry['key']} {hidden}{sight} -> {added} ({entry['processor_seconds']:.1f} s)"
+
+
 def by_effect(entries: Iterable[Entry]) -> list[dict[str, Any]]:
     """Per vehicle and single hidden effect: cases, detectable ones, right ones, and rivals."""
     table = []

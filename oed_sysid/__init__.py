@@ -29,6 +29,7 @@ _HOME = {
     "UnknownForce": "physics",
     "UnknownInput": "physics",
     "NoiseModel": "likelihood.noise_model",
+    "Sea": "likelihood.noise_model",
     "Channels": "physics.channels",
     "Input": "physics.channels",
     "Output": "physics.channels",
@@ -62,6 +63,7 @@ _HOME = {
     "Fit": "likelihood.fit",
     "Model": "physics.model",
     "MultipleShooting": "baselines",
+    "Solver": "baselines",
     "OedSysidError": "errors",
     "Parameter": "physics.parameters",
     "Problem": "experiments.problem",
@@ -156,7 +158,7 @@ if TYPE_CHECKING:
     )
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-    from oed_sysid.likelihood.noise_model import NoiseModel
+    from oed_sysid.likelihood.noise_model import NoiseModel, Sea
     from oed_sysid.physics import (
         Actuator,
         Environment,

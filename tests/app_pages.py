@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from oed_sysid import load_problem, new_problem
-from oed_sysid.app.study import Study
+from oed_sysid.cli.study import Study
 
 testing = pytest.importorskip("streamlit.testing.v1", reason="needs the extra 'app'")
 PATIENCE = 300.0  # s, for a loaded computer; a free one needs a tenth

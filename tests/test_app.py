@@ -31,14 +31,18 @@ from app_pages import (  # noqa: F401
 )
 
 from oed_sysid import Fit, load_problem, read_csv, write_csv
-from oed_sysid.app import commands, plans, tasks
-from oed_sysid.app.jobs import Desk
+from oed_sysid.app import pages
+from oed_sysid.app.choices import likely_test, read_uploads, simulated
+from oed_sysid.app.jobs import Desk, Request
 from oed_sysid.app.launch import orders, start
-from oed_sysid.app.records import archive, likely_test, read_uploads, simulated
-from oed_sysid.app.shelf import Asked, Left, Shelf, new_id
-from oed_sysid.app.study import Study
-from oed_sysid.app.work import Request
+from oed_sysid.app.panels import zipped
+from oed_sysid.app.takeaway import write_records
+from oed_sysid.app.visit import Asked, Left, Shelf, new_id
 from oed_sysid.cli import BAD_INPUT, DONE, main
+from oed_sysid.cli.options import line_of
+from oed_sysid.cli.study import Study
+from oed_sysid.cli.tasks import TASKS
+from oed_sysid.cli.terminal import Shown
 from oed_sysid.errors import OedSysidError
 
 
@@ -49,9 +53,9 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     app = opened(ship)
     assert app.header[0].value == problem.title
     app = done(at_fit(app), "fit")
-    assert "The estimation converged." in text_of(app)
+    assert "parameters estimated" in text_of(app)
     app = done(following(app), "compare")
-    assert "in 95 % band" in text_of(app)
+    assert "more than noise is left" in text_of(app)
     app = done(following(app), "improve")
     assert "records that nothing was fitted to" in text_of(app)
     effect = problem.effects[0].name
@@ -66,7 +70,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     assert {"Records (ZIP)", "Everything (ZIP)", "Report (HTML)"} <= offered
     lines = app.code[0].value.splitlines()
     verbs = [line.split()[1] for line in lines]
-    assert verbs == ["check", "fit", "report", "compare", "improve", "compare", "rank"]
+    assert verbs == ["check", "fit", "compare", "improve", "compare", "rank"]
 
     from oed_sysid.app.visit import desk
 
@@ -74,8 +78,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     fits = [result for result in mine if isinstance(result, Fit)]
     here = next(result for result in fits if result.model.name == problem.model.name)
     train, test = problem.data().split(test=likely_test(problem.data().names))
-    with zipfile.ZipFile(io.BytesIO(archive(train, test))) as packed:
-        packed.extractall(tmp_path)
+    write_records(Study(str(ship), "default", problem, train, test), tmp_path)
     monkeypatch.chdir(tmp_path)
     for line in (lines[0], lines[1], lines[-1]):
         assert main(shlex.split(line)[1:]) == DONE
@@ -207,7 +210,8 @@ def test_uploads_are_checked_as_on_the_command_line(ship: Path, tmp_path: Path, 
 
 def test_records_survive_the_archive(study: Study, tmp_path: Path) -> None:
     """What is downloaded reads back as the same numbers."""
-    with zipfile.ZipFile(io.BytesIO(archive(study.train, study.test))) as packed:
+    content = zipped(lambda place: write_records(study, place))
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
         packed.extractall(tmp_path)
     again = read_csv(tmp_path / "train", study.problem.channels)
     assert set(again.names) == set(study.training().names)
@@ -227,18 +231,14 @@ def test_simulated_records_are_those_of_the_command(ship: Path, tmp_path: Path, 
 
 def test_design_command_finds_the_same_trial(study: Study, tmp_path: Path, monkeypatch) -> None:
     """The command shown for a design writes the commands that the page offers."""
-    wish = plans.DesignWish(
-        "zigzag_10_10",
-        40.0,
-        (("rudder", -np.radians(10), np.radians(10)),),
-        (("rudder", np.radians(3)),),
-    )
-    outcome = plans.design(study, wish, lambda text: None)
+    limit = ("rudder=-10:10", "rudder-rate=3")
+    wish = {"like": "zigzag_10_10", "duration": 40.0, "limit": limit}
+    outcome = TASKS["design"](study, Shown(), wish)
     monkeypatch.chdir(tmp_path)
-    assert main(shlex.split(commands.design(study, wish))[1:]) == DONE
+    assert main(shlex.split(line_of(TASKS["design"], study, wish))[1:]) == DONE
     tables = [
         np.genfromtxt(io.BytesIO(text), delimiter=",", skip_header=1)
-        for text in (plans.commands_csv(outcome.result), (tmp_path / "design.csv").read_bytes())
+        for text in (pages.commands_csv(outcome, study), (tmp_path / "design.csv").read_bytes())
     ]
     np.testing.assert_allclose(*tables, atol=1e-6)
     assert np.abs(tables[0][:, 1]).max() <= np.radians(10) * (1 + 1e-9)
@@ -248,10 +248,11 @@ def test_design_command_finds_the_same_trial(study: Study, tmp_path: Path, monke
 def test_commands_name_model_noise_and_records(study: Study) -> None:
     """Commands carry every choice that changes the result."""
     odd = Study("my ship", "norrbin", study.problem, study.train, None, known_noise=True)
-    line = commands.improve(odd, 2)
-    assert shlex.split(line)[:5] == ["oed-sysid", "improve", "my ship", "--model", "norrbin"]
-    assert "--known-noise" in line
-    assert "--validate" not in line
+    words = shlex.split(line_of(TASKS["improve"], odd, {"max_effects": 2}))
+    assert words[:6] == ["oed-sysid", "improve", "my ship", "--model", "norrbin", "train"]
+    assert words[words.index("--max-effects") + 1] == "2"
+    assert "--known-noise" in words
+    assert "--validate" not in words
 
 
 def test_key_changes_with_content(study: Study) -> None:
@@ -451,7 +452,7 @@ def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -
 
 def test_job_is_done_once_and_kept(study: Study, tmp_path: Path) -> None:
     """Asking twice does it once, and the result outlives the desk; each study has its own job."""
-    request = Request.of(study, tasks.check)
+    request = Request.of(study, TASKS["check"], {})
     first = Desk(tmp_path)
     job = first.ask("one", "check", request)
     assert first.ask("one", "check", request) is job
@@ -469,7 +470,7 @@ def test_job_is_done_once_and_kept(study: Study, tmp_path: Path) -> None:
 def test_job_stops_at_once_and_for_nobody_else(study: Study, tmp_path: Path) -> None:
     """Stop ends the process of one study at once; the same work of another goes on."""
     desk = Desk(tmp_path)
-    request = Request.of(study, tasks.improve, 2)
+    request = Request.of(study, TASKS["improve"], {"max_effects": 2})
     mine, theirs = (desk.ask(who, "improve", request) for who in ("one", "two"))
     deadline = time.monotonic() + PATIENCE
     while "Starting" in (mine.doing, theirs.doing) and time.monotonic() < deadline:
@@ -491,7 +492,7 @@ def test_job_stops_before_it_has_read_what_to_do(study: Study, tmp_path: Path) -
     """A large request is read seconds after the process began; Stop does not wait for that."""
     desk = Desk(tmp_path)
     large = bytes(2**22)  # more than a pipe holds
-    job = desk.ask("one", "improve", Request.of(study, tasks.improve, large))
+    job = desk.ask("one", "improve", Request.of(study, TASKS["improve"], {"large": large}))
     deadline = time.monotonic() + PATIENCE
     while job._process is None and time.monotonic() < deadline:
         time.sleep(0.001)
@@ -508,14 +509,14 @@ def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
 
     desk = Desk(tmp_path)
     alone = Study(study.source, "default", study.problem, study.train, None)
-    wrong = desk.ask("one", "compare", Request.of(alone, tasks.compare, ()))
+    wrong = desk.ask("one", "compare", Request.of(alone, TASKS["compare"], {}))
     wrong.ended.wait(PATIENCE)
     assert (wrong.state, wrong.result) == ("failed", None)
     assert "validation record" in wrong.failure
-    broken = desk.ask("one", "broken", Request.of(study, operator.truediv))
+    broken = desk.ask("one", "broken", Request.of(study, operator.truediv, {}))
     broken.ended.wait(PATIENCE)
     assert "Unexpected error: TypeError" in broken.failure
-    killed = desk.ask("one", "improve", Request.of(study, tasks.improve, 2))
+    killed = desk.ask("one", "improve", Request.of(study, TASKS["improve"], {"max_effects": 2}))
     deadline = time.monotonic() + PATIENCE
     while killed._process is None and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -531,11 +532,12 @@ def test_work_ends_with_the_program(ship: Path, tmp_path: Path) -> None:
     code = (
         "import sys, time\nfrom pathlib import Path\n"
         "from oed_sysid import load_problem\n"
-        "from oed_sysid.app import tasks\nfrom oed_sysid.app.jobs import Desk\n"
-        "from oed_sysid.app.study import Study\nfrom oed_sysid.app.work import Request\n"
+        "from oed_sysid.app.jobs import Desk, Request\n"
+        "from oed_sysid.cli.study import Study\nfrom oed_sysid.cli.tasks import TASKS\n"
         f"problem = load_problem({str(ship)!r})\n"
         f"study = Study({str(ship)!r}, 'default', problem, problem.data())\n"
-        f"job = Desk(Path({str(tmp_path)!r})).ask('a', 'b', Request.of(study, tasks.improve, 2))\n"
+        "request = Request.of(study, TASKS['improve'], {'max_effects': 2})\n"
+        f"job = Desk(Path({str(tmp_path)!r})).ask('a', 'b', request)\n"
         "while job.doing == 'Starting': time.sleep(0.05)\n"
         "print(job._process.pid, flush=True)\ntime.sleep(60)\n"
     )

@@ -22,7 +22,7 @@ import numpy as np
 import pytest
 
 from oed_sysid import Fit, load_problem, new_problem, read_csv
-from oed_sysid.app.records import at_hand
+from oed_sysid.app.choices import at_hand
 from oed_sysid.experiments.catalogue import catalogue_folder
 
 pytest.importorskip("streamlit", reason="needs the extra 'app'")

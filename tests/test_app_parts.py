@@ -17,10 +17,15 @@ from oed_sysid import Channels, Dataset, Fit, Input, Output, Record, load_proble
 pytest.importorskip("streamlit", reason="needs the extra 'app'")
 pytest.importorskip("plotly", reason="needs the extra 'app'")
 
-from oed_sysid.app import charts, mapping, plans, replay, script, takeaway, tasks
-from oed_sysid.app.records import archive, at_hand, measured_sets
-from oed_sysid.app.shelf import Asked
-from oed_sysid.app.study import Study
+from oed_sysid.app import charts, mapping, pages, replay, takeaway
+from oed_sysid.app.choices import at_hand, measured_sets
+from oed_sysid.app.visit import Asked
+from oed_sysid.cli.limit_words import with_limits
+from oed_sysid.cli.options import line_of
+from oed_sysid.cli.script import part_of, whole
+from oed_sysid.cli.study import Outcome, Study
+from oed_sysid.cli.tasks import TASKS
+from oed_sysid.cli.terminal import Shown
 from oed_sysid.data.logs import LogMapping, Source
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.errors import OedSysidError
@@ -53,9 +58,9 @@ def replace_name(record: Record, name: str) -> Record:
 
 
 @pytest.fixture(name="outcome", scope="module")
-def _outcome(study: Study) -> tasks.Outcome:
+def _outcome(study: Study) -> Outcome:
     """Its fit, as the page keeps it."""
-    return tasks.fit(study, lambda text: None)
+    return TASKS["fit"](study, Shown(), {})
 
 
 def log_of(psi: np.ndarray, r: np.ndarray, rudder: np.ndarray, name: str = "run.csv") -> bytes:
@@ -181,32 +186,30 @@ def test_design_that_leaves_its_limits_is_named() -> None:
     class Design:
         assurance = stated
 
-    assert "DANGER: on 25% of the vehicles" in plans.risk(Design())
+    assert "DANGER: on 25% of the vehicles" in pages.risk(Design())
     Design.assurance = replace(stated, n_kept=196)
-    assert plans.risk(Design()) == ""
+    assert pages.risk(Design()) == ""
     Design.assurance = replace(stated, n_kept=196, wanted=0.99)
-    assert "Left first: z" in plans.risk(Design())
+    assert "Left first: z" in pages.risk(Design())
 
 
 def test_corridor_reaches_the_limits(study: Study) -> None:
-    """A slider's corridor replaces that of the problem, on the page and on the command line."""
-    from oed_sysid.app import commands
-
+    """A slider's corridor, in degrees, replaces that of the problem; the command has its words."""
     problem = load_problem("remus_diving_plane")
-    wish = plans.DesignWish("steps", 60.0, corridors=(("theta", -0.2, 0.2),))
-    limits = plans.limits_of(problem.limits, wish)
-    assert limits.signals["theta"] == (-0.2, 0.2)
+    low, high = np.degrees((-0.2, 0.2))
+    wish = {"like": "steps", "limit": (f"theta={low:.12g}:{high:.12g}",)}
+    limits, _ = with_limits(problem.model, problem.limits, wish["limit"])
+    assert limits.signals["theta"] == pytest.approx((-0.2, 0.2))
     assert limits.signals["z"] == problem.limits.signals["z"]
-    line = commands.design(replace(study, problem=problem, source="remus_diving_plane"), wish)
-    assert f"--limit theta={np.degrees(-0.2):.12g}:{np.degrees(0.2):.12g}" in line
+    line = line_of(TASKS["design"], replace(study, problem=problem), wish)
+    assert f"--limit theta={low:.12g}:{high:.12g} " in line
 
 
-def test_saved_fit_and_exports_are_the_fit(outcome: tasks.Outcome, tmp_path: Path) -> None:
+def test_saved_fit_and_exports_are_the_fit(outcome: Outcome, tmp_path: Path) -> None:
     """The fit file loads as the same fit, and the exported model repeats its simulation."""
-    fits = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])
-    file, fit = fits["nominal"]
-    (tmp_path / f"{file}.json").write_bytes(takeaway.saved(fit))
-    back = Fit.load(tmp_path / f"{file}.json")
+    fit = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])["nominal"]
+    (tmp_path / "nominal.json").write_bytes(takeaway.saved(fit))
+    back = Fit.load(tmp_path / takeaway.file_of("nominal"))
     np.testing.assert_array_equal(back.estimates, fit.estimates)
     with zipfile.ZipFile(io.BytesIO(takeaway.model_archive(fit, "python"))) as packed:
         packed.extractall(tmp_path / "python")
@@ -220,7 +223,7 @@ def test_saved_fit_and_exports_are_the_fit(outcome: tasks.Outcome, tmp_path: Pat
 
 
 def test_problem_folder_carries_records_and_fits(
-    study: Study, outcome: tasks.Outcome, tmp_path: Path
+    study: Study, outcome: Outcome, tmp_path: Path
 ) -> None:
     """The folder opens as the same problem, its records and fits beside it."""
     fits = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])
@@ -233,15 +236,16 @@ def test_problem_folder_carries_records_and_fits(
     assert Fit.load(folder / "nominal.json").names == outcome.result.names
 
 
-def test_script_repeats_the_study(study: Study, outcome: tasks.Outcome, tmp_path: Path) -> None:
+def script(study: Study, asked: dict[str, dict]) -> str:
+    """A whole script that asks for tasks with their options."""
+    return whole(study, [part_of(TASKS[name], study, options) for name, options in asked.items()])
+
+
+def test_script_repeats_the_study(study: Study, outcome: Outcome, tmp_path: Path) -> None:
     """The script runs beside the records and finds the same estimates."""
-    with zipfile.ZipFile(io.BytesIO(archive(study.train, study.test))) as packed:
-        packed.extractall(tmp_path)
-    parts = [
-        script.check(study), script.fit(study), script.compare(study, ()),
-        script.rank(study, (study.training().names[0],)),
-    ]  # fmt: skip
-    (tmp_path / "study.py").write_text(script.whole(study, parts))
+    takeaway.write_records(study, tmp_path)
+    asked = {"check": {}, "fit": {}, "compare": {}, "rank": {"experiment": ("fast_rudder",)}}
+    (tmp_path / "study.py").write_text(script(study, asked))
     run = subprocess.run(
         [sys.executable, tmp_path / "study.py"], capture_output=True, text=True, cwd="/"
     )
@@ -256,11 +260,11 @@ def test_script_of_every_task_runs(tmp_path: Path) -> None:
     problem = load_problem("remus_diving_plane")
     train, test = problem.data().split(test=("test_steps", "test_zigzag_15_12"))
     small = Study("remus_diving_plane", "default", problem, Dataset((train[0],)), test)
-    with zipfile.ZipFile(io.BytesIO(archive(small.train, small.test))) as packed:
-        packed.extractall(tmp_path)
-    wish = plans.DesignWish("steps", 30.0, corridors=(("theta", -0.4, 0.4),))
-    parts = [script.diagnose(small), script.improve(small, 1), script.design(small, wish)]
-    (tmp_path / "study.py").write_text(script.whole(small, parts))
+    takeaway.write_records(small, tmp_path)
+    wish = {"like": "steps", "duration": 30.0, "limit": ("theta=-20:20",)}
+    plan = {"runs": 2, "patterns": ("steps",), "duration": 30.0, "rounds": 0}
+    asked = {"diagnose": {}, "improve": {"max_effects": 1}, "design": wish, "programme": plan}
+    (tmp_path / "study.py").write_text(script(small, asked))
     run = subprocess.run([sys.executable, tmp_path / "study.py"], capture_output=True, text=True)
     assert run.returncode == 0, run.stderr
     assert Fit.load(tmp_path / "improved.json").dataset.names == small.training().names

@@ -247,9 +247,9 @@ def test_hidden_effects_need_a_checkout(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """From an installation the command says what is missing; from a checkout it runs the cases."""
-    from oed_sysid.cli import commands_benchmark
+    from oed_sysid.cli import commands
 
-    place = tmp_path / "site" / "oed_sysid" / "cli" / "commands_benchmark.py"
-    monkeypatch.setattr(commands_benchmark, "__file__", str(place))
+    place = tmp_path / "site" / "oed_sysid" / "cli" / "commands.py"
+    monkeypatch.setattr(commands, "__file__", str(place))
     assert main(["benchmark", "missing-physics", "none/white:1"]) == BAD_INPUT
     assert "source checkout" in capsys.readouterr().err

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.stats import t as student
+from turning_ship import SHIP, record
 
 from benchmarks.disjoint import BEGIN, END, PAGE, simulated
 from benchmarks.harness import between
-from tests.turning_ship import SHIP, record
 
 
 @pytest.mark.parametrize("variation", [0.0, 0.15])

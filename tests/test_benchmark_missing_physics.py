@@ -4,19 +4,14 @@ from __future__ import annotations
 
 import json
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws  # noqa: E402
-from benchmarks.missing_physics.measures import as_markdown, measures  # noqa: E402
-from benchmarks.missing_physics.run import BY_HAND, page  # noqa: E402
-from benchmarks.missing_physics.simulator import (  # noqa: E402
+from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws
+from benchmarks.missing_physics.measures import as_markdown, measures
+from benchmarks.missing_physics.simulator import (
     NOISE_STD,
     PRIORS,
     TEST,
@@ -132,17 +127,3 @@ def test_measures_count_what_they_say() -> None:
     assert [failure["case"] for failure in found["failures"]] == ["single/white/1", "none/white/1"]
     assert found["broken"] == [{"case": "single/white/3", "error": "broken"}]
     assert "single/white/1" in as_markdown(found)
-
-
-def test_analysis_stays_below_new_tables(tmp_path: Path) -> None:
-    """Tables are replaced, what was written by hand is not."""
-    path = tmp_path / "page.md"
-    path.write_text(page("old table", path), encoding="utf-8")
-    path.write_text(
-        path.read_text(encoding="utf-8") + f"\n{BY_HAND}An analysis.\n", encoding="utf-8"
-    )
-    path.write_text(page("new table", path), encoding="utf-8")
-    text = page("new table", path)
-    assert "new table" in text
-    assert "old table" not in text
-    assert text.endswith(f"{BY_HAND}An analysis.\n")

@@ -3,22 +3,17 @@
 from __future__ import annotations
 
 import math
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import least_squares
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.other_vehicles.judge import nominal  # noqa: E402
-from benchmarks.other_vehicles.truth import VEHICLES, auv, catamaran, coaster  # noqa: E402
-from benchmarks.other_vehicles.truth.detect import gains  # noqa: E402
-from benchmarks.other_vehicles.truth.simulator import (  # noqa: E402
+from benchmarks.other_vehicles.judge import nominal
+from benchmarks.other_vehicles.truth import VEHICLES, auv, catamaran, coaster
+from benchmarks.other_vehicles.truth.detect import gains
+from benchmarks.other_vehicles.truth.simulator import (
     Manoeuvre,
     Plant,
     Vehicle,
@@ -27,7 +22,7 @@ from benchmarks.other_vehicles.truth.simulator import (  # noqa: E402
     multisine,
     simulate,
 )
-from oed_sysid.experiments.simulation import simulate_inputs  # noqa: E402
+from oed_sysid.experiments.simulation import simulate_inputs
 
 RNG = np.random.default_rng(0)
 
@@ -198,8 +193,7 @@ def test_candidates_are_the_hidden_effects(name: str) -> None:
             vehicle, {k: np.array([v]) if kind.per_record else v for k, v in sizes.items()}, rng=RNG
         )
         model = bare + own.effect(effect)
-        names = own.amplitudes[effect]
-        model = model.with_values({names[k]: v for k, v in sizes.items() if k in names})
+        model = model.with_values(own.values(effect, sizes))
         start = dict(zip(vehicle.states, found.states[0, 0], strict=False))
         left, whole = (
             np.linalg.norm(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -11,12 +10,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.random_forces import reference as cache  # noqa: E402
-from benchmarks.random_forces.measures import measure, missed, table  # noqa: E402
-from benchmarks.random_forces.reference import (  # noqa: E402
+from benchmarks.random_forces import reference as cache
+from benchmarks.random_forces.measures import measure, missed, table
+from benchmarks.random_forces.reference import (
     Structure,
     _Problem,
     innovations,
@@ -24,7 +20,7 @@ from benchmarks.random_forces.reference import (  # noqa: E402
     reference,
     structure,
 )
-from benchmarks.random_forces.scenarios import (  # noqa: E402
+from benchmarks.random_forces.scenarios import (
     MEDIUM,
     REMUS,
     SCENARIOS,
@@ -33,8 +29,8 @@ from benchmarks.random_forces.scenarios import (  # noqa: E402
     Scenario,
     pitch_pole,
 )
-from benchmarks.random_forces.simulator import Set, simulate  # noqa: E402
-from benchmarks.random_forces.trial import (  # noqa: E402
+from benchmarks.random_forces.simulator import Set, simulate
+from benchmarks.random_forces.trial import (
     Outcome,
     _model,
     believed,
@@ -43,7 +39,7 @@ from benchmarks.random_forces.trial import (  # noqa: E402
     forces,
     outcome,
 )
-from oed_sysid import MultipleShooting, load_problem  # noqa: E402
+from oed_sysid import MultipleShooting, load_problem
 
 needs_compiler = pytest.mark.skipif(
     not (shutil.which("gcc") or shutil.which("clang")), reason="the reference is compiled"

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from turning_ship import GAIN, NOISE, SHIP, TIME, record
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, jackknife, turning_circle
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.between_records import RecordScatter, record_scatter
-from tests.turning_ship import GAIN, NOISE, SHIP, TIME, record
 
 WHITE = MultipleShooting(disturbances="none")
 

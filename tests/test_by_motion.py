@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from test_captive import TRUTH, ship
 
 from oed_sysid import Dataset, Force, MultipleShooting, diagnose, improve
 from oed_sysid.errors import DataError
@@ -15,8 +16,7 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics import amplitude
 from oed_sysid.results import page as page_of
-from oed_sysid.results.fit_plots import plot_output
-from tests.test_captive import TRUTH, ship
+from oed_sysid.results import plot_output
 
 NOISE, CROSSFLOW = 0.3, -60.0
 CANDIDATES = (

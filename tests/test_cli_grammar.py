@@ -304,9 +304,9 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
 
 def test_rounds_bound_the_time_of_a_search() -> None:
     """After a round of 7 s a search of at most four has at most three such rounds left."""
-    from oed_sysid.cli.commands_improve import _Rounds
+    from oed_sysid.cli.tasks import Rounds
 
-    rounds = _Rounds(4)
+    rounds = Rounds(4)
     assert rounds.left(1, 10.0) is None
     assert rounds.left(2, 17.0) == pytest.approx(21.0)
     assert np.isclose(rounds.left(3, 20.0), 14.0)

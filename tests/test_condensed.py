@@ -12,7 +12,7 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 from oed_sysid import MultipleShooting
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.gauss_newton import Exact, Gathered, solve
+from oed_sysid.likelihood.gauss_newton import exact, gathered, solve
 from oed_sysid.likelihood.shooting import Shooting, loss_by_name
 from oed_sysid.physics.parameters import Parameter
 
@@ -51,20 +51,20 @@ def test_gathered_sums_are_those_of_the_jacobian(problem) -> None:
     """Cost, defect, normal equations, prediction and node maps agree to rounding."""
     shooting = problem()
     point = shooting.start_point()
-    exact, quick = Exact.at(shooting, point), Gathered.at(shooting, point)
-    assert quick.cost == pytest.approx(exact.cost, rel=1e-12)
-    assert quick.defect == pytest.approx(exact.defect, rel=1e-12)
-    assert exact.defect > 1e-3
-    size = np.sqrt(np.diag(exact.equations()[0]))
-    for one, other, scale in zip(
-        quick.equations(), exact.equations(), (np.outer(size, size), size), strict=True
-    ):
-        assert np.allclose(one / scale, other / scale, rtol=1e-9, atol=1e-9)
+    whole, quick = exact(shooting, point), gathered(shooting, point)
+    assert quick.cost == pytest.approx(whole.cost, rel=1e-12)
+    assert quick.defect == pytest.approx(whole.defect, rel=1e-12)
+    assert whole.defect > 1e-3
+    one, other = quick.equations, whole.equations
+    size = np.sqrt(np.diag(other.matrix))
+    assert np.allclose(one.matrix / np.outer(size, size), other.matrix / np.outer(size, size),
+                       rtol=1e-9, atol=1e-9)  # fmt: skip
+    assert np.allclose(one.right / size, other.right / size, rtol=1e-9, atol=1e-9)
     step = np.linspace(-1.0, 1.0, shooting.layout.n_unknowns) / size
-    assert quick.predicted(step) == pytest.approx(exact.predicted(step), rel=1e-10)
+    assert quick.predicted(step) == pytest.approx(whole.predicted(step), rel=1e-10)
     for index in range(len(shooting.records)):
-        assert np.allclose(quick.maps[index], exact.maps[index], rtol=1e-12)
-        assert np.allclose(quick.offsets[index], exact.offsets[index], rtol=1e-12)
+        assert np.allclose(one.maps[index], other.maps[index], rtol=1e-12)
+        assert np.allclose(one.offsets[index], other.offsets[index], rtol=1e-12)
 
 
 @pytest.mark.parametrize("problem", [diving, yaw_with_own_gain])
@@ -73,12 +73,12 @@ def test_both_ways_end_at_the_same_optimum(problem, monkeypatch: pytest.MonkeyPa
     shooting = problem()
     estimator = MultipleShooting(noise=shooting.sigma)
     quick = estimator.fit(shooting.model, shooting.dataset)
-    monkeypatch.setattr("oed_sysid.likelihood.gauss_newton.Gathered", Exact)
-    exact = estimator.fit(shooting.model, shooting.dataset)
+    monkeypatch.setattr("oed_sysid.likelihood.gauss_newton.gathered", exact)
+    slow = estimator.fit(shooting.model, shooting.dataset)
     assert quick.status.ok
-    assert np.allclose(quick.estimates, exact.estimates, rtol=1e-8)
-    assert np.allclose(quick.covariance, exact.covariance, rtol=1e-6)
-    assert quick.cost == pytest.approx(exact.cost, rel=1e-12)
+    assert np.allclose(quick.estimates, slow.estimates, rtol=1e-8)
+    assert np.allclose(quick.covariance, slow.covariance, rtol=1e-6)
+    assert quick.cost == pytest.approx(slow.cost, rel=1e-12)
 
 
 def test_robust_losses_are_weighed_sample_by_sample() -> None:
@@ -98,5 +98,5 @@ def test_explosion_is_said_by_both() -> None:
     """Where the model diverges neither gives an iterate."""
     shooting = Shooting(yaw_model().with_values({"alpha": -1e12}), yaw_data(1), NOISE)
     point = shooting.start_point()
-    assert Exact.at(shooting, point) is None
-    assert Gathered.at(shooting, point) is None
+    assert exact(shooting, point) is None
+    assert gathered(shooting, point) is None

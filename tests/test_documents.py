@@ -94,12 +94,14 @@ def test_pages_are_as_measured(name: str) -> None:
     assert main([name]) == 0
 
 
-def test_the_end_of_the_numbers_decides(capsys: pytest.CaptureFixture) -> None:
-    """Asked for what there is not, the command says what there is."""
-    for wrong in (["weather"], ["measured_data", "--only", "weather"]):
-        with pytest.raises(SystemExit):
-            main(wrong)
-        assert "roll_decay" in (text := capsys.readouterr().err) or "measured_data" in text
+def test_what_there_is_not_is_answered_with_what_there_is() -> None:
+    """A wrong page or section ends with the right ones, and --only goes with --write."""
+    with pytest.raises(SystemExit, match="measured_data"):
+        main(["weather"])
+    with pytest.raises(SystemExit, match="roll_decay"):
+        main(["measured_data"], only=["weather"], write=True)
+    with pytest.raises(SystemExit, match="--write"):
+        main(only=["roll_decay"])
 
 
 @pytest.mark.parametrize("path", TEXTS, ids=str)
@@ -142,6 +144,14 @@ def test_noise_is_measured_again() -> None:
         assert found["seen"] == kept[name]["seen"]
 
 
+FIGURES = {
+    "auv_diving_plane": (
+        "auv_fin_and_pitch.png",
+        "auv_sensitivities.png",
+        "auv_reduced_and_full.png",
+    ),
+    "online_ship": ("tanker_derivatives.png", "tanker_predictions.png"),
+}
 STORED = PAGE.stored()
 KEPT = {name: one["numbers"] for name, one in STORED.items()}
 # One number of each verdict, and a value at which the verdict would be another.
@@ -219,7 +229,7 @@ def test_auv() -> None:
         same(found[name], kept[name])
     same(found["errors"]["simpson"], kept["errors"]["simpson"], abs=0.01)
     assert kept["exact"] < 1e-9
-    assert max(kept["shooting"].values()) < 0.01
+    assert max(found["shooting"].values()) < 0.01
     run = script.ways(script.excitations()["random steps 20"])
     counts = {way: len(script.beyond(values)) for way, values in run.items()}
     same(counts, KEPT["auv_excitations"]["runs"]["random steps 20"])
@@ -238,9 +248,10 @@ def test_tanker() -> None:
     """Derivatives as they settle, the second example, and costs that do or do not grow."""
     kept = KEPT["tanker"]
     same({rule: tanker.after(rule) for rule in kept["errors"]}, kept["errors"])
-    assert max(tanker.away(0.01, seed) for seed in range(tanker.SEEDS)) == pytest.approx(
-        kept["second"]["0.01"], rel=1e-3
-    )
+    away = {
+        str(noise): max(tanker.away(noise, seed) for seed in range(20)) for noise in (0.0, 0.01)
+    }
+    same(away, kept["second"], rel=1e-3, abs=1e-6)
     script = paper("online_ship")
     gap = script.recursion_gap(script.MACHINES["Cholesky"](script.WEIGHT), *script.yaw_rows())
     assert gap < 1e-11
@@ -284,6 +295,8 @@ def test_torpedo() -> None:
     found, kept = torpedo.allowed(), KEPT["torpedo"]
     for name in ("free", "masses", "unknown", "known", "at_level"):
         same(found[name], kept[name])
+    assert found["body_worst"] > 50.0  # in body axes the information is singular but for rounding
+    assert found["shooting"]["error"] < 1e-5
     for row in KEPT["torpedo_swarm"]["rows"]:
         record = script.data(row["level"], row["seed"])[0]
         same(script.misfit(script.problem.truth, record), row["truth"])
@@ -342,6 +355,23 @@ def test_a_number_that_decides_nothing_is_written(
     lines = [line for line, old in zip(after, before, strict=True) if line != old]
     assert len(lines) == 2  # the mean error itself, and what the spiral improves
     assert "| 1.57 % (" in lines[0]
+
+
+@pytest.mark.parametrize("name", FIGURES)
+def test_figures_are_drawn(name: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    """Each figure of the quick papers is a picture with ink on it."""
+    from matplotlib.image import imread
+
+    script = paper(name)
+    if name == "online_ship":
+        script.figures(tmp_path, script.on_line())
+    else:
+        record = script.published_run()
+        script.figures(tmp_path, record, script.sensitivities(record))
+    assert {path.name for path in tmp_path.iterdir()} == set(FIGURES[name])
+    for path in tmp_path.iterdir():
+        picture = imread(path)[..., :3]
+        assert 0.005 < np.mean(picture < 0.9) < 0.6, path.name
 
 
 def cited() -> list[tuple[str, str]]:

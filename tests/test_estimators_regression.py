@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from simple_models import NOMOTO
 from test_estimators import TEST as MULTISINE
 from test_estimators import YAW as DAMPED_YAW
 
@@ -40,7 +41,6 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.physics import Actuator, Memory, Sensor
-from tests.simple_models import NOMOTO
 
 AUV = load_problem("auv_diving_plane")
 RECORD = simulate(AUV.model, AUV.experiment("zigzag_5_5"), noise=False)

@@ -7,7 +7,7 @@ import pytest
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.starts import climb, free_node_start
+from oed_sysid.likelihood.windows import climb
 from oed_sysid.physics.parameters import Parameter
 
 WILD = {"K": -0.4, "T": 30.0, "alpha": -40.0}
@@ -51,7 +51,7 @@ def test_result_is_a_point_of_the_real_problem() -> None:
     """The improved point can be linearised and is better than where it began."""
     shooting = Shooting(yaw_model().with_values(WILD), yaw_data(), NOISE)
     begin = shooting.start_point()
-    point = free_node_start(shooting, begin, n_samples=5)
+    point = shooting.start_point(climb(shooting, begin.unknowns, 5))
     before, after = shooting.linearise(begin), shooting.linearise(point)
     assert shooting.cost(after, point.unknowns) < 0.5 * shooting.cost(before, begin.unknowns)
 

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from turning_ship import CUBIC, GAIN, SHIP, TIME, record
 
 from oed_sysid import Dataset, Model, MultipleShooting, Parameter
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.likelihood.horizons import Horizons
 from oed_sysid.likelihood.shooting import Shooting
-from tests.turning_ship import CUBIC, GAIN, SHIP, TIME, record
+from oed_sysid.likelihood.windows import Windows
 
 
 @pytest.fixture(scope="module")
@@ -22,7 +22,7 @@ def zigzags() -> Dataset:
 @pytest.mark.parametrize("horizon", [0.2, 1.0, 7.3, 20.0, 1e4])
 def test_every_transition_is_counted_once(zigzags: Dataset, horizon: float) -> None:
     """Windows overlap by one sample, so that their steps add up to those of the records."""
-    problem = Horizons(Shooting(SHIP, zigzags, np.array([0.01, 0.004])), horizon)
+    problem = Windows.overlapping(Shooting(SHIP, zigzags, np.array([0.01, 0.004])), horizon)
     seen = {index: np.zeros(run.n_samples - 1, dtype=int) for index, run in enumerate(zigzags)}
     for part in problem.windows:
         stops = [*part.starts[1:], zigzags[part.record].n_samples]

@@ -10,7 +10,7 @@ from scipy.signal import lfilter
 from test_design import LIMITS, quick, ship
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid import Experiment, NoiseModel, load_problem
+from oed_sysid import Experiment, NoiseModel, Sea, load_problem
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.design import accuracy_range
 from oed_sysid.errors import DesignError
@@ -261,6 +261,11 @@ def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     )
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * step
     memory = noise.force[0] ** 2 * np.exp(-lags / noise.force_time[0])
+    for waves in noise.seas:
+        z, w = waves.bandwidth / 2, 2 * np.pi / waves.period
+        root = np.sqrt(1 - z**2)
+        shape = np.cos(w * root * lags) - z / root * np.sin(w * root * lags)
+        memory += waves.level[0] ** 2 * np.exp(-z * w * lags) * shape
     sensors = np.kron(np.eye(n), np.diag(noise.white**2))
     sensors += np.kron(np.exp(-lags / noise.colour_time[1]), np.diag(noise.colour**2))
     covariance = by_force @ memory @ by_force.T + sensors
@@ -271,11 +276,17 @@ def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     return kept - matrix[own:, :own] @ np.linalg.solve(matrix[:own, :own], matrix[:own, own:])
 
 
-@pytest.mark.parametrize("colour", [0.0, 4e-3])
-def test_expected_information_is_that_of_the_whole_gaussian(colour: float) -> None:
+@pytest.mark.parametrize(
+    ("level", "colour", "waves"), [(0.01, 0.0, 0.0), (0.01, 4e-3, 0.0), (0.0, 0.0, 0.02)]
+)
+def test_expected_information_is_that_of_the_whole_gaussian(
+    level: float, colour: float, waves: float
+) -> None:
     """The filter's information equals that of all samples with their joint covariance."""
     model = ship(step=0.05)
-    noise = sea(model, colour=colour)
+    noise = sea(model, level, colour=colour)
+    if waves:
+        noise = replace(noise, seas=(Sea(period=7.0, bandwidth=0.2, levels={"r": waves}),))
     found = information_of(model, TEST, noise=noise, priors=None).matrix
     expected = dense_information(model, noise)
     # Nonlinear damping: the nominal path differs from its start states' only in rounding.

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from turning_ship import record as turning_record
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
 from oed_sysid import Experiment, Force, Input, Model, Output, Parameter, Record, State
@@ -24,7 +25,6 @@ from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
 from oed_sysid.prediction.structures import Structure, average_structures, ladder, peak_input
 from oed_sysid.prediction.turning_circle import QUANTITIES, turning_circle
 from oed_sysid.results import plot_polar
-from tests.turning_ship import record as turning_record
 
 
 @pytest.fixture(scope="module")
@@ -536,7 +536,9 @@ def test_report_and_plain_data(fit_turning) -> None:
     for words in ("17.2 deg", "starboard [L]"):
         assert words in text
     half = 1.96 * circle.std("advance", "starboard")
-    assert f"{circle.value('advance', 'starboard'):.3g} +/- {half:.2g}" in text
+    advance = circle.value("advance", "starboard")
+    decimals = 1 - math.floor(math.log10(half))  # two digits of the uncertainty
+    assert f"{advance:.{decimals}f} ± {half:.2g}" in text
     data = json.loads(json.dumps(circle.to_dict()))
     assert set(data["sides"]["port"]) == set(QUANTITIES)
     assert "[L]" not in turning_circle(NOMOTO, speed=2.0).report()

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.published import paper
-from oed_sysid import Dataset, load_problem
-from oed_sysid.baselines import LeastSquaresSVM
+from oed_sysid import load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("auv_diving_plane")
@@ -59,26 +58,3 @@ def test_sensitivities() -> None:
     found = SCRIPT.sensitivities(RECORD)
     for name, expected in SENSITIVITY.items():
         assert found[name] == pytest.approx(expected, abs=1e-4), name
-
-
-def test_bad_estimates_are_the_insensitive_ones() -> None:
-    """Coefficients that LS-SVM gets wrong by more than 5 % are the least sensitive of Z and M."""
-    fit = LeastSquaresSVM(rule="trapezoid").fit(PROBLEM.model, Dataset((RECORD,)))
-    wrong = {n for n, v in fit.values.items() if abs(v / PROBLEM.truth[n] - 1) > 0.05}
-    least = sorted((n for n in SENSITIVITY if n[0] in "ZM"), key=lambda n: SENSITIVITY[n])
-    assert wrong == set(least[: len(wrong)])
-    assert len(wrong) == 5
-
-
-def test_reduced_model_simulates_as_well() -> None:
-    """Without its four least sensitive coefficients the model keeps to within 0.6 % rms."""
-    share = list(SCRIPT.reduced_errors(RECORD).values())
-    assert share == pytest.approx([0.0, 0.0047, 0.0019, 0.0052], abs=2e-4)
-
-
-def test_multiple_shooting_needs_no_accelerations() -> None:
-    """From start values 30 % off, all 19 numbers return exactly from the same record."""
-    fit = SCRIPT.shooting(RECORD, 0.7)
-    assert fit.status.ok
-    for name, value in PROBLEM.truth.items():
-        assert fit.values[name] == pytest.approx(value, rel=1e-4), name

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.documents.published import paper
 from oed_sysid import Dataset, Record, load_problem
 from oed_sysid.baselines import HeadingDifferences
 from oed_sysid.data.reconstruction import (
@@ -47,26 +46,6 @@ def test_error_table(variant: str, experiment: str) -> None:
     candidates += [reconstruct(sparse, 5, method=m) for m in METHODS]
     found = [50 * np.abs(gain_and_time(c) / reference - 1).sum() for c in candidates]
     assert found == pytest.approx(INDEPENDENT[variant, experiment], abs=6e-3)
-
-
-@pytest.mark.parametrize(("variant", "experiment"), INDEPENDENT, ids=lambda text: text)
-def test_published_claim_holds_in_the_published_case_only(variant: str, experiment: str) -> None:
-    """Relative to 0.1 s the spiral beats the cubic spline in the default case and in no other."""
-    problem = PROBLEM.variant(variant)
-    record = simulate(problem.model, problem.experiment(experiment), noise=False)
-    sparse, reference = record.thin(50), gain_and_time(record.thin(10))
-    spiral, cubic = (
-        np.abs(gain_and_time(reconstruct(sparse, 5, method=way)) / reference - 1).mean()
-        for way in ("spiral", "cubic")
-    )
-    assert (spiral < cubic) == (variant == "default")
-
-
-def test_simulation_needs_no_curves() -> None:
-    """Multiple shooting on headings every 0.5 s beats all differences, even at 0.1 s."""
-    errors = paper("nomoto_sparse_heading").signed("K 2, T 0.3")
-    assert np.abs(errors["fine rudder"]).max() < 1.0
-    assert np.abs(errors["0.1 s"]).max() > 15.0
 
 
 def test_central_differences_are_of_second_order() -> None:

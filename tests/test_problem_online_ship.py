@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.documents.published import paper
 from oed_sysid import Dataset, load_problem
 from oed_sysid.baselines import EquationStream, OnlineRegression, RecursiveLSSVM
 from oed_sysid.experiments.simulation import simulate
@@ -49,15 +48,6 @@ def test_loop_on_board() -> None:
     for equation, machine in machines.items():
         for name, value in zip(stream.names(equation), machine.coefficients, strict=True):
             assert value == pytest.approx(PROBLEM.truth[name], rel=3e-3)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-def test_second_example_of_the_paper(noise: float) -> None:
-    """K and T of the KVLCC2 model: exact from ten samples on; with noise settled by fifty."""
-    found = paper("online_ship").second_example(noise, 3)
-    for count in (10, 20, 50, 100) if noise == 0 else (50, 100):
-        accuracy = 1e-3 if noise == 0 else 0.05
-        assert found[count - 3] == pytest.approx([-0.2559, 15.6816], rel=accuracy)
 
 
 def test_noise_is_averaged_out_with_time() -> None:

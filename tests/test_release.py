@@ -15,13 +15,11 @@ from pathlib import Path
 import pytest
 
 import oed_sysid.testing
+from benchmarks.lowest import constraints, lowest
 from oed_sysid import __version__
 from oed_sysid.experiments.problem import list_problems
 
 ROOT = Path(__file__).resolve().parent.parent
-sys.path.insert(0, str(ROOT))
-
-from benchmarks.lowest import constraints, lowest  # noqa: E402
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
 

@@ -56,9 +56,9 @@ def true_model(case: Case) -> Model:
         if name == case.lacking:
             continue
         model = model + own.effect(name)
-        for key, amplitude in own.amplitudes[name].items():
-            size = case.hidden[key]
-            values[amplitude] = float(size) if np.ndim(size) == 0 else 0.0
+        sizes = {key: case.hidden[key] for key in case.vehicle.hidden[name].sizes}
+        plain = {k: float(v) if np.ndim(v) == 0 else 0.0 for k, v in sizes.items()}
+        values |= own.values(name, plain)
     return model.with_values(values)
 
 

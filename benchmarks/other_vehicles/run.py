@@ -13,42 +13,15 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from benchmarks.harness import RESULTS, Row, Store, run_cases
+from benchmarks.harness import RESULTS, Row, Store, run_cases, write_page
 from benchmarks.other_vehicles.cases import Draw, draws
 from benchmarks.other_vehicles.judge import judge
 from benchmarks.other_vehicles.measures import as_markdown, measures
 from benchmarks.other_vehicles.truth import VEHICLES
+from benchmarks.rates import summary
 
 STORE = RESULTS / "other_vehicles.jsonl"
 CASES = 60
-PAGE = """# How often missing physics is found on vehicles that nothing was tuned for
-
-| vehicle | states | measured | samples | hidden effects | candidates |
-|---|---|---|---|---|---|
-| 50 m coaster | 6 | heading, position | 5 x 361, 1 s | 14 | 26 |
-| two-propeller catamaran | 6 | speeds, yaw rate, heading, position | 5 x 401, 0.25 s | 18 | 31 |
-| AUV, six degrees of freedom | 12 | speeds, rates, attitude, depth | 5 x 301, 0.2 s | 19 | 39 |
-| motor with an unbalanced load | 2 | angle, speed | 5 x 501, 0.05 s | 13 | 21 |
-
-Three records train, two validate. The simulators (`benchmarks/other_vehicles/truth/`) share no
-code with the package; each has its own integrator (Runge-Kutta, Dormand-Prince of order
-eight, Gragg's extrapolation, Runge-Kutta that sticks in dry friction), and without anything
-hidden the nominal models give the same records to 1e-6. Free parameters start 10 to 30 %
-wrong; every other case of a kind declares no noise levels. *waves* are first-order
-Gauss-Markov forces on every axis, *input_noise* is noise on one logged input (0.5 deg of
-a rudder or fin). Sizes are 0.3 to 2 times typical. Some effects are parts of the nominal
-model that a case leaves out (yaw, sway, roll or viscous damping), so that deviations grow.
-
-*Detectable*: the expected gain of the truth in twice the log-likelihood, computed without the
-package by a Kalman filter at the true noise levels, is at least 36 on the training and 16
-on the validation records. *Accepted*: claimed, or in the group of at most three of a claim;
-names that are the same model in other words count as right.
-
-    OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles --cases 60 --table docs/other_vehicles.md
-
-continues where the last run stopped (`benchmarks/results/other_vehicles.jsonl`).
-
-"""
 
 
 def run(
@@ -105,16 +78,6 @@ def judged(
     )  # fmt: skip
 
 
-def summary(entry: Row) -> str:
-    """One case in one line."""
-    hidden = " + ".join(entry["effects"]) or "nothing"
-    sight = "" if entry["detectable"] else " (invisible)"
-    if "error" in entry:
-        return f"{entry['key']} {hidden}{sight} -> FAILED {entry['error'][:120]}"
-    added = " + ".join(step["added"] for step in entry["steps"]) or "nothing"
-    return f"{entry['key']} {hidden}{sight} -> {added} ({entry['processor_seconds']:.1f} s)"
-
-
 def main(
     vehicles: Sequence[str] = tuple(VEHICLES),
     *,
@@ -123,7 +86,7 @@ def main(
     jobs: int = 1,
     store: Path = STORE,
     limit: float = 600.0,
-    minutes: float = 0.0,
+    minutes: float = 1e9,
     measure: bool = False,
     table: Path | None = None,
 ) -> None:
@@ -144,7 +107,7 @@ def main(
     limit : float
         processor seconds for one improvement
     minutes : float
-        start no wait beyond this
+        wait for no case after that
     measure : bool
         run nothing: measure what is there
     table : Path
@@ -155,10 +118,9 @@ def main(
     else:
         found = run(
             vehicles, cases=cases, only=only, store=store, n_jobs=jobs, limit=limit,
-            deadline=time.time() + 60 * minutes if minutes else None,
-            tell=lambda text: print(text, flush=True),
+            deadline=time.time() + 60.0 * minutes,
         )  # fmt: skip
     text = as_markdown(found)
     print(text)
     if table:
-        table.write_text(f"{PAGE}{text}\n", encoding="utf-8")
+        write_page(table, text)

@@ -1,28 +1,37 @@
 """Pictures to zoom and point into (plotly), for people: angles in degrees, a unit on every axis.
 
+The tabs of a result's page that hold them are at the end: :func:`tabs_of`.
+
 Signals of one record stand above each other on one axis of time: zoom one, and all follow. A band
 holds 95 % of new measurements (1.96 standard deviations either way).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from html import escape
+from importlib import import_module
+from typing import Any
 
 import numpy as np
 import plotly.graph_objects as go
+import streamlit as st
 from plotly.subplots import make_subplots
 
-from oed_sysid.app.commands import factor, shown
+from oed_sysid.app import visit
+from oed_sysid.cli.study import Outcome
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import CLEAR, Located
 from oed_sysid.likelihood.disturbances import Place
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.improvement_plots import slice_means
 from oed_sysid.results.style import model_style
 from oed_sysid.runtime.display import TWO_SIDED_95
+from oed_sysid.text.units import shown_unit
 
 MEASURED = "#8a929a"
 COMMANDED = "#6b737b"
@@ -39,7 +48,11 @@ def name_of(channel: Input | Output | State) -> str:
     ('yaw rate r [deg/s]', 'n [1/s]')
     """
     words = [channel.label] if channel.label and channel.label != channel.name else []
-    return " ".join([*words, channel.name, f"[{shown(channel.unit)}]"])
+    return " ".join([*words, channel.name, f"[{_unit(channel)}]"])
+
+
+def _unit(channel: Input | Output | State) -> str:
+    return shown_unit(channel.unit)[1] or "-"
 
 
 def signals(
@@ -72,7 +85,7 @@ def signals(
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
     kept = _kept(record.times)
     for row, channel in enumerate(outputs, start=1):
-        turn, column = factor(channel.unit), row - 1
+        turn, column = shown_unit(channel.unit)[0], row - 1
         figure.add_scatter(
             x=record.times[kept], y=turn * record.outputs[kept, column], mode="markers",
             marker={"size": 3, "color": MEASURED}, name="measured", legendgroup="measured",
@@ -84,8 +97,9 @@ def signals(
                 name, index, row,
             )  # fmt: skip
     for row, command in enumerate(inputs, start=len(outputs) + 1):
+        values = shown_unit(command.unit)[0] * record.inputs[kept, row - rows - 1]
         figure.add_scatter(
-            x=record.times[kept], y=factor(command.unit) * record.inputs[kept, row - rows - 1],
+            x=record.times[kept], y=values,
             mode="lines", line={"color": COMMANDED, "width": 1.5,
                                 "shape": "hv" if command.interpolation == "hold" else "linear"},
             name="commanded", legendgroup="commanded", showlegend=row == len(outputs) + 1,
@@ -93,7 +107,7 @@ def signals(
         )  # fmt: skip
     signals: tuple[Input | Output, ...] = (*outputs, *inputs)
     for row, signal in enumerate(signals, start=1):
-        words = f"{signal.name} [{shown(signal.unit)}]"
+        words = f"{signal.name} [{_unit(signal)}]"
         figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
         if signal.label and signal.label != signal.name:
             figure.add_annotation(
@@ -102,15 +116,6 @@ def signals(
             )  # fmt: skip
     figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
     return laid_out(figure, max(_ROW * rows, 240) + _EDGES)
-
-
-def comparison(found: Comparison, index: int) -> go.Figure:
-    """Draw one record of a comparison: measured, and what every model predicts."""
-    models = {
-        part.label: (part.prediction.outputs[index], part.prediction.std[index])
-        for part in found.models
-    }
-    return signals(found.dataset[index], models)
 
 
 def _model(
@@ -259,14 +264,6 @@ _STAGES = {
 }
 
 
-def states_of(dataset: Dataset, located: Located) -> bool:
-    """Whether residual forces stand at the times of the records."""
-    return len(located.forces) == len(dataset) and all(
-        series.times.shape == record.times.shape
-        for series, record in zip(located.forces, dataset, strict=True)
-    )
-
-
 def _kept(times: np.ndarray) -> Sequence[int] | slice:
     """Every n-th sample of a long record."""
     return slice(None, None, max(-(-times.size // _MOST), 1))
@@ -287,3 +284,153 @@ def laid_out(figure: go.Figure, height: int) -> go.Figure:
     figure.update_xaxes(showspikes=True, spikemode="across", spikethickness=1)
     figure.update_yaxes(exponentformat="power")  # 10⁻⁷ N, not 100n
     return figure
+
+
+# -- tabs --------------------------------------------------------------------------------
+
+Tabs = dict[str, Callable[[], None]]
+
+
+def chart(figure: go.Figure, key: str) -> None:
+    """Show a picture."""
+    settings = {"displaylogo": False, "scrollZoom": False}
+    st.plotly_chart(figure, width="stretch", key=key, config=settings)
+
+
+def tabs_of(outcome: Outcome, train: Dataset | None, key: str) -> Tabs:
+    """Tabs of pictures of an outcome: signals, replay, signal chain, residual force.
+
+    Parameters
+    ----------
+    outcome : Outcome
+    train : Dataset or None
+        Training records.
+    key : str
+        Of the widgets.
+    """
+    tabs: Tabs = {}
+    found, located = outcome.comparison, getattr(outcome.result, "location", None)
+    if found is not None:
+        models = {part.label: part.prediction for part in found.models}
+        said = "The band holds 95 % of new measurements: uncertain parameters and noise together."
+        rows: dict[str, Any] = {n: (one.outputs, one.std) for n, one in models.items()}
+        tabs["Signals"] = partial(_signals, found.dataset, rows, said, key)
+        if any(_replays().can_replay(record) for record in found.dataset):
+            tabs["Replay"] = partial(_replay, found, key)
+    elif isinstance(fit := outcome.result, Fit):
+        bands = [np.broadcast_to(fit.sigma, said.shape) for said in fit.predictions]
+        rows = {"nominal": (fit.predictions, bands)}
+        said = "The band holds 95 % of the noise."
+        tabs["Signals"] = partial(_signals, fit.dataset, rows, said, key)
+    if located is not None:
+        fit = getattr(outcome.result, "base_fit", None)
+        train = train if fit is None else fit.dataset
+        tabs["Signal chain"] = partial(_chain, located)
+        if located.force_names and train is not None and _same_times(located.forces, train):
+            tabs["Residual force"] = partial(_force, located, train, fit, key)
+    return tabs
+
+
+def _replays() -> Any:
+    """The module that draws replays, which stands above this one."""
+    return import_module("oed_sysid.app.replay")
+
+
+def _record(dataset: Dataset, key: str) -> int:
+    """Ask which record."""
+    if len(dataset) == 1:
+        return 0
+    name = st.selectbox("Record", dataset.names, key=f"record:{key}")
+    return dataset.names.index(name) if name in dataset.names else 0
+
+
+def _signals(dataset: Dataset, models: Mapping[str, Any], said: str, key: str) -> None:
+    """Signals of one record and what models say about them."""
+    index = _record(dataset, key)
+    rows = {name: (mean[index], std[index]) for name, (mean, std) in models.items()}
+    chart(signals(dataset[index], rows), f"chart:{key}")
+    st.caption(f"{said} Drag to zoom, double-click to go back; a click on the legend hides a line.")
+
+
+def _replay(found: Comparison, key: str) -> None:
+    replay = _replays()
+    able = [record for record in found.dataset if replay.can_replay(record)]
+    record = able[_record(Dataset(tuple(able)), f"replay:{key}")]
+    index = found.dataset.names.index(record.name)
+    models = {part.label: part.prediction.outputs[index] for part in found.models}
+    chart(replay.replay(record, models), f"replay:{key}")
+    measured = replay.angles_of(record)
+    absent = [words for angle, (_, words) in replay.ANGLES.items() if angle not in measured]
+    said = "Drag the hull to look at it from another side. " if measured else ""
+    if measured and absent:
+        said += f"Not measured, and drawn as zero: {', '.join(absent)}."
+    if said:
+        st.caption(said)
+
+
+def _chain(located: Located) -> None:
+    st.html(chain(located))
+    st.caption(
+        "How far the likelihood-ratio statistic of something unknown at each place is behind "
+        f"that of the best, {max(located.gains.values(), default=0.0):,.0f}: the stronger the "
+        f"colour, the likelier the place. Outlined: the best. Chance gains up to {CLEAR:.0f}."
+    )
+
+
+def _force(located: Located, dataset: Dataset, fit: Fit | None, key: str) -> None:
+    left, right = st.columns(2)
+    worst = (located.best or "").removeprefix("force ")
+    first = located.force_names.index(worst) if worst in located.force_names else 0
+    equation = left.selectbox(
+        "Residual force of", located.force_names, index=first, key=f"equation:{key}"
+    )
+    axes = _axes(dataset, fit)
+    best = clearest(located, str(equation), {name: where for name, (_, where) in axes.items()})
+    signal = right.selectbox("Against", list(axes), index=best, key=f"against:{key}")
+    if equation not in located.force_names or signal not in axes:
+        return
+    channel, where = axes[signal]
+    turn = shown_unit(channel.unit)[0]
+    chart(against(located, equation, where, name_of(channel), turn=turn), f"force:{key}")
+    st.caption(
+        "The smoothed residual force is what the free parameters could not absorb of the missing "
+        "force, not the missing force itself."
+    )
+
+
+def _axes(
+    dataset: Dataset, fit: Fit | None
+) -> dict[str, tuple[Input | Output | State, np.ndarray]]:
+    """Signals at all times of all records: states of the fit, commands, measurements."""
+    found: dict[str, tuple[Input | Output | State, np.ndarray]] = {}
+
+    def add(kind: str, channels: Sequence[Input | Output | State], rows: Sequence[Any]) -> None:
+        for column, channel in enumerate(channels):
+            values = np.concatenate([one[:, column] for one in rows])
+            if np.isfinite(values).any():
+                found[f"{name_of(channel)}, {kind}"] = channel, values
+
+    if fit is not None and all(
+        len(one) == record.times.size for one, record in zip(fit.states, dataset, strict=False)
+    ):
+        add("state", fit.model.states, fit.states)
+    add("command", dataset.channels.inputs, [record.inputs for record in dataset])
+    add("measured", dataset.channels.outputs, [record.outputs for record in dataset])
+    return found
+
+
+def _same_times(forces: Sequence[Any], dataset: Dataset) -> bool:
+    """Whether residual forces stand at the times of the records."""
+    return [one.times.size for one in forces] == [record.times.size for record in dataset]
+
+
+def look_at(dataset: Dataset, key: str) -> None:
+    """Signals of records as they were measured."""
+    name = st.selectbox("Look at", dataset.names, key=visit.kept("look", key))
+    if name in dataset.names:
+        record = dataset[name]
+        if record.missing_outputs:
+            st.caption(f"Not measured: {', '.join(record.missing_outputs)}")
+        if record.ignored_columns:
+            st.caption(f"Columns not used: {', '.join(record.ignored_columns)}")
+        chart(signals(record), f"look:{key}")

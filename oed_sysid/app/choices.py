@@ -1,34 +1,34 @@
-"""What the user chose, kept while pages come and go, and the study that follows from it."""
+"""What the user chose, kept while pages come and go, and the study that follows from it.
+
+Records come with the problem, are simulated, or are uploaded.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import tempfile
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
 import streamlit as st
 
-from oed_sysid.app import answers, mapping, visit
-from oed_sysid.app.records import at_hand, likely_test, measured_sets, read_uploads, simulated
-from oed_sysid.app.study import Study
+from oed_sysid.app import mapping, visit
 from oed_sysid.app.trust import check_trusted, check_uploads, consent
-from oed_sysid.app.visit import chosen, kept, preset
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.app.visit import chosen, kept
+from oed_sysid.cli.study import DEFAULT_MODEL, Study
+from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.data.logs import LogMapping
+from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem
+from oed_sysid.experiments.simulation import simulate
 
 _FIRST = "remus_diving_plane"
-DEFAULT_MODEL = "default"
 WITH_PROBLEM, SIMULATED = "With the problem", "Simulated"
 UPLOADED, MAPPED = "My CSV files", "My logs"
-
-__all__ = [
-    "MAPPED", "SIMULATED", "UPLOADED", "WITH_PROBLEM", "agree", "agreed", "begin", "chosen",
-    "first_origin", "held", "kept", "log_key", "measured", "open_measured", "opened_logs",
-    "origins", "preset", "problem_of", "selection", "stock", "study", "take_files",
-]  # fmt: skip
 
 
 def begin(initial: str | None) -> None:
@@ -79,7 +79,7 @@ def origins(problem: Problem) -> list[str]:
 def first_origin(source: str, problem: Problem) -> str:
     """Where records come from before the user says so: nothing is downloaded unasked."""
     options = origins(problem)
-    if options[0] == WITH_PROBLEM and not at_hand(_folder(source)):
+    if options[0] == WITH_PROBLEM and not at_hand(folder_of(source)):
         return UPLOADED
     return options[0]
 
@@ -148,7 +148,7 @@ def selection(
 
 def measured() -> tuple[str, ...]:
     """Shipped problems with measured records of others that are at hand."""
-    folders = {name: _folder(name) for name in list_problems()}
+    folders = {name: folder_of(name) for name in list_problems()}
     return tuple(n for n, place in folders.items() if measured_sets(place) and at_hand(place))
 
 
@@ -166,18 +166,20 @@ def _subset(records: Dataset | None, names: tuple[str, ...]) -> Dataset | None:
 
 def _stamp(source: str) -> float:
     """Time of the last change of a folder's Python files; zero for a shipped problem."""
-    folder = _folder(source)
+    folder = folder_of(source)
     if source in list_problems() or not folder.is_dir():
         return 0.0
     files = [*folder.glob("*.py"), *folder.glob("data/*.csv")]
     return max((file.stat().st_mtime for file in files), default=0.0)
 
 
-def _folder(source: str) -> Path:
-    """Folder of a shipped or own problem."""
+def folder_of(source: str) -> Path:
+    """Folder of a shipped problem or of the user's own."""
     shipped = catalogue_folder()
+    if shipped is not None and source in list_problems():
+        return shipped / source
     own = Path(source).expanduser()
-    return shipped / source if shipped is not None and source in list_problems() else own
+    return own.parent if own.is_file() else own
 
 
 @st.cache_resource(show_spinner="Reading the problem", max_entries=20)
@@ -185,67 +187,15 @@ def _loaded(source: str, variant: str, stamp: float) -> Problem:
     return load_problem(source, variant=None if variant == DEFAULT_MODEL else variant)
 
 
-def log_key(source: str) -> str:
-    """Under what the logs for a problem are held."""
-    return f"log:{source}"
-
-
-def held(key: str) -> dict[str, bytes]:
-    """Files that were given, by name."""
-    files: dict[str, bytes] = st.session_state.get(visit.FILES + key, {})
-    return files
-
-
-def take_files(words: str, key: str, endings: Sequence[str]) -> None:
-    """Ask for files, and keep them when the page is left."""
-    files = st.file_uploader(
-        words, type=list(endings), accept_multiple_files=True, key=f"upload:{key}",
-        on_change=_take, args=(key,),
-    )  # fmt: skip
-    if not files:  # drawn anew: it shows none of the files that were given before
-        st.session_state[f"shown:{key}"] = set()
-    if have := held(key):
-        shown = st.session_state.get(f"shown:{key}", set())
-        if hidden := [name for name in have if name not in shown]:
-            st.caption(f"Given before: {', '.join(hidden)}")
-        if st.button("Forget these files", key=f"forget:{key}"):
-            have.clear()
-            visit.files_changed()
-            st.rerun()
-
-
-def _take(key: str) -> None:
-    """Keep the files that were given, and forget those that were taken back."""
-    have: dict[str, bytes] = st.session_state.setdefault(visit.FILES + key, {})
-    now = {file.name: file.getvalue() for file in st.session_state[f"upload:{key}"]}
-    for name in st.session_state.get(f"shown:{key}", set()) - set(now):
-        have.pop(name, None)
-    have.update(now)
-    visit.files_changed()
-    st.session_state[f"shown:{key}"] = set(now)
-
-
-def opened_logs(source: str) -> mapping.Opened:
-    """Logs that were given for a problem."""
-    key = log_key(source)
-    check_uploads(held(key))
-    return _opened(key, visit.edition(), answers.time_column(source))
-
-
-@st.cache_resource(show_spinner="Reading the logs", max_entries=10)
-def _opened(key: str, edition: str, time: tuple[str, str] | None) -> mapping.Opened:
-    return mapping.open_files(held(key), time)
-
-
 def _mapped(source: str, problem: Problem) -> Stock:
-    if not held(log_key(source)):
+    if not mapping.held(mapping.log_key(source)):
         return Stock(None, {})
-    opened = opened_logs(source)
+    opened = mapping.opened_logs(source)
     if not opened.logs:
         return Stock(None, dict(opened.refused))
-    made = answers.asked(source, problem)
+    made = mapping.asked(source, problem)
     return _imported(
-        source, visit.edition(), answers.time_column(source), made.text(), made, problem
+        source, visit.edition(), mapping.time_column(source), made.text(), made, problem
     )
 
 
@@ -258,7 +208,7 @@ def _imported(
     _made: LogMapping,
     _problem: Problem,
 ) -> Stock:
-    return Stock(*mapping.imported(opened_logs(source), _made, _problem.channels))
+    return Stock(*mapping.imported(mapping.opened_logs(source), _made, _problem.channels))
 
 
 @st.cache_resource(show_spinner="Reading the files", max_entries=10)
@@ -274,3 +224,107 @@ def _uploaded(source: str, variant: str, stamp: float, edition: str) -> Stock:
 def _shipped(source: str, variant: str, stamp: float, origin: str) -> Dataset:
     problem = _loaded(source, variant, stamp)
     return simulated(problem) if origin == SIMULATED else problem.data()
+
+
+# -- records -----------------------------------------------------------------------------
+
+
+def read_uploads(
+    problem: Problem, files: Mapping[str, bytes]
+) -> tuple[Dataset | None, dict[str, str], tuple[str, ...]]:
+    """Read uploaded CSV files with the checks and messages of :func:`read_csv`.
+
+    Parameters
+    ----------
+    problem : Problem
+        Whose channels are looked for.
+    files : mapping of str to bytes
+        Contents by file name.
+
+    Returns
+    -------
+    records : Dataset or None
+        Of the files that can be used.
+    refused : dict of str to str
+        Why the others cannot, by file name.
+    notes : tuple of str
+        What looks odd in those that can.
+    """
+    read: list[Record] = []
+    refused: dict[str, str] = {}
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as odd:
+        warnings.simplefilter("always", UserWarning)
+        for name, content in files.items():
+            path = Path(folder) / mapping.plain_name(name)
+            path.write_bytes(content)
+            try:
+                read += read_csv(path, problem.channels)
+            except DataError as error:
+                refused[name] = str(error).replace(f"{folder}/", "")
+    notes = tuple(str(one.message) for one in odd if issubclass(one.category, UserWarning))
+    return (Dataset(tuple(read)) if read else None), refused, notes
+
+
+def simulated(problem: Problem, *, seed: int = 0) -> Dataset:
+    """Simulate every experiment of a problem, its truth where it states one.
+
+    The same as ``oed-sysid simulate PROBLEM [--truth] --seed SEED``.
+
+    Parameters
+    ----------
+    problem : Problem
+        With experiments.
+    seed : int
+        Of the measurement noise.
+    """
+    if not problem.experiments:
+        raise DataError(
+            f"Problem {problem.name!r} has no experiments to simulate. Add one to its problem.py, "
+            "or upload records."
+        )
+    model = problem.true_model() if problem.truth else problem.model
+    rng = np.random.default_rng(seed)
+    runs = [simulate(model, one, rng=rng) for one in problem.experiments.values()]
+    return Dataset(tuple(runs))
+
+
+def measured_sets(folder: Path) -> tuple[str, ...]:
+    """Files of third-party data that a problem's programs name, by their sets.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the problem.
+    """
+    code = "".join(
+        file.read_text(encoding="utf-8", errors="replace") for file in sorted(folder.glob("*.py"))
+    )
+    return tuple(path for path in registered() if path.partition("/")[0] in code)
+
+
+def at_hand(folder: Path) -> bool:
+    """Whether the records of a problem can be read without a download.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the problem: its records are in its ``data``, or measured by others and fetched before.
+    """
+    if any(folder.glob("data/*")):
+        return True
+    files = measured_sets(folder)
+    return bool(files) and all((data_folder() / path).is_file() for path in files)
+
+
+def likely_test(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Records that look as if they were meant for the test; else the last of several.
+
+    Examples
+    --------
+    >>> likely_test(("train_1", "test_1")), likely_test(("a", "b")), likely_test(("a",))
+    (('test_1',), ('b',), ())
+    """
+    named = tuple(name for name in names if name.lower().startswith(("test", "valid")))
+    if named and len(named) < len(names):
+        return named
+    return names[-1:] if len(names) > 1 else ()

@@ -1,7 +1,11 @@
-"""The frame around the pages: navigation, what is being studied, errors in words."""
+"""The frame around the pages: navigation, what is being studied, errors in words.
+
+It is the script that ``streamlit run`` executes, once per click.
+"""
 
 from __future__ import annotations
 
+import sys
 import traceback
 from collections.abc import Callable
 from functools import partial
@@ -9,33 +13,23 @@ from pathlib import Path
 
 import streamlit as st
 
-from oed_sysid.app import (
-    choices,
-    page_check,
-    page_compare,
-    page_fit,
-    page_improve,
-    page_plan,
-    page_problem,
-    page_report,
-    visit,
-)
+from oed_sysid.app import choices, page_problem, pages, takeaway, visit
+from oed_sysid.app.jobs import said_of
 from oed_sysid.app.panels import message, style
-from oed_sysid.app.shelf import ago, new_id
-from oed_sysid.app.study import Study
 from oed_sysid.app.trust import is_user
-from oed_sysid.app.work import unexpected
+from oed_sysid.app.visit import ago, new_id
+from oed_sysid.cli.study import Study
 from oed_sysid.errors import OedSysidError
 
 _ICON = str(Path(__file__).with_name("icon.svg"))
 # Title, address and symbol of each page, in the order of the work.
 PAGES: tuple[tuple[str, str, str, Callable[[Study], None]], ...] = (
-    ("Check the log", "check", "fact_check", page_check.show),
-    ("Fit", "fit", "tune", page_fit.show),
-    ("Compare and diagnose", "compare", "compare_arrows", page_compare.show),
-    ("Improve", "improve", "add_circle", page_improve.show),
-    ("Plan the next trial", "plan", "route", page_plan.show),
-    ("Report", "report", "description", page_report.show),
+    ("Check the log", "check", "fact_check", pages.check),
+    ("Fit", "fit", "tune", pages.fit),
+    ("Compare and diagnose", "compare", "compare_arrows", pages.compare),
+    ("Improve", "improve", "add_circle", pages.improve),
+    ("Plan the next trial", "plan", "route", pages.plan),
+    ("Report", "report", "description", takeaway.show),
 )
 
 
@@ -72,7 +66,7 @@ def show(initial: str | None = None) -> None:
     )
     others = [
         st.Page(
-            _guarded(partial(_draw, draw)),
+            _guarded(partial(_draw, title, draw)),
             title=title,
             url_path=address,
             icon=f":material/{symbol}:",
@@ -92,7 +86,8 @@ def show(initial: str | None = None) -> None:
     _guarded(_keep)()
 
 
-def _draw(page: Callable[[Study], None]) -> None:
+def _draw(title: str, page: Callable[[Study], None]) -> None:
+    st.header(title)
     page(choices.study())
 
 
@@ -145,10 +140,13 @@ def _guarded(draw: Callable[[], None]) -> Callable[[], None]:
     def drawn() -> None:
         try:
             draw()
-        except OedSysidError as error:
-            message(str(error))
         except Exception as error:
-            traceback.print_exc()  # for the terminal
-            message(unexpected(error))
+            if not isinstance(error, OedSysidError):
+                traceback.print_exc()  # for the terminal
+            message(said_of(error))
 
     return drawn
+
+
+if __name__ == "__main__":
+    show(sys.argv[1] if len(sys.argv) > 1 else None)

@@ -4,6 +4,10 @@ A page asks for a job and is drawn again and again while it runs; a click, a cha
 reload of the browser does not disturb it. Nobody waits for somebody else's job, and a job that is
 stopped ends at once, whatever it is calculating. Results are kept by what was asked
 (:class:`~oed_sysid.runtime.journal.CellStore`), so that the same question is answered once.
+
+The process is ``python -m oed_sysid.app.jobs``: the request comes over standard input, words on
+progress go over standard output, and the result into a store that only this user's processes can
+write to. When standard input ends, the page is gone, and so is the work.
 """
 
 from __future__ import annotations
@@ -15,26 +19,64 @@ import subprocess
 import sys
 import threading
 import time
+import traceback
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
-from functools import cache, partial
+from dataclasses import dataclass, field, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-from oed_sysid.app.work import Done, Failed, Request, unexpected, unpacked
+import cloudpickle
+
+from oed_sysid.cli.study import DEFAULT_MODEL, Study
+from oed_sysid.cli.terminal import Shown
 from oed_sysid.errors import OedSysidError
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.runtime.journal import CellStore
 from oed_sysid.runtime.version import __version__
 
-Tell = Callable[[str], None]
-# Results held in memory; the oldest go first, and are read again from the disk when asked for.
-_HELD = 40
-# Results on disk, the longest unused go first.
-_STORED = 400
+# Results held in memory and on disk; the longest unused go first.
+_HELD, _STORED = 40, 400
 # Seconds that a stopped process is given before it is killed.
 _GRACE = 2.0
+
+
+@dataclass(frozen=True)
+class Ended:
+    """The last words of a process: empty where the result is in the store, else what went wrong."""
+
+    failure: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Request:
+    """Work to do, in a form that another process understands.
+
+    Parameters
+    ----------
+    task : callable
+        A :class:`~oed_sysid.cli.study.Task`, or a function ``(study, show, options)``.
+    options : mapping
+        Its options.
+    about : Study
+        Without its problem, which is loaded anew, not sent.
+    """
+
+    task: Callable[..., Any]
+    options: Mapping[str, Any]
+    about: Study
+
+    @classmethod
+    def of(cls, study: Study, task: Callable[..., Any], options: Mapping[str, Any]) -> Request:
+        """Ask for a task on a study."""
+        return cls(task, options, replace(study, problem=None))  # type: ignore[arg-type]
+
+    def study(self) -> Study:
+        """The study, its problem loaded here."""
+        variant = None if self.about.variant == DEFAULT_MODEL else self.about.variant
+        return replace(self.about, problem=load_problem(self.about.source, variant=variant))
 
 
 @dataclass(eq=False)
@@ -75,11 +117,10 @@ class Job:
 
     def stop(self) -> None:
         """End it now, with every process that it started."""
-        if not self.at_work:
-            return
-        self._end("stopped")
-        if self._process is not None:
-            _terminate(self._process)
+        if self.at_work:
+            self.end("stopped")
+            if self._process is not None:
+                _terminate(self._process)
 
     def take(self, process: subprocess.Popen[bytes]) -> None:
         """Be done by a process, which ends at once if the job was stopped before it began."""
@@ -87,8 +128,8 @@ class Job:
         if self.state == "stopped":
             _terminate(process)
 
-    def follow(self, process: subprocess.Popen[bytes], settle: Callable[[Job], None]) -> None:
-        """Listen to what a process tells until it ends; ``settle`` fetches its result."""
+    def follow(self, process: subprocess.Popen[bytes], fetch: Callable[[], Any]) -> None:
+        """Listen to what a process tells until it ends; ``fetch`` reads its result."""
         assert process.stdout is not None
         said: Any = None
         with suppress(EOFError, OSError, pickle.UnpicklingError):
@@ -99,20 +140,26 @@ class Job:
         code = process.wait()
         if self.state == "stopped":
             return
-        if isinstance(said, Done):
-            settle(self)
-            self._end("done" if self.result is not None else "failed")
-        elif isinstance(said, Failed):
-            self.failure = said.words
-            self._end("failed")
-        else:
-            self.failure = (
+        if not isinstance(said, Ended):
+            self.fail(
                 f"The work ended without a result (exit code {code}). It was ended from outside, "
                 "or the memory did not suffice: take fewer or shorter records, or try again."
             )
-            self._end("failed")
+        elif said.failure:
+            self.fail(said.failure)
+        elif (result := fetch()) is None:
+            self.fail("The result could not be read back. Try again.")
+        else:
+            self.result = result
+            self.end("done")
 
-    def _end(self, state: str) -> None:
+    def fail(self, why: str) -> None:
+        """End without a result."""
+        self.failure = why
+        self.end("failed")
+
+    def end(self, state: str) -> None:
+        """Have an outcome."""
         self.state = state
         self.ended.set()
 
@@ -136,13 +183,11 @@ class Desk:
     def find(self, owner: str, key: str) -> Job | None:
         """Job that one study asked for under a key, or a result that is there already."""
         job = self._jobs.get((owner, key))
-        if job is not None and job.state != "failed" and job.state != "stopped":
+        if job is not None and job.state in ("running", "done"):
             return job
         with self._lock:
             kept = self._read(key)
-            if kept is None:
-                return job
-            return self._hold(owner, key, Job("done", result=kept))
+            return job if kept is None else self._hold(owner, key, Job("done", result=kept))
 
     def ask(self, owner: str, key: str, request: Request) -> Job:
         """Return the job of a key; a new one unless it is at work or done.
@@ -182,7 +227,7 @@ class Desk:
     def _run(self, job: Job, key: str, request: Request) -> None:
         try:
             process = subprocess.Popen(
-                [sys.executable, "-m", "oed_sysid.app.work"],
+                [sys.executable, "-m", "oed_sysid.app.jobs"],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 start_new_session=os.name == "posix",  # its own group: stopped as one
@@ -194,28 +239,23 @@ class Desk:
             with suppress(BrokenPipeError):  # it was stopped, or ended: `follow` says so
                 pickle.dump((str(self._store.folder), _name(key), request), process.stdin)
                 process.stdin.flush()
-            job.follow(process, partial(self._settle, key))
-        except OedSysidError as error:
-            job.failure = str(error)
-            job._end("failed")
+            job.follow(process, lambda: self._read(key))
+            _prune(self._store.folder)
         except Exception as error:
-            job.failure = unexpected(error)
-            job._end("failed")
-
-    def _settle(self, key: str, job: Job) -> None:
-        job.result = self._read(key)
-        if job.result is None:
-            job.failure = "The result could not be read back. Try again."
-        _prune(self._store.folder)
+            job.fail(said_of(error))
 
     def _read(self, key: str) -> Any:
+        """The kept result; None where there is none, or what it is made of has changed since."""
         place = self._store.path(_name(key))
         if not place.is_file():
             return None
         with suppress(OSError):
             os.utime(place)
         packed = self._store.find([_name(key)]).get(_name(key))
-        return None if packed is None else unpacked(packed)
+        try:
+            return None if packed is None else pickle.loads(packed)
+        except Exception:  # a class that was renamed, a problem that is not loaded
+            return None
 
     def _hold(self, owner: str, key: str, job: Job) -> Job:
         self._jobs[owner, key] = job
@@ -224,6 +264,20 @@ class Desk:
         for old in [k for k, j in self._jobs.items() if not j.at_work][:-_HELD]:
             del self._jobs[old]
         return job
+
+
+def said_of(error: Exception) -> str:
+    """Say what went wrong; what is not the user's fault is said to be the program's.
+
+    >>> print(said_of(OedSysidError("Name one.")), said_of(ValueError("no number"))[:41])
+    Name one. Unexpected error: ValueError: no number.
+    """
+    if isinstance(error, OedSysidError):
+        return str(error)
+    return (
+        f"Unexpected error: {type(error).__name__}: {error}. This is a fault of the program. The "
+        "terminal in which it was started shows where; please report it."
+    )
 
 
 def _name(key: str) -> str:
@@ -248,24 +302,67 @@ def _prune(folder: Path) -> None:
 
 
 def _terminate(process: subprocess.Popen[bytes]) -> None:
-    """End a process and those that it started."""
-    _signal(process, signal.SIGTERM)
-    with suppress(subprocess.TimeoutExpired):
-        process.wait(_GRACE)
-        return
-    _signal(process, getattr(signal, "SIGKILL", signal.SIGTERM))
-
-
-def _signal(process: subprocess.Popen[bytes], number: int) -> None:
-    if process.poll() is not None:
-        return  # its number may be another's by now
-    with suppress(OSError):
-        if os.name == "posix":
-            os.killpg(process.pid, number)
-        else:
-            process.kill()
+    """End a process and those that it started, kindly first."""
+    for number in (signal.SIGTERM, getattr(signal, "SIGKILL", signal.SIGTERM)):
+        if process.poll() is not None:
+            return  # its number may be another's by now
+        with suppress(OSError):
+            if os.name == "posix":
+                os.killpg(process.pid, number)
+            else:
+                process.kill()
+        with suppress(subprocess.TimeoutExpired):
+            process.wait(_GRACE)
 
 
 def _stop_all(jobs: dict[tuple[str, str], Job]) -> None:
     for job in list(jobs.values()):
         job.stop()
+
+
+# -- the process -------------------------------------------------------------------------
+
+
+def main() -> None:
+    """Do the work that standard input asks for."""
+    voice = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what libraries print is for the terminal
+    lock = threading.Lock()
+
+    def say(what: Any) -> None:
+        with lock, suppress(BrokenPipeError):
+            pickle.dump(what, voice)
+            voice.flush()
+
+    with suppress(AttributeError, OSError):
+        os.nice(2)  # the page stays quick
+    folder, name, request = pickle.load(sys.stdin.buffer)
+    threading.Thread(target=_leave_with_the_page, daemon=True).start()
+    try:
+        outcome = request.task(request.study(), Shown(told=say), request.options)
+        say("drawing")
+        CellStore(Path(folder)).write(name, cloudpickle.dumps(outcome.drawn()))
+        say(Ended())
+    except Exception as error:
+        if not isinstance(error, OedSysidError):
+            traceback.print_exc()  # for the terminal; the page says it in words
+        say(Ended(said_of(error)))
+    voice.close()
+    sys.stderr.flush()
+    os._exit(0)  # everything is said and written; what libraries left open is of no concern
+
+
+def _leave_with_the_page() -> None:
+    """End this process when the page's end of the pipe is closed."""
+    while os.read(0, 1024):  # not the buffered reader, which Python cannot shut down in mid-read
+        pass
+    with suppress(AttributeError, OSError):
+        os.killpg(os.getpgrp(), signal.SIGTERM)  # its own helpers too
+    os._exit(1)
+
+
+if __name__ == "__main__":
+    # Named as the desk knows it, so that what is pickled here is found there.
+    from oed_sysid.app.jobs import main as run
+
+    run()

@@ -17,7 +17,7 @@ from oed_sysid.app.trust import SECRET
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
 
-_SCRIPT = Path(__file__).with_name("flow.py")
+_SCRIPT = Path(__file__).with_name("frame.py")
 _LARGEST_UPLOAD = 200  # MB
 
 

@@ -1,4 +1,4 @@
-"""From files with other names, units and signs to records: what the page Problem asks for it.
+"""From files with other names, units and signs to records: which column is which channel.
 
 The answers become a :class:`~oed_sysid.data.mapping.LogMapping`, the same that ``oed-sysid import``
 reads; files of one layout are read with one mapping, whatever they are called.
@@ -8,18 +8,29 @@ from __future__ import annotations
 
 import csv
 import io
+import json
+import re
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
+from typing import Any
 
-from oed_sysid.app.records import plain_name
+import streamlit as st
+
+from oed_sysid.app import visit
+from oed_sysid.app.panels import download, message
+from oed_sysid.app.trust import check_uploads
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.logs import Log, LogMapping, Source, import_log, open_log
 from oed_sysid.data.logs import draft as guess
-from oed_sysid.errors import DataError
-from oed_sysid.physics.channels import Channels
-from oed_sysid.text.units import parse_header
+from oed_sysid.data.mapping import CommandCuts, Cut, parse
+from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.experiments.problem import Problem
+from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.text.units import parse_header, shown_unit, to_si
 
 # Endings of the logs that are read.
 ENDINGS = (
@@ -202,3 +213,335 @@ def imported(
             )
         notes += made.notes
     return (Dataset(tuple(records)) if records else None), refused, tuple(dict.fromkeys(notes))
+
+
+def plain_name(name: str) -> str:
+    """Name of an uploaded file without what could lead out of a folder.
+
+    >>> plain_name("../../x.csv"), plain_name(".."), plain_name("dive 1.csv")
+    ('x.csv', 'upload.csv', 'dive 1.csv')
+    """
+    last = re.split(r"[\\/]", name)[-1]
+    kept = re.sub(r"[^\w.,()+\- ]", "_", last).lstrip(".")[-100:]
+    return kept or "upload.csv"
+
+
+# -- files that were given ---------------------------------------------------------------
+
+
+def log_key(source: str) -> str:
+    """Under what the logs for a problem are held."""
+    return f"log:{source}"
+
+
+def held(key: str) -> dict[str, bytes]:
+    """Files that were given, by name."""
+    files: dict[str, bytes] = st.session_state.get(visit.FILES + key, {})
+    return files
+
+
+def take_files(words: str, key: str, endings: Sequence[str]) -> None:
+    """Ask for files, and keep them when the page is left."""
+    files = st.file_uploader(
+        words, type=list(endings), accept_multiple_files=True, key=f"upload:{key}",
+        on_change=_take, args=(key,),
+    )  # fmt: skip
+    if not files:  # drawn anew: it shows none of the files that were given before
+        st.session_state[f"shown:{key}"] = set()
+    if have := held(key):
+        shown = st.session_state.get(f"shown:{key}", set())
+        if hidden := [name for name in have if name not in shown]:
+            st.caption(f"Given before: {', '.join(hidden)}")
+        if st.button("Forget these files", key=f"forget:{key}"):
+            have.clear()
+            visit.files_changed()
+            st.rerun()
+
+
+def _take(key: str) -> None:
+    """Keep the files that were given, and forget those that were taken back."""
+    have: dict[str, bytes] = st.session_state.setdefault(visit.FILES + key, {})
+    now = {file.name: file.getvalue() for file in st.session_state[f"upload:{key}"]}
+    for name in st.session_state.get(f"shown:{key}", set()) - set(now):
+        have.pop(name, None)
+    have.update(now)
+    visit.files_changed()
+    st.session_state[f"shown:{key}"] = set(now)
+
+
+def opened_logs(source: str) -> Opened:
+    """Logs that were given for a problem."""
+    key = log_key(source)
+    check_uploads(held(key))
+    return _opened(key, visit.edition(), time_column(source))
+
+
+@st.cache_resource(show_spinner="Reading the logs", max_entries=10)
+def _opened(key: str, edition: str, time: tuple[str, str] | None) -> Opened:
+    return open_files(held(key), time)
+
+
+# -- answers -----------------------------------------------------------------------------
+
+NOT_LOGGED = "not logged"
+WHOLE, BY_TIME, BY_COMMANDS = "Whole file", "From … to", "Where a command leaves its rest"
+_SPAN, _AROUND = ("from", "to"), ("threshold", "before", "after")
+# What is asked about each channel, and what holds before it is answered.
+_FACTS: Mapping[str, Any] = {
+    "field": NOT_LOGGED, "unit": "", "flip": False, "wrap": False, "factor": 1.0, "trim": 0.0,
+    "delay": 0.0, "constant": 0.0,
+}  # fmt: skip
+
+
+class NothingMappedError(DataError):
+    """No column was chosen yet for any measured signal."""
+
+
+def time_column(source: str) -> tuple[str, str] | None:
+    """Header of the column of time, and its unit, where none is called so."""
+    header = visit.chosen("map", source, "time")
+    return (str(header), str(visit.chosen("map", source, "time unit") or "s")) if header else None
+
+
+def asked(source: str, problem: Problem) -> LogMapping:
+    """The mapping that was asked for.
+
+    Raises
+    ------
+    NothingMappedError
+        If no output is mapped.
+    DataError
+        If an answer cannot be.
+    """
+    outputs = {}
+    for output in problem.model.outputs:
+        found = _answers(source, output.name)
+        if found["field"] != NOT_LOGGED:
+            outputs[output.name] = _source(found)
+    if not outputs:
+        raise NothingMappedError(
+            "No output is mapped yet. Choose a column for at least one measured signal."
+        )
+    inputs = {}
+    for channel in problem.model.inputs:
+        found = _answers(source, channel.name)
+        unit = shown_unit(channel.unit)[1] or "1"
+        still = Source(constant=float(found["constant"]), unit=unit)
+        inputs[channel.name] = still if found["field"] == NOT_LOGGED else _source(found)
+    how = visit.chosen("map", source, "cuts", default=WHOLE)
+    if how == BY_TIME:
+        first, last = (float(visit.chosen("map", source, one, default=0.0)) for one in _SPAN)
+        return LogMapping(inputs, outputs, cuts=(Cut("manoeuvre", first, last),))
+    if how == BY_COMMANDS:
+        least, *around = (float(visit.chosen("map", source, n, default=1.0)) for n in _AROUND)
+        least /= shown_unit(_departure_unit(problem))[0]
+        cuts = CommandCuts(least, before=around[0], after=around[1])
+        return LogMapping(inputs, outputs, by_commands=cuts)
+    return LogMapping(inputs, outputs)
+
+
+def _departure_unit(problem: Problem) -> str:
+    """Unit of all commands; empty where they have several, so that SI is meant."""
+    units = {channel.unit for channel in problem.model.inputs}
+    return units.pop() if len(units) == 1 else ""
+
+
+def _place(source: str, channel: str, fact: str) -> str:
+    """Key of one answer about a channel."""
+    return visit.kept("map", source, channel, fact)
+
+
+def _answers(source: str, channel: str) -> dict[str, Any]:
+    """What was answered about a channel."""
+    found = {fact: st.session_state.get(_place(source, channel, fact)) for fact in _FACTS}
+    return {fact: first if found[fact] in (None, "") else found[fact]
+            for fact, first in _FACTS.items()}  # fmt: skip
+
+
+def _source(found: Mapping[str, Any]) -> Source:
+    """Where a channel stands in the logs."""
+    return Source(
+        str(found["field"]),
+        unit=str(found["unit"]).strip() or None,
+        sign=-1 if found["flip"] else 1,
+        factor=float(found["factor"]),
+        trim=float(found["trim"]),
+        delay=float(found["delay"]),
+        wrap=bool(found["wrap"]),
+    )
+
+
+# -- the part of the page that asks ------------------------------------------------------
+
+
+def show(problem: Problem, source: str) -> None:
+    """Take logs, and ask which of their fields are the channels of the problem."""
+    left, right = st.columns([3, 2])
+    with left:
+        words = "Logs of one layout: " + ", ".join(f".{ending}" for ending in ENDINGS)
+        take_files(words, log_key(source), ENDINGS)
+    with right:
+        _take_mapping(source)
+    files = held(log_key(source))
+    if not files:
+        return
+    opened = opened_logs(source)
+    if not opened.logs or time_column(source) is not None:
+        _ask_time(source, files)
+        opened = opened_logs(source)
+    if not opened.logs and any(map(is_table, files)) and time_column(source) is None:
+        st.info("Choose the column that holds the times.")
+        return
+    for name, refusal in opened.refused.items():
+        message(f"**{name}** was refused. {refusal}")
+    if opened.logs:
+        _ask(source, problem, next(iter(opened.logs.values())))
+
+
+def _ask(source: str, problem: Problem, log: Log) -> None:
+    """Ask about channels and cuts, and offer the mapping to take home."""
+    _begin(source, problem, log)
+    with st.expander(f"What {log.path.name} holds: {len(log.names)} fields"):
+        heads = ("field", "samples", "rate", "from – to", "unit", "range")
+        st.dataframe([dict(zip(heads, row, strict=True)) for row in log.rows()], hide_index=True)
+    widths = [2.2, 3.0, 1.2, 0.9, 1.1, 1.1]
+    heads = ("Channel", "Column", "Its unit", "Reversed", "Jumps by 360°", "")
+    for column, head in zip(st.columns(widths), heads, strict=True):
+        column.caption(head)
+    for channel in problem.channels.all:
+        _ask_channel(source, channel, log, st.columns(widths, vertical_alignment="center"))
+    _ask_cuts(source, problem, log)
+    with suppress(OedSysidError):  # said with the records
+        text = f"problem = {json.dumps(source)}\n{asked(source, problem).text()}"
+        download("Mapping file", lambda: text, "mapping.toml")
+
+
+def _begin(source: str, problem: Problem, log: Log) -> None:
+    """Fill in what names and units say, once per log; keep what was answered where it still is."""
+    state, mark = st.session_state, visit.kept("map", source, "for")
+    fields = list(log.names)
+    tails = {name.partition(".")[2]: name for name in reversed(fields)}
+    guesses = first_guess(log, problem.channels) if state.get(mark) != fields else {}
+    for channel in problem.channels.all:
+        key = partial(_place, source, channel.name)
+        now = state.setdefault(key("field"), NOT_LOGGED)
+        if now != NOT_LOGGED and now not in fields:
+            now = state[key("field")] = tails.get(str(now).partition(".")[2], NOT_LOGGED)
+        if now == NOT_LOGGED and (one := guesses.get(channel.name)) is not None:
+            state[key("field")], state[key("unit")] = one.field, one.unit or ""
+            state[key("wrap")] = one.wrap
+    state[mark] = fields
+
+
+def _ask_channel(source: str, channel: Input | Output, log: Log, row: Sequence[Any]) -> None:
+    """Ask which field is a channel, in which unit, which way round."""
+    name, unit = channel.name, shown_unit(channel.unit)[1] or "-"
+
+    def key(fact: str) -> str:
+        return visit.preset(_place(source, name, fact), _FACTS[fact])
+
+    hidden: dict[str, Any] = {"label_visibility": "collapsed"}
+    kind = "command" if isinstance(channel, Input) else "measured"
+    row[0].markdown(f"{channel.label or name} `{name}` [{unit}], {kind}")
+    row[1].selectbox(
+        f"Column of {name}", [NOT_LOGGED, *log.names], key=key("field"), on_change=_unit_of,
+        args=(source, name), **hidden,
+    )  # fmt: skip
+    if st.session_state.get(key("field")) == NOT_LOGGED:
+        if isinstance(channel, Input):
+            words = f"It did not change: its value, in {unit}"
+            row[2].number_input(
+                f"Value of {name}", key=key("constant"), format="%.4g", help=words, **hidden
+            )
+            row[3].caption(f"{unit}, constant")
+        return
+    row[2].text_input(f"Unit of {name}", key=key("unit"), placeholder="as logged", **hidden)
+    row[3].checkbox(f"Flip {name}", key=key("flip"), help="Its axis points reversed.", **hidden)
+    if channel.unit == "rad":
+        words = "The log holds the angle within one turn: 0° to 360°, or ±180°."
+        row[4].checkbox(f"Unwrap {name}", key=key("wrap"), help=words, **hidden)
+    with row[5].popover("More", width="stretch"):
+        st.caption("Channel = factor × (reading − trim)")
+        logged = st.session_state.get(key("unit")) or "as logged"
+        for fact, words in (("factor", "Factor"), ("trim", f"Trim: reading at zero [{logged}]"),
+                            ("delay", "Late by [s]")):  # fmt: skip
+            st.number_input(words, key=key(fact), format="%.6g")
+
+
+def _unit_of(source: str, channel: str) -> None:
+    """Write the unit that a newly chosen column states."""
+    field = st.session_state.get(_place(source, channel, "field"))
+    log = next(iter(opened_logs(source).logs.values()), None)
+    if log is not None and field in log.names:
+        st.session_state[_place(source, channel, "unit")] = unit_of(log, str(field))
+
+
+def _ask_cuts(source: str, problem: Problem, log: Log) -> None:
+    """Ask where manoeuvres begin and end."""
+    keys = partial(visit.kept, "map", source)
+    columns = st.columns([2.2, 1, 1, 1], vertical_alignment="bottom")
+    how = columns[0].selectbox("Records", (WHOLE, BY_TIME, BY_COMMANDS), key=keys("cuts"))
+    asked_for: list[tuple[str, str, float]] = []
+    if how == BY_TIME:
+        asked_for = [(n, f"{n} [s]", round(v, 3)) for n, v in zip(_SPAN, log.span, strict=True)]
+    elif how == BY_COMMANDS:
+        unit = _departure_unit(problem)
+        words = (f"Departure [{shown_unit(unit)[1] or 'SI'}]", "Before [s]", "After [s]")
+        values = (3.0 if unit == "rad" else 0.05, 5.0, 10.0)
+        asked_for = list(zip(_AROUND, words, values, strict=True))
+    for column, (name, label, value) in zip(columns[1:], asked_for, strict=False):
+        column.number_input(label, key=visit.preset(keys(name), value), format="%.4g")
+
+
+def _ask_time(source: str, files: Mapping[str, bytes]) -> None:
+    """Ask which column is the time, where none is called so."""
+    name = next((one for one in files if is_table(one)), None)
+    if name is not None:
+        left, right, _ = st.columns([2, 1, 1])
+        left.selectbox(
+            "Column of time", headers(files[name]), index=None,
+            key=visit.kept("map", source, "time"),
+            placeholder="No column is called t or time: choose one",
+        )  # fmt: skip
+        right.selectbox("Its unit", TIME_UNITS, key=visit.kept("map", source, "time unit"))
+
+
+def _take_mapping(source: str) -> None:
+    """Take a mapping file of an earlier log."""
+    st.file_uploader(
+        "A mapping file of an earlier log, if there is one", type="toml",
+        key=f"mapping:{source}", on_change=_read_mapping, args=(source,),
+    )  # fmt: skip
+    if refusal := st.session_state.get(f"mapping refused:{source}"):
+        message(refusal)
+
+
+def _read_mapping(source: str) -> None:
+    """Fill in the answers of a mapping file."""
+    state = st.session_state
+    file = state.get(f"mapping:{source}")
+    state.pop(f"mapping refused:{source}", None)
+    if file is None:
+        return
+    try:
+        made = parse(file.getvalue().decode("utf-8", errors="replace"), where=file.name)
+    except OedSysidError as error:
+        state[f"mapping refused:{source}"] = str(error)
+        return
+    for name, one in {**made.inputs, **made.outputs}.items():
+        fixed, si = to_si(one.constant or 0.0, one.unit or "1")
+        found = {
+            "field": one.field or NOT_LOGGED, "unit": one.unit or "", "flip": one.sign == -1,
+            "wrap": one.wrap, "factor": float(one.factor), "trim": float(one.trim),
+            "delay": float(one.delay), "constant": float(fixed) * shown_unit(si)[0],
+        }  # fmt: skip
+        state.update({_place(source, name, fact): value for fact, value in found.items()})
+    cuts: dict[str, Any] = {}
+    if made.cuts:
+        cut = made.cuts[0]
+        cuts = {"cuts": BY_TIME, "from": float(cut.start), "to": float(cut.stop)}
+    if (by := made.by_commands) is not None:
+        values = map(float, (by.threshold, by.before, by.after))
+        cuts = {"cuts": BY_COMMANDS, **dict(zip(_AROUND, values, strict=True))}
+    state.update({visit.kept("map", source, name): value for name, value in cuts.items()})
+    visit.files_changed()

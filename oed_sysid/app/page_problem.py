@@ -2,37 +2,37 @@
 
 from __future__ import annotations
 
+import shlex
 import tempfile
 from collections.abc import Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import streamlit as st
 
-from oed_sysid.app import choices, commands, panel_mapping, views
-from oed_sysid.app.answers import NothingMappedError
-from oed_sysid.app.mapping import headers
-from oed_sysid.app.panels import command, message, part
-from oed_sysid.app.records import plain_name
+from oed_sysid.app import choices, mapping, visit
+from oed_sysid.app.charts import look_at
+from oed_sysid.app.mapping import NothingMappedError, headers, plain_name
+from oed_sysid.app.panels import message, part
 from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
+from oed_sysid.cli.study import DEFAULT_MODEL
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.starter import TEMPLATES
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.runtime.display import TWO_SIDED_95, Section, Table
-from oed_sysid.text.units import parse_header
+from oed_sysid.text.units import parse_header, shown_unit
 
 
 def show() -> None:
     """Draw the page."""
     shipped = list_problems()
-    source = choices.chosen("source")
+    source = visit.chosen("source")
     left, right = st.columns([2, 1])
     left.selectbox(
         "Problem",
         [*shipped, *([source] if source and source not in shipped else [])],
-        key=choices.kept("source"),
+        key=visit.kept("source"),
         accept_new_options=True,
         help="A shipped problem, or type the path of your own folder. "
         "`oed-sysid new my_vehicle` makes one. You are asked before its problem.py is run.",
@@ -46,16 +46,16 @@ def show() -> None:
         "Measured data", icon=":material/database:", width="stretch", key=_OPEN, on_change="rerun"
     ):
         _measured()
-    source = str(choices.chosen("source") or "").strip()
+    source = str(visit.chosen("source") or "").strip()
     try:
         check_trusted(source, choices.agreed())
     except NotTrustedError:
         _ask_consent(source)
         return
-    problem = choices.problem_of(source, choices.DEFAULT_MODEL)
-    variant = choices.DEFAULT_MODEL
+    problem = choices.problem_of(source, DEFAULT_MODEL)
+    variant = DEFAULT_MODEL
     if len(problem.variants) > 1:
-        variant = right.selectbox("Model", problem.variants, key=choices.kept("variant", source))
+        variant = right.selectbox("Model", problem.variants, key=visit.kept("variant", source))
         problem = choices.problem_of(source, variant)
     st.header(problem.title)
     if problem.description:
@@ -77,8 +77,9 @@ def show() -> None:
             st.caption("Amplitudes without a unit are in SI units; angles then in radians.")
     with sources:
         part(Section("", problem.references or ("None stated.",)))
-    with suppress(NothingMappedError):  # said with the records
-        command(commands.describe(choices.study()))
+    with st.expander("The same on the command line"):
+        model = "" if variant == DEFAULT_MODEL else f" --model {variant}"
+        st.code(f"oed-sysid problems {shlex.quote(source)}{model}", language="bash")
 
 
 def _measured() -> None:
@@ -149,7 +150,7 @@ def _make() -> None:
         state["new:refusal"] = str(error)
         return
     choices.agree(str(made))  # it was written by this package, a moment ago
-    state[choices.kept("source")] = str(made)
+    state[visit.kept("source")] = str(made)
     state[_NEW] = False
 
 
@@ -175,25 +176,25 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     left, right = st.columns([2, 1], vertical_alignment="bottom")
     options = choices.origins(problem)
     first = choices.first_origin(source, problem)
-    key = choices.preset(choices.kept("origin", source, variant), first)
+    key = visit.preset(visit.kept("origin", source, variant), first)
     left.segmented_control("Records", options, key=key, required=True, label_visibility="collapsed")
     origin = str(st.session_state[key])
     right.toggle(
         "Noise levels are known",
-        key=choices.kept("known_noise", source),
+        key=visit.kept("known_noise", source),
         help="Trust the noise levels that the problem declares. Otherwise they are estimated, "
         "correlation in time included.",
     )
     if origin == choices.UPLOADED:
         _upload(problem, source)
     elif origin == choices.MAPPED:
-        panel_mapping.show(problem, source)
+        mapping.show(problem, source)
     try:
         stock = choices.stock(source, variant, origin)
     except NothingMappedError as error:
         st.info(str(error))
         return
-    said = choices.opened_logs(source).refused if origin == choices.MAPPED else {}
+    said = mapping.opened_logs(source).refused if origin == choices.MAPPED else {}
     for name, refusal in stock.refused.items():
         if said.get(name) != refusal:
             message(f"**{name}** was refused. {refusal}")
@@ -214,22 +215,24 @@ def _records(problem: Problem, source: str, variant: str) -> None:
             column.multiselect(
                 label,
                 stock.names,
-                key=choices.kept(side, source, variant, origin),
+                key=visit.kept(side, source, variant, origin),
                 help="Nothing is fitted to these, and no choice looks at them."
                 if side == "test"
                 else "Models are fitted to these, and effects are sought in them.",
                 wrap=True,
             )
-    views.look_at(stock.records, f"{source}:{origin}")
+    look_at(stock.records, f"{source}:{origin}")
 
 
 def _upload(problem: Problem, source: str) -> None:
     """Take CSV files, and keep them when the page is left."""
     channels = problem.channels
     wanted: Sequence[Input | Output] = (*channels.inputs, *channels.outputs)
-    columns = ", ".join(f"{one.column or one.name} [{commands.shown(one.unit)}]" for one in wanted)
+    columns = ", ".join(
+        f"{one.column or one.name} [{shown_unit(one.unit)[1] or '-'}]" for one in wanted
+    )
     words = f"Columns: t [s], {columns}. Other units in the header are converted."
-    choices.take_files(words, source, ("csv",))
+    mapping.take_files(words, source, ("csv",))
 
 
 def _parameters(problem: Problem) -> Table:

@@ -1,53 +1,120 @@
-"""Parts that several pages are made of: work with its progress, results, commands."""
+"""Parts that several pages are made of: options, work with its progress, results, commands."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import io
+import tempfile
+import zipfile
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
+from pathlib import Path
 from typing import Any
 
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.jobs import Job
-from oed_sysid.app.shelf import Asked
-from oed_sysid.app.study import Study, digest
-from oed_sysid.app.work import Request
+from oed_sysid.app.charts import tabs_of
+from oed_sysid.app.jobs import Job, Request
+from oed_sysid.app.visit import Asked
+from oed_sysid.cli.options import line_of, row_of
+from oed_sysid.cli.script import part_of
+from oed_sysid.cli.study import Outcome, Study, digest, options_of
+from oed_sysid.cli.tasks import TASKS
 from oed_sysid.results import style_sheet
 from oed_sysid.runtime.display import Report, Section
 
 _POLL = 0.5  # s between looks at a running job
+Pictures = Mapping[str, Callable[[], None]]
 
 
-def key_of(name: str, study: Study, *arguments: Any) -> str:
-    """What the result of a task depends on, by content."""
-    return f"{name} {digest(repr(arguments), *study.key)}"
+# -- options -----------------------------------------------------------------------------
 
 
-def work(
-    button: str,
-    about: Asked,
+def ask(
+    task: str,
     study: Study,
-    task: Callable[..., Any],
-    *arguments: Any,
-    unasked: bool = False,
+    name: str,
+    choices: Sequence[Any] | None = None,
+    *,
+    place: Any = st,
+    first: Any = None,
+    **settings: Any,
 ) -> Any:
-    """Offer work, show its progress, and return its outcome once there is one.
+    """Ask for an option of a task, by its row in the table of options.
 
     Parameters
     ----------
-    button : str
-        What to press.
-    about : Asked
-        Title, report, command and code.
+    task, name : str
+        Which option of which task.
+    study : Study
+        What it is asked about; each problem keeps its own answers.
+    choices : sequence, optional
+        What there is to choose from; by default what the row names.
+    place : container
+        Where to ask.
+    first : object, optional
+        The first answer, where that is not the option's default.
+    **settings
+        Of the widget.
+    """
+    row = row_of(task, name)
+    option = next(one for one in options_of(TASKS[task].run) if one.name == name)
+    several, kind = str(option.kind).startswith("tuple"), str(option.kind)
+    words = row.label or row.help.partition(".")[0]
+    offered = list(row.choices if choices is None else choices)
+    key = visit.kept(study.source, study.variant, task, name)
+    settings = {"key": key, "help": row.help, "placeholder": "as usual", **settings}
+    begin = option.default if first is None else first
+    if several:
+        visit.preset(key, list(begin))
+        return tuple(place.multiselect(words, offered, **settings))
+    if offered:
+        if choices is not None and begin not in offered:
+            begin = offered[0]
+        visit.preset(key, begin)
+        return place.selectbox(
+            words, offered, index=None if begin is None else 0,
+            format_func=lambda one: row.words.get(str(one), str(one)), **settings,
+        )  # fmt: skip
+    visit.preset(key, begin)
+    whole = "int" in kind
+    least = row.least if whole or row.least is None else float(row.least)
+    form = "%d" if whole else "%.4g"
+    return place.number_input(words, min_value=least, format=form, **settings)
+
+
+# -- work --------------------------------------------------------------------------------
+
+
+def result_of(
+    study: Study,
+    task: str,
+    options: Mapping[str, Any],
+    button: str,
+    *,
+    title: str = "",
+    file: str = "",
+    lead: int = 0,
+    unasked: bool = False,
+) -> Outcome | None:
+    """Offer a task; show its progress, its result, the page to take home and its command.
+
+    Parameters
+    ----------
     study : Study
         What it is done to.
-    task : callable
-        Function of a module, ``(study, *arguments, tell)``.
-    *arguments
-        For the task.
+    task : str
+        Which task.
+    options : mapping
+        Its options.
+    button : str
+        What to press.
+    title, file : str
+        On the page Report, and the name of the report; by default the task's.
+    lead : int
+        How many sections stand before the pictures.
     unasked : bool
         Whether to begin without a press: for what is quick and always wanted.
 
@@ -56,34 +123,54 @@ def work(
     Outcome or None
         None before there is one.
     """
+    row = TASKS[task]
+    file = file or task
+    line = line_of(row, study, options, file)
+    if options.get("after") is not None:
+        line = f"{line_of(TASKS['fit'], study, {})}\n{line}"
+    about = Asked(title or row.title, file, line, part_of(row, study, options), digest(*study.key))
+    outcome = _work(button, about, Request.of(study, row, options), study, unasked=unasked)
+    if outcome is not None and outcome.page is not None:
+        show(outcome.page, tabs_of(outcome, study.train, file), lead=lead)
+        html_download(outcome.page, file)
+    with st.expander("The same on the command line"):
+        st.code(line, language="bash", wrap_lines=True)
+    return outcome
+
+
+def _work(
+    button: str, about: Asked, request: Request, study: Study, *, unasked: bool
+) -> Outcome | None:
+    """Offer work, show its progress, and return its outcome once there is one."""
     name, desk = visit.study_id(), visit.desk()
-    key = key_of(task.__name__, study, *arguments)
-    about = replace(about, about=digest(*study.key))
+    key = f"{getattr(request.task, 'name', '')} {digest(repr(request.options), *study.key)}"
     job = desk.find(name, key)
     if job is None and unasked:
-        job = desk.ask(name, key, Request.of(study, task, *arguments))
-    if job is not None and (job.at_work or key in visit.asked() or unasked):
+        job = desk.ask(name, key, request)
+    if job is not None and (job.at_work or unasked):
         visit.note(key, about)
-    if job is not None and job.state == "done" and key in visit.asked():
-        return job.result
     if job is not None and job.at_work:
         _progress(job)
         return None
-    _say_ended(job)
+    if job is not None and job.state == "done" and key in visit.asked():
+        visit.note(key, about)
+        outcome: Outcome = job.result
+        return outcome
+    _say_ended(job, asked=key in visit.asked())
     if st.button(button, type="primary", key=f"ask:{about.file}"):
         visit.note(key, about)
-        desk.ask(name, key, Request.of(study, task, *arguments))
+        desk.ask(name, key, request)
         st.rerun()
-    if job is None and key in visit.asked():
-        st.caption("This was asked for, but the program ended before it was done.")
     return None
 
 
-def _say_ended(job: Job | None) -> None:
+def _say_ended(job: Job | None, *, asked: bool) -> None:
     """Say how work ended that has no result."""
-    if job is not None and job.state == "failed":
+    if job is None and asked:
+        st.caption("This was asked for, but the program ended before it was done.")
+    elif job is not None and job.state == "failed":
         message(job.failure)
-    if job is not None and job.state == "stopped":
+    elif job is not None and job.state == "stopped":
         st.info("Stopped. Press again to begin anew.")
 
 
@@ -102,25 +189,27 @@ def _progress(job: Job) -> None:
         st.rerun()
 
 
-def show(
-    page: Report, pictures: Mapping[str, Callable[[], None]] | None = None, *, lead: int = 0
-) -> None:
+# -- results -----------------------------------------------------------------------------
+
+
+def show(page: Report, pictures: Pictures, *, lead: int = 0) -> None:
     """Show what a report says: outcome and numbers, then one tab per section.
 
     Parameters
     ----------
     page : Report
         The report.
-    pictures : mapping of str to callable, optional
+    pictures : mapping of str to callable
         Titles of further tabs, and what draws them.
     lead : int
         How many sections stand before these.
     """
+    st.caption(page.subtitle)
     st.html(f'<div class="oed">{page.summary_html()}</div>')
     parts: list[tuple[str, Callable[[], None]]] = [
         (section.title, partial(_beneath, page, section)) for section in page.sections
     ]
-    parts[lead:lead] = (pictures or {}).items()
+    parts[lead:lead] = pictures.items()
     if not parts:
         return
     for tab, (_, draw) in zip(st.tabs([title for title, _ in parts]), parts, strict=True):
@@ -139,25 +228,41 @@ def part(section: Section) -> None:
     st.html(f'<div class="oed">{section.html()}</div>')
 
 
-def command(text: str) -> None:
-    """Show the command that does the same; files are those of the page Report."""
-    with st.expander("The same on the command line"):
-        st.code(text, language="bash", wrap_lines=True)
-
-
 def download(
-    label: str, content: Callable[[], str | bytes], file: str, mime: str, *, wide: bool = False
+    label: str, content: Callable[[], str | bytes], file: str, *, wide: bool = False
 ) -> None:
     """Offer a file that is made when it is asked for."""
+    kind = {"zip": "application/zip", "html": "text/html", "csv": "text/csv"}
     st.download_button(
-        label, content, file, mime, on_click="ignore", key=f"download:{file}",
-        width="stretch" if wide else "content",
+        label, content, file, kind.get(file.rpartition(".")[2], "text/plain"), on_click="ignore",
+        key=f"download:{file}", width="stretch" if wide else "content",
     )  # fmt: skip
 
 
 def html_download(page: Report, file: str, *, wide: bool = False) -> None:
     """Offer a page as the HTML file that the command line writes."""
-    download("Report (HTML)", page.html, f"{file}.html", "text/html", wide=wide)
+    download("Report (HTML)", page.html, f"{file}.html", wide=wide)
+
+
+def zipped(write: Callable[[Path], object], under: str = "") -> bytes:
+    """Return what a function writes into a folder as a ZIP file."""
+    target = io.BytesIO()
+    with (
+        tempfile.TemporaryDirectory() as place,
+        zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed,
+    ):
+        write(Path(place))
+        for file in sorted(Path(place).rglob("*")):
+            if file.is_file():
+                packed.write(file, f"{under}{file.relative_to(place).as_posix()}")
+    return target.getvalue()
+
+
+def written(name: str, write: Callable[[Path], object]) -> bytes:
+    """Return what a function writes into a file."""
+    with tempfile.TemporaryDirectory() as place:
+        write(Path(place) / name)
+        return (Path(place) / name).read_bytes()
 
 
 def message(text: str) -> None:
@@ -167,52 +272,5 @@ def message(text: str) -> None:
 
 def style() -> None:
     """Set the rules of the reports' tables and pictures for this application's parts."""
-    st.html(f"<style>.oed {{ {style_sheet().replace(':root', '&')} }} {_STYLE}</style>")
-
-
-_STYLE = """
-.oed { --ink: currentColor; --soft: color-mix(in srgb, currentColor 68%, transparent);
-  --line: color-mix(in srgb, currentColor 20%, transparent);
-  --tint: color-mix(in srgb, currentColor 5%, transparent); color: inherit; }
-.oed tr.marked td { background: rgba(0, 114, 178, .16); }
-.oed figure img { background: white; border-radius: 6px; }
-.oed .verdict { margin-top: 0; }
-.oed .verdict p.danger { color: color-mix(in srgb, #e0002a 62%, currentColor); }
-.oed th.words, .oed td.words { min-width: 6rem; }
-.oed figure { margin-bottom: 1.6rem; }
-.oed figure img { max-width: min(100%, 64rem); }
-.oed-busy { opacity: .8; }
-.oed-busy i { display: inline-block; width: .8em; height: .8em; margin-right: .6em;
-  border: 2px solid #d7dce1; border-top-color: #0072b2; border-radius: 50%;
-  animation: oed-turn 1s linear infinite; vertical-align: -.05em; }
-@keyframes oed-turn { to { transform: rotate(360deg); } }
-.oed-chain { display: flex; align-items: stretch; gap: .4rem; margin: .4rem 0; }
-.oed-chain > b { align-self: center; opacity: .6; }
-.oed-chain .stage { border: 1px solid rgba(128, 136, 144, .45); border-radius: 8px;
-  padding: .5rem .5rem .6rem; display: flex; flex-direction: column; gap: .35rem;
-  flex: 1 1 0; min-width: 0; }
-.oed-chain h4 { margin: 0 0 .1rem; padding: 0; font-size: .82rem;
-  font-weight: 500; opacity: .75; }
-.oed-chain .place { border: 1px solid rgba(128, 136, 144, .45); border-radius: 5px;
-  padding: .1rem .4rem; font-size: .9rem; display: flex; flex-wrap: wrap;
-  justify-content: space-between; align-items: baseline; column-gap: .4em;
-  overflow-wrap: anywhere; }
-.oed-chain small { opacity: .75; font-variant-numeric: tabular-nums; }
-.oed-chain .l1 { background: rgba(230, 159, 0, .18); }
-.oed-chain .l2 { background: rgba(230, 159, 0, .42); }
-.oed-chain .l3 { background: rgba(213, 94, 0, .55); }
-.oed-chain .l4 { background: #c45500; color: white; border-color: #c45500; }
-.oed-chain .best { outline: 2px solid #c45500; outline-offset: 2px; }
-/* A bar over the page while a click is being answered, drawn by the browser itself: it comes after
-   0.15 s however busy the server is, and so not for the looks at a running job. */
-.stApp:is([data-test-script-state=running], [data-test-script-state=rerunRequested])::before {
-  content: ""; position: fixed; top: 0; left: 0; width: 30%; height: 3px; z-index: 1000000;
-  background: #2b87c4; opacity: 0; animation: oed-run 1.2s linear .15s infinite; }
-@keyframes oed-run { from { opacity: 1; transform: translateX(-100%); }
-  to { opacity: 1; transform: translateX(340%); } }
-@media (max-width: 60rem) { .oed-chain { flex-wrap: wrap; }
-  .oed-chain .stage { flex: 1 0 8rem; } .oed-chain > b { display: none; } }
-.stMainBlockContainer { padding: 3rem 2.5rem 4rem; max-width: 76rem; }
-.stTabs [role=tab] p { font-size: .875rem; }
-.stTabs [role=tablist] { flex-wrap: wrap; overflow: visible; height: auto; row-gap: .4rem; }
-"""
+    own = Path(__file__).with_name("page.css").read_text(encoding="utf-8")
+    st.html(f"<style>.oed {{ {style_sheet().replace(':root', '&')} }} {own}</style>")

@@ -1,24 +1,27 @@
-"""What leaves the page: fits, models for other programs, problem folders, the whole study."""
+"""The page Report: everything to take home, and the commands and the script that repeat it."""
 
 from __future__ import annotations
 
-import io
-import tempfile
-import zipfile
 from collections.abc import Iterable, Mapping
+from functools import partial
 from pathlib import Path
 
-from oed_sysid.app import script
-from oed_sysid.app.plans import commands_csv
-from oed_sysid.app.records import archive
-from oed_sysid.app.shelf import Asked
-from oed_sysid.app.study import Study
-from oed_sysid.app.tasks import Outcome
+import streamlit as st
+
+from oed_sysid.app import visit
+from oed_sysid.app.choices import folder_of
+from oed_sysid.app.panels import download, html_download, message, written, zipped
+from oed_sysid.app.visit import Asked
+from oed_sysid.cli.script import whole
+from oed_sysid.cli.study import Outcome, Study, digest
+from oed_sysid.cli.tasks import TASKS, Played
+from oed_sysid.cli.terminal import Shown
+from oed_sysid.data.dataset import write_csv
 from oed_sysid.design import Design
-from oed_sysid.experiments.catalogue import catalogue_folder
-from oed_sysid.experiments.problem import list_problems
+from oed_sysid.errors import OedSysidError
 from oed_sysid.export import export
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.runtime.files import make_folder
 
 # Kinds of oed_sysid.export, in words.
 KINDS = {
@@ -31,35 +34,129 @@ KINDS = {
     "sympy": "SymPy and LaTeX",
     "latex": "LaTeX",
 }
-# Endings of a problem folder's files that belong to it.
-_OF_A_PROBLEM = (".py", ".md", ".toml", ".txt")
-_LARGEST = 5_000_000  # bytes of one such file
+# Endings of a problem folder's files that belong to it, and the largest of them, bytes.
+_OF_A_PROBLEM, _LARGEST = (".py", ".md", ".toml", ".txt"), 5_000_000
+# Reports in the order of the work.
+_ORDER = {file: place for place, file in enumerate([*list(TASKS)[:5], "kept", *list(TASKS)[5:]])}
 
 Finished = Iterable[tuple[Asked, Outcome]]
 
 
-def fits_of(done: Finished) -> dict[str, tuple[str, Fit]]:
-    """Fitted models by what they are called: name of a file, and the fit; the latest of a name.
+def show(study: Study) -> None:
+    """Draw the page."""
+    done = finished(study)
+    if not done:
+        st.write("Nothing has been computed for these records yet.")
+    for about, outcome in done:
+        left, right = st.columns([5, 1], vertical_alignment="center")
+        if outcome.page is not None:
+            with left:
+                st.markdown(about.title)
+                st.caption("".join(outcome.page.first[:1]))
+            with right:
+                html_download(outcome.page, about.file, wide=True)
+    fits = fits_of(done)
+    if fits:
+        st.subheader("Fitted models")
+        _models(fits)
+    st.subheader("Records, folder, everything")
+    st.caption(
+        "The folder is the problem with these records and fits. Everything is the records, "
+        "reports, fits, commands and script of this study."
+    )
+    name = study.problem.name
+    offers = (
+        ("Records (ZIP)", partial(zipped, partial(write_records, study)), "records.zip"),
+        ("Problem folder (ZIP)", partial(problem_archive, study, fits), f"{name}.zip"),
+        ("Everything (ZIP)", partial(zipped, partial(write_all, study, done)), "study.zip"),
+    )
+    for column, (label, content, file) in zip(st.columns(3), offers, strict=True):
+        with column:
+            download(label, content, file, wide=True)
+    st.subheader("The same on the command line")
+    st.caption("In the folder where the records were unpacked.")
+    st.code(commands(done) or "# nothing yet", language="bash", wrap_lines=True)
+    st.subheader("The same in Python")
+    code = whole(study, [about.code for about, _ in done])
+    download("Script (study.py)", lambda: code, "study.py")
+    with st.expander("Show it"):
+        st.code(code, language="python", wrap_lines=True)
 
-    Parameters
-    ----------
-    done : iterable of (Asked, Outcome)
-        What was computed.
+
+def finished(study: Study) -> list[tuple[Asked, Outcome]]:
+    """What was computed for a study, one entry per report."""
+    found: dict[str, tuple[Asked, Outcome]] = {}
+    these = {digest(*one.key) for one in (study, study.without_records())}
+    for key, about in visit.asked().items():
+        job = visit.desk().find(visit.study_id(), key) if about.about in these else None
+        if job is not None and job.state == "done":
+            found[about.file] = (about, job.result)
+    return sorted(found.values(), key=lambda one: _ORDER.get(one[0].file, len(_ORDER)))
+
+
+def fits_of(done: Finished) -> dict[str, Fit]:
+    """Fitted models by what they are called; the latest of a name."""
+    return {name: fit for _, outcome in done for name, fit in outcome.fits.items()}
+
+
+def file_of(name: str) -> str:
+    """Name of the file of a fitted model.
+
+    >>> file_of("with a and b")
+    'with_a_and_b.json'
     """
-    found: dict[str, tuple[str, Fit]] = {}
-    for _, outcome in done:
-        for name, fit in outcome.fits.items():
-            file = "".join(letter if letter.isalnum() else "_" for letter in name)
-            found[name] = file, fit
-    return found
+    return "".join(letter if letter.isalnum() else "_" for letter in name) + ".json"
+
+
+def _models(fits: Mapping[str, Fit]) -> None:
+    """Offer the fits, and their models for other programs."""
+    left, middle, right = st.columns([2, 2, 2], vertical_alignment="bottom")
+    best = "improved" if "improved" in fits else next(iter(fits))
+    name = left.selectbox("Model", list(fits), key=visit.preset(visit.kept("model"), best))
+    kind = middle.selectbox(
+        "For", list(KINDS), format_func=KINDS.__getitem__, key=visit.kept("kind")
+    )
+    if name not in fits or kind not in KINDS:
+        return
+    fit, file = fits[name], file_of(name)
+    made: dict[tuple[str, str, str], bytes] = st.session_state.setdefault("exports", {})
+    here = (name, kind, repr(fit.cost))
+    trim = _trim(fit) if kind == "control" else {}
+    with right:
+        if st.button("Write the model", key="export", type="primary"):
+            made.pop(here, None)
+            try:
+                with st.spinner("Writing"):
+                    made[here] = model_archive(fit, kind, trim)
+            except OedSysidError as error:
+                message(str(error))
+    left, right, _ = st.columns([1, 1, 1])
+    with left:
+        download(f"Fit ({file})", partial(saved, fit), file)
+    if here in made:
+        with right:
+            packed = f"{file.removesuffix('.json')}_{kind}.zip"
+            download(f"Model ({kind}, ZIP)", lambda: made[here], packed)
+
+
+def _trim(fit: Fit) -> dict[str, float]:
+    """Ask at which inputs the model is made linear."""
+    inputs = fit.model.inputs
+    return {
+        channel.name: column.number_input(
+            f"Trim: {channel.name} [{channel.unit or '-'}]", value=0.0, format="%.4g",
+            key=visit.kept("trim", fit.model.name, channel.name),
+        )
+        for column, channel in zip(st.columns(max(len(inputs), 3)), inputs, strict=False)
+    }  # fmt: skip
+
+
+# -- files -------------------------------------------------------------------------------
 
 
 def saved(fit: Fit) -> bytes:
     """The file that ``oed-sysid fit --save`` writes: for `report`, `export` and ``Fit.load``."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "fit.json"
-        fit.save(path)
-        return path.read_bytes()
+    return written("fit.json", fit.save)
 
 
 def model_archive(fit: Fit, kind: str, trim: Mapping[str, float] | None = None) -> bytes:
@@ -79,40 +176,38 @@ def model_archive(fit: Fit, kind: str, trim: Mapping[str, float] | None = None) 
     OedSysidError
         If the model cannot be written so.
     """
-    target = io.BytesIO()
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed,
-    ):
-        for file in export(fit, kind, folder, trim=trim or None):
-            packed.write(file, Path(file).name)
-    return target.getvalue()
+    return zipped(lambda folder: export(fit, kind, folder, trim=trim or None))
 
 
-def problem_archive(study: Study, fits: Mapping[str, tuple[str, Fit]]) -> bytes:
+def write_records(study: Study, folder: Path) -> None:
+    """Write the folders ``train`` and ``test``, one CSV file per record."""
+    for part, dataset in (("train", study.train), ("test", study.test)):
+        for record in dataset or ():
+            make_folder(folder / part)
+            write_csv(record, folder / part / f"{record.name.replace('/', '_')}.csv")
+
+
+def problem_archive(study: Study, fits: Mapping[str, Fit]) -> bytes:
     """The folder of the problem with the records of the study and its fits, as a ZIP file."""
-    name = study.problem.name
-    target = io.BytesIO(archive(study.train, study.test, under=f"{name}/"))
-    with zipfile.ZipFile(target, "a", zipfile.ZIP_DEFLATED) as packed:
+
+    def write(place: Path) -> None:
+        write_records(study, place)
         folder = folder_of(study.source)
         for file in sorted(folder.rglob("*")):
             parts = file.relative_to(folder).parts
             hidden = any(part.startswith((".", "__pycache__")) for part in parts)
             fits_in = file.suffix in _OF_A_PROBLEM or parts[0] == "data"
             if file.is_file() and not hidden and fits_in and file.stat().st_size <= _LARGEST:
-                packed.write(file, "/".join((name, *parts)))
-        for title, fit in fits.values():
-            packed.writestr(f"{name}/{title}.json", saved(fit))
-    return target.getvalue()
+                make_folder(place.joinpath(*parts).parent)
+                place.joinpath(*parts).write_bytes(file.read_bytes())
+        _write_fits(fits, place)
+
+    return zipped(write, f"{study.problem.name}/")
 
 
-def folder_of(source: str) -> Path:
-    """Folder of a shipped problem or of the user's own."""
-    shipped = catalogue_folder()
-    if shipped is not None and source in list_problems():
-        return shipped / source
-    own = Path(source).expanduser()
-    return own.parent if own.is_file() else own
+def _write_fits(fits: Mapping[str, Fit], place: Path) -> None:
+    for name, fit in fits.items():
+        fit.save(place / file_of(name))
 
 
 def commands(done: Finished) -> str:
@@ -120,17 +215,16 @@ def commands(done: Finished) -> str:
     return "\n".join(dict.fromkeys(line for a, _ in done for line in a.command.splitlines()))
 
 
-def everything(study: Study, done: list[tuple[Asked, Outcome]]) -> bytes:
-    """Records, reports, fits, commands, script and a designed trial in one ZIP file."""
-    target = io.BytesIO(archive(study.train, study.test))
-    with zipfile.ZipFile(target, "a", zipfile.ZIP_DEFLATED) as packed:
-        packed.writestr("commands.sh", commands(done) + "\n")
-        packed.writestr("study.py", script.whole(study, [about.code for about, _ in done]))
-        for title, fit in fits_of(done).values():
-            packed.writestr(f"{title}.json", saved(fit))
-        for about, outcome in done:
-            packed.writestr(f"{about.file}.html", outcome.page.html())
-            if isinstance(outcome.result, Design):
-                packed.writestr("design.csv", commands_csv(outcome.result))
-                packed.writestr("card.txt", outcome.result.sea_trial_card() + "\n")
-    return target.getvalue()
+def write_all(study: Study, done: list[tuple[Asked, Outcome]], place: Path) -> None:
+    """Write records, reports, fits, commands, script and a designed trial."""
+    write_records(study, place)
+    (place / "commands.sh").write_text(commands(done) + "\n", encoding="utf-8")
+    code = whole(study, [about.code for about, _ in done])
+    (place / "study.py").write_text(code, encoding="utf-8")
+    _write_fits(fits_of(done), place)
+    for about, outcome in done:
+        if outcome.page is not None:
+            outcome.page.write(place / f"{about.file}.html")
+        if isinstance(outcome.result, Design):
+            files = Played(place / "design.csv", place / "card.txt")
+            list(files.write(outcome, study, Shown()))

@@ -1,15 +1,252 @@
-"""One visit of a browser tab: which study it works on, fetched at the begin, kept at the end."""
+"""One visit of a browser tab, and the studies of this user on their shelf.
+
+A study is what was chosen, given and asked for. It has an id, which stands in the address of the
+page: whoever opens that address again, in the same tab or another, after a reload or after the
+program was started anew, finds the study as it was left. It is fetched at the begin of a visit and
+kept at its end. The shelf stands in the private folder of the user's cache; what others could have
+written there is not read.
+"""
 
 from __future__ import annotations
 
-from secrets import token_hex
+import json
+import re
+import secrets
+import shutil
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 import streamlit as st
 
 from oed_sysid.app.jobs import Desk
-from oed_sysid.app.shelf import Asked, Left, Shelf, is_id, new_id
-from oed_sysid.runtime.files import private_cache
+from oed_sysid.errors import OedSysidError
+from oed_sysid.runtime.files import make_private, private, private_cache, write_bytes, write_text
+
+_ID = re.compile(r"[0-9a-f]{16}")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Work that was asked for in a study.
+
+    Parameters
+    ----------
+    title : str
+        What it is.
+    file : str
+        Name of its report, without ending.
+    command : str
+        The same on the command line.
+    code : str
+        The same in Python, as a part of the script that repeats the study.
+    about : str
+        Digest of the study that it was asked about.
+    """
+
+    title: str
+    file: str
+    command: str
+    code: str = ""
+    about: str = ""
+
+
+@dataclass(frozen=True)
+class Left:
+    """A study as it was left.
+
+    Parameters
+    ----------
+    title : str
+        Title of its problem.
+    choices : mapping
+        Values of widgets, by key.
+    agreed : mapping of str to bool
+        Problems that may be run.
+    asked : mapping of str to Asked
+        Work that was asked for, by key of its job.
+    files : mapping
+        Files that were given, by source and name.
+    when : float
+        Time of the last change, s since 1970.
+    """
+
+    title: str = ""
+    choices: Mapping[str, Any] = field(default_factory=dict)
+    agreed: Mapping[str, bool] = field(default_factory=dict)
+    asked: Mapping[str, Asked] = field(default_factory=dict)
+    files: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
+    when: float = 0.0
+
+    def text(self) -> str:
+        """Everything but files and time as JSON.
+
+        Examples
+        --------
+        >>> print(Left("Ship", {"keep:source": "ship"}).text())  # doctest: +ELLIPSIS
+        {"title": "Ship", "choices": {"keep:source": "ship"}, ...}
+        """
+        content = {
+            "title": self.title,
+            "choices": {key: value for key, value in self.choices.items() if _plain(value)},
+            "agreed": dict(self.agreed),
+            "asked": {key: asdict(one) for key, one in self.asked.items()},
+        }
+        return json.dumps(content)
+
+
+@dataclass(frozen=True)
+class Shelf:
+    """A folder of studies.
+
+    Parameters
+    ----------
+    folder : Path
+        Made, for the user alone, when the first study is kept.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as place:
+    ...     shelf = Shelf(Path(place) / "studies")
+    ...     name = new_id()
+    ...     shelf.keep(name, Left("Ship", {"keep:source": "ship"}, files={"ship": {"a.csv": b"t"}}))
+    ...     back = shelf.find(name)
+    >>> back.title, back.choices, back.files
+    ('Ship', {'keep:source': 'ship'}, {'ship': {'a.csv': b't'}})
+    """
+
+    folder: Path
+
+    def keep(self, name: str, left: Left, *, files: bool = True) -> None:
+        """Write a study.
+
+        Parameters
+        ----------
+        name : str
+            Its id.
+        left : Left
+            The study.
+        files : bool
+            Whether to write the given files as well, which seldom change.
+        """
+        place = self._place(name)
+        make_private(place)
+        if files:
+            self._keep_files(place, left.files)
+        write_text(place / "study.json", left.text())
+
+    def find(self, name: str) -> Left | None:
+        """Return a study; None where there is none that can be read."""
+        if not is_id(name):
+            return None
+        place = self._place(name)
+        if not (place / "study.json").is_file() or not private(place):
+            return None
+        try:
+            content = json.loads((place / "study.json").read_text(encoding="utf-8"))
+            asked = {key: Asked(**one) for key, one in content["asked"].items()}
+            files = self._files(place)
+            when = (place / "study.json").stat().st_mtime
+            return Left(content["title"], content["choices"], content["agreed"], asked, files, when)
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+
+    def recent(self, most: int = 20) -> dict[str, tuple[str, float]]:
+        """Titles and times (s since 1970) of the studies that were changed last, newest first."""
+        found = {}
+        with suppress(OSError):
+            for file in self.folder.glob("*/study.json"):
+                if is_id(file.parent.name) and private(file.parent):
+                    found[file.parent.name] = file.stat().st_mtime
+        newest = sorted(found, key=lambda name: -found[name])[:most]
+        titles = {}
+        for name in newest:
+            with suppress(OSError, ValueError, KeyError, TypeError):
+                file = self._place(name) / "study.json"
+                title = str(json.loads(file.read_text(encoding="utf-8"))["title"])
+                titles[name] = (title, found[name])
+        return titles
+
+    def forget(self, name: str) -> None:
+        """Remove a study with its files."""
+        if is_id(name):
+            shutil.rmtree(self._place(name), ignore_errors=True)
+
+    def _place(self, name: str) -> Path:
+        if not is_id(name):
+            raise OedSysidError(f"{name!r:.40} is no study. Open the page Problem and begin one.")
+        return self.folder / name
+
+    @staticmethod
+    def _keep_files(place: Path, files: Mapping[str, Mapping[str, bytes]]) -> None:
+        """Write the files under numbers, and which number is which; remove what is not named."""
+        index: list[list[str]] = []
+        kept: set[str] = set()
+        for source, held in files.items():
+            for name, content in held.items():
+                number = f"{len(index)}.bin"
+                write_bytes(place / "files" / number, content)
+                index.append([source, name, number])
+                kept.add(number)
+        write_text(place / "files.json", json.dumps(index))
+        for file in (place / "files").glob("*.bin"):
+            if file.name not in kept:
+                file.unlink(missing_ok=True)
+
+    @staticmethod
+    def _files(place: Path) -> dict[str, dict[str, bytes]]:
+        found: dict[str, dict[str, bytes]] = {}
+        if not (place / "files.json").is_file():
+            return found
+        for source, name, number in json.loads((place / "files.json").read_text("utf-8")):
+            found.setdefault(source, {})[name] = (place / "files" / Path(number).name).read_bytes()
+        return found
+
+
+def new_id() -> str:
+    """Draw the id of a new study.
+
+    >>> is_id(new_id())
+    True
+    """
+    return secrets.token_hex(8)
+
+
+def is_id(name: object) -> bool:
+    """Whether a text can be the id of a study.
+
+    >>> is_id("../../secrets"), is_id("0123456789abcdef")
+    (False, True)
+    """
+    return isinstance(name, str) and _ID.fullmatch(name) is not None
+
+
+def ago(when: float) -> str:
+    """How long ago something was, in words.
+
+    >>> ago(time.time() - 7300.0)
+    '2 h ago'
+    """
+    minutes = max(time.time() - when, 0.0) / 60.0
+    if minutes < 60.0:
+        return f"{minutes:.0f} min ago"
+    return (
+        f"{minutes / 60.0:.0f} h ago" if minutes < 48 * 60 else f"{minutes / 1440.0:.0f} days ago"
+    )
+
+
+def _plain(value: Any) -> bool:
+    """Whether JSON gives a value back as it is."""
+    if isinstance(value, list | tuple):
+        return all(_plain(one) for one in value)
+    return value is None or isinstance(value, str | int | float | bool)
+
+
+# -- the visit ---------------------------------------------------------------------------
 
 KEEP, SEEN, FILES = "keep:", "seen:", "files:"
 _ADDRESS = "study"
@@ -38,7 +275,7 @@ def begin() -> bool:
         name = st.query_params.get(_ADDRESS)
         left = shelf().find(name) if name else None
         state["study"] = name if is_id(name) else new_id()
-        state["edition"] = token_hex(4)
+        state["edition"] = secrets.token_hex(4)
         if left is not None:
             _restore(left)
             earlier = True
@@ -117,7 +354,7 @@ def preset(key: str, value: Any) -> str:
 def files_changed() -> None:
     """Have the given files written at the end of this run, and read anew."""
     st.session_state["new files"] = True
-    st.session_state["edition"] = token_hex(4)
+    st.session_state["edition"] = secrets.token_hex(4)
 
 
 def edition() -> str:

@@ -26,6 +26,7 @@ from oed_sysid.baselines.equations import Rows, regression_form, rows_of
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.covariance import sandwich
 from oed_sysid.likelihood.estimate import Posterior
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.information import (
@@ -321,15 +322,6 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
     open_upper = np.where(upper > lower, upper, np.nextafter(lower, np.inf))
     result = lsq_linear(matrix * scale, right, (lower / scale, open_upper / scale))
     return np.clip(scale * result.x, lower, upper)
-
-
-def sandwich(bread: np.ndarray, middle: np.ndarray) -> np.ndarray:
-    """``bread middle bread`` over the parameters that are seen at all."""
-    finite = np.isfinite(np.diag(bread))
-    result = bread.copy()
-    block = np.ix_(finite, finite)
-    result[block] = bread[block] @ middle[block] @ bread[block]
-    return result
 
 
 def residual_covariance(

@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Annotated
+from collections.abc import Callable
+from typing import Annotated, Any
 
 import typer
 
-from oed_sysid.cli import (
-    commands_benchmark,
-    commands_data,
-    commands_fit,
-    commands_improve,
-    commands_logs,
-    commands_plan,
-    commands_programme,
-)
+from oed_sysid.cli import commands
 from oed_sysid.cli.arguments import Command
-from oed_sysid.cli.options import described
+from oed_sysid.cli.options import declared, described, reads_of, results_of
+from oed_sysid.cli.reading import study_of
+from oed_sysid.cli.study import Task, options_of
+from oed_sysid.cli.tasks import TASKS, Files
+from oed_sysid.cli.terminal import deliver, journal, note, progress
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
@@ -24,15 +21,20 @@ EPILOG = (
     "corrected; 3 an unexpected error; 130 interrupted.\n\n"
     "The whole path in Python and on the command line: README.md."
 )
+# In the order of the work; names that are no task's are those of functions.
+ORDER = (
+    "problems new simulate import check rank design programme campaign watch fit compare "
+    "report diagnose improve export app"
+)
+_SETTINGS: dict[str, Any] = {"no_args_is_help": True, "rich_markup_mode": "rich"}
 
 app = typer.Typer(
     name="oed-sysid",
     help="Identify ships and underwater vehicles: simulate, fit, and find what a model lacks.",
     epilog=EPILOG,
-    no_args_is_help=True,
-    rich_markup_mode="rich",
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
+    **_SETTINGS,
 )
 
 
@@ -54,14 +56,45 @@ def _settings(
     pass  # --debug is looked for by oed_sysid.cli.main, where errors are said
 
 
-COMMANDS = (
-    *(commands_data.problems, commands_data.new, commands_data.simulate, commands_logs.import_),
-    *(commands_logs.check, commands_plan.rank, commands_plan.design, commands_programme.programme),
-    *(commands_programme.campaign, commands_fit.fit, commands_fit.compare, commands_fit.report),
-    *(commands_improve.diagnose, commands_improve.improve, commands_data.export, commands_data.app),
+def command_of(task: Task) -> Callable[..., None]:
+    """Return the command of a task: read, work, print, write, and leave with its exit code."""
+    own = {one.name for one in options_of(task.run)}
+    written = list(options_of(task.writes)) if task.writes else []
+
+    def command(**given: Any) -> None:
+        study = study_of(given)
+        files: Files = (task.writes or Files)(**{
+            one.name: tuple(given[one.name] or ()) if one.default == () else given[one.name]
+            for one in written
+        })  # fmt: skip
+        files.before(study)
+        keeping = "kept_in" in given
+        with journal(given.get("kept_in"), given.get("fresh", False), keeping=keeping) as keep:
+            with progress(task.doing, keep) as show:
+                outcome = task(study, show, {name: given[name] for name in own})
+            text = "" if getattr(files, "card", None) else outcome.text
+            deliver(outcome, (study.train, study.test), text=text)
+            for line in files.write(outcome, study, show):
+                note(line)
+            if outcome.status:
+                raise typer.Exit(outcome.status)
+
+    listed = [*reads_of(task), *options_of(task.run), *written, *results_of(task)]
+    command.__doc__ = task.run.__doc__
+    return declared(command, task.name, listed)
+
+
+for _name in ORDER.split():
+    _command = (
+        command_of(TASKS[_name])
+        if _name in TASKS
+        else described(getattr(commands, _name, None) or getattr(commands, f"{_name}_"))
+    )
+    app.command(_name, cls=Command, no_args_is_help=_name not in ("problems", "app"))(_command)
+
+benchmarks = typer.Typer(
+    name="benchmark", help="Compare methods on problems whose truth is known.", **_SETTINGS
 )
-for command in COMMANDS:
-    name = command.__name__.rstrip("_")  # import is a word of Python
-    alone = name in ("problems", "app")
-    app.command(name, cls=Command, no_args_is_help=not alone)(described(command))
-app.add_typer(commands_benchmark.app)
+for _made in (commands.estimators, commands.missing_physics):
+    benchmarks.command(_made.__name__.replace("_", "-"), cls=Command)(described(_made))
+app.add_typer(benchmarks)

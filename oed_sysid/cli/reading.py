@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
 
 from oed_sysid.cli.arguments import TIME_UNIT
+from oed_sysid.cli.study import Study
 from oed_sysid.cli.terminal import kept, note
 from oed_sysid.errors import DataError
 
@@ -19,6 +21,28 @@ if TYPE_CHECKING:
 # its interval is so many seconds, and so many times the usual one: a heading that is logged every
 # 3 s for a model with steps of 0.01 s is none.
 LONG_INTERVAL, LONG_SHARE = 5.0, 200.0
+
+
+def study_of(given: Mapping[str, Any]) -> Study:
+    """Return the study that the arguments of a command name.
+
+    Raises
+    ------
+    OedSysidError
+        If the problem or its records cannot be read.
+    """
+    study = Study.named(given["problem"], given["model"])
+    train, test = (
+        read_records(given[name], study.problem) if given.get(name) else None
+        for name in ("files", "validate")
+    )
+    return replace(
+        study,
+        train=train,
+        test=test,
+        known_noise=given.get("known_noise", False),
+        disturbances=given.get("disturbances", "auto"),
+    )
 
 
 def read_records(files: Sequence[str], problem: Problem) -> Dataset:

@@ -14,7 +14,7 @@ import shutil
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
@@ -24,10 +24,10 @@ from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
 
 if TYPE_CHECKING:
+    from oed_sysid.cli.study import Outcome
     from oed_sysid.data.dataset import Dataset
-    from oed_sysid.evidence.check import LogCheck
     from oed_sysid.likelihood.gauss_newton import Progress
-    from oed_sysid.runtime.display import Report
+    from oed_sysid.runtime.display import Figure
     from oed_sysid.runtime.journal import Journal
 
 # A file name that means standard output.
@@ -88,50 +88,31 @@ def asked(name: str) -> Any:
     return None if context is None else context.params.get(name)
 
 
-def deliver(
-    report: Report,
-    facts: Mapping[str, Any],
-    *,
-    text: str | None = None,
-    page: Callable[[], Report] | None = None,
-    picture: Callable[[], Any] | None = None,
-    records: Iterable[Dataset | None] = (),
-) -> None:
-    """Print a result, and write what the user asked for: numbers, a page, a picture.
+def deliver(outcome: Outcome, records: Iterable[Dataset | None] = (), *, text: str = "") -> None:
+    """Print an outcome, and write what the user asked for: numbers, a page, a picture.
 
     Parameters
     ----------
-    report : Report
-        Its answer is printed first.
-    facts : mapping
-        For ``--json``.
-    text : str, optional
-        What is printed below the answer; by default the text of the report.
-    page : callable, optional
-        Returns the report for ``--html``, if that is another.
-    picture : callable, optional
-        Returns a figure or axes for ``--picture``.
+    outcome : Outcome
+        The answer of its report is printed first.
     records : iterable of Dataset or None
         What the result depends on.
+    text : str
+        What is printed below the answer; by default the text of the report.
     """
+    if outcome.above:
+        say(f"{outcome.above}\n")
     if kept(FORM) == "latex":
-        out(report.latex())
+        out(outcome.said.latex())
     else:
-        answer(report.answer, report.text() if text is None else text)
-    store(facts, asked("json_file"), records=records)
-    place = asked("html_file")
-    if place is not None:
-        shown = report if page is None else page()
-        note(f"Written: {shown.write(place)}")
-    if picture is not None:
-        draw(picture, asked("picture"))
-
-
-def drawn(name: str, *arguments: Any, **options: Any) -> Any:
-    """Return a figure of :mod:`oed_sysid.results` by its name, which is imported only then."""
-    from oed_sysid import results as report
-
-    return getattr(report, name)(*arguments, **options)
+        answer(outcome.said.answer, text or outcome.said.text())
+    store(outcome.facts, asked("json_file"), records=records)
+    if (place := asked("html_file")) is not None:
+        note(f"Written: {outcome.document().write(place)}")
+    if outcome.figure is not None:
+        draw(outcome.figure, asked("picture"))
+    for line in outcome.notes:
+        note(line)
 
 
 def alarming(text: str) -> str:
@@ -163,31 +144,6 @@ def kept(key: str) -> str | None:
     return None if context is None else context.meta.get(key)
 
 
-def say_log(log: LogCheck) -> None:
-    """Print, above a result, what speaks against the log that it is made from."""
-    warning = log.warning()
-    if warning:
-        say(warning)
-        say()
-
-
-def table(headers: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Print rows of text as a table; the last column wraps at the window's width."""
-    from rich.console import Console
-    from rich.table import Table
-
-    wide = None if sys.stdout.isatty() else 200
-    grid = Table(box=None, pad_edge=False, header_style="bold", padding=(0, 2, 0, 0))
-    for index, header in enumerate(headers):
-        grid.add_column(header, no_wrap=index < len(headers) - 1)
-    for row in rows:
-        grid.add_row(*row)
-    console = Console(width=wide, highlight=False, markup=False)
-    with console.capture() as said:
-        console.print(grid)
-    out(said.get().rstrip("\n"))
-
-
 class Shown:
     """What is being done, and for how much longer.
 
@@ -197,9 +153,25 @@ class Shown:
         What is being done.
     clock : callable
         Returns seconds.
+    journal : Journal, optional
+        Where finished steps are kept.
+    told : callable, optional
+        Called with words when something else is being done, or more is known.
     """
 
-    def __init__(self, what: str, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        what: str = "",
+        clock: Callable[[], float] = time.monotonic,
+        *,
+        journal: Journal | None = None,
+        told: Callable[[str], None] | None = None,
+    ) -> None:
+        from oed_sysid.runtime.journal import Journal
+
+        self.journal = Journal() if journal is None else journal
+        self.note = note
+        self._told = told
         self._clock = clock
         self._began = clock()
         self._what = what
@@ -213,6 +185,7 @@ class Shown:
         self._what, self._detail, self._first = what[:1].upper() + what[1:], "", None
         if self._fitting:
             self._left, self._fitting = None, False
+        self._tell()
 
     def iteration(self, state: Progress) -> None:
         """Tell how far a fit is; an estimator's ``progress``.
@@ -221,6 +194,11 @@ class Shown:
         logarithm tells how far it is to the tolerance.
         """
         self._detail = f"iteration {state.iteration}, cost {state.cost:.6g}"
+        self._expect(state)
+        self._tell()
+
+    def _expect(self, state: Progress) -> None:
+        """Say from the decrements so far when the tolerance is reached."""
         if not state.decrement > 0:
             return
         now, here = self._clock(), math.log(state.decrement)
@@ -244,23 +222,35 @@ class Shown:
         """
         now = self._clock()
         if 0.0 < done <= 1.0:
-            self._left = (now, (now - self._began) * (1.0 - done) / done)
-            self._most = at_most
+            self.left((now - self._began) * (1.0 - done) / done, at_most=at_most)
 
     def left(self, seconds: float, *, at_most: bool = False) -> None:
         """Tell how many seconds are left."""
         self._left, self._most = (self._clock(), seconds), at_most
+        self._tell()
+
+    def _tell(self) -> None:
+        if self._told is not None:
+            self._told(", ".join(filter(None, (self.doing, self.remaining))))
+
+    @property
+    def doing(self) -> str:
+        """What is being done."""
+        return f"{self._what}: {self._detail}" if self._detail else self._what
+
+    @property
+    def remaining(self) -> str:
+        """How much longer it takes; empty where that is not known."""
+        if self._left is None:
+            return ""
+        left = max(0.0, self._left[1] - (self._clock() - self._left[0]))
+        return f"{'at most' if self._most else 'about'} {_duration(left)} left"
 
     @property
     def line(self) -> str:
         """What is being done, with the time since the beginning and the time left."""
-        now = self._clock()
-        text = f"{self._what}: {self._detail}" if self._detail else self._what
-        text += f" ({_duration(now - self._began)}"
-        if self._left is not None:
-            left = max(0.0, self._left[1] - (now - self._left[0]))
-            text += f", {'at most' if self._most else 'about'} {_duration(left)} left"
-        return f"{text})"
+        times = (_duration(self._clock() - self._began), self.remaining)
+        return f"{self.doing} ({', '.join(filter(None, times))})"
 
 
 def _duration(seconds: float) -> str:
@@ -271,7 +261,7 @@ def _duration(seconds: float) -> str:
 
 
 @contextmanager
-def progress(what: str) -> Iterator[Shown]:
+def progress(what: str, journal: Journal | None = None) -> Iterator[Shown]:
     """Show what is being done and for how much longer, once it takes two seconds.
 
     On a terminal in one line that goes away; elsewhere as plain lines on standard error, one
@@ -281,13 +271,15 @@ def progress(what: str) -> Iterator[Shown]:
     ----------
     what : str
         What is being done first.
+    journal : Journal, optional
+        Where finished steps are kept.
 
     Yields
     ------
     Shown
         To be told how things go on.
     """
-    shown = Shown(what)
+    shown = Shown(what, journal=journal)
     if quiet():
         yield shown
         return
@@ -322,7 +314,7 @@ def progress(what: str) -> Iterator[Shown]:
 
 
 @contextmanager
-def journal(folder: Path | None, fresh: bool) -> Iterator[Journal]:
+def journal(folder: Path | None, fresh: bool = False, *, keeping: bool = True) -> Iterator[Journal]:
     """Keep finished steps of a command until everything it was asked for is written.
 
     Parameters
@@ -331,6 +323,8 @@ def journal(folder: Path | None, fresh: bool) -> Iterator[Journal]:
         Where; None means the user's cache.
     fresh : bool
         Whether what an earlier call has kept is forgotten.
+    keeping : bool
+        Whether anything is kept.
 
     Yields
     ------
@@ -342,7 +336,7 @@ def journal(folder: Path | None, fresh: bool) -> Iterator[Journal]:
     from oed_sysid.runtime.journal import Journal, unfinished_folder
 
     try:
-        place = folder or unfinished_folder()
+        place = (folder or unfinished_folder()) if keeping else None
     except OSError as error:
         place = None
         note(f"Finished steps are not kept: {error}. Give a folder with --journal.")
@@ -417,23 +411,14 @@ def _context() -> Any:
     return get_current_context(silent=True)
 
 
-def draw(make: Callable[[], Any], path: Path | None) -> None:
-    """Draw a result where the user asked for it, and say so.
-
-    Parameters
-    ----------
-    make : callable
-        Returns a figure or axes; called only if a picture is wanted.
-    path : Path or None
-        The file; ``None`` draws nothing.
-    """
+def draw(figure: Figure, path: Path | None) -> None:
+    """Draw a figure of a document where the user asked for it, and say so."""
     if path is None:
         return
     from oed_sysid.results import save_figure
+    from oed_sysid.results.page import draw as drawn
 
-    made = make()
-    figure = getattr(made, "figure", made)
-    save_figure(figure, path, dpi=150, bbox_inches="tight")
+    save_figure(drawn(figure), path, dpi=150, bbox_inches="tight")
     note(f"Written: {path}")
 
 

@@ -12,12 +12,14 @@ import io
 import re
 from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.io import loadmat
 
+from oed_sysid.data import apart
+from oed_sysid.data.apart import guarded, read_apart
 from oed_sysid.data.csv_columns import EPOCH
 from oed_sysid.data.frames import columns_of, is_time, plain
 from oed_sysid.data.log import Log, assemble, library
@@ -50,17 +52,11 @@ def read_excel(path: Path) -> Log:
         If openpyxl is missing, the file is damaged, or no sheet has a time column.
     """
     openpyxl = library("openpyxl", "an Excel workbook")
-    try:
-        book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-        sheets = {
-            sheet.title: [list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book
-        }
-        book.close()
-    except Exception as error:  # whatever a damaged file makes of the parser
-        raise DataError(
-            f"{path.name} cannot be read as an Excel workbook ({str(error)[:100]}). Save it again "
-            "as .xlsx or as CSV."
-        ) from None
+    book = openpyxl.load_workbook(path, read_only=True, data_only=True)
+    sheets = {
+        sheet.title: [list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book
+    }
+    book.close()
     tables = {}
     for title, rows in sheets.items():
         rows = [row for row in rows if any(cell is not None for cell in row)]
@@ -92,13 +88,8 @@ def read_parquet(path: Path) -> Log:
         If pyarrow is missing, the file is damaged, or it has no time column.
     """
     parquet = library("pyarrow.parquet", "a Parquet file")
-    try:
-        table = parquet.read_table(path)
-        columns = {name: plain(table[name].to_numpy()) for name in table.column_names}
-    except Exception as error:  # whatever a damaged file makes of the library
-        raise DataError(
-            f"{path.name} cannot be read as Parquet ({str(error)[:100]}). Write it again."
-        ) from None
+    table = parquet.read_table(path)
+    columns = {name: plain(table[name].to_numpy()) for name in table.column_names}
     return _log(path, "Parquet file", {path.stem: _numeric(columns)})
 
 
@@ -171,14 +162,8 @@ def read_ulog(path: Path) -> Log:
         If pyulog is missing or cannot read the file.
     """
     pyulog = library("pyulog", "a PX4 log (ULog)")
-    try:
-        with contextlib.redirect_stdout(io.StringIO()):
-            ulog = pyulog.ULog(str(path))
-    except Exception as error:  # whatever a damaged file makes of the parser
-        raise DataError(
-            f"{path.name} begins as a PX4 log but cannot be read ({_words(error)}). Copy it again "
-            "from the vehicle; if it broke off in flight, cut its last part off."
-        ) from None
+    with contextlib.redirect_stdout(io.StringIO()):
+        ulog = pyulog.ULog(str(path))
     notes = []
     if ulog.file_corruption:
         notes.append(f"{path.name} is damaged: parts of it were skipped.")
@@ -210,11 +195,6 @@ def _broke_off(path: Path) -> bool:
     while place + 3 <= len(content):
         place += 3 + int.from_bytes(content[place : place + 2], "little")
     return place != len(content)
-
-
-def _words(error: Exception) -> str:
-    text = str(error).strip() or type(error).__name__
-    return text[:120]
 
 
 # -- ArduPilot DataFlash logs ----------------------------------------------------------
@@ -290,12 +270,9 @@ def _messages(path: Path) -> tuple[dict, dict, str]:
             if reader.data_len - reader.offset > 0:
                 said.write("skipped: the last message is not whole")
             reader.close()
-    except Exception as error:  # whatever a damaged file makes of the parser
+    except Exception:  # whatever a damaged file makes of the parser
         if not rows:
-            raise DataError(
-                f"{path.name} begins as an ArduPilot log but cannot be read "
-                f"({str(error)[:100] or type(error).__name__}). Copy it again from the vehicle."
-            ) from None
+            raise
         said.write("bad")
     return rows, formats, said.getvalue().lower()
 
@@ -374,22 +351,14 @@ def read_matlab(path: Path) -> Log:
     DataError
         If it is of version 7.3, damaged, or without a time vector.
     """
-    if not _is_whole(path.read_bytes()):  # its parser may end the process at the missing part
-        raise DataError(
-            f"{path.name} cannot be read as a MATLAB file (it breaks off, or is damaged). Copy it "
-            f"again, or write it again with  save('{path.name}', '-v7')"
-        )
+    from scipy.io import loadmat
+
     try:
         content = loadmat(str(path), simplify_cells=True)
     except NotImplementedError:
         raise DataError(
             f"{path.name} is a MATLAB file of version 7.3. Write it again with  save('{path.name}'"
             ", '-v7')  in MATLAB."
-        ) from None
-    except Exception as error:  # whatever a damaged file makes of the parser
-        raise DataError(
-            f"{path.name} cannot be read as a MATLAB file ({str(error)[:100]}). Write it again with"
-            f"  save('{path.name}', '-v7')"
         ) from None
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     topics = dict(_topics(path.stem, variables))
@@ -400,17 +369,6 @@ def read_matlab(path: Path) -> Log:
             "s.time = ts.Time; s.y = ts.Data; save(..., 's', '-v7')."
         )
     return assemble(path, "MATLAB file", topics)
-
-
-def _is_whole(content: bytes) -> bool:
-    """Whether the variables of a file of version 5 to 7 end where the file does."""
-    if not content.startswith(b"MATLAB 5.0"):
-        return True
-    order = "little" if content[126:128] == b"IM" else "big"
-    at = 128  # behind the header, variable after variable: kind, length, body
-    while at + 8 <= len(content):
-        at += 8 + int.from_bytes(content[at + 4 : at + 8], order)  # type: ignore[arg-type]
-    return at == len(content)
 
 
 def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
@@ -455,26 +413,101 @@ def _simulink(content: dict[str, Any]) -> Iterator[tuple[str, np.ndarray]]:
 
 
 class Format(NamedTuple):
-    """One format: its name, its reader, how its files begin, and how their names end."""
+    """One format: how it is called and read, how its files begin, and how their names end."""
 
     words: str
     reader: Callable[[Path], Log]
     starts: tuple[bytes, ...]
     endings: tuple[str, ...]
+    needs: str  # library of somebody else, which runs in a process of its own
+    advice: str  # what to do about a damaged file
+
+    def read(self, place: Path) -> Log:
+        """Read one file, apart where the parser is somebody else's."""
+        if not self.needs:
+            return guarded(self.reader, place, self.words, self.advice)
+        if find_spec(self.needs) is None:
+            library(self.needs, self.words)
+        return read_apart(place, self.words, self.advice)
 
 
+_AGAIN = "Copy it again from the vehicle."
+_ROS = "If the recorder was killed, repair it with"
 FORMATS = (
-    Format("PX4 ULog", read_ulog, (b"ULog\x01\x12\x35",), (".ulg",)),
-    Format("ArduPilot DataFlash .bin", read_dataflash, (b"\xa3\x95",), (".bin",)),
-    Format("ROS 1 and ROS 2 bags", read_bag, (b"#ROSBAG",), (".bag",)),
-    Format("MCAP", read_mcap, (b"\x89MCAP0\r\n",), (".mcap",)),
-    Format("NMEA 0183", read_nmea, (), (".nmea",)),
-    Format("MATLAB .mat", read_matlab, (b"MATLAB 5.0", b"\x89HDF"), (".mat",)),
-    Format("Excel", read_excel, (b"PK\x03\x04",), (".xlsx", ".xlsm")),
-    Format("Parquet", read_parquet, (b"PAR1",), (".parquet",)),
-    Format("CSV", read_csv_log, (), (".csv", ".tsv", ".txt", ".dat")),
+    Format(
+        *("a PX4 log (ULog)", read_ulog, (b"ULog\x01\x12\x35",), (".ulg",), "pyulog"),
+        f"{_AGAIN} If it broke off in flight, cut its last part off.",
+    ),
+    Format(
+        *("an ArduPilot log (DataFlash)", read_dataflash, (b"\xa3\x95",), (".bin",), "pymavlink"),
+        _AGAIN,
+    ),
+    Format(
+        *("a ROS bag", read_bag, (b"#ROSBAG",), (".bag",), "rosbags"),
+        f"{_ROS}  rosbag reindex  or  ros2 bag reindex.",
+    ),
+    Format(
+        *("an MCAP file", read_mcap, (b"\x89MCAP0\r\n",), (".mcap",), "mcap"),
+        f"{_ROS}  mcap recover.",
+    ),
+    Format(
+        *("NMEA 0183 sentences", read_nmea, (), (".nmea",), "pynmea2"),
+        "Log whole lines, from $ to the checksum.",
+    ),
+    Format(
+        *("a MATLAB file", read_matlab, (b"MATLAB ", b"\x89HDF"), (".mat",), "scipy"),
+        "Copy it again, or write it again with  save(..., '-v7').",
+    ),
+    Format(
+        *("an Excel workbook", read_excel, (b"PK\x03\x04",), (".xlsx", ".xlsm"), "openpyxl"),
+        "Save it again as .xlsx or as CSV.",
+    ),
+    Format(
+        *("a Parquet file", read_parquet, (b"PAR1",), (".parquet",), "pyarrow"), "Write it again."
+    ),
+    Format("a CSV file", read_csv_log, (), (".csv", ".tsv", ".txt", ".dat"), "", "Write it again."),
 )
+
+
 _TALKERS = (b"$GP", b"$GN", b"$HE", b"$II", b"$WI", b"!AI", b"$SD")
+
+
+def format_of(place: Path) -> Format:
+    """Format of a file, by its first bytes, then by its name.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or its format is not known.
+    """
+    if (place / "metadata.yaml").exists():
+        return next(form for form in FORMATS if form.reader is read_bag)
+    start = _start(place)
+    for form in FORMATS:
+        if form.starts and start.startswith(form.starts):
+            return form
+    if any(mark in start for mark in _TALKERS):
+        return next(form for form in FORMATS if form.reader is read_nmea)
+    named = next((form for form in FORMATS if place.suffix.lower() in form.endings), None)
+    if named is None:
+        read = ", ".join(form.words for form in FORMATS)
+        raise DataError(f"{place.name} has no format that is known. Read are: {read}.")
+    if named.starts:
+        raise DataError(
+            f"{place.name} ends like a log that is read, but does not begin like one: it is "
+            "damaged, or something else. Copy it again from the vehicle."
+        )
+    return named
+
+
+def serve(place: str, target: str) -> None:
+    """Read a log in the child process of :mod:`oed_sysid.data.apart`."""
+
+    def read(path: Path) -> Log:
+        form = format_of(path)
+        return guarded(form.reader, path, form.words, form.advice)
+
+    apart.serve(read, Path(place), Path(target))
 
 
 def open_log(path: str | Path) -> Log:
@@ -507,24 +540,7 @@ def open_log(path: str | Path) -> Log:
     CSV file ('run.psi [deg]',) 2.0
     """
     place = Path(path).expanduser()
-    if (place / "metadata.yaml").exists():
-        return read_bag(place)
-    start = _start(place)
-    for form in FORMATS:
-        if form.starts and start.startswith(form.starts):
-            return form.reader(place)
-    if any(mark in start for mark in _TALKERS):
-        return read_nmea(place)
-    named = next((form for form in FORMATS if place.suffix.lower() in form.endings), None)
-    if named is not None and not named.starts:
-        return named.reader(place)
-    if named is not None:
-        raise DataError(
-            f"{place.name} ends like a log that is read, but does not begin like one: it is "
-            "damaged, or something else. Copy it again from the vehicle."
-        )
-    read = ", ".join(form.words for form in FORMATS)
-    raise DataError(f"{place.name} has no format that is known. Read are: {read}.")
+    return format_of(place).read(place)
 
 
 def _start(place: Path) -> bytes:

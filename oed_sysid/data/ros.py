@@ -101,11 +101,7 @@ def read_bag(path: Path) -> Log:
                 topics.add(connection.topic, nanoseconds, message)
     except Exception as error:  # whatever a damaged bag makes of the library
         if not topics.rows:
-            fix = "ros2 bag reindex" if path.is_dir() else "rosbag reindex"
-            raise DataError(
-                f"{path.name} cannot be read as a {kind} ({str(error)[:120]}). If the recorder was "
-                f"killed, repair it with  {fix} {path.name}"
-            ) from None
+            raise
         notes.append(f"{path.name} breaks off ({str(error)[:80]}); what stands before is used.")
     notes += [f"Topic {topic} was left out: {why[:80]}" for topic, why in skipped.items()]
     return topics.log(path, kind, notes)
@@ -144,12 +140,9 @@ def read_mcap(path: Path) -> Log:
                     skipped[channel.topic] = str(error)[:80] or type(error).__name__
                     continue
                 topics.add(channel.topic, message.log_time, content)
-    except Exception as error:  # whatever a damaged file makes of the library
+    except Exception:  # whatever a damaged file makes of the library
         if not topics.rows:
-            raise DataError(
-                f"{path.name} cannot be read as MCAP ({str(error)[:120] or type(error).__name__}). "
-                f"If the recorder was killed, repair it with  mcap recover {path.name}"
-            ) from None
+            raise
         notes.append(f"{path.name} breaks off; what stands before its end is used.")
     notes += [f"Topic {topic} was left out: {why}" for topic, why in skipped.items()]
     if not topics.rows and skipped:

@@ -23,7 +23,7 @@ from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_bytes, write_text
@@ -241,4 +241,6 @@ def _noise(data: Mapping[str, Any]) -> NoiseModel:
         name: np.array(data[name], dtype=float)
         for name in ("white", "colour", "force", "colour_time", "force_time")
     }
-    return NoiseModel(**arrays, outputs=tuple(data["outputs"]), places=tuple(data["places"]))
+    names = {name: tuple(data[name]) for name in ("outputs", "places")}
+    seas = tuple(Sea(**sea) for sea in data.get("seas", ()))
+    return NoiseModel(**arrays, **names, seas=seas)  # type: ignore[arg-type]

@@ -38,8 +38,7 @@ from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.judgement import level_concerns
-from oed_sysid.likelihood.noise_levels import credible_levels
+from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -250,7 +249,7 @@ def _other_noise(fit: Fit) -> list[str]:
     slow = {n for n, level in zip(fit.noise.outputs, fit.noise.colour, strict=True) if level > 0}
     found = [
         concern
-        for concern in level_concerns(fit)
+        for concern in concerns_of(fit, "noise_level")
         # Where some of it is slow, its white part is no level of the sensor.
         if concern.signal not in slow and not 1.0 / OTHER_NOISE < concern.size < OTHER_NOISE
     ]
@@ -294,8 +293,6 @@ def _result(
     rms = [_rms(study, fit) for fit in path]
     steps = _steps(state, fits, rms, sigma)
     yardstick = Yardstick.of(study.train, sigma)
-    worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
-    shares, ratios = _missed(study, sigma, worst, yardstick)
     term = None if end.proposals is None else Term.of(end.proposals, steps[-1], state.replaced)
     claimed = {step.added for step in steps}
     refused = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
@@ -310,9 +307,8 @@ def _result(
         location=location,
         remains=replace(
             end.left,
-            shares=shares,
-            over_wiggles=ratios,
-            declared=tuple(np.array(study.base.output_names)[~study.estimated].tolist()),
+            training=fits[-1].whole_runs,
+            validation=None if study.validation is None else fits[-1].runs_on(study.validation),
             suspect=_suspect(log, steps),
         ),
         parameters=parameter_table(fits[-1]),
@@ -362,20 +358,6 @@ def _steps(
             )
         )
     return tuple(found)
-
-
-def _missed(
-    study: Study, sigma: np.ndarray, worst: np.ndarray, yardstick: Yardstick
-) -> tuple[dict[str, float], ...]:
-    """What whole runs miss of every output beyond noise, over its spread and over its noise."""
-    # Noise that nobody declared is what the fastest content shows, whatever a fit took for noise.
-    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
-    pairs = (
-        zip(study.base.output_names, excess / unit, strict=True)
-        for unit in (yardstick.spread, fast)
-    )
-    return tuple({name: float(v) for name, v in pair if not np.isnan(v)} for pair in pairs)
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:

@@ -28,7 +28,7 @@ from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.summary import eliminate
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.runtime.journal import Journal

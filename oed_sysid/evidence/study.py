@@ -34,6 +34,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
@@ -41,6 +42,7 @@ from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import (
     Start,
     fit_disturbed,
@@ -50,7 +52,7 @@ from oed_sysid.likelihood.random_forces import (
 )
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.summary import eliminate, summarise_filtered
+from oed_sysid.likelihood.summary import summarise_filtered
 from oed_sysid.likelihood.whole_runs import WholeRun, rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -59,7 +61,7 @@ from oed_sysid.physics.model import Model
 VAGUE = 1e-8
 
 # A fit to white noise, on the way to one with disturbance forces.
-PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
+PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
 # What is found of a fit on records: claims and the table of errors ask for the same.
 _FOUND: WeakKeyDictionary[FilteredSolution, list[tuple[str, Study, Dataset, Any]]] = (
     WeakKeyDictionary()

@@ -292,12 +292,15 @@ def _frictions(model: Model, sizes: Sizes) -> Iterator[Effect]:
         level = sizes.level[one.state]
         if one.state not in sizes.reversing:  # of one sign: a constant
             continue
-        shared = {"unit": one.load, "velocity_unit": one.unit, "smooth": SLOW * level}
-        motion = (one.name, one.state)
-        yield forces.coulomb_friction(f"friction_{one.state}", *motion, scale=one.size, **shared)
+        motion, slow = (one.name, one.state), SLOW * level
+        yield forces.coulomb_friction(
+            f"friction_{one.state}", *motion, unit=one.load, velocity_unit=one.unit, smooth=slow,
+            scale=one.size,
+        )  # fmt: skip
         yield forces.stribeck_friction(
-            f"stribeck_{one.state}", *motion, stribeck=SHARE * level, scale=one.size, **shared
-        )
+            f"stribeck_{one.state}", *motion, unit=one.load, velocity_unit=one.unit, smooth=slow,
+            stribeck=SHARE * level, scale=one.size,
+        )  # fmt: skip
 
 
 def _stops(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -323,18 +326,19 @@ def _hidden_states(model: Model, sizes: Sizes) -> Iterator[Effect]:
     time = sizes.time
     for one in _equations(model, sizes):
         scale = one.size / (sizes.level[one.state] or 1.0)
-        own = {"unit": one.per(one.unit), "signal_unit": one.unit, "scale": scale}
+        motion, unit = (one.name, one.state), one.per(one.unit)
         yield forces.hidden_lag(
-            f"memory_{one.name}_{one.state}", one.name, one.state, start=one.state,
-            time_constant=time, **own,
+            f"memory_{one.name}_{one.state}", *motion, unit=unit, signal_unit=one.unit,
+            start=one.state, time_constant=time, scale=scale,
         )  # fmt: skip
         yield forces.hidden_oscillator(
-            f"oscillator_{one.name}_{one.state}", one.name, one.state, frequency=1.0 / time, **own
-        )
-        for signal, unit in commands.items() if len(model.axes) < 2 else ():
+            f"oscillator_{one.name}_{one.state}", *motion, unit=unit, signal_unit=one.unit,
+            frequency=1.0 / time, scale=scale,
+        )  # fmt: skip
+        for signal, its in commands.items() if len(model.axes) < 2 else ():
             yield forces.hidden_lag(
-                f"memory_{one.name}_{signal}", one.name, signal, unit=one.per(unit),
-                signal_unit=unit, time_constant=time, scale=one.size / sizes.level[signal],
+                f"memory_{one.name}_{signal}", one.name, signal, unit=one.per(its),
+                signal_unit=its, time_constant=time, scale=one.size / sizes.level[signal],
             )  # fmt: skip
 
 

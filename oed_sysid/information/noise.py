@@ -8,7 +8,9 @@ velocity by a share :math:`\kappa` of what a reference manoeuvre moves it by:
 .. math:: \sigma_j =
     \frac{\kappa\; \mathrm{rms}(x_j - \bar x_j)}{\tau\; \partial \dot x_j/\partial w_j}
 
-with :math:`\kappa` of 1, 5 and 15 per cent for *calm*, *moderate* and *rough*. This compares the
+with :math:`\kappa` of 1, 5 and 15 per cent for *calm*, *moderate* and *rough*. Waves of a period
+:math:`T` have :math:`T/2\pi` in the place of :math:`\tau`, within which a harmonic force moves a
+velocity by as much: accuracy needs their level, period, width and shape. This compares the
 sea with the manoeuvre and knows nothing of wave heights: a fit of an earlier record, whose levels
 are estimated, is better wherever there is one.
 """
@@ -17,7 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -28,7 +30,7 @@ from oed_sysid.information.response import Levels, plays
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.information import autocorrelation
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
 
 Colour = Mapping[str, float | Sequence[float]] | None
@@ -244,6 +246,8 @@ def _samples_before(present: np.ndarray) -> np.ndarray:
 
 SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}
 USUAL_TIME = 2.0
+# Relative width of waves of which only the period is given, about that of swell.
+USUAL_WIDTH = 0.2
 # Shortest time in samples: forces faster than that are white noise to a record.
 _SHORTEST = 4.0
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
@@ -261,7 +265,8 @@ def sea_noise(
     sea : str
         ``still`` (no forces), ``calm``, ``moderate``, ``rough``; or levels by equation,
         ``"Z=0.3,M=0.06"`` in N, N m or the state's unit per second. ``time=5`` after either sets
-        the correlation time, s.
+        the correlation time, s; ``period=8`` makes it waves of that period, s, of a relative
+        ``bandwidth`` of 0.2 unless ``bandwidth=0.3`` says another.
     reference : iterable of Experiment
         What words are compared with: the manoeuvre that moves a velocity most counts.
     time : float, optional
@@ -293,11 +298,14 @@ def sea_noise(
     runs = tuple(reference)
     white = noise_of(model).sigma
     word, given = _understood(sea)
-    period = given.pop("time", time)
-    if period is None:
+    wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
+    lasting = given.pop("time", time)
+    if wave is not None:
+        lasting = wave / (2.0 * np.pi)
+    if lasting is None:
         sample = max((run.sample_time for run in runs), default=0.0)
-        period = max(USUAL_TIME, _SHORTEST * sample)
-    if not period > 0 or any(level < 0 for level in given.values()):
+        lasting = max(USUAL_TIME, _SHORTEST * sample)
+    if not lasting > 0 or any(level < 0 for level in given.values()):
         raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")
     if word is not None and given:
         raise DesignError(f"Give the sea as a word or as levels, not both: {sea!r}.")
@@ -308,9 +316,13 @@ def sea_noise(
         return NoiseModel.white_only(white, model.output_names)
     else:
         found = chosen_places(model, "all")
-        levels = SEAS[word] * natural_forces(model, found, runs) / period
+        levels = SEAS[word] * natural_forces(model, found, runs) / lasting
+    if wave is not None:
+        named = dict(zip((place.name for place in found), map(float, levels), strict=True))
+        waves = Sea(period=wave, bandwidth=width, levels=named)
+        return replace(NoiseModel.white_only(white, model.output_names), seas=(waves,))
     return NoiseModel(
-        white, np.zeros_like(white), levels, force_time=period, outputs=model.output_names,
+        white, np.zeros_like(white), levels, force_time=lasting, outputs=model.output_names,
         places=tuple(place.name for place in found),
     )  # fmt: skip
 
@@ -365,18 +377,28 @@ def natural_forces(
 def sea_words(noise: NoiseModel) -> str:
     """Return levels and times of the disturbance forces in words.
 
-    >>> sea_words(NoiseModel.white_only(np.ones(1)))
+    >>> quiet = NoiseModel.white_only(np.ones(1))
+    >>> sea_words(quiet)
     'none'
+    >>> sea_words(replace(quiet, seas=(Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3}),)))
+    'Z 0.3 in waves of 8 s, 20 % wide'
     """
     parts = [
         f"{place.removeprefix('force ')} {level:.3g}"
         for place, level in zip(noise.places, noise.force, strict=True)
         if level > 0
     ]
-    if not parts:
-        return "none"
-    times = np.unique(noise.force_time[noise.force > 0].round(6))
-    return f"{', '.join(parts)} over {', '.join(f'{t:.3g}' for t in times)} s"
+    said = []
+    if parts:
+        times = np.unique(noise.force_time[noise.force > 0].round(6))
+        said.append(f"{', '.join(parts)} over {', '.join(f'{t:.3g}' for t in times)} s")
+    for sea in noise.seas:
+        levels = zip(sea.places, sea.level, strict=True)
+        listed = ", ".join(f"{p.removeprefix('force ')} {v:.3g}" for p, v in levels if v > 0)
+        if listed:
+            width = 100.0 * float(sea.bandwidth or 0.0)
+            said.append(f"{listed} in waves of {sea.period:.3g} s, {width:.2g} % wide")
+    return "; ".join(said) or "none"
 
 
 def _assignment(sea: str, part: str) -> tuple[str, float]:

@@ -31,13 +31,13 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import Disturbed, filter_kernel
+from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
-from oed_sysid.likelihood.disturbances import chosen_places, disturbance
+from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -268,7 +268,13 @@ class Innovations:
         noise = checked_noise(model, noise)
         acting = noise.force > 0
         found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
-        names = tuple(disturbance(place).parameters[0].name for place in found)
+        seas = tuple(sea for sea in noise.seas if sea.acts)
+        chosen_places(model, [place for sea in seas for place in sea.places])
+        noise = replace(
+            noise, force=noise.force[acting], force_time=noise.force_time[acting],
+            places=tuple(place.name for place in found), seas=seas,
+        )  # fmt: skip
+        names = noise.disturbed().disturbances
         return cls(model, noise, disturbed_model(model, names), names)
 
     def rows(
@@ -303,20 +309,11 @@ class Innovations:
             If the run diverges.
         """
         model, noise, wide = self.model, self.noise, self.wide
-        acting = noise.force > 0
         white = noise.white.copy()
         for name, std in play.noise.items():
             white[model.output_names.index(name)] = std
-        coloured = np.flatnonzero(noise.colour > 0)
-        random = Disturbed(
-            self.disturbances,
-            noise.force[acting] ** 2,
-            noise.force_time[acting],
-            white**2,
-            coloured,
-            noise.colour[coloured] ** 2,
-            noise.colour_time[coloured],
-        )
+        random = replace(noise, white=white).disturbed()
+        held = noise.longest_step(play.times)
         kernel = filter_kernel(wide)
         free = tuple(name for name in model.free_names if name not in self.disturbances)
         values = wide.value_vector
@@ -339,6 +336,7 @@ class Innovations:
             names=free,
             rows=True,
             gains=changes is not None,
+            longest_step=held,
         )
         if not swept.ok or swept.rows is None:
             raise DesignError(
@@ -358,7 +356,7 @@ class Innovations:
             share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
             innovations, _ = kernel.replay(
                 play.times, play.inputs, values, play.initial, measured + share * change, random,
-                swept.gains,
+                swept.gains, longest_step=held,
             )  # fmt: skip
             # A model that had the change would lower the innovations by it.
             moved[:, position] = -innovations[seen] / share / roots
@@ -399,9 +397,9 @@ def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
                 f"{model.name!r}; it knows {', '.join(noise.outputs)}. Add their levels."
             )
         order = [noise.outputs.index(name) for name in names]
-        noise = NoiseModel(
-            noise.white[order], noise.colour[order], noise.force, noise.colour_time[order],
-            noise.force_time, names, noise.places,
+        noise = replace(
+            noise, white=noise.white[order], colour=noise.colour[order],
+            colour_time=noise.colour_time[order], outputs=names,
         )  # fmt: skip
     if len(noise.white) != len(names):
         raise DesignError(

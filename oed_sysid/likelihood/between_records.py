@@ -83,14 +83,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
+from oed_sysid.likelihood.projection import NOTHING
+
 # Records from which on their scatter tells something: three degrees of freedom.
 FEWEST_RECORDS = 4
 # Chance that a fit whose errors are right is told that its records differ.
 CHANCE = 0.01
 # Errors that are too small by less are not worth a word.
 WORTH_TELLING = 1.5
-# Scaled information below this share of the largest is none.
-NOTHING = 1e-12
 # Share of the joint information in a direction below which a source tells nothing of it.
 TOLD = 1e-6
 # Squared part in an unseen direction from which on an unknown is not determined.
@@ -223,21 +223,6 @@ def scatter_of(sources: Sources) -> RecordScatter | None:
     return record_scatter(
         sources.matrices[1:], sources.scores[1:], sources.matrices[0], gradient=gradient
     )
-
-
-def eliminate_own(
-    matrix: np.ndarray, right: np.ndarray, kept: np.ndarray, others: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Information and score of some unknowns of a record, its other ones estimated along."""
-    inner = matrix[np.ix_(others, others)]
-    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    seen = size > 0
-    others, size = others[seen], size[seen]
-    scaled = matrix[np.ix_(others, others)] / size[:, None] / size
-    inverse = np.linalg.pinv(scaled, rcond=NOTHING, hermitian=True) / size[:, None] / size
-    gain = matrix[np.ix_(kept, others)] @ inverse
-    information = matrix[np.ix_(kept, kept)] - gain @ matrix[np.ix_(others, kept)]
-    return information, right[kept] - gain @ right[others]
 
 
 def _inverse(matrix: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

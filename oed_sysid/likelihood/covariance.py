@@ -55,6 +55,7 @@ from oed_sysid.likelihood.information import (
     coloured_score_covariance,
     effective_sample_size,
 )
+from oed_sysid.likelihood.projection import share_of
 from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
 
 # A combination of initial states seen less than this share of the best is not projected out.
@@ -65,6 +66,23 @@ SILENT = 0.01
 MOST_LOST = 2.0
 # Chance of a sum of squares of independent tests below which their own residuals tell the errors.
 STRAY_CHANCE = 1e-3
+
+
+def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
+    """Covariance :math:`H^{-1} B H^{-1}` of the parameters that are seen at all.
+
+    Parameters
+    ----------
+    white : ndarray (n, n)
+        :math:`H^{-1}`, infinite on the diagonal where nothing is seen.
+    middle : ndarray (n, n)
+        :math:`B`, the covariance of the summed scores.
+    """
+    finite = np.flatnonzero(np.isfinite(np.diag(white)))
+    block = np.ix_(finite, finite)
+    result = white.copy()
+    result[block] = white[block] @ middle[block] @ white[block]
+    return result
 
 
 class ReducedProblem:
@@ -228,11 +246,7 @@ class ReducedProblem:
             rows, scores = self._tests
             middle += tests_middle(rows, scores, white, scattered=scattered)
         middle += sum(rows.T @ rows for rows in self.prior_rows)
-        finite = np.flatnonzero(np.isfinite(np.diag(white)))
-        block = np.ix_(finite, finite)
-        result = white.copy()
-        result[block] = white[block] @ middle[block] @ white[block]
-        return result
+        return sandwich(white, middle)
 
 
 def tests_stray(rows: np.ndarray, scores: np.ndarray, white: np.ndarray) -> bool:
@@ -496,7 +510,7 @@ def widened(
     finite = np.flatnonzero(np.isfinite(np.diag(covariance)))
     if not len(finite):
         return covariance
-    share = _shares(matrix, n_shared, _others(problem))
+    share = _share(problem, matrix)
     slopes = layout.shared_values(unknowns)[1]
     jacobians, scores = shared_rows(problem, unknowns, matrix)
     weight = limits.prior_weight
@@ -514,13 +528,11 @@ def widened(
     for index in set(range(len(problem.records))) - set(series):
         flat = jacobians[index].reshape(-1, n_shared)
         middle = middle + flat.T @ flat
-    block = np.ix_(finite, finite)
-    robust = covariance[block] @ middle[block] @ covariance[block]
-    white, found = np.diag(covariance[block]), np.diag(robust)
-    grow = np.sqrt(np.maximum(1.0, white / np.where(found > 0, found, np.inf)))
-    result = covariance.copy()
-    result[block] = robust * grow[:, None] * grow
-    return result
+    robust = sandwich(covariance, middle)
+    white, found = np.diag(covariance)[finite], np.diag(robust)[finite]
+    grow = np.ones(n_shared)
+    grow[finite] = np.sqrt(np.maximum(1.0, white / np.where(found > 0, found, np.inf)))
+    return robust * grow[:, None] * grow
 
 
 def shared_rows(
@@ -544,7 +556,7 @@ def shared_rows(
     """
     layout = problem.layout
     n_shared = len(layout.shared)
-    share = _shares(matrix, n_shared, _others(problem))
+    share = _share(problem, matrix)
     slopes = layout.shared_values(unknowns)[1]
     jacobians, scores = [], []
     for index, part in enumerate(problem.passes(unknowns, rows=True)):
@@ -561,21 +573,10 @@ def shared_rows(
     return jacobians, scores
 
 
-def _others(problem: Filtered) -> np.ndarray:
-    """Unknowns that are estimated beside the shared parameters, levels among them."""
-    n_shared = len(problem.layout.shared)
-    held = problem.limits.held.copy()
-    held[problem.layout.levels] = False
-    return n_shared + np.flatnonzero(~held[n_shared:])
-
-
-def _shares(matrix: np.ndarray, n_shared: int, others: np.ndarray) -> np.ndarray:
+def _share(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
     """``H_po H_oo^-1`` in the columns of all unknowns, zero where one is not estimated."""
+    n_shared = len(problem.layout.shared)
+    others = problem.open_unknowns(n_shared)
     share = np.zeros((n_shared, len(matrix)))
-    size = np.sqrt(np.maximum(np.diag(matrix)[others], 0.0))
-    seen, size = others[size > 0], size[size > 0]
-    if len(seen):
-        inner = matrix[np.ix_(seen, seen)] / size[:, None] / size
-        cross = matrix[:n_shared, seen] / size
-        share[:, seen] = cross @ np.linalg.pinv(inner, rcond=1e-12, hermitian=True) / size
+    share[:, others] = share_of(matrix, np.arange(n_shared), others)
     return share

@@ -22,6 +22,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.compiled.filtering import (
+    SEA_PERIOD,
     WHITE_VARIANCE,
     Disturbed,
     FilterKernel,
@@ -41,9 +42,9 @@ from oed_sysid.runtime.threads import both_cores
 # Step of differences of whole filters, in standard deviations of the unknown, others known: a
 # smaller one says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
 DIFFERENCE = 1.0
-# Most that a variance clear of zero by so many standard deviations, or a time, grows or shrinks in
-# one step.
-FARTHEST, CLEAR_OF_ZERO, LONGER = 10.0, 1.0, 3.0
+# Most that a variance clear of zero by so many standard deviations, a time, or the period of a sea
+# grows or shrinks in one step.
+FARTHEST, CLEAR_OF_ZERO, LONGER, WIDER = 10.0, 1.0, 3.0, 1.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,8 +190,9 @@ class Filtered:
         lower, upper = lower.copy(), upper.copy()
         least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
         most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)
-        least = np.where(variance, least, -np.log(LONGER))
-        most = np.where(variance, most, np.log(LONGER))
+        longer = [WIDER if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
+        least = np.where(variance, least, -np.log(longer))
+        most = np.where(variance, most, np.log(longer))
         lower[block] = np.maximum(lower[block], least)
         upper[block] = np.minimum(upper[block], most)
         return lower, upper
@@ -221,6 +223,12 @@ class Filtered:
         other = copy.copy(self)
         other.limits = replace(self.limits, lower=lower, upper=upper)
         return other
+
+    def open_unknowns(self, first: int) -> np.ndarray:
+        """Positions from ``first`` on of what is estimated; levels count as such."""
+        held = self.limits.held.copy()
+        held[self.layout.levels] = False
+        return first + np.flatnonzero(~held[first:])
 
     @property
     def state_scale(self) -> np.ndarray:
@@ -284,6 +292,7 @@ class Filtered:
                 rows=rows,
                 gains=gains,
                 moves=moves,
+                longest_step=self.levels.noise.longest_step(record.times),
             )
             return _white_alone(part, self.levels.entries) if record.independent else part
 
@@ -335,6 +344,7 @@ class Filtered:
                 self._noise_in(index, noise),
                 part.gains,
                 active=self.active,
+                longest_step=self.levels.noise.longest_step(record.times),
             )
 
         results = both_cores(one, range(len(self.records)))
@@ -429,6 +439,7 @@ class Filtered:
                 own_columns=False,
                 active=self.active,
                 passing=self.passing,
+                longest_step=self.levels.noise.longest_step(record.times),
             )
 
         found: dict[int, dict[int, FilterPass]] = {}

@@ -1,25 +1,51 @@
-"""One iterate of multiple shooting: what it costs and what a step would gain.
+r"""Damped Gauss-Newton: the one solver of sums of squares and of likelihoods of innovations.
 
-Two ways to the same numbers. :class:`Exact` holds the sensitivities of every
-sample, as covariances and robust losses need them. :class:`Gathered` holds sums
-of their products only, gathered while the trajectory runs: several times
-faster, and for least squares enough, save that rounding errors are
-squared where an unstable trajectory amplifies them. Iterations therefore run on
-gathered sums and end on exact ones.
+With :math:`c(\theta)` half of minus twice the log-likelihood and the logarithm of the priors,
+:math:`A` its Gauss-Newton matrix, :math:`b` its negative gradient, and :math:`d(\theta)` the sum of
+the scaled jumps of the trajectory at its nodes, an iteration is
 
-Two iterates of the likelihood with disturbance forces: frozen gain, and the filter as it is.
+*Search direction* (:meth:`Descent.direction`), with :math:`D = \mathrm{diag}\,A` and within bounds
+and the trust region,
 
-:class:`Whitened` has derivatives along the filtered path at frozen gain, from one pass.
-:class:`Differentiated` has those of the filter as it is, by differences of whole filters, and its
-cost alone takes a pass without any derivative.
+.. math:: s(\lambda) = \arg\min_{\ell \le \theta + s \le u}\
+    \tfrac12\, s'(A + \lambda D)\, s - b's
 
-Damped Gauss-Newton steps for multiple shooting, with an exact-penalty line search.
+(start states of windows, which are eliminated, are damped with the rest).
+
+*Step control* (:class:`StepControl`): lengths :math:`\alpha = 1, 0.4, 0.16, \ldots` of the
+direction until the exact penalty function :math:`m = c + \pi d` falls by a share of what is
+predicted,
+
+.. math:: m(\theta) - m(\theta + \alpha s) > 10^{-4} \alpha\, (\Delta c + \pi d), \qquad
+    \Delta c = c(\theta) - c_\text{model}(\theta + s), \qquad \pi \ge -2\, \Delta c / d ,
+
+and where no length does, :math:`\lambda \leftarrow 10 \lambda`; after a step
+:math:`\lambda \leftarrow \lambda / 10` (Levenberg-Marquardt).
+
+*Convergence* (:class:`Convergence`): the trajectory is continuous and a full step, undamped, would
+gain less than the tolerance, :math:`|\Delta c| < \tau`.
+
+What is minimised says only how a point is evaluated (:class:`Iterate`) and how a step moves it:
+
+- :func:`gathered`, sums of products of sensitivities, gathered while the trajectory runs: least
+  squares over multiple shooting (:class:`~oed_sysid.likelihood.shooting.Shooting`). Several times
+  faster than sample by sample, save that rounding errors are squared where an unstable trajectory
+  amplifies them;
+- :func:`exact`, the sensitivities of every sample, as covariances and robust losses need them.
+  Iterations run on gathered sums and end on exact ones;
+- :func:`whitened`, the likelihood of innovations with derivatives along the filtered path at frozen
+  gain, from one pass (:class:`~oed_sysid.likelihood.filtered.Filtered`);
+- :func:`differentiated`, that of the filter as it is, by differences of whole filters; its cost
+  alone takes a pass without any derivative;
+- windows with start states of their own (:class:`~oed_sysid.likelihood.windows.Windows`), for the
+  globalisation phase and for predictions a horizon ahead.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cache, cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -29,134 +55,184 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.shooting import Linearisation, Point, Shooting
-from oed_sysid.likelihood.unknowns import node_maps
+from oed_sysid.likelihood.unknowns import Limits, node_maps
+
+# Lengths of a step that are tried, and the ratio of one to the one before.
+LINE_SEARCH_STEPS, SHORTER = 5, 0.4
+# A trajectory whose scaled jumps sum to less is continuous.
+CLOSED = 1e-8
+# Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
+# shrink are theirs, and then so are gains below a share of the cost, or a cost, of the others:
+# estimates are within 0.04 standard errors of where they would end.
+NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
+# With disturbance forces: the step that ends the iterations at frozen gain, the rise of the cost
+# that its gradient may cause near the end, most steps of the exact one, the gain below which the
+# last of these was enough, and its equations serve where it led, and the promised gain below which
+# a search without a way on has arrived.
+FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
+# Where the frozen gradient promises what no step keeps, few trials show it.
+MOST_DAMPING, FEW_LENGTHS = 10.0, 3
+# Steps at frozen gain after which one looks back, and the fall of the cost over these that is too
+# small to go on for, least and in tolerances: its gradient then leads to and fro.
+LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
+# Information by differences of whole filters over that at frozen gain beyond which it is rounding
+# that an unstable model amplifies. Rounding falls with the square of the step, information does
+# not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
+# smaller than with steps so many times longer, it is rounding as well.
+AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
+# Share of the largest eigenvalue below which nothing is known.
+NOTHING = 1e-12
 
 
-class Iterate(Protocol):
-    """What a search asks of a point."""
-
-    @property
-    def point(self) -> Point:
-        """Unknowns and nodes."""
-
-    @property
-    def cost(self) -> float:
-        """Half the (robust) sum of squares of residuals and priors, defects excluded."""
-
-    @property
-    def defect(self) -> float:
-        """Sum of the scaled jumps at all nodes."""
-
-    @property
-    def maps(self) -> tuple[np.ndarray, ...]:
-        """Change of the nodes per unknown, per record."""
-
-    @property
-    def offsets(self) -> tuple[np.ndarray, ...]:
-        """Change of the nodes that closes the defects, per record."""
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-
-    def predicted(self, step: np.ndarray) -> float:
-        """Cost of the linearised problem after a full step, defects closed."""
-
-
-class Exact:
-    """A point with the sensitivities of every sample; see :class:`Iterate`."""
-
-    def __init__(self, shooting: Shooting, point: Point, lin: Linearisation) -> None:
-        self._shooting, self.point, self.linearisation = shooting, point, lin
-        self.cost = shooting.cost(lin, point.unknowns)
-        self.defect = shooting.defect(lin)
-        self.maps, self.offsets = lin.node_maps, lin.node_offsets
-
-    @classmethod
-    def at(cls, shooting: Shooting, point: Point) -> Exact | None:
-        """Evaluate a point; None where a trajectory diverges."""
-        lin = shooting.linearise(point)
-        return None if lin is None else cls(shooting, point, lin)
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """See :class:`Iterate`."""
-        return self._shooting.normal_equations(self.linearisation)
-
-    def predicted(self, step: np.ndarray) -> float:
-        """See :class:`Iterate`."""
-        return self._shooting.predicted_cost(self.linearisation, self.point.unknowns, step)
+# -- points ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
-class Gathered:
-    """A point with gathered sums, for least squares; see :class:`Iterate`.
+class Equations:
+    r"""Quadratic model of the cost about a point, priors excluded and defects closed.
+
+    .. math:: c(\theta + s) \approx c_0 + \tfrac12 s'As - b's
 
     Attributes
     ----------
+    matrix : ndarray (n_unknowns, n_unknowns)
+    right : ndarray (n_unknowns,)
     closed : float
-        Half the sum of squares once the defects are closed, to first order,
-        at unchanged unknowns, priors excluded.
+        The cost :math:`c_0` at unchanged unknowns.
+    maps, offsets : tuple of ndarray
+        How nodes follow a step of the unknowns, and close their defects.
     """
 
-    shooting: Shooting
-    point: Point
-    cost: float
-    defect: float
-    maps: tuple[np.ndarray, ...]
-    offsets: tuple[np.ndarray, ...]
     matrix: np.ndarray
     right: np.ndarray
     closed: float
+    maps: tuple[np.ndarray, ...] = ()
+    offsets: tuple[np.ndarray, ...] = ()
 
-    @classmethod
-    def at(cls, shooting: Shooting, point: Point) -> Gathered | None:
-        """Evaluate a point; None where a trajectory diverges."""
-        n = shooting.layout.n_unknowns
-        matrix, right = np.zeros((n, n)), np.zeros(n)
-        squares = closed = defect = 0.0
-        maps, offsets = [], []
-        for index, record in enumerate(shooting.records):
-            values = shooting.values(point.unknowns, index)
-            z0, dz0 = shooting.full_start(point.unknowns, index)
-            nodes = np.vstack([z0[None], point.nodes[index]])
-            blocks = gather(
-                shooting.kernel,
-                record.times,
-                record.inputs,
-                values,
-                nodes,
-                record.outputs,
-                shooting.sigma,
-                starts=shooting.starts[index],
-                linked=True,
-            )
-            slopes = shooting.slopes(point.unknowns, index)
-            n_own = shooting.layout.n_own
-            part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)
-            if blocks is None or part is None:
-                return None
-            found, map_, defects = part
-            columns = shooting.layout.record_columns(index)
-            matrix[np.ix_(columns, columns)] += found[:-1, :-1]
-            right[columns] += found[:-1, -1]
-            closed += 0.5 * float(found[-1, -1])
-            squares += 0.5 * float(blocks.gram[:, -1, -1].sum())
-            defect += float(np.abs(defects / shooting.state_scale).sum())
-            n_full = nodes.shape[1]
-            maps.append(map_[1:, :n_full, :-1])
-            offsets.append(map_[1:, :n_full, -1])
-        cost = squares + shooting.prior_cost(point.unknowns)
-        return cls(
-            shooting, point, cost, defect, tuple(maps), tuple(offsets), matrix, right, closed
+
+@dataclass(frozen=True, eq=False)
+class Iterate:
+    """A point, what it costs, and, once asked for, its equations.
+
+    Attributes
+    ----------
+    problem : Problem
+    point : Point
+    cost : float
+        Half the (robust) sum of squares of residuals and priors, defects excluded.
+    derive : callable
+        Gives the equations, eliminated unknowns damped.
+    defect : float
+        Sum of the scaled jumps at all nodes.
+    linearisation : Linearisation or None
+        Sensitivities of every sample, where they are there.
+    """
+
+    problem: Problem
+    point: Point
+    cost: float
+    derive: Callable[[float], Equations]
+    defect: float = 0.0
+    linearisation: Linearisation | None = None
+
+    @cached_property
+    def equations(self) -> Equations:
+        """The quadratic model of the cost about the point."""
+        return self.derive(0.0)
+
+    def damped(self, damping: float) -> Equations:
+        """The equations for a direction; unknowns that are eliminated are damped, too."""
+        return self.derive(damping) if damping > 0.0 else self.equations
+
+    def predicted(self, step: np.ndarray, damping: float = 0.0) -> float:
+        """Cost of the quadratic model after a full step, priors included."""
+        equations, limits = self.damped(damping), self.problem.limits
+        change = float(step @ (0.5 * (equations.matrix @ step) - equations.right))
+        return equations.closed + change + limits.prior_cost(self.point.unknowns + step)
+
+    def moved(self, step: np.ndarray, length: float, damping: float = 0.0) -> Point:
+        """The point after a share of a step."""
+        equations = self.damped(damping)
+        return self.problem.move(self.point, equations.maps, equations.offsets, step, length)
+
+
+class Problem(Protocol):
+    """What is minimised."""
+
+    @property
+    def limits(self) -> Limits:
+        """Bounds and priors of the unknowns."""
+
+    def move(
+        self,
+        point: Point,
+        maps: Sequence[np.ndarray],
+        offsets: Sequence[np.ndarray],
+        step: np.ndarray,
+        length: float,
+    ) -> Point:
+        """The point after a step of the unknowns, within bounds, and what follows of the nodes."""
+
+
+Evaluate = Callable[[Any, Point], Iterate | None]
+Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+
+
+def exact(shooting: Shooting, point: Point) -> Iterate | None:
+    """Evaluate a point with the sensitivities of every sample; None where it diverges."""
+    lin = shooting.linearise(point)
+    if lin is None:
+        return None
+
+    @cache
+    def equations() -> Equations:
+        matrix, right = shooting.normal_equations(lin)
+        closed = shooting.closed_cost(lin)
+        return Equations(matrix, right, closed, lin.node_maps, lin.node_offsets)
+
+    cost = shooting.cost(lin, point.unknowns)
+    return Iterate(shooting, point, cost, lambda _: equations(), shooting.defect(lin), lin)
+
+
+def gathered(shooting: Shooting, point: Point) -> Iterate | None:
+    """Evaluate a point by gathered sums, for least squares; None where a trajectory diverges."""
+    n = shooting.layout.n_unknowns
+    matrix, right = np.zeros((n, n)), np.zeros(n)
+    squares = closed = defect = 0.0
+    maps, offsets = [], []
+    for index, record in enumerate(shooting.records):
+        values = shooting.values(point.unknowns, index)
+        z0, dz0 = shooting.full_start(point.unknowns, index)
+        nodes = np.vstack([z0[None], point.nodes[index]])
+        blocks = gather(
+            shooting.kernel,
+            record.times,
+            record.inputs,
+            values,
+            nodes,
+            record.outputs,
+            shooting.sigma,
+            starts=shooting.starts[index],
+            linked=True,
         )
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """See :class:`Iterate`."""
-        return self.matrix, self.right
-
-    def predicted(self, step: np.ndarray) -> float:
-        """See :class:`Iterate`."""
-        change = float(step @ (0.5 * (self.matrix @ step) - self.right))
-        return self.closed + change + self.shooting.prior_cost(self.point.unknowns + step)
+        slopes = shooting.slopes(point.unknowns, index)
+        n_own = shooting.layout.n_own
+        part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)
+        if blocks is None or part is None:
+            return None
+        found, map_, defects = part
+        columns = shooting.layout.record_columns(index)
+        matrix[np.ix_(columns, columns)] += found[:-1, :-1]
+        right[columns] += found[:-1, -1]
+        closed += 0.5 * float(found[-1, -1])
+        squares += 0.5 * float(blocks.gram[:, -1, -1].sum())
+        defect += float(np.abs(defects / shooting.state_scale).sum())
+        n_full = nodes.shape[1]
+        maps.append(map_[1:, :n_full, :-1])
+        offsets.append(map_[1:, :n_full, -1])
+    found_equations = Equations(matrix, right, closed, tuple(maps), tuple(offsets))
+    cost = squares + shooting.prior_cost(point.unknowns)
+    return Iterate(shooting, point, cost, lambda _: found_equations, defect)
 
 
 def _condensed(
@@ -182,154 +258,84 @@ def _condensed(
     return found, maps, defects
 
 
-# Information by differences of whole filters over that at frozen gain beyond which it is rounding
-# that an unstable model amplifies. Rounding falls with the square of the step, information does
-# not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
-# smaller than with steps so many times longer, it is rounding as well.
-AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
-# Share of the largest eigenvalue below which nothing is known.
-NOTHING = 1e-12
+def whitened(problem: Filtered, point: Point) -> Iterate | None:
+    """Evaluate a point with gradients along the filtered path at frozen gain.
 
-
-@dataclass(frozen=True, eq=False)
-class Whitened:
-    """A point with gradients along the filtered path at frozen gain; an iterate.
-
-    A rise of the cost within ``slack`` near the end is the frozen gain's, not a wrong step.
+    None where the filter diverges.
     """
-
-    problem: Filtered
-    point: Point
-    cost: float
-    matrix: np.ndarray
-    right: np.ndarray
-    defect: float = 0.0
-    offsets: tuple[np.ndarray, ...] = ()
-
-    @classmethod
-    def at(cls, problem: Filtered, point: Point) -> Whitened | None:
-        """Evaluate a point; None where the filter diverges."""
-        found = problem.passes(point.unknowns)
-        objective = sum(part.objective for part in found)
-        if not np.isfinite(objective):
-            return None
-        matrix, right = problem.gathered(point.unknowns, found)
-        if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-            return None
-        cost = 0.5 * objective + problem.prior_cost(point.unknowns)
-        return cls(problem, point, cost, matrix, right)
-
-    @property
-    def maps(self) -> tuple[np.ndarray, ...]:
-        """How levels follow times."""
-        return self.problem.maps(self.point, self.matrix)
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        return self.matrix, self.right
-
-    def predicted(self, step: np.ndarray) -> float:
-        """Cost of the quadratic model after a step."""
-        return _predicted(self.problem, self.point, self.cost, self.matrix, self.right, step)
+    found = problem.passes(point.unknowns)
+    objective = sum(part.objective for part in found)
+    if not np.isfinite(objective):
+        return None
+    matrix, right = problem.gathered(point.unknowns, found)
+    if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
+        return None
+    cost = 0.5 * objective + problem.prior_cost(point.unknowns)
+    equations = _filtered_equations(problem, point, cost, matrix, right)
+    return Iterate(problem, point, cost, lambda _: equations)
 
 
-class Differentiated:
-    """A point with the gradient of the filter as it is; derivatives only when asked for."""
+def differentiated(problem: Filtered, point: Point) -> Iterate | None:
+    """Evaluate a point with the gradient of the filter as it is, once that is asked for."""
+    objective = problem.objective(point.unknowns)
+    if not np.isfinite(objective):
+        return None
+    cost = 0.5 * objective
 
-    defect = 0.0
-    offsets: tuple[np.ndarray, ...] = ()
+    @cache
+    def equations() -> Equations:
+        matrix, right = _of_the_filter(problem, point.unknowns)
+        return _filtered_equations(problem, point, cost, matrix, right)
 
-    def __init__(self, problem: Filtered, point: Point, cost: float) -> None:
-        self.problem, self.point, self.cost = problem, point, cost
-        self._equations: tuple[np.ndarray, np.ndarray] | None = None
-
-    @classmethod
-    def at(cls, problem: Filtered, point: Point) -> Differentiated | None:
-        """Evaluate a point; None where the filter diverges."""
-        objective = problem.objective(point.unknowns)
-        return cls(problem, point, 0.5 * objective) if np.isfinite(objective) else None
-
-    @property
-    def maps(self) -> tuple[np.ndarray, ...]:
-        """How levels follow times."""
-        return self.problem.maps(self.point, self.equations()[0])
-
-    def equations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        if self._equations is None:
-            problem, unknowns = self.problem, self.point.unknowns
-            base = problem.passes(unknowns, rows=True)
-            frozen, right = problem.gathered(unknowns, base)
-            size = np.diag(frozen) + problem.limits.prior_weight
-            scale = problem.limits.scale
-            std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
-            step = np.minimum(std, scale)
-            whole = problem.differentiated(unknowns, base, step)
-            known = np.arange(problem.layout.levels.start)
-            # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
-            more = not all(np.isfinite(part).all() for part in whole)
-            more = more or bool(
-                (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any()
-            )
-            found = None if more else self._std(whole[0])
-            if found is not None and (found < SMALLER * self._std(frozen)).any():
-                farther, _ = problem.differentiated(unknowns, base, FARTHER * step)
-                more = not np.isfinite(farther).all()
-                more = more or bool((found < SMALLER * self._std(farther)).any())
-            self._equations = (frozen, right) if more else whole
-        return self._equations
-
-    def _std(self, matrix: np.ndarray) -> np.ndarray:
-        """Standard deviations of the shared parameters, everything else unknown."""
-        matrix = matrix + np.diag(self.problem.limits.prior_weight)
-        size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-        inverse = np.linalg.pinv(matrix / size / size[:, None], rcond=NOTHING, hermitian=True)
-        shared = len(self.problem.layout.shared)
-        return np.asarray(np.sqrt(np.maximum(np.diag(inverse)[:shared], 0.0)) / size[:shared])
-
-    def predicted(self, step: np.ndarray) -> float:
-        """Cost of the quadratic model after a step."""
-        matrix, right = self.equations()
-        return _predicted(self.problem, self.point, self.cost, matrix, right, step)
+    return Iterate(problem, point, cost, lambda _: equations())
 
 
-def _predicted(
-    problem: Filtered,
-    point: Point,
-    cost: float,
-    matrix: np.ndarray,
-    right: np.ndarray,
-    step: np.ndarray,
-) -> float:
+def _filtered_equations(
+    problem: Filtered, point: Point, cost: float, matrix: np.ndarray, right: np.ndarray
+) -> Equations:
     # Joint knowledge is in matrix and right-hand side already, priors of single unknowns are not.
-    change = float(step @ (0.5 * (matrix @ step) - right))
-    limits = problem.limits
-    away = point.unknowns - limits.prior_mean
-    prior = 0.5 * float(limits.prior_weight @ ((away + step) ** 2 - away**2))
-    return cost + change + prior
+    closed = cost - problem.limits.prior_cost(point.unknowns)
+    return Equations(matrix, right, closed, problem.maps(point, matrix))
 
 
-# Lengths of a step that are tried, and the ratio of one to the one before.
-LINE_SEARCH_STEPS, SHORTER = 5, 0.4
-# A trajectory whose scaled jumps sum to less is continuous.
-CLOSED = 1e-8
-# Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
-# shrink are theirs, and then so are gains below a share of the cost, or a cost, of the others:
-# estimates are within 0.04 standard errors of where they would end.
-NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
-# With disturbance forces: the step that ends the iterations at frozen gain, the rise of the cost
-# that its gradient may cause near the end, most steps of the exact one, the gain below which the
-# last of these was enough, and its equations serve where it led, and the promised gain below which
-# a search without a way on has arrived.
-FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
-# Where the frozen gradient promises what no step keeps, few trials show it.
-MOST_DAMPING, FEW_LENGTHS = 10.0, 3
-# Steps at frozen gain after which one looks back, and the fall of the cost over these that is too
-# small to go on for, least and in tolerances: its gradient then leads to and fro.
-LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
+def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Matrix and right-hand side by differences of whole filters, or at frozen gain.
 
-Evaluate = Callable[[Any, Point], Any]
-Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
+    At frozen gain where rounding that an unstable model amplifies would be taken for information.
+    """
+    base = problem.passes(unknowns, rows=True)
+    frozen, right = problem.gathered(unknowns, base)
+    size = np.diag(frozen) + problem.limits.prior_weight
+    scale = problem.limits.scale
+    std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
+    step = np.minimum(std, scale)
+    whole = problem.differentiated(unknowns, base, step)
+    known = np.arange(problem.layout.levels.start)
+    # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.
+    if not all(np.isfinite(part).all() for part in whole):
+        return frozen, right
+    if (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any():
+        return frozen, right
+    found = _shared_std(problem, whole[0])
+    if (found < SMALLER * _shared_std(problem, frozen)).any():
+        farther, _ = problem.differentiated(unknowns, base, FARTHER * step)
+        if not np.isfinite(farther).all():
+            return frozen, right
+        if (found < SMALLER * _shared_std(problem, farther)).any():
+            return frozen, right
+    return whole
+
+
+def _shared_std(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
+    """Standard deviations of the shared parameters, everything else unknown."""
+    matrix = matrix + np.diag(problem.limits.prior_weight)
+    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+    inverse = np.linalg.pinv(matrix / size / size[:, None], rcond=NOTHING, hermitian=True)
+    shared = len(problem.layout.shared)
+    return np.asarray(np.sqrt(np.maximum(np.diag(inverse)[:shared], 0.0)) / size[:shared])
+
+
+# -- iterations --------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -340,6 +346,194 @@ class Progress:
     cost: float
     defect: float
     decrement: float
+
+
+@dataclass(frozen=True)
+class StepControl:
+    """How far along a direction a step goes, and when the search is given up.
+
+    Attributes
+    ----------
+    lengths : int
+        Lengths that are tried before the damping is raised.
+    most_damping : float
+        From which on no way on is left.
+    slack : float
+        Rise of the cost near the end that is the approximate gradient's, not a wrong step.
+    quick : callable or None
+        Cheaper evaluation of the cost of all but the first length.
+    damping : float
+        To begin with.
+    """
+
+    lengths: int = LINE_SEARCH_STEPS
+    most_damping: float = 1e8
+    slack: float = 0.0
+    quick: Evaluate | None = None
+    damping: float = 0.0
+
+    def accepts(self, gained: float, expected: float, length: float, cost: float) -> bool:
+        """Whether a step that gained so much is taken; see the head of this module."""
+        # Near the optimum the gain drowns in rounding: any step that does no harm will do.
+        harmless = expected < 1e-6 * abs(cost) and gained >= -1e-10 * abs(cost)
+        if expected < 1.0:
+            harmless = harmless or gained > -self.slack
+        return gained > 1e-4 * length * expected or harmless
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """When an iterate is the minimum.
+
+    Attributes
+    ----------
+    tolerance : float
+        Gain of a full step below which it is.
+    share : float
+        The same, and that of the last step, as a share of the cost.
+    """
+
+    tolerance: float
+    share: float = 0.0
+
+    def gain(self, cost: float, *, at_floor: bool) -> float:
+        """Gain that is none; more where rounding errors have been reached."""
+        least = max(self.tolerance, self.share * cost)
+        floor = min(ROUNDING_SHARE * abs(cost), ROUNDING_COST)
+        return max(least, floor) if at_floor else least
+
+
+@dataclass(eq=False)
+class Descent:
+    """Iterations: where they are, damping and penalty.
+
+    Attributes
+    ----------
+    now, before : Iterate
+        The last point and the one before it.
+    lowest : Iterate
+        The point of least cost.
+    evaluate : callable
+        Makes an iterate of a point; None where it diverges.
+    convergence : Convergence
+    control : StepControl
+    trust : callable or None
+        Bounds of a step within which the equations of a point still hold.
+    decrease : float
+        Gain that was predicted for the last step.
+    steps : int
+        Steps that were taken.
+    """
+
+    now: Iterate
+    evaluate: Evaluate
+    convergence: Convergence
+    control: StepControl = field(default_factory=StepControl)
+    trust: Trust | None = None
+    decrease: float = np.inf
+    steps: int = 0
+
+    def __post_init__(self) -> None:
+        self.before = self.lowest = self.now
+        self._damping, self._penalty, self._length = self.control.damping, 1.0, 1.0
+        self._at_floor = False
+
+    def run(
+        self,
+        most: int,
+        *,
+        callback: Callable[[Progress], None] | None = None,
+        enough: Callable[[Progress], bool] | None = None,
+    ) -> str:
+        """Take at most so many steps; return why they ended.
+
+        A keyboard interrupt ends them and keeps the last point.
+        """
+        try:
+            for _ in range(most):
+                if outcome := self._advance():
+                    return outcome
+                progress = Progress(self.steps, self.now.cost, self.now.defect, self.decrease)
+                if callback is not None:
+                    callback(progress)
+                if enough is not None and enough(progress):
+                    return "enough"
+        except KeyboardInterrupt:
+            return "interrupted"
+        return "iterations"
+
+    def refine(self, evaluate: Evaluate, control: StepControl | None = None) -> bool:
+        """Go on from the same point with another evaluation; return whether it has one."""
+        found = evaluate(self.now.problem, self.now.point)
+        if found is None:
+            return False
+        self.now, self.evaluate, self._damping = found, evaluate, 0.0
+        self.control = control or self.control
+        return True
+
+    def direction(self, damping: float) -> np.ndarray:
+        """The step at some damping."""
+        limits, unknowns = self.now.problem.limits, self.now.point.unknowns
+        equations = self.now.damped(damping)
+        matrix, right = limits.with_priors(equations.matrix, equations.right, unknowns)
+        lower, upper = limits.lower - unknowns, limits.upper - unknowns
+        if self.trust is not None:
+            lower, upper = self.trust(unknowns, matrix, lower, upper)
+        return bounded_step(matrix, right, lower, upper, damping)
+
+    def _advance(self) -> str:
+        """Take one step; return why there is none, or an empty string."""
+        while self._damping < self.control.most_damping:
+            step = self.direction(self._damping)
+            self.decrease = self.now.cost - self.now.predicted(step, self._damping)
+            if self._arrived():
+                return "converged"
+            if self._take(step):
+                self._damping = self._damping / 10.0 if self._damping > 1e-7 else 0.0
+                return ""
+            self._damping = max(10.0 * self._damping, 1e-4)
+        return "stalled"
+
+    def _arrived(self) -> bool:
+        """Whether the point is the minimum, as its equations say."""
+        now = self.now
+        share = self.convergence.share
+        if share > 0.0 and self.steps and self.before.cost - now.cost < share * now.cost:
+            return True
+        least = self.convergence.gain(now.cost, at_floor=self._at_floor)
+        if not (now.defect < CLOSED or self._at_floor) or not abs(self.decrease) < least:
+            return False
+        # A damped step is short everywhere; only a full one proves the end.
+        full = self._damping == 0.0
+        return full or abs(now.cost - now.predicted(self.direction(0.0))) < least
+
+    def _take(self, step: np.ndarray) -> bool:
+        """Go along a step as far as it is good; return whether it is anywhere."""
+        now = self.now
+        if now.defect > 0 and self.decrease < 0.5 * self._penalty * now.defect:
+            self._penalty = max(self._penalty, -2.0 * self.decrease / now.defect)
+        expected = self.decrease + self._penalty * now.defect
+        # Where only short steps were good, the next begins a little longer than the last.
+        length = min(1.0, self._length / SHORTER)
+        evaluate = self.evaluate
+        for _ in range(self.control.lengths):
+            trial = now.moved(step, length, self._damping)
+            new = evaluate(now.problem, trial)
+            if new is not None:
+                gained = now.cost - new.cost + self._penalty * (now.defect - new.defect)
+                if self.control.accepts(gained, expected, length, now.cost):
+                    if evaluate is not self.evaluate:
+                        new = self.evaluate(now.problem, trial)
+                    if new is not None:
+                        self._at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
+                        self.before, self.now, self._length = now, new, length
+                        self.lowest = min(self.lowest, new, key=lambda one: one.cost)
+                        self.steps += 1
+                        return True
+            length *= SHORTER
+            evaluate = self.control.quick or evaluate
+        self._length = 1.0
+        return False
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,7 +560,7 @@ def solve(
     callback: Callable[[Progress], None] | None = None,
     enough: Callable[[Progress], bool] | None = None,
 ) -> Solution | None:
-    """Minimise by damped Gauss-Newton steps with an exact-penalty line search.
+    """Minimise over multiple shooting.
 
     Parameters
     ----------
@@ -392,33 +586,20 @@ def solve(
         interrupt ends the iterations and keeps the best point.
     """
     # Robust weights need residuals sample by sample.
-    evaluate: Evaluate = Gathered.at if shooting.loss is None else Exact.at
+    evaluate = gathered if shooting.loss is None else exact
     begin = evaluate(shooting, point)
     if begin is None:
         return None
-    search = _Search(shooting, begin, evaluate, Exact.at)
-    reason, iteration = "iterations", 0
-    try:
-        for iteration in range(1, max_iterations + 1):
-            outcome = search.advance(tolerance)
-            if outcome and search.confirm():
-                outcome = search.advance(tolerance)
-            if outcome:
-                reason = outcome
-                break
-            progress = Progress(iteration, search.now.cost, search.now.defect, search.decrease)
-            if callback is not None:
-                callback(progress)
-            if enough is not None and enough(progress):
-                reason = "enough"
-                break
-    except KeyboardInterrupt:
-        reason = "interrupted"
-    search.confirm()
-    now = search.now
-    if not isinstance(now, Exact):
+    descent = Descent(begin, evaluate, Convergence(tolerance))
+    reason = descent.run(max_iterations, callback=callback, enough=enough)
+    if evaluate is gathered and descent.refine(exact) and reason in ("converged", "stalled"):
+        left = max(max_iterations - descent.steps, 1)
+        reason = descent.run(left, callback=callback, enough=enough)
+    now = descent.now
+    if now.linearisation is None:
         return None
-    return Solution(now.point, now.linearisation, now.cost, iteration, reason)
+    iterations = descent.steps + (reason in ("converged", "stalled"))
+    return Solution(now.point, now.linearisation, now.cost, iterations, reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -446,8 +627,7 @@ class FilteredSolution:
     def promise(self) -> float:
         """Fall of the cost that the last equations promise."""
         limits, unknowns = self.problem.limits, self.point.unknowns
-        right = self.right + limits.prior_weight * (limits.prior_mean - unknowns)
-        matrix = self.matrix + np.diag(limits.prior_weight)
+        matrix, right = limits.with_priors(self.matrix, self.right, unknowns)
         step = bounded_step(matrix, right, limits.lower - unknowns, limits.upper - unknowns, 0.0)
         return float(right @ step - 0.5 * step @ matrix @ step)
 
@@ -459,11 +639,8 @@ class FilteredSolution:
     @property
     def values(self) -> dict[str, float]:
         """Value of every parameter of the model; those of each record at their mean."""
-        layout, model = self.problem.layout, self.problem.model
-        free = [layout.parameters(self.point.unknowns, i) for i in range(layout.n_records)]
-        # The mean of equal numbers may miss them, and then a bound, by rounding.
-        means = np.clip(np.mean(free, axis=0), np.min(free, axis=0), np.max(free, axis=0))
-        return model.values | dict(zip(layout.free_names, map(float, means), strict=True))
+        model = self.problem.model
+        return model.values | self.problem.layout.means(model, self.point.unknowns)
 
     @property
     def initial(self) -> list[np.ndarray]:
@@ -474,12 +651,7 @@ class FilteredSolution:
     @property
     def local(self) -> list[dict[str, float]]:
         """Values of per-record parameters, by record."""
-        layout = self.problem.layout
-        found = []
-        for index in range(layout.n_records):
-            own = layout.parameters(self.point.unknowns, index)
-            found.append({layout.free_names[i]: float(own[i]) for i in layout.local})
-        return found
+        return self.problem.layout.local_values(self.point.unknowns)
 
 
 def solve_filtered(
@@ -513,135 +685,40 @@ def solve_filtered(
     FilteredSolution or None
         None where the filter diverges at the start.
     """
-    begin = Whitened.at(problem, point)
+    begin = whitened(problem, point)
     if begin is None:
         return None
-    search = _Search(problem, begin, Whitened.at, Differentiated.at if polish else Whitened.at)
-    search.slack, search.most_damping, search.lengths = SLACK, MOST_DAMPING, FEW_LENGTHS
-    search.trust, search.cheap = problem.trusted, Differentiated.at
-    reason, iteration = "iterations", 0
-    best: Iterate = begin
-    costs = [begin.cost]
+    control = StepControl(FEW_LENGTHS, MOST_DAMPING, SLACK, differentiated)
+    descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)
     fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
-    try:
-        for iteration in range(1, max_iterations + 1):
-            outcome = search.advance(tolerance)
-            if outcome:
-                reason = outcome
-                break
-            best = min(best, search.now, key=lambda point: point.cost)
-            costs.append(best.cost)
-            if callback is not None:
-                callback(Progress(iteration, search.now.cost, 0.0, search.decrease))
-            if costs[-1 - LOOK_BACK :][0] - best.cost < fall and iteration >= LOOK_BACK:
-                reason = "converged"
-                break
-        search.now = best
-        if polish and search.confirm():
-            search.slack = 0.0
-            for _ in range(polish):
-                iteration += 1
-                before = search.now
-                if search.advance(tolerance):
-                    break
-                if search.decrease < SETTLED:
-                    search.settled = _shifted(before, search.now.point)
-                    break
-            # The exact gradient has the last word, whatever the frozen one ended with.
-            if reason == "iterations" and search.decrease < STALLED_NEAR:
-                reason = "converged"
-    except KeyboardInterrupt:
-        reason = "interrupted"
+    lowest = [begin.cost]
+
+    def to_and_fro(progress: Progress) -> bool:
+        lowest.append(descent.lowest.cost)
+        return len(lowest) > LOOK_BACK and lowest[-1 - LOOK_BACK] - lowest[-1] < fall
+
+    reason = descent.run(max_iterations, callback=callback, enough=to_and_fro)
+    reason = "converged" if reason == "enough" else reason
+    descent.now, equations = descent.lowest, None
+    exact_control = StepControl(FEW_LENGTHS, MOST_DAMPING)
+    if reason != "interrupted" and polish and descent.refine(differentiated, exact_control):
+        last = descent.run(polish, enough=lambda progress: progress.decrement < SETTLED)
+        if last == "enough":  # the equations before hold where so small a step has led
+            equations = _shifted(descent.before, descent.now.point)
+        # The exact gradient has the last word, whatever the frozen one ended with.
+        if last == "interrupted":
+            reason = last
+        elif reason == "iterations" and descent.decrease < STALLED_NEAR:
+            reason = "converged"
     # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
-    if reason == "stalled" and search.decrease < STALLED_NEAR:
+    if reason == "stalled" and descent.decrease < STALLED_NEAR:
         reason = "converged"
-    now = search.now
-    matrix, right = search.settled or now.equations()
-    return FilteredSolution(problem, now.point, now.cost, matrix, right, iteration, reason)
+    now = descent.now
+    matrix, right = equations or (now.equations.matrix, now.equations.right)
+    return FilteredSolution(problem, now.point, now.cost, matrix, right, descent.steps + 1, reason)
 
 
 def _shifted(before: Iterate, point: Point) -> tuple[np.ndarray, np.ndarray]:
     """Equations of an iterate as they hold at a point close by, for the cost of a product."""
-    matrix, right = before.equations()
+    matrix, right = before.equations.matrix, before.equations.right
     return matrix, right - matrix @ (point.unknowns - before.point.unknowns)
-
-
-class _Search:
-    """State of the iterations: where they are, how they evaluate, damping and penalty."""
-
-    def __init__(self, shooting: Any, begin: Iterate, evaluate: Evaluate, exact: Evaluate) -> None:
-        self.shooting, self.now, self.evaluate, self.exact = shooting, begin, evaluate, exact
-        self.slack, self.most_damping, self.lengths = 0.0, 1e8, LINE_SEARCH_STEPS
-        self.damping, self.penalty, self.decrease = 0.0, 1.0, np.inf
-        self.at_floor, self.length = False, 1.0
-        self.trust: Trust | None = None
-        self.cheap: Evaluate | None = None
-        self.settled: tuple[np.ndarray, np.ndarray] | None = None
-
-    def confirm(self) -> bool:
-        """Go on with exact sensitivities at the same point; return whether that is news."""
-        if self.evaluate is self.exact:
-            return False
-        exact = self.exact(self.shooting, self.now.point)
-        if exact is None:
-            return False
-        self.now, self.evaluate, self.damping = exact, self.exact, 0.0
-        return True
-
-    def advance(self, tolerance: float) -> str:
-        """Take one step; return why there is none, or an empty string."""
-        now, limits = self.now, self.shooting.limits
-        unknowns = now.point.unknowns
-        matrix, right = now.equations()
-        right = right + limits.prior_weight * (limits.prior_mean - unknowns)
-        matrix = matrix + np.diag(limits.prior_weight)
-        lower, upper = limits.lower - unknowns, limits.upper - unknowns
-        if self.trust is not None:
-            lower, upper = self.trust(unknowns, matrix, lower, upper)
-        closed = now.defect < CLOSED or self.at_floor
-        if self.at_floor:
-            tolerance = max(tolerance, min(ROUNDING_SHARE * abs(now.cost), ROUNDING_COST))
-        while self.damping < self.most_damping:
-            step = bounded_step(matrix, right, lower, upper, self.damping)
-            self.decrease = now.cost - now.predicted(step)
-            if abs(self.decrease) < tolerance and closed:
-                if self.damping == 0.0:
-                    return "converged"
-                # A damped step is short everywhere; only a full one proves the end.
-                full = bounded_step(matrix, right, lower, upper, 0.0)
-                if abs(now.cost - now.predicted(full)) < tolerance:
-                    return "converged"
-            if now.defect > 0 and self.decrease < 0.5 * self.penalty * now.defect:
-                self.penalty = max(self.penalty, -2.0 * self.decrease / now.defect)
-            if self._line_search(step):
-                self.damping = self.damping / 10.0 if self.damping > 1e-7 else 0.0
-                return ""
-            self.damping = max(10.0 * self.damping, 1e-4)
-        return "stalled"
-
-    def _line_search(self, step: np.ndarray) -> bool:
-        now = self.now
-        expected = self.decrease + self.penalty * now.defect
-        # Where only short steps were good, the next begins a little longer than the last.
-        length = min(1.0, self.length / SHORTER)
-        evaluate = self.evaluate
-        for _ in range(self.lengths):
-            trial = self.shooting.move(now.point, now.maps, now.offsets, step, length)
-            new = evaluate(self.shooting, trial)
-            if new is not None:
-                merit = now.cost - new.cost + self.penalty * (now.defect - new.defect)
-                # Near the optimum the gain drowns in rounding: any step that does no harm will do.
-                tiny = expected < 1e-6 * abs(now.cost) and merit >= -1e-10 * abs(now.cost)
-                if expected < 1.0:
-                    tiny = tiny or merit > -self.slack
-                good = merit > 1e-4 * length * expected or tiny
-                if good and evaluate is not self.evaluate:
-                    new = self.evaluate(self.shooting, trial)
-                if good and new is not None:
-                    self.at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
-                    self.now, self.length = new, length
-                    return True
-            length *= SHORTER
-            evaluate = self.cheap or evaluate
-        self.length = 1.0
-        return False

@@ -18,10 +18,13 @@ from oed_sysid.compiled.filtering import (
     COLOUR_VARIANCE,
     FORCE_TIME,
     FORCE_VARIANCE,
+    SEA_DAMPING,
+    SEA_PERIOD,
+    SEA_VARIANCE,
     WHITE_VARIANCE,
     Disturbed,
 )
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea, disturbance_names
 
 # Smallest white variance, as a share of its unit: the filter must stay regular.
 WHITE_FLOOR = 1e-4
@@ -31,6 +34,10 @@ VAGUE_TIME = 2.0
 SHORTEST, LONGEST = 0.5, 0.2
 # Least share that a variance keeps in one step along its curve, and the steepest such curve.
 LEAST_KEPT, MOST_POWER = 0.1, 2.0
+# Levels that are no variances but logarithms.
+LOGARITHMS = (FORCE_TIME, COLOUR_TIME, SEA_PERIOD, SEA_DAMPING)
+# Least and largest damping of a sea: below, a wave that never changes; above, no wave.
+DAMPING = (0.005, 0.7)
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +88,7 @@ class Levels:
         least_white: np.ndarray | None = None,
         most_colour: np.ndarray | None = None,
         times: tuple[float, float] = (1e-3, np.inf),
+        seas: Sequence[Sea] | None = None,
     ) -> Levels:
         """Name the unknowns.
 
@@ -99,6 +107,9 @@ class Levels:
             Largest coloured levels, in the outputs' units.
         times : tuple of float
             Shortest and longest correlation time, s.
+        seas : sequence of Sea, optional
+            What is known of each sea of ``noise``; what they leave out is unknown. By default
+            nothing is.
         """
         coloured = np.flatnonzero(colour | (noise.colour > 0))
         # White from step to step is no matter of time.
@@ -114,8 +125,10 @@ class Levels:
         ) -> None:
             rows.append((kind, index, least, most, size**2, 0.0))
 
-        def logarithm(kind: int, index: int, value: float) -> None:
-            rows.append((kind, index, low, high, 1.0, float(np.clip(np.log(value), low, high))))
+        def logarithm(
+            kind: int, index: int, value: float, bounds: tuple[float, float] = (low, high)
+        ) -> None:
+            rows.append((kind, index, *bounds, 1.0, float(np.clip(np.log(value), *bounds))))
 
         for i in np.flatnonzero(force):
             variance(FORCE_VARIANCE, int(i), unit.force[i])
@@ -134,15 +147,31 @@ class Levels:
                     logarithm(COLOUR_TIME, position, noise.colour_time[i])
         if colour.any() and not own_times:
             logarithm(COLOUR_TIME, -1, _middle(noise.colour_time[colour]))
+        place = 0
+        for number, sea in enumerate(noise.seas):
+            known = Sea() if seas is None else seas[number]
+            for own in unit.seas[number].level if known.levels is None else ():
+                variance(SEA_VARIANCE, place, own)
+                place += 1
+            place += len(sea.places) if known.levels is not None else 0
+            if known.period is None:  # a wave takes two samples, and a record a few waves
+                between = np.log(4.0 * times[0]), high
+                logarithm(SEA_PERIOD, number, float(sea.period or 1.0), between)
+            if known.bandwidth is None:
+                between = np.log(DAMPING[0]), np.log(DAMPING[1])
+                logarithm(SEA_DAMPING, number, 0.5 * float(sea.bandwidth or 1.0), between)
         kinds = np.array([row[0] for row in rows], dtype=int)
         table = np.array([row[2:] for row in rows], dtype=float).reshape(len(rows), 4)
-        is_time = (kinds == FORCE_TIME) | (kinds == COLOUR_TIME)
+        is_time = np.isin(kinds, LOGARITHMS)
         return cls(
             noise,
             unit,
             tuple((row[0], row[1]) for row in rows),
             coloured,
-            tuple(disturbances),
+            (
+                *disturbances[: len(noise.force)],
+                *disturbance_names([place for sea in noise.seas for place in sea.places]),
+            ),
             table[:, 0],
             table[:, 1],
             table[:, 2],
@@ -164,6 +193,13 @@ class Levels:
                 values.append(noise.white[index] ** 2 / scale)
             elif kind == COLOUR_VARIANCE:
                 values.append(noise.colour[self.coloured[index]] ** 2 / scale)
+            elif kind == SEA_VARIANCE:
+                level = np.concatenate([sea.level for sea in noise.seas])[index]
+                values.append(level**2 / scale)
+            elif kind == SEA_PERIOD:
+                values.append(np.log(float(noise.seas[index].period or 1.0)))
+            elif kind == SEA_DAMPING:
+                values.append(np.log(0.5 * float(noise.seas[index].bandwidth or 1.0)))
             else:
                 times = noise.force_time if kind == FORCE_TIME else noise.colour_time[self.coloured]
                 values.append(np.log(_middle(times[times > 0]) if index < 0 else times[index]))
@@ -174,6 +210,7 @@ class Levels:
         noise = self.noise
         white, colour, force = noise.white.copy(), noise.colour.copy(), noise.force.copy()
         colour_time, force_time = noise.colour_time.copy(), noise.force_time.copy()
+        seas, sea_level = list(noise.seas), [level for sea in noise.seas for level in sea.level]
         for (kind, index), scale, value in zip(self.entries, self.scale, vector, strict=True):
             if kind == FORCE_VARIANCE:
                 force[index] = np.sqrt(max(value, 0.0) * scale)
@@ -183,8 +220,15 @@ class Levels:
                 colour[self.coloured[index]] = np.sqrt(max(value, 0.0) * scale)
             elif kind == FORCE_TIME:
                 force_time[noise.force_time > 0 if index < 0 else index] = np.exp(value)
+            elif kind == SEA_VARIANCE:
+                sea_level[index] = np.sqrt(max(value, 0.0) * scale)
+            elif kind == SEA_PERIOD:
+                seas[index] = replace(seas[index], period=float(np.exp(value)))
+            elif kind == SEA_DAMPING:
+                seas[index] = replace(seas[index], bandwidth=2.0 * float(np.exp(value)))
             else:
                 colour_time[self.coloured if index < 0 else self.coloured[index]] = np.exp(value)
+        starts = np.cumsum([0, *(len(sea.places) for sea in seas)])
         return replace(
             noise,
             white=white,
@@ -192,6 +236,10 @@ class Levels:
             force=force,
             colour_time=colour_time,
             force_time=force_time,
+            seas=tuple(
+                sea.with_levels(np.array(sea_level[begin : begin + len(sea.places)]))
+                for sea, begin in zip(seas, starts, strict=False)
+            ),
         )
 
     def following(self, information: np.ndarray, vector: np.ndarray) -> np.ndarray:
@@ -257,19 +305,17 @@ class Levels:
 
     def disturbed(self, noise: NoiseModel) -> Disturbed:
         """What the filter takes."""
-        return Disturbed(
-            self.disturbances,
-            noise.force**2,
-            noise.force_time,
-            noise.white**2,
-            self.coloured,
-            noise.colour[self.coloured] ** 2,
-            noise.colour_time[self.coloured],
-        )
+        return replace(noise.disturbed(self.coloured), disturbances=self.disturbances)
 
     def name_of(self, kind: int, index: int) -> str:
         """Name of one unknown, such as ``"force Z level"`` or ``"colour of q time"``."""
-        if kind in (FORCE_VARIANCE, FORCE_TIME):
+        if kind in (SEA_PERIOD, SEA_DAMPING):
+            number = f" {index + 1}" if len(self.noise.seas) > 1 else ""
+            return f"sea{number} {'period' if kind == SEA_PERIOD else 'bandwidth'}"
+        if kind == SEA_VARIANCE:
+            places = [place for sea in self.noise.seas for place in sea.places]
+            place = f"sea {places[index]}"
+        elif kind in (FORCE_VARIANCE, FORCE_TIME):
             place = "disturbances" if index < 0 else self.noise.places[index]
         elif kind == WHITE_VARIANCE:
             place = f"white of {self.noise.outputs[index]}"
@@ -296,7 +342,7 @@ class Levels:
     def are_variances(self) -> np.ndarray:
         """Which unknowns are variances, not times, of shape ``(n_levels,)``."""
         kinds = [kind for kind, _ in self.entries]
-        return ~np.isin(kinds, (FORCE_TIME, COLOUR_TIME)).reshape(len(kinds))
+        return ~np.isin(kinds, LOGARITHMS).reshape(len(kinds))
 
     @property
     def shares_a_time(self) -> bool:
@@ -328,7 +374,8 @@ class Levels:
 
     def holding_forces(self) -> Levels:
         """Return the same unknowns, levels and times of disturbances known."""
-        return self._only([kind not in (FORCE_VARIANCE, FORCE_TIME) for kind, _ in self.entries])
+        of_sensors = (WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME)
+        return self._only([kind in of_sensors for kind, _ in self.entries])
 
     def _only(self, keep: Sequence[bool]) -> Levels:
         """Some of the unknowns; the others stay at the noise model's values."""

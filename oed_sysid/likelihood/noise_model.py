@@ -10,17 +10,124 @@ For a record with states ``x``, outputs ``y`` and inputs ``u``
 
 ``w`` are first-order Gauss-Markov disturbances (level :math:`\sigma_j`, time :math:`\tau_j`),
 ``c`` coloured and ``v`` white errors of the sensors (Gelb 1974, *Applied optimal estimation*,
-section 3.8). A :class:`NoiseModel` holds all levels and times; white noise alone is its simplest
-case.
+section 3.8). Waves are forces of second order instead: a :class:`Sea` of some period and width
+acts on several equations, each with a level of its own
+(:mod:`oed_sysid.compiled.filter_pass` has the equations). A :class:`NoiseModel` holds all levels
+and times; white noise alone is its simplest case.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+
+from oed_sysid.compiled.filtering import Disturbed
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.disturbances import DISTURBANCE
+
+SHAPES = {"velocity": -1, "displacement": 1}
+# Steps of a period over which the force of a sea is held at most: a wave held that long loses 1 %
+# of its amplitude (sinc(1/12)); half as many steps lose 4 %, twice as many 0.3 % and cost twice.
+STEPS_OF_PERIOD = 12
+
+
+@dataclass(frozen=True)
+class Sea:
+    """Waves or swell: narrow-band forces with one period and width, and a level in each equation.
+
+    In a :class:`NoiseModel` every number is given. Declared for an estimation, what is given is
+    known, and what is left out is estimated.
+
+    Attributes
+    ----------
+    period : float, optional
+        Of an undamped wave, s.
+    bandwidth : float, optional
+        Width of the spectrum at half its power over its middle: twice the damping ratio.
+    levels : mapping of str to float, optional
+        Standard deviation of the force by place, ``{"force Z": 0.3}`` or short ``{"Z": 0.3}``, in
+        the unit of the place.
+    shape : str, optional
+        ``"velocity"``, whose spectrum vanishes at frequency zero, or ``"displacement"``, which
+        has a tail there.
+
+    Examples
+    --------
+    >>> sea = Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3})
+    >>> sea.places, sea.shape, sea.significant
+    (('force Z',), 'velocity', {'force Z': 0.6})
+    """
+
+    period: float | None = None
+    bandwidth: float | None = None
+    levels: Mapping[str, float] | None = None
+    shape: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.levels is not None:
+            named = {k if " " in k else f"force {k}": float(v) for k, v in self.levels.items()}
+            object.__setattr__(self, "levels", named)
+            if not all(np.isfinite(v) and v >= 0 for v in named.values()):
+                raise ModelError(f"A sea has levels {dict(named)}. Give them as zero or above.")
+            if self.shape is None:
+                object.__setattr__(self, "shape", "velocity")
+        if self.period is not None and not (np.isfinite(self.period) and self.period > 0):
+            raise ModelError(f"A sea has a period of {self.period} s. Give one above zero.")
+        if self.bandwidth is not None and not 0 < self.bandwidth < 2:
+            raise ModelError(
+                f"A sea has a bandwidth of {self.bandwidth}. It is a share of the frequency: give "
+                "one above zero and below 2, such as 0.2."
+            )
+        if self.shape not in (None, *SHAPES):
+            known = " or ".join(SHAPES)
+            raise ModelError(f"A sea has the shape {self.shape!r}. Choose {known}.")
+
+    @property
+    def places(self) -> tuple[str, ...]:
+        """Where it acts."""
+        return tuple(self.levels or ())
+
+    @property
+    def level(self) -> np.ndarray:
+        """Standard deviations of the forces, ``(n_places,)``."""
+        return np.array(list((self.levels or {}).values()), dtype=float)
+
+    @property
+    def significant(self) -> dict[str, float]:
+        """Significant amplitude of the force by place, the mean of its highest third: twice rms."""
+        return {place: 2.0 * level for place, level in (self.levels or {}).items()}
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether nothing is left to estimate."""
+        return None not in (self.period, self.bandwidth, self.levels, self.shape)
+
+    @property
+    def acts(self) -> bool:
+        """Whether any level is above zero."""
+        return bool(np.any(self.level > 0))
+
+    def with_levels(self, level: np.ndarray) -> Sea:
+        """Return the same sea with other levels in its places."""
+        return replace(self, levels=dict(zip(self.places, map(float, level), strict=True)))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the sea as plain data for JSON."""
+        return {
+            "period": self.period,
+            "bandwidth": self.bandwidth,
+            "shape": self.shape,
+            "levels": None if self.levels is None else dict(self.levels),
+            "significant": self.significant,
+        }
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Sea:
+        """Return the sea of :meth:`to_dict`."""
+        return cls(data["period"], data["bandwidth"], data["levels"], data["shape"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,6 +147,8 @@ class NoiseModel:
         to step.
     outputs, places : tuple of str
         Names, such as ``"q"`` and ``"force Z"`` or ``"actuator fin"``.
+    seas : tuple of Sea
+        Narrow-band disturbances besides.
     """
 
     white: np.ndarray
@@ -49,11 +158,17 @@ class NoiseModel:
     force_time: Any = 1.0
     outputs: tuple[str, ...] = field(default=())
     places: tuple[str, ...] = field(default=())
+    seas: tuple[Sea, ...] = ()
 
     def __post_init__(self) -> None:
         for name, like in (("colour_time", self.white), ("force_time", self.force)):
             times = np.broadcast_to(np.asarray(getattr(self, name), dtype=float), like.shape)
             object.__setattr__(self, name, times.copy())
+        seas = (self.seas,) if isinstance(self.seas, Sea) else tuple(self.seas)
+        object.__setattr__(self, "seas", seas)
+        for sea in seas:
+            if not sea.is_complete:
+                raise ModelError(f"{sea} leaves numbers out. A noise model needs all of them.")
 
     @classmethod
     def white_only(cls, white: np.ndarray, outputs: Sequence[str] = ()) -> NoiseModel:
@@ -73,7 +188,7 @@ class NoiseModel:
     @property
     def has_forces(self) -> bool:
         """Whether any disturbance has a level above zero."""
-        return bool(np.any(self.force > 0))
+        return bool(np.any(self.force > 0)) or any(sea.acts for sea in self.seas)
 
     @property
     def is_white(self) -> bool:
@@ -89,12 +204,52 @@ class NoiseModel:
         """Return the same model with other levels."""
         return replace(self, white=white, colour=colour, force=force)
 
+    def at_most(self, sensors: np.ndarray) -> NoiseModel:
+        """Return the same model with sensors whose standard deviation is no larger than given."""
+        share = np.minimum(1.0, sensors / np.maximum(self.sensors, 1e-300))
+        return replace(self, white=share * self.white, colour=share * self.colour)
+
     def level(self, place: str) -> tuple[float, float]:
         """Level and time of the disturbance at one place; zero level where there is none."""
         if place not in self.places:
             return 0.0, np.nan
         index = self.places.index(place)
         return float(self.force[index]), float(self.force_time[index])
+
+    def disturbed(self, coloured: np.ndarray | None = None) -> Disturbed:
+        """What the filter takes.
+
+        Parameters
+        ----------
+        coloured : ndarray of int, optional
+            Outputs with coloured noise; by default those whose level is above zero.
+        """
+        coloured = np.flatnonzero(self.colour > 0) if coloured is None else coloured
+        count, of_sea = len(self.force), [len(sea.places) for sea in self.seas]
+        at_places = (*self.places, *(place for sea in self.seas for place in sea.places))
+
+        def each(of_force: Any, *of_seas: Any) -> np.ndarray:
+            return np.concatenate([np.broadcast_to(of_force, count), np.repeat(of_seas, of_sea)])
+
+        return Disturbed(
+            disturbance_names(at_places),
+            np.concatenate([self.force, *(sea.level for sea in self.seas)]) ** 2,
+            each(self.force_time, *(sea.period for sea in self.seas)),
+            self.white**2,
+            coloured,
+            self.colour[coloured] ** 2,
+            self.colour_time[coloured],
+            each(0.0, *(0.5 * (sea.bandwidth or 0.0) for sea in self.seas)),
+            each(0, *(SHAPES[sea.shape or "velocity"] for sea in self.seas)),
+            each(-1, *range(len(self.seas))),
+        )
+
+    def longest_step(self, times: np.ndarray) -> float | None:
+        """Longest time over which forces are held, s; None for the median sample time."""
+        if not self.seas or len(times) < 2:
+            return None
+        shortest = min(float(sea.period or np.inf) for sea in self.seas) / STEPS_OF_PERIOD
+        return min(float(np.median(np.diff(times))), shortest)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise model as plain data for JSON."""
@@ -109,4 +264,10 @@ class NoiseModel:
                 name: {"level": float(level), "time": float(t) if level else None}
                 for name, level, t in forces
             },
+            **({"seas": [sea.to_dict() for sea in self.seas]} if self.seas else {}),
         }
+
+
+def disturbance_names(at_places: Sequence[str]) -> tuple[str, ...]:
+    """Parameters of the filtered model through which disturbances act at places."""
+    return tuple(f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in at_places)

@@ -3,6 +3,10 @@ r"""Quadratic problems within bounds, unseen directions left alone.
 .. math:: \min_x \tfrac12 x' A x - b' x, \qquad \ell \le x \le u
 
 with ``A`` positive semidefinite. Directions without information get the smallest step.
+
+Unknowns that are estimated along are eliminated by the Schur complement
+
+.. math:: A_{kk} - A_{ko} A_{oo}^+ A_{ok} .
 """
 
 from __future__ import annotations
@@ -11,6 +15,8 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.optimize import lsq_linear
 
+# Scaled information below this share of the largest is none.
+NOTHING = 1e-12
 # Below this share of the largest eigenvalue of the equilibrated matrix, a
 # direction is rounding error: the square of the information's null tolerance.
 NULL_EIGENVALUE = 1e-13
@@ -65,3 +71,24 @@ def bounded_step(
     result = lsq_linear(triangle, projected, bounds, method="bvls")
     step[open_] = scale * result.x
     return np.clip(step, lower, upper)
+
+
+def share_of(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """:math:`A_{ko} A_{oo}^+`, shape ``(n_kept, n_others)``: what others explain of the kept.
+
+    Zero in columns of unknowns that nothing tells.
+    """
+    share = np.zeros((len(kept), len(others)))
+    size = np.sqrt(np.maximum(np.diag(matrix)[others], 0.0))
+    seen = size > 0
+    columns, size = others[seen], size[seen]
+    scaled = matrix[np.ix_(columns, columns)] / size[:, None] / size
+    inverse = np.linalg.pinv(scaled, rcond=NOTHING, hermitian=True) / size[:, None] / size
+    share[:, seen] = matrix[np.ix_(kept, columns)] @ inverse
+    return share
+
+
+def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """Information of some unknowns once all others are estimated too."""
+    share = share_of(matrix, kept, others)
+    return np.asarray(matrix[np.ix_(kept, kept)] - share @ matrix[np.ix_(others, kept)])

@@ -27,7 +27,8 @@ from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import credible_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step
-from oed_sysid.likelihood.score_test import ScoreTest, Setting
+from oed_sysid.likelihood.score_test import ScoreTest, Setting, moved
+from oed_sysid.likelihood.sea import declared_sea, with_sea
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.physics.model import Model
 
@@ -51,6 +52,8 @@ HELD_STEPS = 2
 # Iterations after which the likeliest of several starts goes on, and the others only where they
 # promise to overtake; and the difference of twice the log-likelihood below which two are one.
 FIRST_LOOK, SAME_PLACE = 3, 10.0
+# Steps with forces of first order before a sea is asked for: under swell they do not converge.
+BEFORE_SEA = 8
 # Fall of the cost promised where an earlier fit ended, below which no step is taken at frozen gain;
 # and steps at frozen gain before the exact ones where those before did not converge.
 ARRIVED, UNFINISHED = 0.2, 3
@@ -120,7 +123,15 @@ def fit_disturbed(
         else:
             point = problem.point(start.initial, start.local, own)
             begun.append((problem, point, problem.objective(point.unknowns)))
-    best = _stayed(begun, starts) or _raced(begun, max_iterations, progress)
+    best = _stayed(begun, starts)
+    if best is None:
+        best = _raced(begun, min(max_iterations, BEFORE_SEA), progress)
+        if best is not None and setting.any_sea:
+            best = with_sea(best, setting, max_iterations=max_iterations)
+        if best is not None and setting.seas:
+            best = declared_sea(best, setting, max_iterations=max_iterations)
+        if best is not None and best.reason == "iterations" and max_iterations > BEFORE_SEA:
+            best = _continued(best, max_iterations - BEFORE_SEA, progress)
     if best is None:
         return None
     best = with_colour(best, setting, max_iterations=max_iterations)
@@ -137,6 +148,18 @@ def fit_disturbed(
                 reason=best.reason if stood else again.reason,
             )
     return best
+
+
+def _continued(
+    found: FilteredSolution, max_iterations: int, progress: Callable[[Progress], None] | None
+) -> FilteredSolution:
+    """Go on from where the iterations ended."""
+    again = solve_filtered(
+        found.problem, found.point, max_iterations=max_iterations, polish=0, callback=progress
+    )
+    if again is None:
+        return found
+    return replace(again, iterations=found.iterations + again.iterations)
 
 
 def _noisier(begin: NoiseModel, dataset: Dataset, setting: Setting) -> NoiseModel | None:
@@ -280,8 +303,15 @@ def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseM
             force[index] = max(level, force[index])
             time[index] = lasting or time[index]
     coloured = setting.colour & (earlier.colour > 0)
+    places, seas = begin.places, earlier.seas
+    if seas:  # instead of forces of first order, but for those that joined them
+        stay = np.isin(places, (*earlier.places, *setting.known))
+        force, time = force[stay], time[stay]
+        places = tuple(p for p, kept in zip(places, stay, strict=True) if kept)
     return replace(
         begin,
+        places=places,
+        seas=seas,
         white=np.where(setting.estimated | coloured, earlier.white, begin.white),
         colour=np.where(coloured, earlier.colour, 0.0),
         colour_time=np.where(coloured, earlier.colour_time, begin.colour_time),
@@ -421,27 +451,6 @@ def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolutio
     if freed is None or found.objective - freed.objective < WORTH_TIMES:
         return found
     return freed
-
-
-def moved(
-    found: FilteredSolution,
-    setting: Setting,
-    noise: NoiseModel,
-    colour: np.ndarray,
-    *,
-    own_times: bool = False,
-    max_iterations: int = 40,
-    unit: NoiseModel | None = None,
-) -> FilteredSolution | None:
-    """Estimate again from a solution with other levels unknown."""
-    old = found.problem
-    unit = old.levels.unit if unit is None else unit
-    levels = setting.levels(old.dataset, noise, unit, colour, own_times=own_times)
-    problem = Filtered(
-        old.model, old.dataset, levels, kernel=old.kernel, known_starts=setting.known_starts
-    )
-    unknowns = np.concatenate([found.point.unknowns[: old.layout.levels.start], levels.vector()])
-    return solve_filtered(problem, Point(unknowns, ()), max_iterations=max_iterations, polish=0)
 
 
 def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:

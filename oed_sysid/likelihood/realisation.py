@@ -4,8 +4,9 @@ r"""One trial at sea, simulated: disturbance forces and coloured sensors drawn f
     w_{k+1} = \phi w_k + \sqrt{1 - \phi^2}\, \sigma \epsilon_k, \qquad \phi = e^{-\Delta/\tau}
 
 beginning in the stationary distribution, held from sample to sample; the same for the coloured part
-of a sensor's error, to which white noise is added. A manoeuvre that reacts sees the disturbed
-vehicle, by its sensors' white noise alone.
+of a sensor's error, to which white noise is added. A sea is drawn with the exact transition of its
+two states (:mod:`oed_sysid.compiled.filter_pass`), as often as a wave needs, linear in between. A
+manoeuvre that reacts sees the disturbed vehicle, by its sensors' white noise alone.
 """
 
 from __future__ import annotations
@@ -14,12 +15,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from oed_sysid.compiled.filter_pass import narrow_band
 from oed_sysid.data.dataset import Record
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Piecewise
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel, Sea
 from oed_sysid.physics.model import Model
 
 
@@ -61,6 +63,66 @@ def gauss_markov(
     return level * np.array(values)
 
 
+def narrow_band_force(
+    level: float, sea: Sea, times: np.ndarray, rng: np.random.Generator
+) -> np.ndarray:
+    """Draw the force of a sea in one place.
+
+    Parameters
+    ----------
+    level : float
+        Standard deviation.
+    sea : Sea
+        Its period, bandwidth and shape.
+    times : ndarray (n_times,)
+        s, increasing.
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    ndarray (n_times,)
+
+    Examples
+    --------
+    >>> sea = Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3})
+    >>> w = narrow_band_force(0.3, sea, np.arange(40000) * 0.2, np.random.default_rng(0))
+    >>> float(w.std().round(2)), float(np.corrcoef(w[:-20], w[20:])[0, 1].round(2))
+    (0.3, -0.73)
+    """
+    assert sea.period is not None
+    assert sea.bandwidth is not None
+    assert sea.shape is not None
+    draws = rng.standard_normal((len(times), 2))
+    state = draws[0]
+    values = [state[0]]
+    moves: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    for step, fresh in zip(np.diff(times), draws[1:], strict=True):
+        key = round(float(step), 12)
+        if key not in moves:
+            phi, _, _ = narrow_band(key, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])
+            moves[key] = phi, np.linalg.cholesky(np.eye(2) - phi @ phi.T)
+        phi, root = moves[key]
+        state = phi @ state + root @ fresh
+        values.append(state[0])
+    return level * np.array(values)
+
+
+def drawn_disturbances(
+    noise: NoiseModel, times: np.ndarray, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """Draw what acts in each place, ``(n_times,)``; several processes in one place add up."""
+    found: dict[str, np.ndarray] = {}
+    for i in np.flatnonzero(noise.force > 0):
+        force = gauss_markov(noise.force[i], noise.force_time[i], times, rng)
+        found[noise.places[i]] = found.get(noise.places[i], 0.0) + force
+    for sea in noise.seas:
+        for place, level in zip(sea.places, sea.level, strict=True):
+            if level > 0:
+                force = narrow_band_force(level, sea, times, rng)
+                found[place] = found.get(place, 0.0) + force
+    return found
+
+
 def at_sea(
     model: Model, experiment: Experiment, noise: NoiseModel, *, rng: np.random.Generator
 ) -> tuple[Model, Experiment]:
@@ -75,8 +137,13 @@ def at_sea(
         and other disturbances (``sensor q``).
     rng : numpy.random.Generator
     """
-    acting = [i for i in range(len(noise.force)) if noise.force[i] > 0]
-    places = chosen_places(model, [noise.places[i] for i in acting])
+    times = experiment.times
+    held = noise.longest_step(times)
+    if held is not None:
+        count = int(np.ceil(float(np.max(np.diff(times))) / held - 1e-6))
+        times = np.interp(np.arange((len(times) - 1) * count + 1) / count, range(len(times)), times)
+    drawn = drawn_disturbances(noise, times, rng)
+    places = chosen_places(model, list(drawn))
     vehicle = with_disturbance_inputs(model, places)
     vehicle = replace(
         vehicle,
@@ -86,11 +153,11 @@ def at_sea(
         ),
     )
     names = vehicle.input_names[len(model.inputs) :]
-    times = experiment.times
-    waves = []
-    for index, name in zip(acting, names, strict=True):
-        force = gauss_markov(noise.force[index], noise.force_time[index], times, rng)
-        waves.append(Piecewise(name, times.tolist(), force.tolist()))
+    way = "linear" if noise.seas else "hold"
+    waves = [
+        Piecewise(name, times.tolist(), force.tolist(), interpolation=way)
+        for name, force in zip(names, drawn.values(), strict=True)
+    ]
     return vehicle, replace(experiment, manoeuvre=(*experiment.manoeuvres, *waves))
 
 

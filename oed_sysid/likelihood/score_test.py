@@ -35,12 +35,14 @@ from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterKernel, FilterPas
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import shown_in_log
-from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
+from oed_sysid.likelihood.disturbances import Place, disturbance
 from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import LONGEST, SHORTEST, Levels
 from oed_sysid.likelihood.noise_levels import credible_levels
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea, disturbance_names
 from oed_sysid.likelihood.projection import bounded_step
+from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 
@@ -83,6 +85,10 @@ class Setting:
         Places whose level and time are known.
     known_starts : KnownStarts or None
         Start states that are held or known with a stated error.
+    seas : tuple of Sea
+        Those that are declared; what they leave out is unknown.
+    any_sea : bool
+        Whether others are looked for.
     """
 
     places: tuple[Place, ...]
@@ -95,6 +101,8 @@ class Setting:
     most_colour: np.ndarray | None = None
     known: tuple[str, ...] = ()
     known_starts: KnownStarts | None = None
+    seas: tuple[Sea, ...] = ()
+    any_sea: bool = False
 
     @classmethod
     def of(
@@ -109,6 +117,8 @@ class Setting:
         known: Sequence[str] = (),
         known_starts: KnownStarts | None = None,
         drifting: bool = True,
+        seas: Sequence[Sea] = (),
+        any_sea: bool = False,
     ) -> Setting:
         """Setting of some records.
 
@@ -129,13 +139,17 @@ class Setting:
             None if drifting else np.where(seen, DRIFTS * np.maximum(floor, white), np.inf),
             tuple(known),
             known_starts,
+            tuple(seas),
+            any_sea,
         )
 
     @property
     def disturbances(self) -> tuple[str, ...]:
         """Parameters of the filtered model that may be disturbances."""
         own = (place for place in self.inputs if place not in self.places)
-        return tuple(disturbance(place).name for place in (*self.places, *own))
+        names = (disturbance(place).name for place in (*self.places, *own))
+        of_seas = disturbance_names([place for sea in self.seas for place in sea.places])
+        return tuple(dict.fromkeys((*names, *of_seas)))
 
     def times(self, dataset: Dataset) -> tuple[float, float]:
         """Shortest and longest correlation time, s."""
@@ -163,9 +177,21 @@ class Setting:
         colour: np.ndarray,
         *,
         own_times: bool = False,
+        seas: Sequence[Sea] | None = None,
     ) -> Levels:
-        """Unknown levels, begun at a noise model, some outputs coloured."""
-        known = dict(zip(unit.places, unit.force, strict=True))
+        """Unknown levels, begun at a noise model, some outputs coloured.
+
+        Of its ``seas`` those declared are known as far as declared, unless others are given.
+        """
+        if seas is None:
+            seas = self.seas or [Sea()] * len(noise.seas)
+        known = {place: level for sea in unit.seas for place, level in (sea.levels or {}).items()}
+        known |= dict(zip(unit.places, unit.force, strict=True))
+        sea_units = []
+        for sea in noise.seas:
+            own = zip(sea.places, sea.level, strict=True)
+            natural = [known.get(place, max(level, 1e-9)) for place, level in own]
+            sea_units.append(sea.with_levels(np.array(natural)))
         sizes = [
             known.get(place, max(level, 1e-9))
             for place, level in zip(noise.places, noise.force, strict=True)
@@ -179,8 +205,9 @@ class Setting:
                 force=np.array(sizes),
                 force_time=1.0,
                 places=noise.places,
+                seas=tuple(sea_units),
             ),
-            [f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in noise.places],
+            disturbance_names(noise.places),
             # Where colour is admitted, the white level has to make room for it.
             white=self.estimated | colour,
             colour=colour,
@@ -190,6 +217,7 @@ class Setting:
             least_white=np.where(colour, COLOUR_SEEN, 1.0) * self.least_white,
             most_colour=self.most_colour,
             times=self.times(dataset),
+            seas=seas,
         )
 
     def as_in(self, dataset: Dataset, noise: NoiseModel, unit: NoiseModel) -> Levels:
@@ -197,6 +225,43 @@ class Setting:
         times = noise.force_time[(noise.force > 0) & (noise.force_time > 0)]
         own = bool(np.any(times != times[:1]))
         return self.levels(dataset, noise, unit, noise.colour > 0, own_times=own)
+
+
+def moved(
+    found: FilteredSolution,
+    setting: Setting,
+    noise: NoiseModel,
+    colour: np.ndarray,
+    *,
+    own_times: bool = False,
+    max_iterations: int = 40,
+    unit: NoiseModel | None = None,
+    seas: Sequence[Sea] | None = None,
+) -> FilteredSolution | None:
+    """Estimate again from a solution with other levels unknown; of ``seas`` what they leave out."""
+    problem = posed(found, setting, noise, colour, own_times=own_times, unit=unit, seas=seas)
+    others = found.point.unknowns[: found.problem.layout.levels.start]
+    point = Point(np.concatenate([others, problem.levels.vector()]), ())
+    return solve_filtered(problem, point, max_iterations=max_iterations, polish=0)
+
+
+def posed(
+    found: FilteredSolution,
+    setting: Setting,
+    noise: NoiseModel,
+    colour: np.ndarray,
+    *,
+    own_times: bool = False,
+    unit: NoiseModel | None = None,
+    seas: Sequence[Sea] | None = None,
+) -> Filtered:
+    """The problem of a solution with other levels unknown, begun at a noise model."""
+    old = found.problem
+    unit = old.levels.unit if unit is None else unit
+    levels = setting.levels(old.dataset, noise, unit, colour, own_times=own_times, seas=seas)
+    return Filtered(
+        old.model, old.dataset, levels, kernel=old.kernel, known_starts=setting.known_starts
+    )
 
 
 # Correlation times that are tried, in samples.

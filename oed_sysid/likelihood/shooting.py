@@ -401,19 +401,16 @@ class Shooting:
 
     def prior_cost(self, unknowns: np.ndarray) -> float:
         """Half the weighted sum of squares of the departures from the priors."""
-        return 0.5 * float(self.limits.prior_weight @ (unknowns - self.limits.prior_mean) ** 2)
+        return self.limits.prior_cost(unknowns)
 
     def cost(self, lin: Linearisation, unknowns: np.ndarray) -> float:
         """Half the (robust) sum of squares of residuals and priors; defects excluded."""
         return self.prior_cost(unknowns) + sum(map(self._misfit, lin.residuals))
 
-    def predicted_cost(self, lin: Linearisation, unknowns: np.ndarray, step: np.ndarray) -> float:
-        """Cost of the linearised problem after a full step, defects closed."""
-        total = self.prior_cost(unknowns + step)
-        for index, columns in enumerate(self._columns):
-            change = lin.offsets[index] + lin.jacobians[index] @ step[columns]
-            total += self._misfit(lin.residuals[index] - change)
-        return total
+    def closed_cost(self, lin: Linearisation) -> float:
+        """Half the (robust) sum of squares once the defects are closed, to first order."""
+        pairs = zip(lin.residuals, lin.offsets, strict=True)
+        return sum(self._misfit(residual - offset) for residual, offset in pairs)
 
     def defect(self, lin: Linearisation) -> float:
         """Sum of the scaled jumps at all nodes."""
@@ -468,15 +465,3 @@ class Shooting:
             int(np.diff([*starts, len(record.times)]).max())
             for starts, record in zip(self._starts, self.records, strict=True)
         )
-
-
-def replace_values(model: Model, shooting: Shooting, unknowns: np.ndarray) -> Model:
-    """Return the model at the estimated values; local parameters take their mean."""
-    layout = shooting.layout
-    free = np.array([layout.parameters(unknowns, i) for i in range(layout.n_records)])
-    means = np.clip(
-        free.mean(axis=0),
-        [p.lower for p in model.free_parameters],
-        [p.upper for p in model.free_parameters],
-    )
-    return model.with_values(dict(zip(layout.free_names, map(float, means), strict=True)))

@@ -1,23 +1,15 @@
-"""Whether trajectories hang on the integration step, which no estimation can mend.
-
-A force that jumps with the state (a sign, an angle that leaps at 180 degrees)
-makes a trajectory of fixed steps a staircase in the parameters: derivatives
-miss the jumps, and iterations stall on a step of the stairs.
-
-From the end of the iterations to a :class:`~oed_sysid.likelihood.fit.Fit`.
-"""
+"""From the end of the iterations to a :class:`~oed_sysid.likelihood.fit.Fit`."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
-from oed_sysid.compiled.kernels import kernel
-from oed_sysid.likelihood.between_records import Sources, eliminate_own, scatter_of, sources_of
+from oed_sysid.likelihood.between_records import Sources, scatter_of, sources_of
 from oed_sysid.likelihood.covariance import (
     ReducedProblem,
     clear_peaks,
@@ -30,66 +22,10 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.shooting import Shooting, replace_values
-from oed_sysid.likelihood.unknowns import KnownStarts
-from oed_sysid.physics.model import Model
+from oed_sysid.likelihood.projection import eliminate, share_of
+from oed_sysid.likelihood.shooting import Shooting
 
-FINER = 4
-# Root mean square change, in noise levels, from which the step is worth a word.
-WORTH_SAYING = 0.5
-
-
-def worst_step_error(shooting: Shooting, solution: Solution) -> tuple[float, str, str]:
-    """Change that a finer step makes, in noise levels: the worst, its output and record.
-
-    Parameters
-    ----------
-    shooting : Shooting
-    solution : Solution
-        Where its trajectories are simulated, without nodes.
-    """
-    model = shooting.model
-    finer = kernel(replace(model, step=model.step / FINER))
-    worst = (0.0, "", "")
-    for index, record in enumerate(shooting.records):
-        values = shooting.values(solution.point.unknowns, index)
-        z0, _ = shooting.full_start(solution.point.unknowns, index)
-        coarse, fine = (
-            one.run(record.times, record.inputs, values, z0).outputs
-            for one in (shooting.kernel, finer)
-        )
-        with np.errstate(invalid="ignore", over="ignore"):
-            change = np.sqrt(np.mean(((coarse - fine) / shooting.sigma) ** 2, axis=0))
-        for name, size in zip(model.output_names, change, strict=True):
-            if np.isfinite(size) and size > worst[0]:
-                worst = (float(size), name, record.name)
-    return worst
-
-
-def _or_stiff(model: Model) -> str:
-    if model.integrator == "implicit":
-        return ""
-    return ", or take Model(integrator='implicit') if some of its motions die out within a step"
-
-
-def with_step_advice(fit: Fit, shooting: Shooting, solution: Solution | None) -> Fit:
-    """Add to the status of a failed fit that the step may be why."""
-    if fit.status.ok or solution is None or solution.reason == "interrupted":
-        return fit
-    size, output, record = worst_step_error(shooting, solution)
-    if size < WORTH_SAYING:
-        return fit
-    step = fit.model.step
-    advice = (
-        f"{fit.status.advice} The trajectories hang on the integration step: with "
-        f"{step / FINER:g} s instead of {step:g} s, {output} of record {record!r} changes by "
-        f"{size:.1f} noise levels. Reduce model.step{_or_stiff(fit.model)}; if that does not help, "
-        "a force of the model jumps where the state passes some value: make it continuous."
-    )
-    return replace(fit, status=Status(fit.status.code, advice))
-
-
-_ADVICE = {
+ADVICE = {
     "converged": "",
     "stalled": (
         "no step lowers the misfit, yet the gradient is not zero. Values are the best found; "
@@ -106,6 +42,79 @@ _ADVICE = {
         "the start values, reduce model.step, or bound the parameters."
     ),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What was found at the end of the iterations, whatever was minimised.
+
+    Attributes
+    ----------
+    estimator : str
+        Name for reports.
+    estimated : ndarray of bool (n_outputs,)
+        White noise levels that nobody had declared.
+    began : float
+        ``time.perf_counter()`` at the start.
+    iterations : int
+    reason : str
+        How they ended.
+    cost : float
+    information : Information
+        Of the shared parameters, as if residuals were white.
+    covariance : ndarray (n_shared, n_shared)
+    coloured : bool
+        Whether that holds the colour of residuals.
+    sources : Sources or None
+    paths : sequence of pair of ndarray
+        Outputs ``(n_times, n_outputs)`` and states ``(n_times, n_full)``, per record.
+    """
+
+    estimator: str
+    estimated: np.ndarray
+    began: float
+    iterations: int
+    reason: str
+    cost: float
+    information: Information
+    covariance: np.ndarray
+    coloured: bool
+    sources: Sources | None
+    paths: Sequence[tuple[np.ndarray, np.ndarray]]
+
+    def fit(self, problem: Shooting | Filtered, unknowns: np.ndarray, sigma: np.ndarray) -> Fit:
+        """The result at some unknowns with white noise of ``sigma``."""
+        layout = problem.layout
+        starts = problem.known_starts
+        records = problem.records
+        return Fit(
+            model=problem.model.with_values(layout.means(problem.model, unknowns)),
+            dataset=problem.dataset,
+            estimator=self.estimator,
+            names=layout.shared_names,
+            estimates=layout.shared_values(unknowns)[0],
+            information=self.information,
+            covariance=self.covariance,
+            record_scatter=None if self.sources is None else scatter_of(self.sources),
+            sources=self.sources,
+            coloured=self.coloured,
+            sigma=sigma.copy(),
+            sigma_estimated=np.asarray(self.estimated, dtype=bool),
+            predictions=tuple(outputs for outputs, _ in self.paths),
+            residuals=tuple(
+                r.outputs - outputs for r, (outputs, _) in zip(records, self.paths, strict=True)
+            ),
+            states=tuple(states for _, states in self.paths),
+            initial_states=tuple(
+                problem.initial_state(unknowns, i).copy() for i in range(len(records))
+            ),
+            local_values=tuple(layout.local_values(unknowns)),
+            cost=self.cost,
+            status=Status(self.reason, ADVICE[self.reason]),
+            iterations=self.iterations,
+            seconds=time.perf_counter() - self.began,
+            start_states=() if starts is None else starts.described(problem.model),
+        )
 
 
 def summarise(
@@ -141,9 +150,8 @@ def summarise(
         Whether the covariance holds the colour of the residuals; otherwise it is only said
         whether they have one.
     """
-    model, layout = shooting.model, shooting.layout
     if solution is None:
-        return _failed(shooting, estimated, estimator, iterations, began)
+        return failed(shooting, estimated, estimator, iterations, began)
     unknowns = solution.point.unknowns
     reduced = ReducedProblem(shooting, solution.linearisation, unknowns)
     information = reduced.information
@@ -152,44 +160,38 @@ def summarise(
     scattered = coloured == "always" or (coloured == "auto" and reduced.tests_stray(covariance))
     if ((use or scattered) and weighed) or shooting.loss is not None:
         covariance = reduced.sandwich(covariance, coloured=use, scattered=scattered)
-    sources = reduced.sources
-    predictions, states, residuals, initial, local = [], [], [], [], []
+    paths = []
     for index, record in enumerate(shooting.records):
-        values = shooting.values(unknowns, index)
-        own = shooting.initial_state(unknowns, index)
-        z0, _ = shooting.kernel.start(own, record.inputs[0], values, record.times[0])
+        values, (z0, _) = shooting.values(unknowns, index), shooting.full_start(unknowns, index)
         run = shooting.kernel.run(record.times, record.inputs, values, z0)
-        predictions.append(run.outputs)
-        states.append(run.states)
-        residuals.append(record.outputs - run.outputs)
-        initial.append(own.copy())
-        free = layout.parameters(unknowns, index)
-        local.append({layout.free_names[i]: float(free[i]) for i in layout.local})
-    return Fit(
-        model=replace_values(model, shooting, unknowns),
-        dataset=shooting.dataset,
-        estimator=estimator,
-        names=layout.shared_names,
-        estimates=layout.shared_values(unknowns)[0],
-        information=information,
-        covariance=covariance,
-        record_scatter=None if sources is None else scatter_of(sources),
-        sources=sources,
-        coloured=use,
-        sigma=shooting.sigma.copy(),
-        sigma_estimated=np.asarray(estimated, dtype=bool),
-        predictions=tuple(predictions),
-        residuals=tuple(residuals),
-        states=tuple(states),
-        initial_states=tuple(initial),
-        local_values=tuple(local),
-        cost=solution.cost,
-        status=Status(solution.reason, _ADVICE[solution.reason]),
-        iterations=iterations,
-        seconds=time.perf_counter() - began,
-        start_states=_described(shooting.known_starts, model),
-        tests_scatter=scattered and any(record.independent for record in shooting.records),
-    )
+        paths.append((run.outputs, run.states))
+    found = Found(
+        estimator, estimated, began, iterations, solution.reason, solution.cost,
+        information, covariance, use, reduced.sources, paths,
+    )  # fmt: skip
+    fit = found.fit(shooting, unknowns, shooting.sigma)
+    tests = any(record.independent for record in shooting.records)
+    return replace(fit, tests_scatter=scattered and tests)
+
+
+def failed(
+    shooting: Shooting, estimated: np.ndarray, estimator: str, iterations: int, began: float
+) -> Fit:
+    """The result where no trajectory is finite: start values, of which nothing is known."""
+    layout = shooting.layout
+    n, n_full = len(layout.shared), shooting.kernel.n_full
+    paths = [
+        (np.full(record.outputs.shape, np.nan), np.full((record.n_samples, n_full), np.nan))
+        for record in shooting.records
+    ]
+    found = Found(
+        estimator, estimated, began, iterations, "diverged", np.inf,
+        Information(layout.shared_names, np.zeros((n, n)), np.ones(n)),
+        np.diag(np.full(n, np.inf)) if n else np.zeros((0, 0)), False, None, paths,
+    )  # fmt: skip
+    fit = found.fit(shooting, shooting.start_unknowns(), shooting.sigma)
+    unknown = tuple(np.full(layout.n_own, np.nan) for _ in shooting.records)
+    return replace(fit, initial_states=unknown, local_values=({},) * len(unknown), start_states=())
 
 
 def summarise_filtered(
@@ -224,75 +226,47 @@ def summarise_filtered(
         they are larger than declared; see :mod:`oed_sysid.likelihood.covariance`.
     """
     problem, unknowns = solution.problem, solution.point.unknowns
-    model, layout = problem.model, problem.layout
-    matrix = solution.matrix + np.diag(problem.limits.prior_weight)
+    layout, limits = problem.layout, problem.limits
+    matrix = solution.matrix + np.diag(limits.prior_weight)
     shared = np.arange(len(layout.shared))
-    rest = _free_positions(problem, len(shared), layout.n_unknowns)
-    estimates, slopes = layout.shared_values(unknowns)
-    reduced = eliminate(matrix, shared, rest) / slopes[:, None] / slopes
+    slopes = layout.shared_values(unknowns)[1]
+    reduced = eliminate(matrix, shared, problem.open_unknowns(len(shared)))
     information = Information.from_matrix(
-        layout.shared_names, reduced, problem.limits.scale[shared] * slopes
+        layout.shared_names, reduced / slopes[:, None] / slopes, limits.scale[shared] * slopes
     )
-    noise = problem.noise(unknowns)
-    measured = [np.isfinite(record.outputs) for record in problem.records]
-    covariance = information.covariance
     # Derivatives serve the comparison of records alone.
-    passes = problem.passes(unknowns, columns=len(layout.shared) > 0)
+    passes = problem.passes(unknowns, columns=len(shared) > 0)
+    std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in passes]
     whitened = [
-        np.full(part.innovations.shape, np.nan)
-        if record.independent
-        else part.innovations / np.sqrt(np.maximum(part.variances, 1e-300))
-        for record, part in zip(problem.records, passes, strict=True)
+        np.full(part.innovations.shape, np.nan) if record.independent else part.innovations / one
+        for record, part, one in zip(problem.records, passes, std, strict=True)
     ]
-    peaks = clear_peaks(whitened, problem.records, model.output_names)
+    peaks = clear_peaks(whitened, problem.records, problem.model.output_names)
+    white = covariance = information.covariance
     if peaks:
         period = max(peak.period for peak in peaks)
-        covariance = widened(problem, unknowns, matrix, covariance, period)
-    white = covariance
+        white = covariance = widened(problem, unknowns, matrix, covariance, period)
     if coloured != "never":
         covariance = _with_stray_tests(problem, unknowns, matrix, information, covariance)
-    sources = _sources(problem, unknowns, passes)
-    predictions, states, residuals, initial, local = [], [], [], [], []
-    free = np.array([layout.parameters(unknowns, i) for i in range(len(problem.records))])
-    at = model.with_values(_means(model, layout.free_names, free))
-    for index, record in enumerate(problem.records):
-        own = problem.initial_state(unknowns, index)
+    paths = []
+    for index in range(len(problem.records)):
         outputs, path, _ = problem.alone(unknowns, index)
-        predictions.append(outputs)
-        states.append(path if problem.own is None else path[:, problem.own])
-        residuals.append(record.outputs - outputs)
-        initial.append(own.copy())
-        local.append({layout.free_names[i]: float(free[index][i]) for i in layout.local})
-    return Fit(
-        model=at,
-        dataset=problem.dataset,
-        estimator=estimator,
-        names=layout.shared_names,
-        estimates=estimates,
-        information=information,
-        covariance=covariance,
-        record_scatter=None if sources is None else scatter_of(sources),
-        sources=sources,
-        coloured=bool(peaks),
-        sigma=noise.white.copy(),
-        sigma_estimated=np.asarray(estimated, dtype=bool),
-        predictions=tuple(predictions),
-        residuals=tuple(residuals),
-        states=tuple(states),
-        initial_states=tuple(initial),
-        local_values=tuple(local),
-        cost=0.5 * sum(part.square for part in passes) + problem.prior_cost(unknowns),
-        status=Status(solution.reason, _ADVICE[solution.reason]),
-        iterations=iterations,
-        seconds=time.perf_counter() - began,
+        paths.append((outputs, path if problem.own is None else path[:, problem.own]))
+    cost = 0.5 * sum(part.square for part in passes) + problem.prior_cost(unknowns)
+    noise = problem.noise(unknowns)
+    found = Found(
+        estimator, estimated, began, iterations, solution.reason, cost, information, covariance,
+        bool(peaks), _sources(problem, unknowns, passes), paths,
+    )  # fmt: skip
+    return replace(
+        found.fit(problem, unknowns, noise.white),
         noise=noise,
         noise_std=_level_errors(solution, matrix),
         innovations=tuple(part.innovations for part in passes),
         innovation_std=tuple(
-            np.where(seen, np.sqrt(np.maximum(part.variances, 1e-300)), 1.0)
-            for part, seen in zip(passes, measured, strict=True)
+            np.where(np.isfinite(record.outputs), one, 1.0)
+            for record, one in zip(problem.records, std, strict=True)
         ),
-        start_states=_described(problem.known_starts, model),
         tests_scatter=covariance is not white,
     )
 
@@ -316,39 +290,8 @@ def _with_stray_tests(
         return covariance
     more = tests_middle(rows, residuals, white, scattered=True)
     more -= tests_middle(rows, residuals, white, scattered=False)
-    finite = np.flatnonzero(np.isfinite(np.diag(white)))
-    block = np.ix_(finite, finite)
-    result = covariance.copy()
-    result[block] += white[block] @ more[block] @ white[block]
-    return result
-
-
-def _described(
-    starts: KnownStarts | None, model: Model
-) -> tuple[dict[str, tuple[float, float]], ...]:
-    return () if starts is None else starts.described(model)
-
-
-def _free_positions(problem: Filtered, first: int, stop: int) -> np.ndarray:
-    """Unknowns from ``first`` to ``stop`` that are estimated; levels count as such."""
-    held = problem.limits.held.copy()
-    held[problem.layout.levels] = False
-    return first + np.flatnonzero(~held[first:stop])
-
-
-def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Information of some unknowns once all others are estimated too."""
-    if not len(others):
-        return matrix[np.ix_(kept, kept)]
-    inner = matrix[np.ix_(others, others)]
-    size = np.sqrt(np.maximum(np.diag(inner), 0.0))
-    seen = size > 0
-    scaled = inner[np.ix_(seen, seen)] / size[seen][:, None] / size[seen]
-    values, vectors = np.linalg.eigh(scaled)
-    clear = values > 1e-12 * values.max(initial=0.0)
-    cross = matrix[np.ix_(kept, others[seen])] / size[seen]
-    root = cross @ (vectors[:, clear] / np.sqrt(values[clear]))
-    return matrix[np.ix_(kept, kept)] - root @ root.T
+    seen = np.where(np.isfinite(white), white, 0.0)
+    return covariance + seen @ more @ seen
 
 
 def _sources(
@@ -415,17 +358,11 @@ def record_information(
     own = limits.prior_weight[columns[others]]
     matrix[others, others] += own
     right[others] += own * (limits.prior_mean - unknowns)[columns[others]]
-    information, score = eliminate_own(matrix, right, shared, others)
+    share = share_of(matrix, shared, others)
+    information = matrix[np.ix_(shared, shared)] - share @ matrix[np.ix_(others, shared)]
+    score = right[shared] - share @ right[others]
     slopes = layout.shared_values(unknowns)[1]
     return information / slopes[:, None] / slopes, score / slopes
-
-
-def _means(model: Model, names: tuple[str, ...], free: np.ndarray) -> dict[str, float]:
-    """Values of the free parameters; those of each record take their mean, within bounds."""
-    lower = [p.lower for p in model.free_parameters]
-    upper = [p.upper for p in model.free_parameters]
-    means = np.clip(free.mean(axis=0), lower, upper) if len(names) else []
-    return dict(zip(names, map(float, means), strict=True))
 
 
 def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, float]:
@@ -435,8 +372,8 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
     if not len(levels):
         return {}
     where = np.arange(block.start, block.stop)
-    others = _free_positions(problem, 0, block.start)
-    reduced = eliminate(matrix, where, others)
+    others = problem.open_unknowns(0)
+    reduced = eliminate(matrix, where, others[others < block.start])
     open_ = np.diag(reduced) > 0
     errors = np.full(len(where), np.inf)
     # In units of their own information: variances and logarithms differ by many decades.
@@ -452,33 +389,3 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
         else:
             found[name] = float(error)
     return found
-
-
-def _failed(
-    shooting: Shooting, estimated: np.ndarray, estimator: str, iterations: int, began: float
-) -> Fit:
-    names = shooting.layout.shared_names
-    n = len(names)
-    shapes = [record.outputs.shape for record in shooting.records]
-    unknown = tuple(np.full(shape, np.nan) for shape in shapes)
-    return Fit(
-        model=shooting.model,
-        dataset=shooting.dataset,
-        estimator=estimator,
-        names=names,
-        estimates=np.array([shooting.model.values[name] for name in names]),
-        information=Information(names, np.zeros((n, n)), np.ones(n)),
-        covariance=np.diag(np.full(n, np.inf)) if n else np.zeros((0, 0)),
-        coloured=False,
-        sigma=shooting.sigma.copy(),
-        sigma_estimated=np.asarray(estimated, dtype=bool),
-        predictions=unknown,
-        residuals=unknown,
-        states=tuple(np.full((shape[0], shooting.kernel.n_full), np.nan) for shape in shapes),
-        initial_states=tuple(np.full(shooting.layout.n_own, np.nan) for _ in shapes),
-        local_values=tuple({} for _ in shapes),
-        cost=np.inf,
-        status=Status("diverged", _ADVICE["diverged"]),
-        iterations=iterations,
-        seconds=time.perf_counter() - began,
-    )

@@ -122,6 +122,22 @@ class Layout:
         free = unknowns[self.record_columns(0)[self.n_own :]]
         return self.natural(free)[self.shared].copy(), self.slopes(free)[self.shared]
 
+    def local_values(self, unknowns: np.ndarray) -> list[dict[str, float]]:
+        """Values of per-record parameters by name, a dictionary per record."""
+        found = []
+        for index in range(self.n_records):
+            own = self.parameters(unknowns, index)
+            found.append({self.free_names[i]: float(own[i]) for i in self.local})
+        return found
+
+    def means(self, model: Model, unknowns: np.ndarray) -> dict[str, float]:
+        """Values of the free parameters, within bounds; those of each record at their mean."""
+        free = np.array([self.parameters(unknowns, i) for i in range(self.n_records)])
+        lower = [p.lower for p in model.free_parameters]
+        upper = [p.upper for p in model.free_parameters]
+        means = np.clip(free.mean(axis=0), lower, upper)
+        return dict(zip(self.free_names, map(float, means), strict=True))
+
     @property
     def shared_names(self) -> tuple[str, ...]:
         """Names of the shared free parameters."""
@@ -280,6 +296,17 @@ class Limits:
     def held(self) -> np.ndarray:
         """Whether an unknown may not move, ``(n_unknowns,)``."""
         return self.lower == self.upper
+
+    def prior_cost(self, unknowns: np.ndarray) -> float:
+        """Half the weighted sum of squares of the departures from the priors."""
+        return 0.5 * float(self.prior_weight @ (unknowns - self.prior_mean) ** 2)
+
+    def with_priors(
+        self, matrix: np.ndarray, right: np.ndarray, unknowns: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side with what the priors add to them."""
+        away = self.prior_weight * (self.prior_mean - unknowns)
+        return matrix + np.diag(self.prior_weight), right + away
 
 
 def node_maps(

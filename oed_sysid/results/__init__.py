@@ -6,6 +6,7 @@ figure, and returns them; nothing is shown and no global setting is touched.
 one file: the document of the result with its figures drawn.
 """
 
+from oed_sysid.results.benchmark_plots import figure_benchmark
 from oed_sysid.results.design_plots import (
     figure_card,
     figure_design,
@@ -18,16 +19,12 @@ from oed_sysid.results.design_plots import (
     plot_tracks,
 )
 from oed_sysid.results.fit_plots import (
-    figure_fit,
     figure_whiteness,
     plot_autocorrelation,
     plot_correlation,
     plot_ellipses,
-    plot_input,
     plot_intervals,
-    plot_output,
     plot_profile,
-    plot_residual,
 )
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
@@ -41,11 +38,15 @@ from oed_sysid.results.improvement_plots import (
 from oed_sysid.results.live_plots import LiveParameters, plot_history, plot_waterfall
 from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
 from oed_sysid.results.prediction_plots import (
+    figure_fit,
     figure_predictions,
     plot_comparison,
+    plot_input,
+    plot_output,
     plot_polar,
     plot_prediction,
     plot_prediction_error,
+    plot_residual,
 )
 from oed_sysid.results.record_plots import (
     figure_check,
@@ -79,6 +80,7 @@ __all__ = [
     "programme_page",
     "figure_programme",
     "diagnosis_page",
+    "figure_benchmark",
     "figure_card",
     "figure_check",
     "figure_design",

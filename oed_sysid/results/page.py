@@ -76,6 +76,8 @@ def draw(figure: Figure) -> Drawing:
     if figure.name.startswith("figure_"):
         made: Drawing = function(figure.subject, *figure.arguments, **figure.options)
         return made
+    if figure.size is None:
+        return function(figure.subject, *figure.arguments, **figure.options).figure  # type: ignore[no-any-return]
     drawing, axes = new_figure(1, 1, size=figure.size)
     function(figure.subject, *figure.arguments, ax=axes[0, 0], **figure.options)
     return drawing

@@ -261,29 +261,4 @@ CANDIDATES: tuple[Effect, ...] = (
     LEVER_ARM,
 )
 
-NOMINAL = Nominal(
-    build,
-    CANDIDATES,
-    {"roll_damping": ROLL_DAMPING},
-    {
-        "current": {"current_north": "E_current_north", "current_east": "E_current_east"},
-        "excess_weight": {"excess_weight": "E_excess_weight"},
-        "cg_offset_x": {"cg_ahead": "E_cg_offset_x"},
-        "heave_crossflow": {"Z_absww": "E_heave_crossflow"},
-        "sway_crossflow": {"Y_absvv": "E_sway_crossflow"},
-        "pitch_quadratic_damping": {"M_absqq": "E_pitch_quadratic_damping"},
-        "yaw_quadratic_damping": {"N_absrr": "E_yaw_quadratic_damping"},
-        "crossflow_drag": {"X_ww": "E_crossflow_drag"},
-        "roll_by_sway": {"K_uv": "E_roll_by_sway"},
-        "thrust_speed_loss": {"speed_loss": "E_thrust_speed_loss"},
-        "pitch_added_inertia_error": {"pitch_inertia": "E_pitch_added_inertia_error"},
-        "stern_offset": {"offset:stern": "E_stern_offset"},
-        "stern_lag": {"lag:stern": "E_stern_lag"},
-        "stern_backlash": {"backlash:stern": "E_stern_backlash"},
-        "rudder_zero": {"zero:rudder": "E_rudder_zero"},
-        "depth_lag": {"sensor_lag:z": "E_depth_lag"},
-        "bias_q": {"bias:q": "E_bias_q"},
-        "log_lever_arm": {"lever_arm": "E_log_lever_arm"},
-        "roll_damping": {"K_p": "K_p"},
-    },
-)
+NOMINAL = Nominal(build, CANDIDATES, {"roll_damping": ROLL_DAMPING})

@@ -22,14 +22,11 @@ class Nominal:
         What may be missing; a hidden effect has the same name here.
     part_of : dict
         Effects that the model usually has, which cases may leave out.
-    amplitudes : dict
-        Parameter of a candidate for each key of the simulator that it stands for.
     """
 
     model: Callable[[bool, str | None], Model]
     candidates: tuple[Effect, ...]
     part_of: Mapping[str, Effect]
-    amplitudes: Mapping[str, Mapping[str, str]]
 
     def effects(self, lacking: str | None) -> tuple[Effect, ...]:
         """Candidates of a case whose nominal model lacks one of its usual parts."""
@@ -43,3 +40,10 @@ class Nominal:
         """One effect by name."""
         known = {e.name: e for e in (*self.candidates, *self.part_of.values())}
         return known[name]
+
+    def values(self, name: str, sizes: Mapping[str, float]) -> dict[str, float]:
+        """Amplitudes of an effect from the simulator's sizes, which stand in the same order.
+
+        One amplitude for several keys (the lags of two propellers) has the size of the first.
+        """
+        return dict(zip(self.effect(name).amplitude_names, sizes.values(), strict=False))

@@ -201,28 +201,4 @@ CANDIDATES = (
     sensor_lever_arm("log_lever_arm", "v", "r", scale=0.3),
 )
 
-NOMINAL = Nominal(
-    build,
-    CANDIDATES,
-    {"sway_damping": SWAY_DAMPING},
-    {
-        "current": {"current_north": "E_current_north", "current_east": "E_current_east"},
-        "wind_force": {"wind_north": "E_wind_north", "wind_east": "E_wind_east"},
-        "yaw_quadratic_damping": {"N_absrr": "E_yaw_quadratic_damping"},
-        "sway_crossflow": {"Y_absvv": "E_sway_crossflow"},
-        "left_propeller_loss": {"left_loss": "E_left_propeller_loss"},
-        "propeller_lag": {"lag:n_left": "E_propeller_lag"},
-        "propeller_deadband": {"deadband:n_left": "E_propeller_deadband"},
-        "thrust_speed_loss": {"speed_loss": "E_thrust_speed_loss"},
-        "speed_loss_in_turn": {"X_rr": "E_turn_rr", "X_vr": "E_turn_vr"},
-        "sway_yaw_coupling": {"Y_ur": "E_sway_yaw_coupling"},
-        "yaw_sway_moment": {"N_v": "E_yaw_sway_moment"},
-        "yaw_added_inertia_error": {"yaw_inertia": "E_yaw_added_inertia_error"},
-        "heading_lag": {"sensor_lag:psi": "E_heading_lag"},
-        "bias_r": {"bias:r": "E_bias_r"},
-        "log_misalignment": {"misalignment": "E_log_misalignment"},
-        "log_lever_arm": {"lever_arm": "E_log_lever_arm"},
-        "left_zero": {"zero:n_left": "E_left_zero"},
-        "sway_damping": {"Y_v": "Y_v"},
-    },
-)
+NOMINAL = Nominal(build, CANDIDATES, {"sway_damping": SWAY_DAMPING})

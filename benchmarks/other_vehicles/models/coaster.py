@@ -167,27 +167,4 @@ CANDIDATES = (
     sensor_lag("position_lag", ("x", "y"), scale=1.0),
 )
 
-NOMINAL = Nominal(
-    build,
-    CANDIDATES,
-    {"yaw_damping": YAW_DAMPING},
-    {
-        "current": {"current_north": "E_current_north", "current_east": "E_current_east"},
-        "wind_force": {"wind_north": "E_wind_north", "wind_east": "E_wind_east"},
-        "yaw_cubic_damping": {"N_rrr": "E_yaw_cubic_damping"},
-        "sway_crossflow": {"Y_absvv": "E_sway_crossflow"},
-        "rudder_neutral_angle": {"offset:rudder": "E_rudder_neutral_angle"},
-        "rudder_lag": {"lag:rudder": "E_rudder_lag"},
-        "heading_lag": {"sensor_lag:psi": "E_heading_lag"},
-        "bias_psi": {"bias:psi": "E_bias_psi"},
-        "speed_loss_in_turn": {
-            "X_vr": "E_speed_loss_in_turn_X_vr",
-            "X_vv": "E_speed_loss_in_turn_X_vv",
-        },
-        "yaw_drift_yaw": {"N_absvr": "E_yaw_drift_yaw"},
-        "rudder_backlash": {"backlash:rudder": "E_rudder_backlash"},
-        "rudder_zero": {"zero:rudder": "E_rudder_zero"},
-        "yaw_added_inertia_error": {"yaw_inertia": "E_yaw_added_inertia_error"},
-        "yaw_damping": {"N_r": "N_r"},
-    },
-)
+NOMINAL = Nominal(build, CANDIDATES, {"yaw_damping": YAW_DAMPING})

@@ -86,23 +86,4 @@ CANDIDATES = (
     sensor_bias("bias_omega", "omega", "rad/s", scale=0.05),
 )
 
-NOMINAL = Nominal(
-    build,
-    CANDIDATES,
-    {"viscous_damping": VISCOUS},
-    {
-        "coulomb_friction": {"coulomb": "E_coulomb_friction"},
-        "quadratic_drag": {"quadratic": "E_quadratic_drag"},
-        "constant_torque": {"torque": "E_constant_torque"},
-        "unbalance": {"cosine": "E_unbalance"},
-        "cable_spring": {"spring": "E_cable_spring"},
-        "drive_lag": {"lag:V": "E_drive_lag"},
-        "drive_deadband": {"deadband:V": "E_drive_deadband"},
-        "drive_backlash": {"backlash:V": "E_drive_backlash"},
-        "tacho_lag": {"sensor_lag:omega": "E_tacho_lag"},
-        "tacho_scale": {"scale:omega": "E_tacho_scale"},
-        "bias_theta": {"bias:theta": "E_bias_theta"},
-        "drive_zero": {"zero:V": "E_drive_zero"},
-        "viscous_damping": {"b": "b"},
-    },
-)
+NOMINAL = Nominal(build, CANDIDATES, {"viscous_damping": VISCOUS})

@@ -1,0 +1,177 @@
+"""Damaged logs of eight formats: what their parsers do, each in a process of its own.
+
+    python -m benchmarks.damaged --files 800 --seed 1
+
+Good logs are cut, overwritten, shuffled and given lengths that are none; inside the archive of a
+workbook as well. Counted by format: read, refused in words, ended by the limits or by a crash
+(which the parent says in words too), and what no rule foresaw: a traceback of the child, or more
+than ten seconds of computing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import os
+import random
+import signal
+import sys
+import tempfile
+import warnings
+import zipfile
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+
+from oed_sysid.data import apart, formats
+
+ROOT = Path(__file__).resolve().parent.parent
+sys.path.insert(0, str(ROOT / "tests"))
+
+from log_writers import (  # noqa: E402
+    Voyage,
+    write_bag,
+    write_dataflash,
+    write_mcap,
+    write_nmea,
+    write_ulog,
+)
+
+LIMIT = 10  # s of computing
+
+
+def good_files(folder: Path) -> list[Path]:
+    """One log of each format."""
+    import pandas
+    from openpyxl import Workbook
+    from scipy.io import savemat
+
+    v = Voyage(np.arange(0.0, 12.0, 0.1), np.arange(0.0, 12.0, 0.1), np.arange(-0.5, 12.0, 2.0))
+    psi, r, rudder = v.psi(v.t_psi), v.r(v.t_r), v.rudder(v.t_rudder)
+    columns = {"t [s]": v.t_psi, "psi [deg]": np.degrees(psi), "r [deg/s]": np.degrees(r)}
+    book = Workbook()
+    book.active.append(list(columns))
+    for row in zip(*columns.values(), strict=True):
+        book.active.append([float(value) for value in row])
+    book.save(folder / "run.xlsx")
+    pandas.DataFrame(columns).to_parquet(folder / "run.parquet")
+    savemat(folder / "run.mat", {"run": {"t": v.t_psi, "psi": psi}}, do_compression=True)
+    return [
+        folder / "run.xlsx",
+        folder / "run.parquet",
+        folder / "run.mat",
+        write_ulog(
+            folder / "run.ulg",
+            {
+                "vehicle_attitude": (v.t_psi, {"q": v.quaternion(v.t_psi)}),
+                "actuator_controls_0": (v.t_rudder, {"control": rudder}),
+            },
+        ),
+        write_dataflash(
+            folder / "run.bin",
+            {"ATT": (v.t_psi, {"Yaw": np.degrees(psi)}), "IMU": (v.t_r, {"GyrZ": r})},
+            {"ATT.Yaw": "h", "IMU.GyrZ": "E"},
+        ),
+        write_bag(folder / "run.bag", v, version=1),
+        write_mcap(folder / "run.mcap", {"nav": (v.t_psi, {"psi": psi})}),
+        write_nmea(folder / "run.nmea", v, stamped=True),
+    ]
+
+
+def damaged(rng: random.Random, content: bytes) -> bytes:
+    """A log that was cut, overwritten, or whose parts were moved."""
+    if content.startswith(b"PK") and rng.random() < 0.5:
+        return _workbook(rng, content)
+    data = bytearray(content)
+    for _ in range(rng.choice((1, 1, 2, 4))):
+        at = rng.randrange(len(data)) if rng.random() < 0.6 else rng.randrange(min(400, len(data)))
+        length = rng.choice((1, 2, 4, 8, 64, 700))
+        kind = rng.random()
+        if kind < 0.2:
+            del data[max(at, 9) :]
+        elif kind < 0.45:
+            data[at : at + length] = rng.randbytes(length)
+        elif kind < 0.65:  # a length, a number or a text that has no end
+            data[at : at + length] = rng.choice((b"\0", b"\xff", b"\x7f", b"9")) * length
+        elif kind < 0.8:
+            del data[at : at + length]
+        else:
+            data[at:at] = data[rng.randrange(len(data)) :][:length] * rng.choice((1, 3, 200))
+        data = data or bytearray(b"\0")
+    return bytes(data)
+
+
+def _workbook(rng: random.Random, content: bytes) -> bytes:
+    """A workbook whose archive is whole and whose sheets are damaged."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(io.BytesIO(content)) as old, zipfile.ZipFile(out, "w") as new:
+        for name in old.namelist():
+            part = old.read(name)
+            if rng.random() < (0.7 if "sheet" in name else 0.1):
+                part = part.replace(b"A1:C121", rng.choice((b"A1:XFD1048576", b"C9:A1", b"x")))
+                part = damaged(rng, part)
+            new.writestr(name, part)
+    return out.getvalue()
+
+
+def outcome(path: Path, target: Path) -> tuple[str, float]:
+    """How a child ends that reads a file as :func:`oed_sysid.data.open_log` has it read."""
+    child = os.fork()
+    if child == 0:
+        os.environ["OED_SYSID_LIMITS"] = f"{LIMIT} {apart.MEMORY}"
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
+        code = 1
+        try:
+            formats.serve(str(path), str(target))
+            code = 0
+        except SystemExit as end:
+            code = int(end.code or 0)
+        finally:
+            os._exit(code)
+    _, status, used = os.wait4(child, 0)
+    seconds = used.ru_utime + used.ru_stime
+    if os.WIFSIGNALED(status):
+        return signal.Signals(os.WTERMSIG(status)).name, seconds
+    words = {0: "read", 2: "refused"}.get(os.WEXITSTATUS(status), "uncaught")
+    told = target.with_suffix(".txt")
+    if words == "refused" and path.name not in told.read_text("utf-8"):
+        words = "uncaught"
+    return words, seconds
+
+
+def main() -> None:
+    """Run the exam and print one row per format."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.add_argument("--files", type=int, default=800)
+    parser.add_argument("--seed", type=int, default=1)
+    given = parser.parse_args()
+    warnings.simplefilter("ignore")
+    rng, tally, slowest = random.Random(given.seed), Counter[tuple[str, str]](), dict[str, float]()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        files = good_files(folder)
+        for number in range(given.files):
+            source = files[number % len(files)]
+            path = folder / f"damaged{source.suffix}"
+            path.write_bytes(damaged(rng, source.read_bytes()))
+            words, seconds = outcome(path, folder / "out.npz")
+            tally[source.suffix, words] += 1
+            slowest[source.suffix] = max(slowest.get(source.suffix, 0.0), seconds)
+            if words == "uncaught":
+                print(f"uncaught: file {number} of seed {given.seed}, {source.suffix}")
+    kinds = list(dict.fromkeys(["read", "refused", *(kind for _, kind in tally)]))
+    print("| format | " + " | ".join(kinds) + " | slowest, s |")
+    print("|---|" + "---|" * (len(kinds) + 1))
+    for file in files:
+        counts = " | ".join(str(tally[file.suffix, kind]) for kind in kinds)
+        print(f"| {file.suffix} | {counts} | {slowest[file.suffix]:.2f} |")
+    sys.exit(
+        1 if any(kind == "uncaught" for _, kind in tally) or max(slowest.values()) > LIMIT else 0
+    )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,616 @@
+"""Commands that are no tasks of a study: problems, records, saved fits, campaigns, benchmarks."""
+
+from __future__ import annotations
+
+import importlib
+import shlex
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from oed_sysid.cli.reading import read_records_of
+from oed_sysid.cli.study import Study
+from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of
+from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
+from oed_sysid.errors import DataError, DesignError, OedSysidError
+from oed_sysid.runtime.display import Figure, Table, counted
+from oed_sysid.runtime.files import check_place, make_folder
+
+if TYPE_CHECKING:
+    from oed_sysid.baselines.fourier import FourierStream
+    from oed_sysid.cli.terminal import Shown
+    from oed_sysid.data.logs import Imported, Log, LogMapping
+    from oed_sysid.design import Candidate
+    from oed_sysid.experiments.experiment import Experiment
+    from oed_sysid.experiments.problem import Problem
+    from oed_sysid.runtime.parallel import CellProgress
+
+
+def problems(
+    problem: str | None = None,
+    model: str | None = None,
+    json_file: Path | None = None,
+) -> None:
+    """List the shipped problems, or describe one.
+
+    [bold]Example[/bold]: oed-sysid problems remus_diving_plane
+    """
+    from oed_sysid.experiments.problem import list_problems, load_problem
+
+    if problem is not None:
+        chosen = load_problem(problem, variant=model)
+        first, *rest = chosen.describe().splitlines()
+        answer(first, "\n".join(rest))
+        say("\nEquations of motion")
+        say("\n".join(f"  {line}" for line in chosen.model.equations().splitlines()))
+        say("\nExperiments")
+        say("\n".join(f"  {run.describe()}" for run in chosen.experiments.values()) or "  none")
+        facts = _summary(chosen) | {"equations": chosen.model.equations().splitlines()}
+        if notes := chosen.notes():
+            facts["notes"] = list(notes)
+        store(facts, json_file)
+        return
+    found, rows = [], []
+    for name in list_problems():
+        try:
+            one = load_problem(name)
+        except OedSysidError as error:
+            # One faulty folder must not hide the others.
+            note(f"Problem {name!r} cannot be loaded: {error}")
+            continue
+        found.append(one)
+        rows.append((name, str(len(one.model.free_names)), str(len(one.effects)), one.title))
+    if quiet():
+        answer(" ".join(one.name for one in found))
+    else:
+        headers = ("problem", "parameters", "candidates", "title")
+        say("\n".join(Table(headers, rows, words=(3,)).lines()))
+    store({"problems": [_summary(one) for one in found]}, json_file)
+
+
+def _summary(problem: Problem) -> dict[str, object]:
+    return {
+        "name": problem.name,
+        "title": problem.title,
+        "models": list(problem.variants),
+        "inputs": list(problem.model.input_names),
+        "outputs": list(problem.model.output_names),
+        "free_parameters": list(problem.model.free_names),
+        "candidates": [effect.name for effect in problem.effects],
+        "experiments": list(problem.experiments),
+    }
+
+
+def new(
+    folder: Path,
+    template: str = "generic",
+    log: Path | None = None,
+    inputs: list[str] | None = None,
+) -> None:
+    """Write a starter folder for a vehicle of your own.
+
+    [bold]Example[/bold]: oed-sysid new my_auv --template auv
+    """
+    from oed_sysid.experiments.problem import new_problem
+
+    made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
+    answer(f"Written: {made}")
+    folder_word = shlex.quote(str(made))
+    say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
+
+
+def simulate(
+    problem: str,
+    experiment: list[str] | None = None,
+    out: Path | None = None,
+    model: str | None = None,
+    seed: int = 0,
+    no_noise: bool = False,
+    truth: bool = False,
+    picture: Path | None = None,
+) -> None:
+    """Simulate experiments of a problem and write what would be logged as CSV.
+
+    [bold]Example[/bold]: oed-sysid simulate remus_diving_plane --out runs/
+    """
+    import numpy as np
+
+    from oed_sysid.data.dataset import write_csv
+    from oed_sysid.experiments.problem import load_problem
+    from oed_sysid.experiments.simulation import simulate as run
+
+    chosen = load_problem(problem, variant=model)
+    simulated = chosen.true_model() if truth else chosen.model
+    wanted = patterns_of(chosen, experiment or [])
+    files = _files(wanted, out)
+    for file in files:
+        check_place(file)
+    rng = np.random.default_rng(seed)
+    records = []
+    with progress("Simulating") as show:
+        for number, (one, file) in enumerate(zip(wanted, files, strict=True)):
+            show.say(f"simulating {one.name}")
+            records.append(run(simulated, one, rng=rng, noise=not no_noise))
+            write_csv(records[-1], file)
+            show.share((number + 1) / len(wanted))
+    for one, file in zip(wanted, files, strict=True):
+        answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
+    draw(Figure("figure_record", records[0], ""), picture)
+    if picture is not None and len(records) > 1:
+        note(f"The picture shows {records[0].name}; choose another with --experiment.")
+    if chosen.truth and not truth:
+        note("Simulated with the nominal values; --truth simulates the problem's truth.")
+
+
+def _files(experiments: list[Experiment], out: Path | None) -> list[Path]:
+    """File of each experiment; ``out`` names a file or a folder."""
+    if out is not None and out.suffix.lower() == ".csv" and not out.is_dir():
+        if len(experiments) > 1:
+            raise DataError(
+                f"{out} is one file, but there are {len(experiments)} experiments: "
+                f"{', '.join(one.name for one in experiments)}. Choose one with --experiment, or "
+                "give a folder."
+            )
+        return [out]
+    return [(out or Path()) / f"{one.name}.csv" for one in experiments]
+
+
+def import_(
+    log: Path,
+    listing: bool = False,
+    find: str = "",
+    mapping: Path | None = None,
+    draft: Path | None = None,
+    problem: str | None = None,
+    model: str | None = None,
+    out: Path = Path("data"),
+    json_file: Path | None = None,
+    picture: Path | None = None,
+) -> None:
+    """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
+
+    Ends with exit code 1 when the log is suspect; the records are written all the same.
+
+    [bold]Example[/bold]: oed-sysid import trial.ulg --list
+
+    [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
+    """
+    from oed_sysid.data.logs import open_log
+    from oed_sysid.data.mapping import read_mapping
+    from oed_sysid.experiments.problem import load_problem
+
+    chosen = read_mapping(mapping) if mapping is not None else None
+    with progress(f"Reading {log.name}"):
+        found = open_log(log)
+    if listing or (mapping is None and draft is None):
+        _list(log, found, find, json_file)
+        return
+    named = problem or ("" if chosen is None else chosen.problem)
+    if draft is not None:
+        _draft(log, found, named, model, draft)
+        return
+    assert chosen is not None
+    target = load_problem(_place(named, mapping), variant=model) if named else None
+    result, files = _written(found, chosen, target, out)
+    for line in result.notes:
+        note(line)
+    from oed_sysid.evidence.check import quick_check, signal_check
+
+    dataset = result.dataset
+    checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)
+    answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
+    for file, record in zip(files, dataset, strict=True):
+        rate = record.n_samples / max(record.duration, 1e-9)
+        say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
+    say(checked.report())
+    draw(Figure("figure_record", dataset.records[0], ""), picture)
+    store(
+        {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
+        | {"check": checked.to_dict()},
+        json_file,
+        records=[dataset],
+    )
+    if checked.suspect:
+        raise typer.Exit(1)
+
+
+def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:
+    """Say which fields a log has."""
+    first, *rest = found.describe(find).splitlines()
+    answer(first, "\n".join(rest))
+    keys = ("field", "samples", "rate", "span", "unit", "range")
+    rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
+    store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
+
+
+def _draft(log: Path, found: Log, named: str, model: str | None, place: Path) -> None:
+    """Write a first mapping from names and units."""
+    from oed_sysid.data.logs import draft
+    from oed_sysid.experiments.problem import load_problem
+
+    if not named:
+        raise DataError("--draft needs --problem: whose channels are wanted?")
+    wanted = load_problem(_place(named, None), variant=model).channels
+    made = draft(found, wanted, problem=named)
+    if made is None:
+        raise DataError(
+            f"No field of {log.name} has the name of an output: "
+            f"{', '.join(wanted.output_names)}. Write the mapping by hand; see --list."
+        )
+    made.write(place)
+    note(f"Written: {place}. Read it: names are guesses, missing inputs are zero.")
+
+
+def _place(named: str, mapping: Path | None) -> str:
+    """A problem's folder as seen from here, or from beside the mapping file."""
+    beside = mapping.parent / named if mapping is not None else None
+    if not Path(named).is_dir() and beside is not None and beside.is_dir():
+        return str(beside)
+    return named
+
+
+def _written(
+    log: Log, mapping: LogMapping, problem: Problem | None, out: Path
+) -> tuple[Imported, list[Path]]:
+    """Write a CSV file for every record."""
+    from oed_sysid.data.dataset import write_csv
+    from oed_sysid.data.logs import import_log
+
+    channels = problem.channels if problem is not None else None
+    result = import_log(log, mapping, channels)
+    if out.suffix.lower() == ".csv":
+        raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
+    files = [out / f"{record.name.replace('/', '_')}.csv" for record in result.dataset]
+    if log.path.resolve() in {file.resolve() for file in files}:
+        raise DataError(f"The records would overwrite {log.path}. Give another folder to --out.")
+    make_folder(out)
+    for record, file in zip(result.dataset, files, strict=True):
+        write_csv(record, file)
+    return result, files
+
+
+def report(
+    saved: Path,
+    out: Path = Path("report.html"),
+    validate: list[str] | None = None,
+    picture: Path | None = None,
+) -> None:
+    """Write the report on a saved fit, with its predictions of validation records.
+
+    [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
+    """
+    from oed_sysid.evidence.compare import compare as compare_models
+    from oed_sysid.likelihood.archive import is_numbers_of_fit, read_json, read_result
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.results import numbers_page
+
+    content = read_json(saved)
+    if is_numbers_of_fit(content):
+        note(f"Written: {numbers_page(content).write(out)}")
+        note(
+            f"{saved} holds the numbers of a fit only. For pictures and predictions repeat the fit "
+            "with --save FILE and report on that file."
+        )
+        if validate or picture is not None:
+            raise DataError(
+                f"{saved} holds no model, so it predicts nothing. Repeat the fit with --save FILE, "
+                "or leave out --validate and --picture."
+            )
+        return
+    kept = Fit.load(saved)
+    made = read_result(saved, "fit")[1]
+    if made.get("command"):
+        note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
+    comparison = None
+    if validate:
+        comparison = compare_models({kept.model.name: kept}, read_records_of(validate, kept))
+    document = kept.document(comparison)
+    answer(document.answer, "" if comparison is None else comparison.verdict)
+    note(f"Written: {document.write(out)}")
+    shown = Figure("figure_fit", kept, "")
+    if comparison is not None:
+        best, options = comparison.best, {"labels": [comparison.best.label]}
+        shown = Figure("figure_predictions", [best.prediction], "", options=options)
+    draw(shown, picture)
+
+
+def export(
+    fit: Path,
+    kind: str,
+    out: Path = Path("model"),
+    at: list[str] | None = None,
+) -> None:
+    """Write a fitted model for another program, with the covariance of its parameters.
+
+    [bold]Example[/bold]: oed-sysid export better.json --as c --out my_auv_c
+    """
+    from oed_sysid.export import export as write
+    from oed_sysid.likelihood.fit import Fit
+
+    trim = {}
+    for text in at or ():
+        name, _, value = text.partition("=")
+        try:
+            trim[name.strip()] = float(value)
+        except ValueError:
+            raise DataError(f"--at {text!r} is no NAME=VALUE. Write --at u=1.5, say.") from None
+    result = Fit.load(fit)
+    files = list(write(result, kind, out, trim=trim or None))
+    n = len(result.names)
+    answer(f"{result.model.name} as {kind}, with {n} parameters and their covariance: {files[0]}")
+    for file in files[1:]:
+        say(str(file))
+    if not result.status.ok:
+        note(f"The fit ended as {result.status}")
+
+
+def watch(
+    problem: str,
+    source: str,
+    duration: float | None = None,
+    period: float | None = None,
+    band: str | None = None,
+    waves: str | None = None,
+    goal: float = 10.0,
+    places: list[str] | None = None,
+    silence: float = 10.0,
+    model: str | None = None,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+) -> None:
+    """Estimate while the run goes on: what is known by now, and whether to go on.
+
+    Fourier regression of every equation of motion, in a band of frequencies. The page is written
+    anew with every line that is printed and loads itself again. What is known at the end are start
+    values of a fit.
+
+    [bold]Example[/bold]: oed-sysid watch online_ship --source udp://127.0.0.1:5005 --waves
+    0.09:0.16
+    """
+    from oed_sysid.baselines.fourier import FourierStream
+    from oed_sysid.data.live import Place, samples
+
+    study = Study.named(problem, model)
+    run = next(iter(study.problem.experiments.values()), None)
+    if run is None and (duration is None or period is None):
+        raise DesignError("The problem has no experiment. Give --duration and --period.")
+    length = duration or float(getattr(run, "duration", 0.0) or 0.0)
+    step = period or float(getattr(run, "sample_time", 1.0))
+    stream = FourierStream(
+        study.problem.model, duration=length, period=step,
+        band=None if band is None else _band("--band", band),
+        without=() if waves is None else (_band("--waves", waves),),
+    )  # fmt: skip
+    found = {}
+    for text in places or []:
+        name, _, place = text.partition("=")
+        found[name] = Place.of(place)
+    told = -float("inf")
+    given = samples(
+        source, study.problem.model.channels, places=found, period=step, silence=silence
+    )
+    for time, sample in given:
+        stream.push(time, sample)
+        if time - told >= max(0.05 * length, step) and stream.n_samples > 2:
+            told = time
+            note(f"{time:6.0f} s  {stream.advice(goal / 100)}")
+            _live_page(stream, html_file, goal, study.problem.title, over=False)
+    if stream.n_samples < 3:
+        raise DataError(f"{source!r} gave {counted(stream.n_samples, 'sample')}; nothing is known.")
+    _live_page(stream, html_file, goal, study.problem.title, over=True)
+    document = stream.document(title=study.problem.title, goal=goal / 100)
+    answer(document.answer, document.text())
+    store(stream.to_dict(), json_file)
+
+
+def _band(option: str, text: str) -> tuple[float, float]:
+    """Two frequencies, Hz."""
+    low, _, high = text.partition(":")
+    try:
+        found = float(low), float(high)
+    except ValueError:
+        found = (1.0, 0.0)
+    if not 0 <= found[0] < found[1]:
+        raise DesignError(f"{option} {text}: write LOW:HIGH in Hz, such as 0.005:0.08.")
+    return found
+
+
+def _live_page(
+    stream: FourierStream, path: Path | None, goal: float, title: str, *, over: bool
+) -> None:
+    """Write the page; while the run goes on it loads itself again every other second."""
+    if path is None:
+        return
+    place = stream.document(title=title, goal=goal / 100).write(path)
+    if not over:
+        text = place.read_text(encoding="utf-8")
+        again = '<head><meta http-equiv="refresh" content="2">'
+        write(text.replace("<head>", again, 1), place)
+
+
+def campaign(
+    folder: Path,
+    problem: str | None = None,
+    goal: list[str] | None = None,
+    hours: float | None = None,
+    record: Path | None = None,
+    patterns: list[str] | None = None,
+    turnaround: float = 10.0,
+    model: str | None = None,
+    seed: int = 0,
+    json_file: Path | None = None,
+    *,
+    bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
+    weather: Weather = Weather(),  # noqa: B008 (frozen)
+) -> None:
+    """Say after each run whether to stop, or what to run next and what it would buy.
+
+    The state is a journal in FOLDER: the same command goes on after a break. Begin with --problem
+    and --goal, then give each log with --record; the commands of the next run are written as
+    next.csv.
+
+    [bold]Example[/bold]: oed-sysid campaign trial --problem remus_diving_plane --goal all=5
+    --hours 2
+    """
+    from oed_sysid.design.logbook import Logbook
+    from oed_sysid.experiments.problem import load_problem
+
+    if Logbook.exists(folder):
+        if problem is not None or goal:
+            raise DesignError(
+                f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
+                "on with it, or name another folder."
+            )
+        journal = Logbook.open(folder)
+        journal = journal.of(load_problem(journal.problem, variant=journal.variant).model)
+    elif problem is None or not goal:
+        raise DesignError(
+            f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
+        )
+    else:
+        study = Study.named(problem, model)
+        with progress("Making candidate runs") as show:
+            runs = _candidates(
+                study.problem, patterns or [], bounds, weather, turnaround, seed, show
+            )
+            journal = Logbook.begin(
+                folder, study.problem.model, problem=problem, variant=model, candidates=runs,
+                goals={n: v / 100.0 for n, v in numbers("--goal", goal).items()}, hours=hours,
+                sea=weather.noise(study.problem, study.problem.model, show), seed=seed,
+            )  # fmt: skip
+    if record is not None:
+        with progress("Estimating") as show:
+            journal = journal.with_record(record)
+            show.say("deciding")
+    decision = journal.decide()
+    report = decision.report()
+    if journal.fit is not None:
+        concerns = "; ".join(str(one) for one in journal.fit.concerns)
+        estimate = f"{journal.fit.status}{' ' + concerns if concerns else ''}"
+        report += f"\n  estimate from {len(journal.records)} records: {estimate}"
+    answer(decision.answer(len(journal.records), journal.hours_used), report)
+    note(f"Decided in {decision.seconds:.2f} s.")
+    path = journal.write_next(decision)
+    if path is not None:
+        note(f"Written: {path}")
+    store(decision.to_dict(), json_file)
+
+
+def _candidates(
+    problem: Problem,
+    patterns: list[str],
+    bounds: Bounds,
+    weather: Weather,
+    turnaround: float,
+    seed: int,
+    show: Shown,
+) -> Sequence[Candidate]:
+    """Runs that a campaign chooses from."""
+    import numpy as np
+
+    from oed_sysid.design import candidate_runs
+    from oed_sysid.design.vehicles import draw_models
+
+    limits, rng = bounds.limits(problem, show), np.random.default_rng(seed)
+    lent = patterns_of(problem, patterns)
+    return candidate_runs(
+        problem.model, lent, limits=limits, rng=rng, turnaround=60.0 * turnaround,
+        vehicles=draw_models(problem.model, weather.spread(problem), 12, None, rng),
+        durations=None if bounds.duration is None else (bounds.duration,),
+    )  # fmt: skip
+
+
+def app(
+    problem: str | None = None,
+    port: int = 8501,
+    no_browser: bool = False,
+) -> None:
+    """Open the same in a browser, on this computer only. Needs the extra 'app'.
+
+    [bold]Example[/bold]: oed-sysid app remus_diving_plane
+    """
+    # The page stands above the command line, whose options it shows.
+    importlib.import_module("oed_sysid.app.launch").start(
+        problem, port=port, browser=not no_browser
+    )
+
+
+def estimators(
+    problems: list[str] | None = None,
+    names: list[str] | None = None,
+    noise: list[float] | None = None,
+    declared: bool = False,
+    sampling: list[int] | None = None,
+    seeds: int = 3,
+    jobs: int = 2,
+    out: Path = Path("out/benchmark"),
+    json_file: Path | None = None,
+    picture: Path | None = None,
+) -> None:
+    """Compare estimators: errors, bias, coverage, prediction, time, and who cannot or fails.
+
+    [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
+    """
+    from oed_sysid.baselines.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
+
+    chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
+    with progress("Running") as show:
+
+        def tell(state: CellProgress) -> None:
+            show.say(f"{state.n_done}/{state.n_cells} {state.key}")
+            show.left(state.seconds_left)
+
+        result = benchmark(
+            problems or list(PROBLEMS),
+            chosen,
+            noise=[0.0, 0.5, 1.0, 3.0] if noise is None else noise,
+            noise_unit="declared" if declared else "peak",
+            sampling=sampling or [1],
+            seeds=seeds,
+            store=out / "runs",
+            n_jobs=jobs,
+            progress=tell,
+        )
+    text = result.report()
+    answer(result.answer, text)
+    write(text, out / "benchmark.md")
+    write(result.to_csv(), out / "benchmark.csv")
+    if any(row.noise > 0 and not row.refused for row in result.rows):
+        for file in (out / "benchmark.png", picture):
+            draw(Figure("figure_benchmark", result, ""), file)
+    store(result.to_dict(), json_file)
+
+
+def missing_physics(
+    plan: str = "",
+    jobs: int = 2,
+    out: Path | None = None,
+    json_file: Path | None = None,
+) -> None:
+    """Hide effects in simulated vehicles and count how often the right one is found.
+
+    Needs a checkout: the independent simulator is not part of an installation.
+
+    [bold]Example[/bold]: oed-sysid benchmark missing-physics "single/white:2" --out hidden
+    """
+    checkout = Path(__file__).resolve().parents[2]
+    if not (checkout / "benchmarks" / "missing_physics" / "run.py").is_file():
+        raise OedSysidError(
+            "The benchmark of hidden effects is part of the source checkout, not of an installed "
+            "package. Get the sources and run this command from there."
+        )
+    if str(checkout) not in sys.path:
+        sys.path.insert(0, str(checkout))
+    module = importlib.import_module("benchmarks.missing_physics.run")
+    tables = importlib.import_module("benchmarks.missing_physics.measures")
+    settings = {} if out is None else {"results": out / "missing_physics.jsonl"}
+    found = module.run(plan or module.PLAN, n_jobs=jobs, tell=note, **settings)
+    text = tables.as_markdown(found)
+    rates = (f"{one['name']} {one['value']:.3g} of {one['count']}" for one in found["rates"][:2])
+    answer(f"{found['n_cases']} cases: {'; '.join(rates)}.", text)
+    if out is not None:
+        write(text + "\n", out / "missing_physics.md")
+    store(found, json_file)

@@ -1,0 +1,880 @@
+"""The tasks of a study, one function each, and the table of them.
+
+Options that belong together are groups, under the same names in every task that has them: what a
+trial may do (:class:`Bounds`), what it is for (:class:`Aim`), what is known and expected
+(:class:`Weather`, :class:`Expected`), how it is sought (:class:`Effort`), and what a programme may
+cost (:class:`Allowed`). Each makes the objects of :mod:`oed_sysid.design` that it stands for.
+"""
+
+from __future__ import annotations
+
+import re
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from oed_sysid.cli.study import Outcome, Study, Task
+from oed_sysid.cli.terminal import Shown, invocation
+from oed_sysid.errors import DataError, DesignError, FileError, ProblemError
+from oed_sysid.runtime.display import Figure
+from oed_sysid.runtime.files import make_folder, write_text
+
+if TYPE_CHECKING:
+    from oed_sysid.design import Design, Servo
+    from oed_sysid.experiments.experiment import Experiment, Limits
+    from oed_sysid.experiments.problem import Problem
+    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.model import Model
+
+NOMINAL, IMPROVED = "nominal", "improved"
+# Exit codes of an outcome that cannot be used, and of work that was interrupted.
+UNUSABLE, INTERRUPTED = 1, 130
+
+
+# -- groups of options -------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a trial may do: its length, s, and limits in words."""
+
+    duration: float | None = None
+    limit: tuple[str, ...] = ()
+
+    def limits(self, problem: Problem, show: Shown) -> Limits:
+        """Return the limits of the problem, changed by those in words."""
+        from oed_sysid.cli.limit_words import with_limits
+
+        limits, said = with_limits(problem.model, problem.limits, self.limit)
+        for words in said:
+            show.note(f"Limit: {words}.")
+        return limits
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What a trial is for: sharper parameters, rivals told apart, or effects made visible."""
+
+    criterion: str = "D"
+    discriminate: tuple[str, ...] = ()
+    reveal: tuple[str, ...] = ()
+
+    def made(self, study: Study) -> Any:
+        """Return the criterion of the design."""
+        from oed_sysid.design import Detect, Discriminate
+        from oed_sysid.design.choices import CRITERIA, named
+
+        if self.discriminate and self.reveal:
+            raise DesignError("Give --discriminate or --reveal: one run has one aim.")
+        if not (self.discriminate or self.reveal):
+            return named("criterion", self.criterion, CRITERIA)()
+        problem = study.equipped
+        if self.discriminate:
+            return Discriminate([problem.effect(rival) for rival in self.discriminate])
+        if self.reveal != ("all",):
+            return Detect([problem.effect(one) for one in self.reveal])
+        if not problem.effects:
+            raise DesignError(f"Problem {problem.name!r} has no candidate effect. Name none.")
+        return Detect(problem.effects)
+
+
+@dataclass(frozen=True)
+class Weather:
+    """The disturbance forces that a trial will meet, and how wrong coefficients may be."""
+
+    sea: str | None = None
+    uncertainty: float | None = None
+
+    def noise(self, problem: Problem, nominal: Fit | Model, show: Shown) -> Any:
+        """Noise of a sea in words; None leaves it to the fit, or to the declared levels."""
+        if self.sea is None:
+            return None
+        from oed_sysid.information import sea_noise, sea_words
+
+        model: Model = getattr(nominal, "model", nominal)  # type: ignore[arg-type]
+        found = sea_noise(model, self.sea, problem.experiments.values())
+        show.note(f"Random forces: {sea_words(found)}.")
+        return found
+
+    def spread(self, problem: Problem) -> float | None:
+        """Relative spread of vehicles; None where priors tell it."""
+        from oed_sysid.design.choices import usual_spread
+
+        return usual_spread(problem.model) if self.uncertainty is None else self.uncertainty
+
+
+@dataclass(frozen=True)
+class Expected(Weather):
+    """What is known before a trial.
+
+    ``after`` names a saved fit; where training records are at hand, these are fitted instead.
+    """
+
+    after: Path | None = None
+
+    def nominal(self, study: Study, show: Shown) -> Fit | Model:
+        """Return the nominal model, or the fit that is to be completed."""
+        from oed_sysid.likelihood.fit import Fit
+
+        if self.after is None:
+            return study.problem.model
+        if study.train is None:
+            return Fit.load(self.after)
+        return fits_of(study, {"": study.problem.model}, show)[""]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How a manoeuvre is sought: kind of command, how long, how safely."""
+
+    family: str = "levels"
+    avoid: tuple[str, ...] = ()
+    effort: str = "quick"
+    certainty: float | None = None
+    seed: int = 0
+
+    def search(self) -> Any:
+        """Return the settings of the search."""
+        from oed_sysid.design import Search
+        from oed_sysid.design.choices import EFFORTS, FAMILIES, named
+
+        if self.avoid and self.family != "multisine":
+            raise DesignError("Frequencies can be avoided by sines only: add --family multisine.")
+        try:
+            pairs = (band.partition(":") for band in self.avoid)
+            bands = [(float(low), float(high)) for low, _, high in pairs]
+        except ValueError:
+            words = " ".join(self.avoid)
+            raise DesignError(f"--avoid {words}: write bands as 0.1:0.2, in Hz.") from None
+        family = named("family", self.family, FAMILIES)(**({"forbidden": bands} if bands else {}))
+        return Search(family, *named("effort", self.effort, EFFORTS))
+
+    def caution(self, expected: Expected, spread: float | None) -> Any:
+        """How limits are kept; after a fit they are, where nobody said how surely."""
+        from oed_sysid.design import Caution
+
+        if self.certainty:
+            return Caution(self.certainty, spread)
+        return "auto" if expected.after and self.certainty is None else None
+
+
+@dataclass(frozen=True)
+class Allowed:
+    """What a programme may cost."""
+
+    runs: int | None = None
+    hours: float | None = None
+    turnaround: float = 10.0
+    sensor: tuple[str, ...] = ()
+
+    def budget(self) -> Any:
+        """Return the budget."""
+        from oed_sysid.design import Budget
+
+        sensors = numbers("--sensor", self.sensor)
+        return Budget(self.hours, self.runs, 60.0 * self.turnaround, sensors)
+
+
+def numbers(option: str, given: Sequence[str]) -> dict[str, float]:
+    """Numbers by name, as an option writes them.
+
+    >>> numbers("--goal", ["all=5%", "M_uw=3"])
+    {'all': 5.0, 'M_uw': 3.0}
+    """
+    found = {}
+    for text in given:
+        name, _, number = text.partition("=")
+        try:
+            found[name] = float(number.rstrip("%"))
+        except ValueError:
+            raise DesignError(f"{option} {text}: write NAME=NUMBER.") from None
+    return found
+
+
+def patterns_of(problem: Problem, names: Sequence[str]) -> list[Experiment]:
+    """Experiments that lend settings: those named, or all of the problem."""
+    if not (names or problem.experiments):
+        raise ProblemError(
+            f"Problem {problem.name!r} has no experiment to take settings from. Add one to its "
+            "problem.py."
+        )
+    return [problem.experiment(name) for name in names or problem.experiments]
+
+
+# -- what is asked -----------------------------------------------------------------------
+
+
+def check(study: Study, show: Shown) -> Outcome:
+    """Check logs for faults before any model: signs, units, axes, bias, delay, spikes and more.
+
+    Ends with exit code 1 when the log is suspect.
+
+    [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
+    """
+    from oed_sysid.evidence.check import check as look
+
+    records = study.records()  # a fault between the two, such as the same run in both, as well
+    found = look(records, study.problem)
+    return Outcome(
+        found,
+        found.document(),
+        found.to_dict(),
+        partial(found.document, records, title=study.problem.title),
+        Figure("figure_check", found, ""),
+        status=UNUSABLE if found.suspect else 0,
+    )
+
+
+def fit(study: Study, show: Shown) -> Outcome:
+    """Estimate the parameters of a problem's model from measured records.
+
+    [bold]Example[/bold]: oed-sysid fit remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv --save fit.json
+    """
+    from oed_sysid.data.dataset import check_disjoint
+    from oed_sysid.evidence.check import quick_check
+    from oed_sysid.evidence.compare import compare as judge
+
+    model, train = study.problem.model, study.training()
+    if study.test is not None:
+        check_disjoint(train, study.test)
+    log = quick_check(train, model)
+    result = fits_of(study, {"": model}, show)[""]
+    facts = {**result.to_dict(), "log": log.to_dict()}
+    text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
+    if study.test is not None:
+        show.say("predicting")
+        comparison = judge({model.name: result}, study.test)
+        text += f"\n\n{comparison.report()}"
+        facts["validation"] = comparison.to_dict()
+        best = comparison.best
+        options = {"labels": [best.label]}
+        figure = Figure("figure_predictions", [best.prediction], "", options=options)
+    return Outcome(
+        result, result.document(comparison), facts, partial(result.document, comparison, log=log),
+        figure, text, log.warning(), fits={NOMINAL: result}, comparison=comparison,
+        status=_status([result], suspect=log.contradictory),
+    )  # fmt: skip
+
+
+def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcome:
+    """Fit to training records and say where predictions of validation records fail.
+
+    [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv
+    """
+    from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.check import quick_check
+    from oed_sysid.evidence.compare import compare as judge
+
+    train, validation = study.training(), study.validation()
+    models, saved = _models(study.equipped if added else study.problem, added)
+    for used in (train, *(one.dataset for one in saved.values())):
+        check_disjoint(used, validation)
+    log = quick_check(together(train, validation), study.problem.model).without("duplicate")
+    fits = fits_of(study, models, show) | saved
+    show.say("predicting")
+    result = judge(fits, validation)
+    options = {"labels": [part.label for part in result.models]}
+    notes = [
+        f"The fit of {n} ended as {one.status}" for n, one in fits.items() if not one.status.ok
+    ]
+    for name, one in fits.items():
+        notes += [f"Do not use the fit of {name}: {concern.text}" for concern in one.grave]
+    return Outcome(
+        result,
+        result.document(),
+        {**result.to_dict(), "log": log.to_dict()},
+        partial(result.document, title=study.problem.title, log=log),
+        Figure("figure_predictions", [p.prediction for p in result.models], "", options=options),
+        above=log.warning(),
+        notes=tuple(notes),
+        fits=fits,
+        comparison=result,
+        status=_status(list(fits.values()), suspect=log.contradictory),
+    )
+
+
+def diagnose(study: Study, show: Shown) -> Outcome:
+    """Say where a model fails and which effects may be missing, without adding any.
+
+    [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
+    """
+    from oed_sysid.evidence.check import quick_check
+    from oed_sysid.evidence.compare import diagnose as look
+
+    problem, train = study.problem, study.training()
+    log = quick_check(train, problem.model)
+    show.say("looking where the model fails, and scoring all candidates")
+    result = look(
+        problem.model, train, candidates=problem.effects, known_noise=study.known_noise,
+        disturbances=study.acting,
+    )  # fmt: skip
+    return Outcome(
+        result,
+        result.document(),
+        result.to_dict(),
+        partial(result.document, train, title=problem.title),
+        Figure("figure_diagnosis", result.location, "", (result.ranking,)),
+        above=log.warning(),
+    )
+
+
+def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool = False) -> Outcome:
+    """Find the effects that a model lacks, and test the claim on validation records.
+
+    [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv --save better.json
+    """
+    from oed_sysid.evidence.compare import compare as judge
+    from oed_sysid.evidence.improve import improve as search
+    from oed_sysid.evidence.preparation import prepared
+
+    problem, train = study.problem, study.training()
+    result = search(
+        problem.model,
+        train,
+        study.test,
+        candidates=problem.effects,
+        known_noise=study.known_noise,
+        disturbances=study.acting,
+        max_effects=max_effects,
+        terms=not no_terms,
+        progress=Rounds(max_effects, show).tell,
+        journal=show.journal,
+    )
+    fits = {NOMINAL: result.base_fit} | ({IMPROVED: result.fit} if result.steps else {})
+    show.say("predicting")
+    ready = prepared(train, study.test)  # what the search itself has read and judged on
+    judged = ready.validation or ready.train
+    comparison = judge(fits, judged, sigma=result.yardstick.sigma)
+    return Outcome(
+        result,
+        result.document(),
+        result.to_dict(),
+        partial(result.document, comparison, train=ready.train, title=problem.title),
+        Figure("plot_error_fall", result, "", size=None),
+        fits=fits,
+        comparison=comparison,
+        status=UNUSABLE if result.remains.kind == "log suspect" else 0,
+    )
+
+
+@dataclass(frozen=True)
+class Assumed:
+    """What a ranking takes as given: noise of the sensors, a sea, and what is known besides."""
+
+    noise: tuple[str, ...] = ()
+    sea: str | None = None
+    priors: str | None = None
+
+    def levels(self, model: Model) -> dict[str, float | None]:
+        """Standard deviations of outputs that replace the model's."""
+        found: dict[str, float | None] = {}
+        for text in self.noise:
+            name, _, number = text.partition("=")
+            try:
+                found[name] = float(number)
+            except ValueError:
+                raise DesignError(
+                    f"--noise {text!r} is no OUTPUT=STD. Write r=0.001, say."
+                ) from None
+            if name not in model.output_names:
+                raise DesignError(
+                    f"--noise names {name!r}; outputs are {', '.join(model.output_names)}."
+                )
+        return found
+
+    def measured(self, model: Model) -> Model:
+        """The model with these standard deviations."""
+        levels = self.levels(model)
+        outputs = (replace(o, noise_std=levels.get(o.name, o.noise_std)) for o in model.outputs)
+        return replace(model, outputs=tuple(outputs)) if levels else model
+
+    def known(self, model: Model) -> Any:
+        """Nothing, the problem's priors, or every value to a share."""
+        if self.priors in (None, "none", "model"):
+            return "model" if self.priors == "model" else None
+        try:
+            share = float(self.priors or "")
+        except ValueError:
+            share = 0.0
+        if not share > 0:
+            raise DesignError(f"--priors is {self.priors!r}. Give none, model, or a share as 0.3.")
+        return {p.name: share * p.reference for p in model.free_parameters}
+
+
+def rank(
+    study: Study, show: Shown, *, experiment: tuple[str, ...] = (), assumed: Assumed = Assumed()
+) -> Outcome:
+    """Rank parameters by what experiments tell about them, before fitting anything.
+
+    [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
+    """
+    from oed_sysid.information import rank_parameters
+
+    problem, model = study.problem, assumed.measured(study.problem.model)
+    if study.train is not None and experiment:
+        raise ProblemError("Give either --experiment or records, not both.")
+    runs: Any = study.train
+    if runs is None:
+        runs = [problem.experiment(name) for name in experiment or problem.experiments]
+    if not runs:
+        raise ProblemError(
+            f"Problem {problem.name!r} has no experiments. Add one to its problem.py, or give "
+            "records."
+        )
+    show.say("computing sensitivities")
+    forces = Weather(sea=assumed.sea).noise(problem, model, show)
+    ranking = rank_parameters(model, runs, noise=forces, priors=assumed.known(model))
+    return Outcome(
+        ranking,
+        ranking.document(title=problem.title),
+        {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()},
+        figure=Figure("plot_sensitivity", ranking, "", size=None),
+    )
+
+
+def design(
+    study: Study,
+    show: Shown,
+    *,
+    like: str | None = None,
+    bounds: Bounds = Bounds(),
+    aim: Aim = Aim(),
+    expected: Expected = Expected(uncertainty=0.3),
+    effort: Effort = Effort(),
+) -> Outcome:
+    """Design the manoeuvre that tells most about the parameters, within the limits.
+
+    [bold]Example[/bold]: oed-sysid design auv_diving_plane --duration 120 --max-fin 10
+    """
+    import numpy as np
+
+    from oed_sysid.design import Knowledge, Trial, design_experiment
+
+    problem = study.problem
+    pattern = patterns_of(problem, [like] if like else [])[0]
+    limits = bounds.limits(problem, show)
+    search, criterion = effort.search(), aim.made(study)
+    nominal = expected.nominal(study, show)
+    spread = None if expected.after else expected.uncertainty
+    found = design_experiment(
+        nominal,
+        Trial.like(pattern, limits, duration=bounds.duration),
+        rng=np.random.default_rng(effort.seed),
+        criterion=criterion,
+        search=search,
+        knowledge=Knowledge(noise=expected.noise(problem, nominal, show)),
+        caution=effort.caution(expected, spread),
+        journal=show.journal,
+        progress=partial(_searching, show, search.n_starts, search.n_steps),
+    )
+    found = _on_other_vehicles(found, limits, spread, effort.seed, show)
+    return Outcome(
+        found,
+        found.document(title=problem.title),
+        found.to_dict(),
+        figure=Figure("figure_design", found, ""),
+        text=found.sea_trial_card(),
+        settings={"spread": spread, "seed": effort.seed},
+    )
+
+
+def programme(
+    study: Study,
+    show: Shown,
+    *,
+    patterns: tuple[str, ...] = (),
+    allowed: Allowed = Allowed(),
+    bounds: Bounds = Bounds(),
+    aim: Aim = Aim("A"),
+    expected: Expected = Expected(),
+    rounds: int = 1,
+    seed: int = 0,
+) -> Outcome:
+    """Plan several runs together: which, how often, in which order, and how near the optimum.
+
+    [bold]Example[/bold]: oed-sysid programme remus_diving_plane --runs 5 --hours 2 --sea moderate
+    """
+    import numpy as np
+
+    from oed_sysid.design import Knowledge, ProgrammeSearch, design_programme
+
+    problem = study.problem
+    nominal = expected.nominal(study, show)
+    durations = None if bounds.duration is None else (bounds.duration,)
+    noise = expected.noise(problem, nominal, show)
+    spread = expected.uncertainty if expected.after else expected.spread(problem)
+    found = design_programme(
+        nominal,
+        patterns_of(problem, patterns),
+        limits=bounds.limits(problem, show),
+        rng=np.random.default_rng(seed),
+        budget=allowed.budget(),
+        criterion=aim.made(study),
+        knowledge=Knowledge(noise=noise, spread=spread),
+        search=ProgrammeSearch(durations=durations, n_rounds=rounds),
+        progress=show.say,
+    )
+    return Outcome(
+        found,
+        found.document(title=problem.title),
+        found.to_dict(),
+        figure=Figure("figure_programme", found, ""),
+        notes=(f"Planned in {found.seconds:.0f} s.",),
+    )
+
+
+def fits_of(study: Study, models: Mapping[str, Model], show: Shown) -> dict[str, Fit]:
+    """One fit of each model; those that an interrupted call has finished are read."""
+    from oed_sysid.likelihood.archive import encode
+    from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+
+    train, keep = study.training(), show.journal
+    settings = {"noise": study.noise, "disturbances": study.acting}
+    estimator = MultipleShooting(
+        noise=study.noise, disturbances=study.acting, progress=show.iteration
+    )
+    content = {
+        "task": "fit",
+        "models": [encode(model) for model in models.values()],
+        "records": [[record.name, record.content_hash] for record in train],
+        **settings,
+    }
+    keep.open(content, shared={"records": train})
+    fits: dict[str, Fit] = {}
+    for name, model in models.items():
+        show.say(f"fitting {name or model.name}")
+
+        def work(name: str = name, model: Model = model) -> Fit:
+            fits[name] = estimator.fit(model, train, warm=keep.state())
+            if fits[name].status.code == "interrupted":
+                keep.keep(fits[name])
+            return fits[name]
+
+        try:
+            fits[name] = keep.once(f"fit {name}", work)
+        except KeyboardInterrupt:
+            # The best so far is worth a report where it is all that was asked for.
+            if name not in fits or len(models) > 1:
+                raise
+    return fits
+
+
+def _models(problem: Problem, added: Sequence[str]) -> tuple[dict[str, Model], dict[str, Fit]]:
+    """The nominal model and one for each group of candidates added to it; and saved fits."""
+    from oed_sysid.likelihood.fit import Fit
+
+    models, saved = {NOMINAL: problem.model}, {}
+    known = {effect.name for effect in problem.effects}
+    for group in added:
+        names = [name.strip() for name in group.split("+")]
+        is_path = group.lower().endswith(".json") or Path(group).exists()
+        if is_path and not known.issuperset(names):
+            one = Fit.load(group)
+            if one.model.channels != problem.channels:
+                raise DataError(
+                    f"{group} holds a fit of {one.model.name!r}, whose inputs and outputs are not "
+                    f"those of {problem.name!r}: they cannot be compared on the same records."
+                )
+            saved[Path(group).stem] = one
+            continue
+        effects = [problem.effect(name) for name in names]
+        models[f"with {' and '.join(effect.name for effect in effects)}"] = problem.model + effects
+    return models, saved
+
+
+def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
+    """Exit code that says whether fits can be used."""
+    if any(one.status.code == "interrupted" for one in fits):
+        return INTERRUPTED
+    return UNUSABLE if suspect or any(one.grave or not one.status.ok for one in fits) else 0
+
+
+class Rounds:
+    """How long a search goes on at most: every round adds one effect.
+
+    Parameters
+    ----------
+    n_most : int
+        Rounds at most.
+    show : Shown, optional
+        Who is told.
+    """
+
+    def __init__(self, n_most: int, show: Shown | None = None) -> None:
+        self._n_most, self._show = n_most, show
+        self._began: list[float] = []
+
+    def left(self, round: int, now: float) -> float | None:
+        """Return the seconds left at most when a round begins; None before the second."""
+        if round == len(self._began) + 1:
+            self._began.append(now)
+        if len(self._began) < 2:
+            return None
+        longest = max(b - a for a, b in pairwise(self._began))
+        return longest * (self._n_most - round + 1)
+
+    def tell(self, what: str) -> None:
+        """Tell what is being done, and how long it takes at most."""
+        assert self._show is not None
+        self._show.say(what)
+        named = re.search(r"round (\d+)", what)
+        left = self.left(int(named[1]), time.monotonic()) if named else None
+        if left is not None:
+            self._show.left(left, at_most=True)
+
+
+# Starts of a design that are finished, in up to twice the rounds of the others.
+_FINISHED = 3
+
+
+def _searching(show: Shown, n_starts: int, n_steps: int, now: Any) -> None:
+    """Tell how far the search of a design is."""
+    show.say(f"designing: start {now.start + 1}, round {now.round + 1}, {now.value:.4g}")
+    rounds = (n_starts + 2 * _FINISHED) * n_steps
+    done = min(now.start, n_starts) + 2 * max(now.start - n_starts, 0)
+    show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
+
+
+def _on_other_vehicles(
+    found: Design, limits: Limits, spread: float | None, seed: int, show: Shown
+) -> Design:
+    """State how likely the limits are kept and, at sea, how accurate other vehicles become."""
+    import numpy as np
+
+    from oed_sysid.design import accuracy_range, assess_limits
+
+    if found.assurance is None:
+        show.say("simulating other vehicles")
+        stated = partial(
+            assess_limits, found.model, found.experiment, limits=limits, spread=spread,
+            prior=found.prior, rng=np.random.default_rng(seed), vehicles=200, sea=found.sea,
+        )  # fmt: skip
+        found = replace(found, assurance=show.journal.once("assurance", stated))
+    if found.sea is not None:
+        show.say("accuracy on other vehicles")
+        other = partial(
+            accuracy_range, found.model, found.experiment, rng=np.random.default_rng(seed),
+            noise=found.sea, spread=spread, prior=found.prior,
+        )  # fmt: skip
+        found = replace(found, spread=show.journal.once("accuracy", other))
+    return found
+
+
+# -- what is written ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Files:
+    """Files that an outcome is written to, and what is said of each."""
+
+    def before(self, study: Study) -> None:
+        """Say before the work what cannot be written."""
+
+    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+        """Write them."""
+        yield from ()
+
+
+@dataclass(frozen=True)
+class Saved(Files):
+    """The fit, with how it was made."""
+
+    save: Path | None = None
+
+    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+        """Write the fit."""
+        if self.save is not None:
+            command, settings = invocation()
+            getattr(outcome.result, "fit", outcome.result).save(
+                self.save, command=command, settings=settings
+            )
+            yield f"Written: {self.save}"
+
+
+@dataclass(frozen=True)
+class Corrected(Files):
+    """Copies of the records in which the findings of a check are undone."""
+
+    fix: Path | None = None
+
+    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+        """Write the copies."""
+        from oed_sysid.data.dataset import write_csv
+        from oed_sysid.evidence.check import corrected_copies, why_not_more
+
+        if self.fix is None:
+            return
+        records = study.records()
+        copies, done = corrected_copies(records, study.problem, outcome.result)
+        targets = [self.fix / f"{record.name.replace('/', '_')}.csv" for record in copies]
+        if {one.resolve() for one in targets} & {Path(one.source).resolve() for one in records}:
+            raise DataError(
+                f"The corrected copies would overwrite the records in {str(self.fix)!r}. Give "
+                "another folder to --fix."
+            )
+        make_folder(self.fix)
+        for record, target in zip(copies, targets, strict=True):
+            write_csv(record, target)
+            yield f"Written: {target}"
+        yield from (f"Corrected in the copies: {line}" for line in done)
+        if reason := why_not_more(outcome.result):
+            yield f"Not corrected: {reason}"
+        if not done:
+            yield "Nothing to correct: the copies equal the records."
+
+
+@dataclass(frozen=True)
+class Tables(Files):
+    """Commands of every run of a programme."""
+
+    out: Path | None = None
+
+    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+        """Write the tables."""
+        if self.out is not None:
+            yield from (f"Written: {path}" for path in outcome.result.write(self.out))
+
+
+@dataclass(frozen=True)
+class Played(Files):
+    """Commands of a design as those on board and their autopilots take them."""
+
+    out: Path | None = None
+    card: Path | None = None
+    length: float | None = None
+    servo: tuple[str, ...] = ()
+    overrides: Path | None = None
+    bag: Path | None = None
+    controller: tuple[str, ...] = ()
+
+    def before(self, study: Study) -> None:
+        """Check the channels of the servos, and that no bag is in the way."""
+        if self.overrides is not None or "ardupilot" in self._controllers():
+            self._servos(study.problem.limits)
+        if self.bag is not None and self.bag.exists():
+            raise FileError(f"{str(self.bag)!r} exists already. Name a folder that does not.")
+
+    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+        """Write table, card, pulses, bag and controllers."""
+        from oed_sysid.design import write_bag, write_controller, write_overrides
+
+        found = outcome.result
+        played = found.model, found.trajectory.times, found.trajectory.inputs
+        if self.out is not None:
+            found.write_csv(self.out)
+            yield f"Written: {self.out}"
+        if self.card is not None:
+            self._write_card(found, self.card, study.problem.title, show, outcome.settings)
+            yield f"Written: {self.card}"
+        if self.overrides is not None:
+            servos = self._servos(found.experiment.limits)
+            yield f"Written: {write_overrides(self.overrides, *played, servos=servos)}"
+        if self.bag is not None:
+            yield f"Written: {write_bag(self.bag, *played)}"
+        yield from self._open_loop(found, outcome.settings)
+        rules = None if found.assurance is None else found.assurance.rules
+        for kind, place in self._controllers().items():
+            servos = self._servos(found.experiment.limits) if kind == "ardupilot" else {}
+            write_controller(
+                place, found.model, found.experiment, kind, aborts=rules, servos=servos
+            )
+            yield f"Written: {place}"
+
+    def _open_loop(self, found: Design, settings: Mapping[str, Any]) -> Iterator[str]:
+        """How surely limits are kept where a run that reacts is played as a table."""
+        import numpy as np
+
+        from oed_sysid.design import assess_limits, played
+
+        closed = found.assurance
+        if not (found.experiment.reacts and (self.overrides or self.bag)):
+            return
+        if closed is not None and closed.limited:
+            table = assess_limits(
+                found.model, played(found.model, found.experiment), limits=found.experiment.limits,
+                rng=np.random.default_rng(settings["seed"]), spread=closed.spread,
+                prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
+            )  # fmt: skip
+            yield f"Played as a table, without its feedback: {table.report()}."
+
+    def _controllers(self) -> dict[str, Path]:
+        """Files of controllers by their kind."""
+        from oed_sysid.cli.options import file_place
+        from oed_sysid.design.controllers import KINDS
+
+        found = {}
+        for text in self.controller:
+            kind, _, place = text.partition("=")
+            if kind not in KINDS or not place:
+                raise DesignError(
+                    f"--controller {text}: write KIND=FILE, a kind of {', '.join(KINDS)}."
+                )
+            found[kind] = file_place(Path(place))
+        return found
+
+    def _write_card(
+        self, found: Design, path: Path, title: str, show: Shown, settings: Mapping[str, Any]
+    ) -> None:
+        """Write the card as text, as a page or as one sheet of A4."""
+        import numpy as np
+
+        from oed_sysid.design import predicted_tracks
+        from oed_sysid.results import figure_card, save_figure
+
+        kind = path.suffix.lower()
+        if kind == ".txt":
+            write_text(path, found.sea_trial_card() + "\n")
+            return
+        rng = np.random.default_rng(settings["seed"])
+        drawing = partial(
+            predicted_tracks, found.model, found.experiment, spread=settings["spread"],
+            sea=found.sea, prior=found.prior, rng=rng, length=self.length,
+        )  # fmt: skip
+        tracks = show.journal.once("track", drawing)
+        if kind == ".html":
+            found.card(tracks, title=title).write(path)
+        else:
+            save_figure(figure_card(found, tracks), path)
+
+    def _servos(self, limits: Limits) -> dict[str, Servo]:
+        """Servos of the inputs, from one end of their limits to the other."""
+        from oed_sysid.design import Servo
+
+        found = {}
+        for text in self.servo:
+            name, _, channel = text.partition("=")
+            if name not in limits.inputs or not channel.isdigit():
+                raise DesignError(
+                    f"--servo {text}: write INPUT=CHANNEL, an input with a range: "
+                    f"{', '.join(limits.inputs)}."
+                )
+            found[name] = Servo(int(channel), *limits.inputs[name])
+        if not found:
+            raise DesignError(
+                "--overrides needs the channels of the inputs: --servo fin_command=1."
+            )
+        return found
+
+
+TASKS = {
+    one.name: one
+    for one in (
+        Task(check, "Check the log", "Checking", "files [validate]", Corrected, "--fix corrected"),
+        Task(fit, "Fit", "Fitting", "files [validate] noise journal", Saved, "--save fit.json"),
+        Task(compare, "Compare", "Fitting", "files validate noise journal"),
+        Task(diagnose, "Diagnose: where it fails", "Looking", "files noise"),
+        Task(improve, "Improve: what is missing", "Starting", "files [validate] noise journal",
+             Saved, "--json improve.json --save improved.json"),
+        Task(rank, "Rank: what trials tell", "Ranking", "[files]"),
+        Task(design, "Design: the next trial", "Designing", "journal", Played,
+             "--out design.csv --card card.txt"),
+        Task(programme, "Programme: several runs", "Planning", "", Tables, "--out runs"),
+    )
+}  # fmt: skip

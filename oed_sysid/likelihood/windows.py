@@ -1,0 +1,315 @@
+r"""Records in windows whose start states are free: globalisation, and predictions ahead.
+
+With the windows :math:`w` of all records, their start states :math:`z_w` about guesses from the
+measurements :math:`\hat z_w` with weights :math:`\Omega`, and the outputs :math:`h` of the
+trajectory that begins there, the cost is
+
+.. math::
+    c(p) = \tfrac12 \sum_w \min_{z_w} \Big[ \sum_{k \in w}
+        \frac{|y_k - h(\varphi(t_k; z_w, p))|^2}{\sigma^2}
+        + (z_w - \hat z_w)' \Omega\, (z_w - \hat z_w) \Big] + \text{priors}.
+
+The start states are eliminated window by window (Schur complements), so that an iteration costs the
+same whatever the length of the windows; iterations are those of
+:mod:`oed_sysid.likelihood.gauss_newton`. Independent tests, such as captive ones, are not cut and
+begin from the start states that are given.
+
+Far from the truth, trajectories over a whole record explode and their derivatives are useless. Over
+a second or so, from measured states, they do not. Dropping continuity altogether gives a problem
+that is nearly linear in the parameters; its solution starts the real one (:func:`wide_start`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from oed_sysid.compiled.normal_equations import Elimination, eliminate, gather
+from oed_sysid.data.record import Record
+from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Equations, Iterate, StepControl
+from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.unknowns import Limits
+
+# Simulated start states may leave their guesses by this many state scales (soft).
+# Measured ones stay near the measurement: with start states held, even wild
+# parameters enter almost linearly.
+NODE_FREEDOM = 10.0
+# What a start state of a window is known to before its samples where all of it is to be found, in
+# units of the state's scale; and the weight of what is held.
+VAGUE, HELD = 30.0, 1e20
+# The way in only has to arrive nearby: stop when an iteration gains less than this share.
+ENOUGH = 1e-2
+# Lengths, in samples, of the windows in the globalisation phase; beyond the
+# last one they triple until they reach the length of a shooting interval.
+LADDER = (2, 4, 10, 30)
+# Where windows are free no line is searched: damping alone shortens a step.
+CONTROL = StepControl(lengths=1, most_damping=1e6)
+# Far from the truth the first step is not trusted.
+CAREFUL = replace(CONTROL, damping=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """Some windows of one record, run in one go; what lies between is run over, not counted."""
+
+    record: int
+    starts: np.ndarray
+    counted: np.ndarray
+    stop: int
+
+
+class Windows:
+    """Free windows of one model and data set.
+
+    Parameters
+    ----------
+    shooting : Shooting
+        The records, their layout, limits and noise levels.
+    parts : sequence of Part
+        How the records are cut.
+    weight : ndarray (n_records, n_full)
+        Of the distance of start states from their guesses.
+    unknowns : ndarray (n_unknowns,), optional
+        Where to begin; by default at the start values.
+    """
+
+    def __init__(
+        self,
+        shooting: Shooting,
+        parts: Sequence[Part],
+        weight: np.ndarray,
+        unknowns: np.ndarray | None = None,
+    ) -> None:
+        self.shooting, self.weight = shooting, weight
+        self.windows = tuple(part for part in parts if part.counted.any())
+        begin = shooting.start_unknowns() if unknowns is None else unknowns
+        guesses = [shooting.state_guess(begin, i) for i in range(len(shooting.records))]
+        self.guesses = tuple(guesses[part.record][part.starts] for part in self.windows)
+        self.start = Point(begin, self.guesses)
+
+    @classmethod
+    def apart(cls, shooting: Shooting, unknowns: np.ndarray, n_samples: int) -> Windows:
+        """Windows side by side, start states held by what is measured."""
+        parts = []
+        for index, record in enumerate(shooting.records):
+            n = record.n_samples
+            stop = n if record.independent else n // n_samples * n_samples
+            starts = np.arange(0, stop, n if record.independent else n_samples, dtype=np.intc)
+            parts.append(Part(index, starts, np.ones(len(starts), dtype=bool), stop))
+        std = np.where(np.isfinite(shooting.guess_std), shooting.guess_std, np.inf)
+        weight = np.minimum(std, NODE_FREEDOM * shooting.state_scale) ** -2.0
+        return cls(shooting, parts, weight, unknowns)
+
+    @classmethod
+    def overlapping(cls, shooting: Shooting, horizon: float) -> Windows:
+        """Windows of a horizon, s, that overlap by one sample; own states are free.
+
+        Every transition from a sample to the next belongs to exactly one.
+        """
+        parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
+        weight = (VAGUE * shooting.state_scale) ** -2.0
+        weight[shooting.layout.n_own :] = HELD
+        return cls(shooting, parts, np.tile(weight, (len(shooting.records), 1)))
+
+    @property
+    def limits(self) -> Limits:
+        """Bounds and priors of the unknowns."""
+        return self.shooting.limits
+
+    @property
+    def n_windows(self) -> int:
+        """Number of windows of the records that are series in time."""
+        records = self.shooting.records
+        return sum(int(p.counted.sum()) for p in self.windows if not records[p.record].independent)
+
+    def at(self, point: Point) -> Iterate | None:
+        """Cost and normal equations of the parameters; None where a trajectory diverges."""
+        grams, cost = [], self.limits.prior_cost(point.unknowns)
+        for part, at, away in self._away(point):
+            gram = self.products(part, point.unknowns, at)
+            if gram is None:
+                return None
+            grams.append(gram)
+            square = float(gram[:, -1, -1].sum() + np.sum(self.weight[part.record] * away**2))
+            cost += 0.5 * square
+        closed = cost - self.limits.prior_cost(point.unknowns)
+
+        def equations(damping: float) -> Equations:
+            n = self.shooting.layout.n_unknowns
+            matrix, right = np.zeros((n, n)), np.zeros(n)
+            alone, maps, offsets = 0.0, [], []
+            for (part, _, away), gram in zip(self._away(point), grams, strict=True):
+                found = self._eliminated(part, gram, away, damping)
+                columns = self.columns(part)
+                matrix[np.ix_(columns, columns)] += found.matrix
+                right[columns] += found.right
+                alone += 0.5 * found.gain
+                maps.append(-found.solved[:, :, :-1])
+                offsets.append(found.solved[:, :, -1])
+            return Equations(matrix, right, closed - alone, tuple(maps), tuple(offsets))
+
+        return Iterate(self, point, cost, equations)
+
+    def _away(self, point: Point) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
+        """Every part, its start states, and how far the counted ones are from their guesses."""
+        for part, at, guess in zip(self.windows, point.nodes, self.guesses, strict=True):
+            still = self.shooting.records[part.record].independent
+            yield part, at, 0.0 * at[part.counted] if still else (at - guess)[part.counted]
+
+    def _eliminated(
+        self, part: Part, gram: np.ndarray, away: np.ndarray, damping: float
+    ) -> Elimination:
+        """Normal equations of the parameters from one part."""
+        if self.shooting.records[part.record].independent:
+            # Begins from its given start, which nothing moves but the parameters.
+            summed = gram.sum(axis=0)
+            solved = np.zeros((*away.shape, gram.shape[2]))
+            return Elimination(summed[:-1, :-1], summed[:-1, -1], solved, 0.0)
+        weight = self.weight[part.record]
+        return eliminate(self.shooting.kernel, gram, away, weight, damping)
+
+    def told(self, point: Point) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
+        """Every part, its information about the parameters, and the score of each window."""
+        n_free = len(self.shooting.layout.free_names)
+        for part, at, away in self._away(point):
+            gram = self.products(part, point.unknowns, at)
+            assert gram is not None
+            found = self._eliminated(part, gram, away, 0.0)
+            first = gram.shape[1] - n_free - 1
+            cross = gram[:, :first, first:-1]
+            moved = found.solved[:, :first, -1]
+            scores = gram[:, first:-1, -1] - np.einsum("wij,wi->wj", cross, moved)
+            yield part, found.matrix, scores
+
+    def products(self, part: Part, unknowns: np.ndarray, at: np.ndarray) -> np.ndarray | None:
+        """Products ``[J r]' [J r]`` of the counted windows of a part; None where it diverges.
+
+        Columns are start states (not of independent tests), unknowns of the record's free
+        parameters, and residuals.
+        """
+        shooting = self.shooting
+        record, n_full = shooting.records[part.record], shooting.kernel.n_full
+        z0, by_unknowns = shooting.full_start(unknowns, part.record)
+        blocks = gather(
+            shooting.kernel,
+            record.times[: part.stop],
+            record.inputs[: part.stop],
+            shooting.values(unknowns, part.record),
+            z0[None] if record.independent else at,
+            record.outputs[: part.stop],
+            shooting.sigma,
+            starts=part.starts,
+            linked=False,
+        )
+        if blocks is None:
+            return None
+        gram = blocks.gram[part.counted]
+        slopes = shooting.slopes(unknowns, part.record)
+        if slopes is not None:
+            scale = np.concatenate([np.ones(n_full), slopes, [1.0]])
+            gram = gram * scale[:, None] * scale
+        if record.independent:
+            wide = self.from_start(by_unknowns)
+            gram = wide.T @ gram @ wide
+        return gram
+
+    def from_start(self, by_unknowns: np.ndarray) -> np.ndarray:
+        """Columns of a window that begins from its given start, by the unknown parameters."""
+        by_free = by_unknowns[:, self.shooting.layout.n_own :]
+        n_full, n_free = by_free.shape
+        wide = np.zeros((n_full + n_free + 1, n_free + 1))
+        wide[:n_full, :-1] = by_free
+        wide[n_full:] = np.eye(n_free + 1)
+        return wide
+
+    def columns(self, part: Part) -> np.ndarray:
+        """Positions of a part's free parameters among all unknowns."""
+        layout = self.shooting.layout
+        return layout.record_columns(part.record)[layout.n_own :]
+
+    def move(
+        self,
+        point: Point,
+        maps: Sequence[np.ndarray],
+        offsets: Sequence[np.ndarray],
+        step: np.ndarray,
+        length: float,
+    ) -> Point:
+        """The point after a step of the unknowns and what it implies for the start states."""
+        unknowns = np.clip(point.unknowns + length * step, self.limits.lower, self.limits.upper)
+        nodes = []
+        for part, at, map_, offset in zip(self.windows, point.nodes, maps, offsets, strict=True):
+            moved = at.copy()
+            moved[part.counted] += length * (map_ @ step[self.columns(part)] + offset)
+            nodes.append(moved)
+        return Point(unknowns, tuple(nodes))
+
+
+def _cut(index: int, record: Record, horizon: float) -> list[Part]:
+    """Windows that overlap by one sample, in two passes over the record."""
+    n = record.n_samples
+    step = n - 1
+    if not record.independent:
+        step = max(1, min(round(horizon / record.sample_time), step))
+    edges = np.arange(0, n - 1, step)
+    parts = []
+    for parity in (0, 1):
+        starts: list[int] = []
+        counted: list[bool] = []
+        reached = 0
+        for edge in edges[parity::2]:
+            if edge > reached:  # a stretch of the other pass
+                starts, counted = [*starts, reached], [*counted, False]
+            starts, counted = [*starts, int(edge)], [*counted, True]
+            reached = min(int(edge) + step + 1, n)
+        if reached < n and starts:
+            starts, counted = [*starts, reached], [*counted, False]
+        parts.append(Part(index, np.array(starts, dtype=np.intc), np.array(counted, dtype=bool), n))
+    return parts
+
+
+def climb(
+    shooting: Shooting, unknowns: np.ndarray, n_samples: int, max_iterations: int = 30
+) -> np.ndarray:
+    """Improve unknowns by windows of ``n_samples`` samples; they stay where these diverge.
+
+    Parameters
+    ----------
+    shooting : Shooting
+        The problem; bounds, priors and noise levels are taken from it.
+    unknowns : ndarray (n_unknowns,)
+        Where to begin.
+    n_samples : int
+        Length of a window.
+    max_iterations : int
+        Most iterations.
+    """
+    problem = Windows.apart(shooting, unknowns, n_samples)
+    begin = problem.at(problem.start)
+    if begin is None:
+        return unknowns
+    descent = Descent(begin, Windows.at, Convergence(0.0, share=ENOUGH), CAREFUL)
+    descent.run(max_iterations)
+    found = descent.now.point.unknowns.copy()
+    n_own = shooting.layout.n_own
+    for part, node in zip(problem.windows, descent.now.point.nodes, strict=True):
+        if not shooting.records[part.record].independent:
+            found[shooting.layout.record_columns(part.record)[:n_own]] = node[0][:n_own]
+    return np.clip(found, shooting.limits.lower, shooting.limits.upper)
+
+
+def wide_start(shooting: Shooting, point: Point) -> Point:
+    """Climb the ladder of free windows from a far start."""
+    records = [r for r in shooting.records if not r.independent] or shooting.records
+    shortest = min(len(record.times) for record in records)
+    rungs = list(LADDER)
+    while 3 * rungs[-1] <= shooting.interval_samples < shortest:
+        rungs.append(3 * rungs[-1])
+    plain = shooting.with_loss(None)
+    unknowns = point.unknowns
+    for n_samples in rungs:
+        if 2 * n_samples <= shortest:
+            unknowns = climb(plain, unknowns, n_samples)
+    return shooting.start_point(unknowns)

@@ -1,0 +1,217 @@
+"""Seas: found where waves act and nowhere else, declared, reported, kept and drawn."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from oed_sysid import (
+    Dataset,
+    Fit,
+    Input,
+    Model,
+    MultipleShooting,
+    NoiseModel,
+    Output,
+    Parameter,
+    Record,
+    Sea,
+    State,
+)
+from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
+from oed_sysid.likelihood.sea import threshold
+
+TRUE = {"K": 0.1, "T": 8.0}
+WHITE = np.array([5e-3, 2e-3])
+SHIP = Model(
+    "nomoto",
+    (State("psi", "rad", scale=0.5), State("r", "rad/s", scale=0.03)),
+    (Input("rudder", "rad"),),
+    (Output("psi", "rad", noise_std=WHITE[0]), Output("r", "rad/s", noise_std=WHITE[1])),
+    {"psi": "r", "r": "(K*rudder - r)/T"},
+    parameters=(Parameter("K", 0.12, "1/s"), Parameter("T", 6.0, "s")),
+    step=0.5,
+)
+LEVEL, PERIOD = 3e-3, 7.0
+SEA = Sea(period=PERIOD, bandwidth=0.2, levels={"r": LEVEL})
+
+
+def waves(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Sixty cosines about the period, 10 % wide, of a standard deviation of one: no resonator."""
+    angular = 2 * np.pi / PERIOD * rng.normal(1.0, 0.1, 60)
+    phase = rng.uniform(0, 2 * np.pi, 60)
+    return np.cos(np.outer(times, angular) + phase).sum(axis=1) / np.sqrt(30)
+
+
+def resonator(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The velocity of a damped oscillator under white noise, by small steps from rest."""
+    step, w, z = times[1] - times[0], 2 * np.pi / PERIOD, 0.1
+    before = 5000
+    push = np.sqrt(4 * z * w * step) * rng.standard_normal(len(times) + before)
+    a, b, values = 0.0, 0.0, []
+    for draw in push:
+        a += step * w * b
+        b += draw - step * (w * a + 2 * z * w * b)
+        values.append(b)
+    return np.array(values[before:])
+
+
+def gusts(times: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A first-order process of 5 s and a standard deviation of one."""
+    memory = np.exp(-(times[1] - times[0]) / 5.0)
+    values = [rng.standard_normal()]
+    for draw in rng.standard_normal(len(times) - 1):
+        values.append(memory * values[-1] + np.sqrt(1 - memory**2) * draw)
+    return np.array(values)
+
+
+ACTING = {"waves": waves, "resonator": resonator, "gusts": gusts}
+
+
+def records(force: str, seed: int, level: float = LEVEL) -> Dataset:
+    """Two zigzags by the clock, integrated here with small Euler steps, sampled at 0.5 s."""
+    rng = np.random.default_rng(seed)
+    fine = np.arange(0.0, 150.0, 0.02)
+    found = []
+    for name, half in (("slow", 20.0), ("quick", 12.0)):
+        rudder = 0.2 * np.where((fine // half) % 2 == 0, 1.0, -1.0)
+        push = ACTING[force](fine, rng) if force else np.zeros_like(fine)
+        psi, r = 0.0, 0.0
+        states = np.empty((len(fine), 2))
+        for k, (delta, w) in enumerate(zip(rudder, level * push, strict=True)):
+            states[k] = psi, r
+            psi += 0.02 * r
+            r += 0.02 * ((TRUE["K"] * delta - r) / TRUE["T"] + w)
+        at = slice(None, None, 25)
+        outputs = states[at] + WHITE * rng.standard_normal((len(fine[at]), 2))
+        found.append(Record(name, fine[at], rudder[at, None], outputs, SHIP.channels))
+    return Dataset(tuple(found))
+
+
+@pytest.fixture(scope="module")
+def at_sea() -> Fit:
+    """The default fit to records in waves."""
+    return MultipleShooting().fit(SHIP, records("waves", 0))
+
+
+def test_waves_are_named_with_their_period_and_level(at_sea: Fit) -> None:
+    """Period within 10 %, level within 30 %, both with errors; values within their intervals."""
+    (sea,) = at_sea.noise.seas
+    assert sea.period == pytest.approx(PERIOD, rel=0.1)
+    assert sea.levels is not None
+    assert sea.levels["force r"] == pytest.approx(LEVEL, rel=0.3)
+    assert 0.0 < at_sea.noise_std["sea period"] < 0.1
+    for name, true in TRUE.items():
+        assert abs(at_sea.values[name] - true) < 3 * at_sea.std_errors[name]
+
+
+def test_a_sea_is_reported_and_survives_a_file(at_sea: Fit, tmp_path: Path) -> None:
+    """Report and plain data tell period, width and significant amplitude; a saved fit is whole."""
+    told = at_sea.report()
+    assert "Disturbance forces have a period, as waves give them" in told
+    assert "significant amplitude" in told
+    (plain,) = at_sea.to_dict()["noise_model"]["seas"]
+    (sea,) = at_sea.noise.seas
+    assert plain["period"] == sea.period
+    assert plain["significant"]["force r"] == pytest.approx(2 * float(sea.level[0]))
+    at_sea.save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json")
+    assert again.noise.seas == at_sea.noise.seas
+    assert Sea.from_dict(plain) == sea
+
+
+def test_a_later_fit_goes_on_with_the_sea(at_sea: Fit) -> None:
+    """From an earlier fit the same values, and its sea, in fewer iterations."""
+    again = MultipleShooting().fit(SHIP, at_sea.dataset, warm=at_sea)
+    assert again.noise.seas[0].period == pytest.approx(at_sea.noise.seas[0].period, rel=0.02)
+    assert again.iterations < at_sea.iterations
+    for name in TRUE:
+        assert abs(again.values[name] - at_sea.values[name]) < 0.1 * at_sea.std_errors[name]
+
+
+@pytest.mark.parametrize("force", ["", "gusts"])
+def test_no_sea_is_claimed_without_waves(force: str) -> None:
+    """White noise and a first-order process are no sea."""
+    for seed in range(3):
+        assert not MultipleShooting().fit(SHIP, records(force, seed)).noise.seas
+
+
+def test_a_declared_period_is_held_and_the_rest_estimated() -> None:
+    """What is declared is known: the period stays, levels and width have errors."""
+    declared = Sea(period=PERIOD, shape="velocity")
+    fit = MultipleShooting(disturbances=declared).fit(SHIP, records("waves", 1))
+    (sea,) = fit.noise.seas
+    assert sea.period == PERIOD
+    assert "sea period" not in fit.noise_std
+    assert {"sea bandwidth", "sea force r level"} <= set(fit.noise_std)
+    whole = MultipleShooting(disturbances=SEA).fit(SHIP, records("waves", 1))
+    assert whole.noise.seas == (SEA,)
+
+
+@pytest.mark.slow
+def test_errors_in_a_sea_are_those_made() -> None:
+    """Where a resonator acts, estimated or known: root mean square of error over standard error."""
+    for disturbances in ("auto", SEA):
+        scores = []
+        for seed in range(24):
+            data = records("resonator", 10 + seed)
+            fit = MultipleShooting(disturbances=disturbances).fit(SHIP, data)
+            assert len(fit.noise.seas) == 1
+            scores.append([(fit.values[n] - TRUE[n]) / fit.std_errors[n] for n in TRUE])
+        assert 0.75 < np.sqrt(np.mean(np.square(scores))) < 1.3
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [{"period": -1.0}, {"bandwidth": 3.0}, {"levels": {"Z": -1.0}}, {"shape": "square"}],
+)
+def test_impossible_seas_are_refused(wrong: dict) -> None:
+    """Errors name what is wrong."""
+    with pytest.raises(ModelError, match=str(next(iter(wrong)))):
+        Sea(**wrong)
+
+
+def test_a_noise_model_needs_every_number_of_a_sea() -> None:
+    """A sea to be estimated is no noise model."""
+    with pytest.raises(ModelError, match="leaves numbers out"):
+        NoiseModel(WHITE, 0 * WHITE, np.zeros(0), seas=(Sea(period=8.0),))
+
+
+@pytest.mark.parametrize("shape", ["velocity", "displacement"])
+def test_a_drawn_sea_has_the_spectrum_of_its_resonator(shape: str) -> None:
+    """Mean of periodograms against the textbook's spectrum, within their scatter."""
+    sea = Sea(period=8.0, bandwidth=0.3, levels={"r": 2.0}, shape=shape)
+    rng = np.random.default_rng(3)
+    times = 0.25 * np.arange(1024)
+    window = np.hanning(len(times))
+    drawn = [window * narrow_band_force(2.0, sea, times, rng) for _ in range(60)]
+    power = np.mean(np.abs(np.fft.rfft(drawn)) ** 2, axis=0) / np.sum(window**2)
+    w, w0, z = 2 * np.pi * np.fft.rfftfreq(len(times), 0.25), 2 * np.pi / 8.0, 0.15
+    shaped = w**2 if shape == "velocity" else w0**2
+    density = 4 * 4 * z * w0 * shaped / ((w0**2 - w**2) ** 2 + (2 * z * w0 * w) ** 2)
+    near = (w > 0.7 * w0) & (w < 1.4 * w0)
+    np.testing.assert_allclose(power[near], density[near] / 0.25, rtol=0.5)
+    assert power[near].sum() == pytest.approx(density[near].sum() / 0.25, rel=0.1)
+    low = (w > 0) & (w < 0.2 * w0)
+    assert (power[low].mean() < 0.01 * power[near].max()) == (shape == "velocity")
+
+
+def test_processes_in_one_place_add_up() -> None:
+    """A force and a sea in one place act together, each with its own variance."""
+    noise = NoiseModel(
+        WHITE, 0 * WHITE, np.array([3.0]), force_time=2.0, outputs=("psi", "r"),
+        places=("force r",), seas=(Sea(8.0, 0.2, {"r": 4.0}),),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    (drawn,) = [drawn_disturbances(noise, 0.5 * np.arange(20000), rng)["force r"]]
+    assert np.std(drawn) == pytest.approx(5.0, rel=0.05)
+
+
+def test_threshold_is_the_tail_of_signed_normals() -> None:
+    """Of sums of squares of positive parts, drawn here, the stated share is beyond it."""
+    draws = np.maximum(np.random.default_rng(0).standard_normal((400_000, 3)), 0.0)
+    share = np.mean(np.sum(draws**2, axis=1) > threshold(3, 1))
+    assert share == pytest.approx(0.005, rel=0.15)
