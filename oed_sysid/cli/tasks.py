@@ -806,7 +806,7 @@ class Played(Files):
 
     def _controllers(self) -> dict[str, Path]:
         """Files of controllers by their kind."""
-        from oed_sysid.cli.options import file_place
+        from oed_sysid.cli.options import checked
         from oed_sysid.design.controllers import KINDS
 
         found = {}
@@ -816,7 +816,7 @@ class Played(Files):
                 raise DesignError(
                     f"--controller {text}: write KIND=FILE, a kind of {', '.join(KINDS)}."
                 )
-            found[kind] = file_place(Path(place))
+            found[kind] = checked("file", Path(place))
         return found
 
     def _write_card(
