@@ -136,9 +136,6 @@ def _one_of(choices: Sequence[str]) -> Callable[[str], list[str]]:
 
 _TABLE = tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
 ROWS = {name: Row(**row) for name, row in _TABLE.items()}
-    "no_terms": Row(
-        "Look for no term beyond the candidates: the slowest stage.",
-        label="Look for no unknown term"),
 
 
 def row_of(command: str, name: str) -> Row:
