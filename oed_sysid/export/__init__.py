@@ -7,6 +7,7 @@ package's simulation, step for step.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from oed_sysid.export.program import Program, program_of
 from oed_sysid.export.scripts import write_casadi, write_control, write_matlab, write_python
 from oed_sysid.export.symbolic import write_latex, write_sympy
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.replay import replayed
 from oed_sysid.physics.model import Model
 
 __all__ = ["KINDS", "Program", "export", "program_of"]
@@ -42,6 +44,8 @@ def export(
     ----------
     source : Fit or Model
         A fit, as estimators and ``improve`` return it, brings the covariance of its parameters.
+        Where its process noise has taken the work of physics, the values are those of
+        :func:`~oed_sysid.likelihood.replay.replayed`, and a warning says so.
     kind : str
         ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"``, ``"matlab"``, ``"control"``,
         ``"sympy"`` or ``"latex"``.
@@ -79,6 +83,14 @@ def export(
             f"There is no export {kind!r}. Choose one of {', '.join(KINDS)}."
             + closest(str(kind), KINDS)
         )
+    if isinstance(source, Fit) and (runs := replayed(source)) is not source:
+        warnings.warn(
+            f"{source.model.name}: process noise has taken the work of physics; the exported "
+            f"values are those for runs ({runs.estimator}).",
+            UserWarning,
+            stacklevel=2,
+        )
+        source = runs
     program = program_of(source)
     place = Path(path).expanduser()
     if kind == "control":

@@ -112,7 +112,8 @@ class Concern:
     kind : str
         ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
         ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
-        ``process_noise``, ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
+        ``process_noise``, ``constraint``, ``integration``, ``runaway``, ``degenerate`` or
+        ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -123,8 +124,8 @@ class Concern:
         a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the
         standard error (``records_differ``), the true input over the logged one (``other_way``),
         noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
-        the signal (``degenerate``), samples per unknown (``few_samples``), the score test's
-        2 delta ln L (``process_noise``).
+        the signal (``degenerate``), samples per unknown (``few_samples``), standard errors
+        (``constraint``), the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -175,6 +176,7 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
         *found,
         *_few_samples(fit),
         *_process_noise(fit),
+        *_binding(fit),
         *_other_way(fit),
         *_records_differ(fit),
         *spikes,
@@ -325,6 +327,22 @@ def _process_noise(fit: Estimate) -> tuple[Concern, ...]:
             "with `oed-sysid check`, or name the disturbed equations, such as "
             "disturbances=('Z', 'M').",
         ),
+    )
+
+
+def _binding(fit: Estimate) -> tuple[Concern, ...]:
+    """Bounds and constraints that the records would leave."""
+    return tuple(
+        Concern(
+            "constraint",
+            one.text.split()[0] if one.text.split()[0] in fit.names else "",
+            "",
+            one.distance,
+            f"{one.text} binds: the optimum of the records lies {one.beyond:.3g} beyond "
+            f"({one.distance:.2g} standard errors). Standard errors are of values within it; where "
+            "the records are right about it, widen it, else look for what bends them.",
+        )
+        for one in fit.binding
     )
 
 
