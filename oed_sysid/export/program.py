@@ -26,7 +26,6 @@ import keyword
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -199,6 +198,13 @@ class Program:
         records = ", ".join(map(safe, self.fit.dataset.names))
         return f"{origin}; fitted to {records} ({safe(self.fit.estimator)})"
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether code can carry every name as it is."""
+        model, records = self.model, () if self.fit is None else self.fit.dataset.names
+        names = (*self.state_names, *model.input_names, *model.output_names, *model.parameter_names)
+        return all(safe(name, "(),") == name for name in (model.name, *records, *names))
+
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
         model = self.model
@@ -359,11 +365,6 @@ def _routine(function: ca.Function) -> Routine:
         tuple(operations),
         flat.sz_w(),
     )
-
-
-def target_file(program: Program, path: Path, ending: str, tail: str = "") -> Path:
-    """A file named by its user, or ``NAME`` with a tail and an ending in a folder."""
-    return path if path.suffix == ending else path / f"{program.identifier}{tail}{ending}"
 
 
 def python_function(dialect: Dialect, routine: Routine, zero: str) -> str:

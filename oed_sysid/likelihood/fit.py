@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -55,8 +55,10 @@ from oed_sysid.text.units import shown_unit
 SMOOTHED = 100.0
 # Prior standard deviations beyond which an estimate contradicts the prior.
 SURPRISING = 3.0
-# Records that a page draws.
-MOST_DRAWN = 8
+# Correlation of two estimates from which on they can hardly be told apart.
+ALIKE = 0.95
+# Records that a page draws, and correlated pairs that are named.
+MOST_DRAWN, MOST_PAIRS = 8, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -615,47 +617,7 @@ class Fit(Estimate):
         """What else to know before the values are used, one sentence each."""
         said_first = {self.status.advice, *(concern.text for concern in self.grave)}
         lines = [one.text for one in self.concerns if one.text not in said_first]
-        commands = np.vstack([record.inputs for record in self.dataset])
-        for channel, series in zip(self.model.inputs, commands.T, strict=True):
-            if np.ptp(series) == 0.0 and not self.tests_alone:
-                lines.append(
-                    f"Input {channel.name} never moves in any record: what it does cannot be "
-                    "told from what else is constant."
-                )
-        if self.coloured:
-            lines.append(
-                "Residuals are correlated in time (see eff. samples): standard errors are from "
-                "the sandwich covariance."
-            )
-        lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
-        own = {name: self.model.parameter(name) for name in self.names}
-        if bounded := [n for n, v in self.values.items() if not own[n].lower < v < own[n].upper]:
-            lines.append(
-                f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
-                "an angle the other way does this too: Input(..., sign=-1)."
-            )
-        if far := [name for name in self.names if self._surprise(name) > SURPRISING]:
-            lines.append(
-                f"Further than {SURPRISING:g} standard deviations from the prior: "
-                f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
-            )
-        correlation = self.correlation
-        pairs = [
-            (abs(correlation[i, j]), self.names[i], self.names[j], correlation[i, j])
-            for i in range(len(self.names))
-            for j in range(i)
-            if abs(correlation[i, j]) > 0.95
-        ]
-        for _, first, second, value in sorted(pairs, reverse=True)[:6]:
-            lines.append(f"Correlation of {first} and {second}: {value:+.3f}.")
-        return lines
-
-    def _surprise(self, name: str) -> float:
-        """Distance of an estimate from its prior mean, in standard deviations of the prior."""
-        parameter = self.model.parameter(name)
-        if parameter.prior_spread is None or parameter.prior_mean is None:
-            return 0.0
-        return abs(self.values[name] - parameter.prior_mean) / parameter.prior_spread
+        return lines + [sentence for remark in REMARKS for sentence in remark(self)]
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
@@ -675,6 +637,72 @@ class Fit(Estimate):
         noise=lambda self: dict(zip(self.model.output_names, self.sigma, strict=True)),
         effective_samples=lambda self: self.effective_samples(), noise_model="noise",
     )  # fmt: skip
+
+
+def _still_inputs(fit: Fit) -> Iterator[str]:
+    commands = np.vstack([record.inputs for record in fit.dataset])
+    for channel, series in zip(fit.model.inputs, commands.T, strict=True):
+        if np.ptp(series) == 0.0 and not fit.tests_alone:
+            yield (
+                f"Input {channel.name} never moves in any record: what it does cannot be "
+                "told from what else is constant."
+            )
+
+
+def _correlated_residuals(fit: Fit) -> Iterator[str]:
+    if fit.coloured:
+        yield (
+            "Residuals are correlated in time (see eff. samples): standard errors are from "
+            "the sandwich covariance."
+        )
+
+
+def _unidentified(fit: Fit) -> Iterator[str]:
+    for text in fit.information.null_directions():
+        yield f"Not identifiable: {text}."
+
+
+def _at_bounds(fit: Fit) -> Iterator[str]:
+    own = {name: fit.model.parameter(name) for name in fit.names}
+    if bounded := [n for n, v in fit.values.items() if not own[n].lower < v < own[n].upper]:
+        yield (
+            f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+            "an angle the other way does this too: Input(..., sign=-1)."
+        )
+
+
+def _off_priors(fit: Fit) -> Iterator[str]:
+    far = []
+    for name, value in fit.values.items():
+        parameter = fit.model.parameter(name)
+        mean, spread = parameter.prior_mean, parameter.prior_spread
+        if mean is not None and spread is not None and abs(value - mean) > SURPRISING * spread:
+            far.append(name)
+    if far:
+        yield (
+            f"Further than {SURPRISING:g} standard deviations from the prior: "
+            f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
+        )
+
+
+def _correlated_pairs(fit: Fit) -> Iterator[str]:
+    correlation = np.tril(fit.correlation, -1)
+    pairs = [
+        (abs(correlation[i, j]), fit.names[i], fit.names[j], correlation[i, j])
+        for i, j in zip(*np.nonzero(np.abs(correlation) > ALIKE), strict=True)
+    ]
+    for _, first, second, value in sorted(pairs, reverse=True)[:MOST_PAIRS]:
+        yield f"Correlation of {first} and {second}: {value:+.3f}."
+
+
+REMARKS: tuple[Callable[[Fit], Iterator[str]], ...] = (
+    _still_inputs,
+    _correlated_residuals,
+    _unidentified,
+    _at_bounds,
+    _off_priors,
+    _correlated_pairs,
+)
 
 
 def _typed(content: dict[str, Any]) -> dict[str, Any]:

@@ -27,7 +27,7 @@ from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
 from oed_sysid.likelihood.horizons import fit_horizons
-from oed_sysid.likelihood.judgement import level_concerns, with_verdict
+from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     credible_levels,
     residual_levels,
@@ -586,13 +586,16 @@ class MultipleShooting:
         self, shooting: Shooting, point: Point, minimise: Minimiser
     ) -> tuple[Solution | None, int]:
         """Iterate from near, from far, or from both, and return the better end."""
-        begin = 0.0 if self.start == "near" else misfit(shooting, point)
-        far = self.start == "wide" or (self.start == "auto" and begin > FAR)
+        if self.start == "near":
+            only = minimise(shooting, point)
+            return only, only.iterations if only else 0
+        begin = misfit(shooting, point)
+        far = self.start == "wide" or begin > FAR
         first = None if far else minimise(shooting, point)
-        if self.start == "near" or (first is not None and first.reason == "interrupted"):
-            return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
-        if first is not None and _trusted(begin, shooting, first):
+        if first is not None and (
+            first.reason == "interrupted" or _trusted(begin, shooting, first)
+        ):
             return first, first.iterations
         try:
             second = minimise(shooting, wide_start(shooting, point))
@@ -801,7 +804,7 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
 
 def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
     """White levels that are clearly above the declared ones; zero where they are not."""
-    factors = {concern.signal: concern.size for concern in level_concerns(fit)}
+    factors = {concern.signal: concern.size for concern in concerns_of(fit, "noise_level")}
     sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
     return np.where(sizes > 1.0, sizes * white, 0.0)
 
