@@ -177,21 +177,11 @@ def elements(
     results : sequence of str
         Names of the elements of the result.
     """
-    title, given = function.name(), function.name_in()
+    given = function.name_in()
     order = given if set(given) <= set(symbols) else list(symbols)[: len(given)]
     columns = [[ca.SX.sym(name) for name in symbols[key]] for key in order]
-    sizes = [function.size_in(i) for i in range(function.n_in())]
-    if [size for size in sizes if 0 not in size] != [(len(one), 1) for one in columns if one]:
-        expected = ", ".join(f"{key} ({len(symbols[key])}, 1)" for key in symbols)
-        raise ModelError(
-            f"CasADi's function {title!r} has arguments of shapes {sizes}; expected "
-            f"columns, all or the first of {expected}."
-        )
-    if function.numel_out(0) != len(results):
-        raise ModelError(
-            f"CasADi's function {title!r} returns {function.numel_out(0)} numbers; expected "
-            f"{len(results)}, one for each of {', '.join(results)}."
-        )
+    _check_shapes(function, columns, symbols, results)
+    title = function.name()
     try:
         flat = function.expand()
     except RuntimeError:
@@ -204,6 +194,27 @@ def elements(
         definition = ca.Function("f", needed, [result], {"allow_free": True})
         elements[key] = Function(f"{title}_{key}", definition, tuple(one.name() for one in needed))
     return elements
+
+
+def _check_shapes(
+    function: ca.Function,
+    columns: list[list[ca.SX]],
+    symbols: Mapping[str, Sequence[str]],
+    results: Sequence[str],
+) -> None:
+    """Refuse a function of other columns, or of another number of results, than are named."""
+    sizes = [function.size_in(i) for i in range(function.n_in())]
+    if [size for size in sizes if 0 not in size] != [(len(one), 1) for one in columns if one]:
+        expected = ", ".join(f"{key} ({len(symbols[key])}, 1)" for key in symbols)
+        raise ModelError(
+            f"CasADi's function {function.name()!r} has arguments of shapes {sizes}; expected "
+            f"columns, all or the first of {expected}."
+        )
+    if function.numel_out(0) != len(results):
+        raise ModelError(
+            f"CasADi's function {function.name()!r} returns {function.numel_out(0)} numbers; "
+            f"expected {len(results)}, one for each of {', '.join(results)}."
+        )
 
 
 def call_text(function: Function) -> str:
