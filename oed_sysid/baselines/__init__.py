@@ -1,5 +1,6 @@
 """Estimators: from a model and measured records to a :class:`~oed_sysid.likelihood.fit.Fit`."""
 
+from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.baselines.gibbs import GibbsRegression
 from oed_sysid.baselines.kalman import JointKalmanFilter
 from oed_sysid.baselines.least_squares import (
@@ -35,6 +36,8 @@ __all__ = [
     "profile",
     "OutputError",
     "EquationError",
+    "FourierRegression",
+    "FourierStream",
     "TotalLeastSquares",
     "LeastSquaresSVM",
     "SupportVectorRegression",

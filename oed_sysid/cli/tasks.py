@@ -325,7 +325,7 @@ def diagnose(study: Study, show: Shown) -> Outcome:
     )
 
 
-def improve(study: Study, show: Shown, *, max_effects: int = 4) -> Outcome:
+def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool = False) -> Outcome:
     """Find the effects that a model lacks, and test the claim on validation records.
 
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
@@ -344,6 +344,7 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4) -> Outcome:
         known_noise=study.known_noise,
         disturbances=study.acting,
         max_effects=max_effects,
+        terms=not no_terms,
         progress=Rounds(max_effects, show).tell,
         journal=show.journal,
     )
@@ -808,7 +809,7 @@ class Played(Files):
 
     def _controllers(self) -> dict[str, Path]:
         """Files of controllers by their kind."""
-        from oed_sysid.cli.options import file_place
+        from oed_sysid.cli.options import checked
         from oed_sysid.design.controllers import KINDS
 
         found = {}
@@ -818,7 +819,7 @@ class Played(Files):
                 raise DesignError(
                     f"--controller {text}: write KIND=FILE, a kind of {', '.join(KINDS)}."
                 )
-            found[kind] = file_place(Path(place))
+            found[kind] = checked("file", Path(place))
         return found
 
     def _write_card(

@@ -23,7 +23,15 @@ from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
-from oed_sysid.evidence.search import Standing, on_all_samples, overgrown, searched, with_term
+from oed_sysid.evidence.search import (
+    Standing,
+    asked_again,
+    on_all_samples,
+    overgrown,
+    rebuilt,
+    searched,
+    with_term,
+)
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
@@ -31,7 +39,6 @@ from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
-from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -42,8 +49,6 @@ from oed_sysid.runtime.threads import single_threaded
 OTHER_NOISE = 1.3
 # Prior deviations that no right log gives: one in two millions.
 FAR = 5.0
-# Share of a signal that whole runs must miss before a search is worth making again.
-MUCH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -143,7 +148,7 @@ def improve(
     notes = [*ready.notes, *told]
     run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
     end = run.whole(study, base)
-    if disturbances == "auto" and _hidden_by_forces(end):
+    if disturbances == "auto" and not end.left.is_noise and end.left.random:
         tell("searching without random forces")
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -213,23 +218,17 @@ class _Run:
         more = sum(calm.needed(effect) for effect in calm.effects)
         more -= sum(end.state.needed(effect) for effect in end.state.effects)
         decided = claim(study, present, fit, calm.effects, more)
+        decisions = (*end.state.decisions, decided)
         if not decided.stands:
-            return end
+            return replace(end, state=replace(end.state, decisions=decisions))
         self.notes.append(
             "Random forces had grown over what is missing: it was searched for without them, and "
             "is likelier with them, too."
         )
-        state = replace(calm, study=study, fit=fit, path=(*calm.path[:-1], fit))
+        path = (*calm.path[:-1], fit)
+        state = replace(calm, study=study, fit=fit, path=path, decisions=decisions)
+        state = asked_again(rebuilt(state))
         return _Ended(state, base, first, last, self._left(state), None)
-
-
-def _hidden_by_forces(end: _Ended) -> bool:
-    """Whether disturbance forces may hide what is missing: whole runs are far off under them."""
-    study, fit = end.state.study, end.state.fit
-    if overgrown(study, fit):
-        return True
-    missed = study.rms(fit, study.train) / signal_spread(study.train)
-    return bool(end.left.structured) and bool(np.nanmax(missed) > MUCH)
 
 
 def _bought(end: _Ended) -> list[str]:

@@ -486,17 +486,20 @@ class Structure:
         """Whether all parameters can be determined by some manoeuvre."""
         return self.rank == len(self.names)
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the verdict in words."""
         head = (
             f"Structure: rank {self.rank} of {len(self.names)} over {len(self.ranks)} random sets "
             f"of values, {self.n_runs} random manoeuvres each (smallest share {self.margin:.1e})."
         )
         if self.identifiable:
-            return f"{head}\nAll parameters are locally identifiable from these outputs."
-        return "\n".join(
-            [head, "No manoeuvre separates:", *(f"  {text}" for text in self.directions)]
-        )
+            words = "All parameters are locally identifiable from these outputs."
+            return Report(head, answer=words, sections=(Section("Verdict", (words,)),))
+        words = "No manoeuvre separates:"
+        section = Section(words, self.directions, heading=True, indent=2)
+        return Report(head, answer=f"{words} {'; '.join(self.directions)}", sections=(section,))
+
+    report = as_text
 
     to_dict = as_dict("names", "rank", "ranks", "identifiable", "directions", "margin")
 

@@ -20,7 +20,7 @@ from oed_sysid.information.noise import Colour, Levels, noise_of
 from oed_sysid.information.response import Play, Run, plays, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain, share
 from oed_sysid.runtime.threads import single_threaded
 
 # An error of the estimate beyond this share of the value counts as not determined.
@@ -146,8 +146,8 @@ class SensitivityRanking:
             (
                 f"{rank}",
                 row.name,
-                f"{row.error:.2%}",
-                f"{row.error_alone:.2%}",
+                share(row.error),
+                share(row.error_alone),
                 f"{row.inflation:.3g}",
                 f"{row.output_change:.3g}",
                 f"{change_rank[row.name]}",
@@ -171,8 +171,8 @@ class SensitivityRanking:
             f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
             answer=self.together.words(f" from {runs}"),
             numbers=(
-                (f"std. error, best: {best.name}", f"{best.error:.2%}"),
-                (f"std. error, worst: {worst.name}", f"{worst.error:.2%}"),
+                (f"std. error, best: {best.name}", share(best.error)),
+                (f"std. error, worst: {worst.name}", share(worst.error)),
             ),
             sections=(
                 Section("Accuracy to expect", (), (Table(headers, rows, words=(1,)),), (drawing,)),
@@ -370,23 +370,23 @@ class Reduction:
         """Names of the dropped parameters."""
         return tuple(drop.name for drop in self.drops[: self.n_dropped])
 
-    def report(self) -> str:
-        """Return the order of dropping and its cost as text."""
+    def document(self) -> Report:
+        """Return the order of dropping and its cost as a table."""
         outputs = self.full.output_names
-        lines = [
+        title = (
             f"{self.full.name}: {self.n_dropped} of {len(self.drops)} parameters dropped "
-            f"({', '.join(self.dropped) or 'none'})",
-            f"{'':>3} {'dropped':<20} {'chi-square':>11} {'rms/noise':>9}  change of "
-            f"{', '.join(outputs)}, others unchanged",
-        ]
-        for index, drop in enumerate(self.drops, start=1):
-            mark = "" if index <= self.n_dropped else " x"
-            shares = "  ".join(f"{drop.rms[name]:.2%}" for name in outputs)
-            lines.append(
-                f"{index:>3} {drop.name:<20} {drop.cost:>11.3g} {drop.predicted_rms:>9.3g}"
-                f"  {shares}{mark}"
-            )
-        return "\n".join(lines)
+            f"({', '.join(self.dropped) or 'none'})"
+        )
+        rows = [
+            (str(index), drop.name, f"{drop.cost:.3g}", f"{drop.predicted_rms:.3g}",
+             *(share(drop.rms[name]) for name in outputs), "x" if index > self.n_dropped else "")
+            for index, drop in enumerate(self.drops, start=1)
+        ]  # fmt: skip
+        headers = ("", "dropped", "chi-square", "rms/noise", *outputs, "kept")
+        table = Table(headers, rows, "changes of outputs, others unchanged", words=(1,))
+        return Report(title, sections=(Section("Order of dropping", tables=(table,)),))
+
+    report = as_text
 
     to_dict = as_dict("dropped", "n_samples", model="full.name", steps="drops")
 

@@ -574,13 +574,16 @@ class MultipleShooting:
         self, shooting: Shooting, point: Point, minimise: Minimiser
     ) -> tuple[Solution | None, int]:
         """Iterate from near, from far, or from both, and return the better end."""
-        begin = 0.0 if self.start == "near" else misfit(shooting, point)
-        far = self.start == "wide" or (self.start == "auto" and begin > FAR)
+        if self.start == "near":
+            only = minimise(shooting, point)
+            return only, only.iterations if only else 0
+        begin = misfit(shooting, point)
+        far = self.start == "wide" or begin > FAR
         first = None if far else minimise(shooting, point)
-        if self.start == "near" or (first is not None and first.reason == "interrupted"):
-            return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
-        if first is not None and _trusted(begin, shooting, first):
+        if first is not None and (
+            first.reason == "interrupted" or _trusted(begin, shooting, first)
+        ):
             return first, first.iterations
         try:
             second = minimise(shooting, wide_start(shooting, point))
