@@ -177,18 +177,14 @@ def elements(
     results : sequence of str
         Names of the elements of the result.
     """
-    given = function.name_in()
-    order = given if set(given) <= set(symbols) else list(symbols)[: len(given)]
-    columns = [[ca.SX.sym(name) for name in symbols[key]] for key in order]
-    _check_shapes(function, columns, symbols, results)
-    title = function.name()
+    columns = _columns(function, symbols, results)
     try:
         flat = function.expand()
     except RuntimeError:
         flat = function
     found = ca.densify(ca.vec(flat.call([ca.vertcat(*one) for one in columns])[0]))
     scalars = [one for column in columns for one in column]
-    elements = {}
+    title, elements = function.name(), {}
     for key, result in zip(results, ca.vertsplit(found), strict=True):
         needed = [one for one in scalars if ca.depends_on(result, one)] or scalars[:1]
         definition = ca.Function("f", needed, [result], {"allow_free": True})
@@ -196,25 +192,26 @@ def elements(
     return elements
 
 
-def _check_shapes(
-    function: ca.Function,
-    columns: list[list[ca.SX]],
-    symbols: Mapping[str, Sequence[str]],
-    results: Sequence[str],
-) -> None:
-    """Refuse a function of other columns, or of another number of results, than are named."""
+def _columns(
+    function: ca.Function, symbols: Mapping[str, Sequence[str]], results: Sequence[str]
+) -> list[list[ca.SX]]:
+    """Symbols of every argument, checked against what the function takes and returns."""
+    title, given = function.name(), function.name_in()
+    order = given if set(given) <= set(symbols) else list(symbols)[: len(given)]
+    columns = [[ca.SX.sym(name) for name in symbols[key]] for key in order]
     sizes = [function.size_in(i) for i in range(function.n_in())]
     if [size for size in sizes if 0 not in size] != [(len(one), 1) for one in columns if one]:
         expected = ", ".join(f"{key} ({len(symbols[key])}, 1)" for key in symbols)
         raise ModelError(
-            f"CasADi's function {function.name()!r} has arguments of shapes {sizes}; expected "
+            f"CasADi's function {title!r} has arguments of shapes {sizes}; expected "
             f"columns, all or the first of {expected}."
         )
     if function.numel_out(0) != len(results):
         raise ModelError(
-            f"CasADi's function {function.name()!r} returns {function.numel_out(0)} numbers; "
-            f"expected {len(results)}, one for each of {', '.join(results)}."
+            f"CasADi's function {title!r} returns {function.numel_out(0)} numbers; expected "
+            f"{len(results)}, one for each of {', '.join(results)}."
         )
+    return columns
 
 
 def call_text(function: Function) -> str:
