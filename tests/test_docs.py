@@ -263,6 +263,7 @@ SLOW: tuple[str, ...] = (
     "cascaded_tanks",
     "esso_osaka_wind",
     "find_missing_physics",
+    "recompute_a_claim",
     "silverbox",
     "slocum_glider",
     "tanker_turning_circle",
