@@ -264,6 +264,7 @@ SLOW: tuple[str, ...] = (
     "esso_osaka_wind",
     "find_missing_physics",
     "fly_the_plan",
+    "recompute_a_claim",
     "silverbox",
     "slocum_glider",
     "tanker_turning_circle",
