@@ -230,7 +230,7 @@ def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> No
     assert f"{name}, ± {100 * half_width / 10.0:.2g} % (95 %)" in sharp
     assert f"the limits on {programme.kept:.0%} of possible vehicles" in words
     name = programme.runs[0].name
-    risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=75)}
+    risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=150)}
     words = replace(programme, assurances=risky).document().answer
     assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
     few = {

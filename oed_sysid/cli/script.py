@@ -117,11 +117,11 @@ print(diagnosis.report())
 """
 
 
-def _improve(study: Study, max_effects: int) -> str:
+def _improve(study: Study, max_effects: int, no_terms: bool = False) -> str:
     return f"""
 improvement = oed_sysid.improve(
     problem.model, train, test, candidates=problem.effects,
-    known_noise={study.known_noise}, max_effects={max_effects},
+    known_noise={study.known_noise}, max_effects={max_effects}, terms={not no_terms},
 )
 print(improvement.report())
 improvement.fit.save(HERE / "improved.json")

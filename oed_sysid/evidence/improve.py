@@ -15,7 +15,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.check import LogCheck, check, quick_check
+from oed_sysid.evidence.check import LogCheck, check
 from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table
 from oed_sysid.evidence.locate import Located, likeliest, locate
@@ -23,7 +23,15 @@ from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
-from oed_sysid.evidence.search import Standing, on_all_samples, overgrown, searched, with_term
+from oed_sysid.evidence.search import (
+    Standing,
+    asked_again,
+    on_all_samples,
+    overgrown,
+    rebuilt,
+    searched,
+    with_term,
+)
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
@@ -31,7 +39,6 @@ from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
-from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -40,8 +47,8 @@ from oed_sysid.runtime.threads import single_threaded
 
 # Factor of a declared noise level from which it is worth a word.
 OTHER_NOISE = 1.3
-# Share of a signal that whole runs must miss before a search is worth making again.
-MUCH = 0.1
+# Prior deviations that no right log gives: one in two millions.
+FAR = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,13 +122,11 @@ def improve(
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.
     logs = train if test is None else together(train, test)
-    # Where nobody named what may be wrong, the log itself is asked at length; tests are no log.
-    series = not logs.only_tests
-    log = quick_check(logs, model).without("duplicate") if series else None
-    asked = None if candidates or not series else check(logs, model, inputs=False)
+    # Tests at given motion are no log.
+    log = None if logs.only_tests else check(logs, model).without("duplicate")
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
-    candidates, told = settled(model, train, candidates, asked)
+    candidates, told = settled(model, train, candidates, log)
     keep = opened(
         journal,
         "improve",
@@ -143,7 +148,7 @@ def improve(
     notes = [*ready.notes, *told]
     run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
     end = run.whole(study, base)
-    if disturbances == "auto" and _hidden_by_forces(end):
+    if disturbances == "auto" and not end.left.is_noise and end.left.random:
         tell("searching without random forces")
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -213,23 +218,17 @@ class _Run:
         more = sum(calm.needed(effect) for effect in calm.effects)
         more -= sum(end.state.needed(effect) for effect in end.state.effects)
         decided = claim(study, present, fit, calm.effects, more)
+        decisions = (*end.state.decisions, decided)
         if not decided.stands:
-            return end
+            return replace(end, state=replace(end.state, decisions=decisions))
         self.notes.append(
             "Random forces had grown over what is missing: it was searched for without them, and "
             "is likelier with them, too."
         )
-        state = replace(calm, study=study, fit=fit, path=(*calm.path[:-1], fit))
+        path = (*calm.path[:-1], fit)
+        state = replace(calm, study=study, fit=fit, path=path, decisions=decisions)
+        state = asked_again(rebuilt(state))
         return _Ended(state, base, first, last, self._left(state), None)
-
-
-def _hidden_by_forces(end: _Ended) -> bool:
-    """Whether disturbance forces may hide what is missing: whole runs are far off under them."""
-    study, fit = end.state.study, end.state.fit
-    if overgrown(study, fit):
-        return True
-    missed = study.rms(fit, study.train) / signal_spread(study.train)
-    return bool(end.left.structured) and bool(np.nanmax(missed) > MUCH)
 
 
 def _bought(end: _Ended) -> list[str]:
@@ -310,7 +309,7 @@ def _result(
             end.left,
             training=fits[-1].whole_runs,
             validation=None if study.validation is None else fits[-1].runs_on(study.validation),
-            suspect=_suspect(log, steps),
+            suspect=_suspect(log, steps, fits[-1]),
         ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
@@ -361,11 +360,24 @@ def _steps(
     return tuple(found)
 
 
-def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:
+def _suspect(log: LogCheck | None, steps: Sequence[Step], fit: Fit) -> str:
     """Why the log is not to be trusted; empty where it is, or where a sensor was put right."""
-    if log is None or not log.suspect or any(step.effect.stage == "sensor" for step in steps):
+    mended = {key for one in steps if one.effect.stage == "sensor" for key in one.effect.terms}
+    left = [] if log is None else [f for f in log.serious if not mended & set(f.signals)]
+    if log is not None and left:
+        return replace(log, findings=tuple(left)).verdict
+    far = [
+        f"{p.name} ({abs(p.value - p.prior_mean) / p.prior_std:.1f})"
+        for p in fit.model.free_parameters
+        if p.prior_std and p.prior_mean is not None
+        if abs(p.value - p.prior_mean) > FAR * p.prior_std
+    ]
+    if not far:
         return ""
-    return log.verdict
+    return (
+        f"values many prior deviations from what was declared: {', '.join(far)}. An input or a "
+        "sensor is in another unit, or the priors are wrong."
+    )
 
 
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:

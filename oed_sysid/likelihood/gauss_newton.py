@@ -560,6 +560,10 @@ class Solution:
         """Noise levels that the residuals show, unknowns counted, ``(n_outputs,)``."""
         return residual_levels(self.residuals, shooting.n_unknowns)
 
+    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        return shooting.normal_equations(self.linearisation)
+
     def rated(self, shooting: Shooting) -> Solution:
         """The same end, its cost that of a problem with other noise levels."""
         return replace(self, cost=shooting.cost(self.linearisation, self.point.unknowns))

@@ -65,6 +65,7 @@ class WindowSolution:
     """
 
     problem: Windows
+    horizon: float
     now: Iterate
     iterations: int
     reason: str
@@ -94,6 +95,10 @@ class WindowSolution:
         """Noise levels that the residuals of the windows show, start states counted."""
         own = self.problem.n_windows * min(shooting.layout.n_own, len(shooting.sigma))
         return residual_levels(self.residuals, len(shooting.layout.shared) + own)
+
+    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        return self.now.equations.matrix, self.now.equations.right
 
     def rated(self, shooting: Shooting) -> WindowSolution:
         """The same end where the noise levels are those of another problem."""
@@ -130,12 +135,11 @@ def solve_windows(
         return None
     descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
     reason = descent.run(max_iterations, callback=callback)
-    return WindowSolution(problem, descent.now, descent.steps + 1, reason)
+    return WindowSolution(problem, horizon, descent.now, descent.steps + 1, reason)
 
 
 def summarise_windows(
     solution: WindowSolution,
-    horizon: float,
     estimated: np.ndarray,
     estimator: str,
     iterations: int,
@@ -148,8 +152,6 @@ def summarise_windows(
     Parameters
     ----------
     solution : WindowSolution
-    horizon : float
-        Length of a window, s.
     estimated, estimator, iterations, began
         See :func:`oed_sysid.likelihood.summary.summarise`.
     coloured : str
@@ -167,7 +169,7 @@ def summarise_windows(
     return replace(
         found.fit(shooting, now.point.unknowns, shooting.sigma),
         initial_states=tuple(states[0, :n_own].copy() for _, states in solution.paths),
-        horizon=horizon,
+        horizon=solution.horizon,
         n_windows=problem.n_windows,
         tests_scatter=scattered,
     )
