@@ -150,7 +150,8 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     reason = ""
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
-        judged, reason = input_findings(dataset, model, known)
+        ranges = problem.limits.inputs if isinstance(problem, Problem) else None
+        judged, reason = input_findings(dataset, model, known, ranges)
         findings += judged
     asked = _asked(model, traces, equations, ended, findings, reason if inputs else "not asked")
     return LogCheck(
@@ -164,14 +165,14 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     )
 
 
-def quick_check(dataset: Dataset, model: Model) -> LogCheck:
+def quick_check(dataset: Dataset, model: Problem | Model) -> LogCheck:
     """Check records before every fit: :func:`check` under its name of old.
 
     Parameters
     ----------
     dataset : Dataset
         The records.
-    model : Model
+    model : Problem or Model
         What the signals are.
     """
     return check(dataset, model)
@@ -320,7 +321,7 @@ def _asked(
             why = "" if visible < 0.5 else "no equation in which it moves enough"
             rows.append(Judged(kind, name, "found" if (kind, name) in found else state, why))
     for name in model.input_names:
-        for kind in ("sign", "unit", "scale", "delay", "limit"):
+        for kind in ("sign", "unit", "delay"):
             state = "not tested" if inputs else "tested"
             rows.append(Judged(kind, name, "found" if (kind, name) in found else state, inputs))
     return tuple(rows)

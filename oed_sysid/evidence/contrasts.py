@@ -422,6 +422,8 @@ def _pieces(
         sums = integral(times, every) if relation.is_rate else every
         sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
         waves = dct(means, axis=0, norm="ortho")[1:]
+        if not waves[:, :2].any():  # a constant says nothing
+            continue
         yield Piece(
             relation=index,
             target_name=relation.target,
