@@ -133,6 +133,8 @@ class Candidate:
         The only record that it acts in; empty for all of them.
     at, until : float
         Share of the record at which a step or burst begins, and a burst ends.
+    unit_of : str
+        For a scale: the unit of the signal.
     """
 
     kind: str
@@ -144,6 +146,7 @@ class Candidate:
     record: str = ""
     at: float = 0.0
     until: float = 1.0
+    unit_of: str = ""
 
     def correction(self, size: float) -> Correction:
         """How to undo a size of it."""
@@ -275,7 +278,8 @@ def candidates(
     common = [Candidate("bias", (n,), units[n], 0.3 * size[n], least[n]) for n in constant]
     # Positions and depths are told by satellites and pressure: their scales are rarely wrong.
     common += [
-        Candidate("scale", (n,), "1", 0.06 if n in integrated else 0.25, RELATIVE) for n in names
+        Candidate("scale", (n,), "1", 0.06 if n in integrated else 0.25, RELATIVE, unit_of=units[n])
+        for n in names
     ]
     groups = [*((n,) for n in names), *(g for g in (positions, velocities) if len(g) > 1)]
     common += [Candidate("delay", g, "s", max(0.7, 3.0 * step), SAMPLES * step) for g in groups]
@@ -942,7 +946,25 @@ def diagnosed(
         left = [undo(t, [one.correction for one in end.found], relations) for t in mended]
         return float(evidence(left, relations).sum()) - CLOSE * len(end.found)
 
-    return found, max(ends, key=worth)
+    best = max(ends, key=worth)
+    units = [one for f in best.found for one in _as_units(f)]
+    if units:
+        found = [*found, *units]
+        mended = [undo(t, [one.correction for one in units], relations) for t in mended]
+        best = search(mended, relations, known=known)
+    return found, best
+
+
+def _as_units(one: Found) -> list[Reading]:
+    """A scale that is that of a unit within its error, as another reading."""
+    fault = one.candidate
+    units = UNITS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
+    near = [
+        Reading(Correction("unit", fault.signals, factor), meaning, one.gain)
+        for factor, meaning in units
+        if abs((1.0 + one.size) * factor - 1.0) < max(RELATIVE, 3.0 * one.std * factor)
+    ]
+    return near[:1]
 
 
 def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
