@@ -8,6 +8,7 @@ package's simulation, step for step.
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
@@ -19,6 +20,7 @@ from oed_sysid.export.program import Program, identifier, program_of
 from oed_sysid.export.scripts import control_text, matlab_text, python_text, write_casadi
 from oed_sysid.export.symbolic import latex_text, module_text
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.replay import replayed
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import write_text
 
@@ -46,6 +48,8 @@ def export(
     ----------
     source : Fit or Model
         A fit, as estimators and ``improve`` return it, brings the covariance of its parameters.
+        Where its process noise has taken the work of physics, the values are those of
+        :func:`~oed_sysid.likelihood.replay.replayed`, and a warning says so.
     kind : str
         ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"``, ``"matlab"``, ``"control"``,
         ``"sympy"`` or ``"latex"``.
@@ -83,6 +87,14 @@ def export(
             f"There is no export {kind!r}. Choose one of {', '.join(KINDS)}."
             + closest(str(kind), KINDS)
         )
+    if isinstance(source, Fit) and (runs := replayed(source)) is not source:
+        warnings.warn(
+            f"{source.model.name}: process noise has taken the work of physics; the exported "
+            f"values are those for runs ({runs.estimator}).",
+            UserWarning,
+            stacklevel=2,
+        )
+        source = runs
     program = program_of(source)
     place = Path(path).expanduser()
     if trim and kind != "control":

@@ -118,7 +118,8 @@ class Concern:
     kind : str
         ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
         ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
-        ``process_noise``, ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
+        ``process_noise``, ``constraint``, ``integration``, ``runaway``, ``degenerate`` or
+        ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -129,8 +130,8 @@ class Concern:
         a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the
         standard error (``records_differ``), the true input over the logged one (``other_way``),
         noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
-        the signal (``degenerate``), samples per unknown (``few_samples``), the score test's
-        2 delta ln L (``process_noise``).
+        the signal (``degenerate``), samples per unknown (``few_samples``), standard errors
+        (``constraint``), the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -381,6 +382,14 @@ def _process_noise(fit: Estimate) -> Iterator[Found]:
     test = fit.process_noise
     if test is not None and test.failed:
         yield Found(test.statistic, facts={"failed": test.failed})
+
+
+def _binding(fit: Estimate) -> Iterator[Found]:
+    """Bounds and constraints that the records would leave."""
+    for one in fit.binding:
+        name = one.text.split()[0]
+        facts = {"text": one.text, "beyond": one.beyond}
+        yield Found(one.distance, name if name in fit.names else "", facts=facts)
 
 
 def _absorbed(fit: Estimate) -> Iterator[Found]:
@@ -776,6 +785,12 @@ CHECKS = (
         "fit without it. Look for what is missing with improve() and for faults of the log "
         "with `oed-sysid check`, or name the disturbed equations, such as "
         "disturbances=('Z', 'M').",
+    ),
+    Check(
+        "constraint", _binding, "any bound or constraint that the optimum lies beyond",
+        "{text} binds: the optimum of the records lies {beyond:.3g} beyond ({size:.2g} standard "
+        "errors). Standard errors are of values within it; where the records are right about it, "
+        "widen it, else look for what bends them.",
     ),
     Check("other_way", _other_way, "see departures.other_way", "{text}"),
     Check(

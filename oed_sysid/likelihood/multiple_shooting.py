@@ -12,6 +12,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
+from oed_sysid.likelihood.binding import binding
 from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
@@ -280,9 +281,12 @@ class MultipleShooting:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
-            if not self._tests(model) or disturbed.status.code not in FAILED:
+            code = disturbed.status.code
+            if code not in FAILED and _only_alone(disturbed, fit):
+                code = "diverged"
+            if not self._tests(model) or code not in FAILED:
                 return disturbed
-            fit = _failed(fit, disturbed.status.code)
+            fit = _failed(fit, code)
         if wanted:
             fit, end = self._weighed(fit, white, task, end)
         fit = _judged(fit, model)
@@ -372,7 +376,7 @@ class MultipleShooting:
         return _End(shooting, solution, iterations)
 
     def _summary(self, task: _Task, end: _End, *, weighed: bool = True) -> Fit:
-        return summarise(
+        fit = summarise(
             end.shooting,
             end.solution,
             task.estimated,
@@ -382,6 +386,12 @@ class MultipleShooting:
             coloured=self.coloured,
             weighed=weighed,
         )
+        if end.solution is None:
+            return fit
+        equations = end.shooting.normal_equations(end.solution.linearisation)
+        unknowns = end.solution.point.unknowns
+        found = binding(end.shooting, unknowns, *equations, self.solver.constraints)
+        return replace(fit, binding=found)
 
     def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> tuple[Fit, _End]:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
@@ -522,7 +532,7 @@ class MultipleShooting:
             return None
         if solution is None:
             return None
-        return summarise_filtered(
+        found = summarise_filtered(
             solution,
             task.estimated,
             f"{self.name}, random forces",
@@ -530,6 +540,8 @@ class MultipleShooting:
             task.began,
             coloured=self.coloured,
         )
+        ends = solution.point.unknowns, solution.matrix, solution.right
+        return replace(found, binding=binding(solution.problem, *ends))
 
     def _estimate_noise(
         self,
@@ -653,6 +665,15 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
 def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
+
+
+def _only_alone(disturbed: Fit, white: Fit) -> bool:
+    """Whether whole runs diverge with the values of the one fit and not with those of the other."""
+    own, other = (
+        all(np.isfinite(part).all() for part in fit.predictions) for fit in (disturbed, white)
+    )
+    # Those are runs from starts that the filter estimated; whole runs have their own.
+    return not own and other and bool(disturbed.whole_runs.diverging)
 
 
 def _failed(fit: Fit, code: str) -> Fit:

@@ -79,7 +79,7 @@ class NonlinearProgram:
         unknowns = scaled * self._scale
         inverse_sigma = ca.MX.sym("inverse_sigma", len(shooting.sigma))
         residuals, jumps, extra = [], [], []
-        user = _Constraints(shooting.model, constraints)
+        user = UserConstraints(shooting.model, constraints)
         position = layout.n_unknowns
         for index in range(layout.n_records):
             columns = layout.record_columns(index)
@@ -241,7 +241,7 @@ class NonlinearProgram:
         return Solution(found_point, lin, cost, int(stats["iter_count"]), reason)
 
 
-class _Constraints:
+class UserConstraints:
     """The user's constraints as one function of all parameter values."""
 
     def __init__(self, model: Model, texts: Sequence[str]) -> None:

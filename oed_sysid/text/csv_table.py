@@ -746,38 +746,47 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
     """
     try:
         with path.open("rb") as stream:
-            head = stream.read(_HEAD)
-            head = head[: head.rfind(b"\n") + 1]
-            if b"\r" in head.replace(b"\r\n", b""):
+            lines, row, start = _first_row(path, stream)
+            if "t" in lines.kinds and not columns_of_text:
                 return None
-            headers, delimiter, closed, rows = _layout(path, _decoded(path, head))
-            row, cells = rows[0][0], _cells(rows[0][1], delimiter)
-            kinds = [_kind(cell, delimiter) for cell in cells[: len(headers)]]
-            if len(cells) != len(headers) + closed or ("t" in kinds and not columns_of_text):
-                return None
-            body = sum(len(line) + 1 for line in head.split(b"\n")[: row - 1])
-            lines = _Lines(delimiter.encode(), kinds, closed)
-            parts = [lines.parsed(block) for block in _blocks(stream, body)]
+            parts = [lines.parsed(block) for block in _blocks(stream, start)]
     except (DataError, OSError, ValueError, DeprecationWarning):
         return None
-    numeric = [index for index, kind in enumerate(kinds) if kind == "n"]
     n_rows = sum(len(numbers) for numbers, _ in parts)
-    values = np.full((len(headers), n_rows), np.nan).T  # every column in one piece of memory
+    # Every column in one piece of memory, as they are read one by one.
+    values = np.full((len(lines.kinds), n_rows), np.nan).T
+    numeric = [index for index, kind in enumerate(lines.kinds) if kind == "n"]
     end = 0
     for numbers, _ in parts:
-        start, end = end, end + len(numbers)
-        values[start:end, numeric if len(numeric) < len(headers) else slice(None)] = numbers
-    table = Table(path, tuple(headers), values, np.arange(row, row + n_rows))
-    for index, kind in enumerate(kinds):
+        begin, end = end, end + len(numbers)
+        values[begin:end, numeric if len(numeric) < len(lines.kinds) else slice(None)] = numbers
+    table = Table(path, lines.headers, values, np.arange(row, row + n_rows))
+    for index, (kind, cell) in enumerate(zip(lines.kinds, lines.cells, strict=True)):
         if kind == "s":
             seconds = np.concatenate([times[index] for _, times in parts])
             values[:, index] = np.round(seconds - seconds[0], 6)
-            table.stamps[index] = cells[index].strip()
+            table.stamps[index] = cell.strip()
         elif kind == "t":
             table.faults[index] = (
-                f"Row {row} of {path.name}, column {headers[index]!r}: {complaint(cells[index])}"
+                f"Row {row} of {path.name}, column {lines.headers[index]!r}: {complaint(cell)}"
             )
     return table
+
+
+def _first_row(path: Path, stream: BinaryIO) -> tuple[_Lines, int, int]:
+    """How the rows of a file are laid out, the number of the first, and where it begins, bytes."""
+    head = stream.read(_HEAD)
+    head = head[: head.rfind(b"\n") + 1]
+    if b"\r" in head.replace(b"\r\n", b""):
+        raise ValueError
+    headers, delimiter, closed, rows = _layout(path, _decoded(path, head))
+    row, cells = rows[0][0], _cells(rows[0][1], delimiter)
+    if len(cells) != len(headers) + closed:
+        raise ValueError
+    cells = cells[: len(headers)]
+    kinds = [_kind(cell, delimiter) for cell in cells]
+    start = sum(len(line) + 1 for line in head.split(b"\n")[: row - 1])
+    return _Lines(delimiter.encode(), tuple(headers), cells, kinds, closed), row, start
 
 
 def _kind(cell: str, delimiter: str) -> str:
@@ -808,6 +817,8 @@ class _Lines:
     """How the lines of a good file are laid out: delimiter, and what each column holds."""
 
     delimiter: bytes
+    headers: tuple[str, ...]
+    cells: Sequence[str]  # of the first row
     kinds: Sequence[str]  # n numbers, s times, t text
     closed: bool  # with a delimiter behind the last cell
 
