@@ -731,7 +731,7 @@ def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -
 
 
 _HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
-_BLANK = re.compile(rb"(?<![^,])[ \t]+(?![^,])")
+_BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
 _WORDS = re.compile(
     rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
     % b"|".join(re.escape(word).encode() for word in sorted(MISSING - {""}))
@@ -869,17 +869,19 @@ class _Lines:
 
     def _plain(self, block: bytes) -> bytes:
         """All numbers with commas between them and decimal points."""
-        if self.delimiter != b"," and b"," in block:
-            if b"." in block:
-                raise ValueError
-            return block.translate(bytes.maketrans(b"\v\f," + self.delimiter + b"\n", b"  .,,"))
-        return block.translate(bytes.maketrans(b"\v\f" + self.delimiter + b"\n", b"  ,,"))
+        if self.delimiter == b",":
+            return block.replace(b"\n", b",")
+        if b"," not in block:
+            return block.translate(bytes.maketrans(self.delimiter + b"\n", b",,"))
+        if b"." in block:
+            raise ValueError
+        return block.translate(bytes.maketrans(b"," + self.delimiter + b"\n", b".,,"))
 
 
 def _floats(body: bytes) -> np.ndarray:
     """Numbers between commas; nothing, and the words for nothing, are NaN."""
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
-    if b" " in body or b"\t" in body:
+    if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
         body = _BLANK.sub(b"", body)
     if b",," in body or body.startswith(b",") or body.endswith(b","):
         body = b",%s," % body
