@@ -754,12 +754,13 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
         return None
     n_rows = sum(len(numbers) for numbers, _ in parts)
     # Every column in one piece of memory, as they are read one by one.
-    values = np.full((len(lines.kinds), n_rows), np.nan).T
+    values = np.empty((len(lines.kinds), n_rows)).T
     numeric = [index for index, kind in enumerate(lines.kinds) if kind == "n"]
+    where = slice(None) if len(numeric) == len(lines.kinds) else numeric
     end = 0
     for numbers, _ in parts:
         begin, end = end, end + len(numbers)
-        values[begin:end, numeric if len(numeric) < len(lines.kinds) else slice(None)] = numbers
+        values[begin:end, where] = numbers
     table = Table(path, lines.headers, values, np.arange(row, row + n_rows))
     for index, (kind, cell) in enumerate(zip(lines.kinds, lines.cells, strict=True)):
         if kind == "s":
@@ -767,6 +768,7 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
             values[:, index] = np.round(seconds - seconds[0], 6)
             table.stamps[index] = cell.strip()
         elif kind == "t":
+            values[:, index] = np.nan
             table.faults[index] = (
                 f"Row {row} of {path.name}, column {lines.headers[index]!r}: {complaint(cell)}"
             )
