@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -127,21 +128,15 @@ def improve(
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, log)
-    keep = opened(
-        journal,
-        "improve",
-        lambda: {
-            "model": encode(model),
-            "candidates": [encode(effect) for effect in candidates],
-            "train": [[record.name, record.content_hash] for record in train],
-            "validation": [[record.name, record.content_hash] for record in test or ()],
-            "known_noise": known_noise,
-            "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
-            "max_effects": max_effects,
-            "terms": terms,
-        },
-        shared={"train": train, "validation": test},
-    )
+    options = {
+        "known_noise": known_noise,
+        "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+        "max_effects": max_effects,
+        "terms": terms,
+    }
+    shape = partial(_shape, model, candidates, train, test, options)
+    shared = {"train": train, "validation": test}
+    keep = opened(journal, "improve", shape, shared=shared)
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
@@ -159,6 +154,23 @@ def improve(
     acting = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
     said = (*(one.text for one in acting), *_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*said, *result.notes))
+
+
+def _shape(
+    model: Model,
+    candidates: Sequence[Effect],
+    train: Dataset,
+    test: Dataset | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What shapes an improvement, so that a later call finds the steps of one that did not end."""
+    return {
+        "model": encode(model),
+        "candidates": [encode(effect) for effect in candidates],
+        "train": [[record.name, record.content_hash] for record in train],
+        "validation": [[record.name, record.content_hash] for record in test or ()],
+        **options,
+    }
 
 
 @dataclass(frozen=True, eq=False)
