@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -30,15 +31,16 @@ def _careful() -> Design:
 def _reaches(commands: np.ndarray, b: float, d: float, c: float) -> tuple[float, float]:
     """Lowest and highest heading by SciPy's adaptive integrator, equations written anew."""
 
-    def rates(t: float, x: np.ndarray) -> list[float]:
-        rudder = commands[min(int(t / 0.5 + 1e-9), len(commands) - 1)]
+    def rates(_: float, x: np.ndarray, rudder: float) -> list[float]:
         return [x[1], b * rudder - d * x[1] - c * x[1] * abs(x[1])]
 
     low, high, x = 0.0, 0.0, np.zeros(2)
-    for k in range(len(commands) - 1):
-        solved = solve_ivp(rates, (0.5 * k, 0.5 * (k + 1) - 1e-9), x, rtol=1e-7, atol=1e-9)
-        x = solved.y[:, -1]
-        low, high = min(low, x[0]), max(high, x[0])
+    edges = [0, *(np.flatnonzero(np.diff(commands[:-1])) + 1), len(commands) - 1]
+    for first, last in pairwise(edges):
+        times = 0.5 * np.arange(first, last + 1)
+        span, held = (times[0], times[-1]), (commands[first],)
+        path = solve_ivp(rates, span, x, t_eval=times, args=held, rtol=1e-7, atol=1e-9).y
+        low, high, x = min(low, path[0].min()), max(high, path[0].max()), path[:, -1]
     return low, high
 
 

@@ -12,11 +12,11 @@ so that Lagrange's multiplier of a single one is :math:`\lambda = a'\delta / \si
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
-import casadi as ca
 import numpy as np
 
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.likelihood.estimate import Binding
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.nonlinear_program import UserConstraints
@@ -67,17 +67,7 @@ def binding(
             text = f"{name} {relation} {limit:.6g}"
             found.append((text, float(sign * (values[index] - limit)), gradient))
     if constraints:
-        user = UserConstraints(model, constraints)
-        given = ca.MX.sym("values", len(model.all_parameters))
-        gradients = ca.Function("slope", [given], [ca.jacobian(user.function(given), given)])
-        whole = model.with_values(dict(zip(layout.free_names, values, strict=True))).value_vector
-        place = [model.parameter_names.index(name) for name in layout.free_names]
-        rows = np.array(gradients(whole), dtype=float)[:, place] * slopes
-        levels = np.array(user.function(whole), dtype=float).ravel()
-        for text, level, row, low in zip(constraints, levels, rows, user.lower, strict=True):
-            gradient = np.zeros(len(unknowns))
-            gradient[columns] = row if low == -np.inf else -row
-            found.append((text, float(level), gradient))
+        found += _constrained(problem, unknowns, UserConstraints(model, constraints))
     result = []
     for text, level, gradient in found:
         std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
@@ -85,3 +75,34 @@ def binding(
         if std > 0 and abs(level) < ACTIVE * std and beyond > ACTIVE * std:
             result.append(Binding(text, beyond, std))
     return tuple(sorted(result, key=lambda one: -one.distance))
+
+
+def _constrained(
+    problem: Shooting | Filtered, unknowns: np.ndarray, user: UserConstraints
+) -> Iterator[tuple[str, float, np.ndarray]]:
+    """Text, excess and gradient of every constraint; along a path where it is exceeded most."""
+    model, layout, runner = problem.model, problem.layout, kernel(problem.model)
+    place = [model.parameter_names.index(name) for name in layout.free_names]
+    for index, record in enumerate(problem.dataset):
+        columns = layout.record_columns(index)
+        own, free = np.split(unknowns[columns], [layout.n_own])
+        at = layout.parameters(unknowns, index)
+        whole = model.with_values(dict(zip(layout.free_names, at, strict=True))).value_vector
+        z, dz = runner.start(own, record.inputs[0], whole, record.times[0])
+        run = runner.run(record.times, record.inputs, whole, z, sensitivities=True)
+        if not run.ok or run.output_sensitivities is None:
+            return
+        by_own_and_free = run.output_sensitivities[:, :, : len(z)] @ dz
+        by_own_and_free[:, :, layout.n_own :] += run.output_sensitivities[:, :, len(z) :]
+        slopes = np.concatenate([np.ones(layout.n_own), layout.slopes(free)])
+        for text, sample, excess, by_outputs, by_values in user.tightest(run.outputs, whole):
+            row = np.concatenate([np.zeros(layout.n_own), by_values[place]])
+            where = ""
+            if sample is not None:
+                row = row + by_outputs @ by_own_and_free[sample]
+                where = f" at {record.times[sample]:g} s of {record.name}"
+            elif index:
+                continue
+            gradient = np.zeros(len(unknowns))
+            gradient[columns] = row * slopes
+            yield f"{text}{where}", excess, gradient

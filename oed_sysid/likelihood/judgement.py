@@ -541,8 +541,8 @@ def _runaway(fit: Estimate) -> Iterator[Found]:
 def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     """Change of the outputs with a finer step in noise levels: the worst, its output and record.
 
-    With disturbance forces the model alone may drift away; there pieces of ``PIECE`` samples begin
-    at the states of the simulation.
+    With disturbance forces, or where windows are predicted, the model alone may drift away; there
+    pieces of ``PIECE`` samples begin at the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
     sigma = fit.sigma
@@ -556,7 +556,8 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     for index, record in enumerate(fit.dataset):
         values, before = values_of(fit, index), fit.predictions[index]
         states = fit.states[index]
-        if fit.innovations is None or states.shape[1] != coarse.n_full:
+        whole = fit.innovations is None and fit.horizon is None
+        if whole or states.shape[1] != coarse.n_full:
             own = fit.initial_states[index]
             z0, _ = fine.start(own, record.inputs[0], values, record.times[0])
             after = fine.run(record.times, record.inputs, values, z0).outputs
@@ -564,9 +565,10 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
             last = int(np.isfinite(states).all(axis=1).cumprod().sum())
             starts = np.arange(0, record.n_samples, PIECE)
             starts = starts[starts < last] if last else starts[:1]
-            after = fine.run(
-                record.times, record.inputs, values, states[starts], starts=starts
-            ).outputs
+            before, after = (
+                one.run(record.times, record.inputs, values, states[starts], starts=starts).outputs
+                for one in (coarse, fine)
+            )
         measured = np.isfinite(record.outputs).any(axis=0)
         known = np.isfinite(before).all(axis=1)
         if not known.any():
