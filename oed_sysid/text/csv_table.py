@@ -731,7 +731,7 @@ def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -
 
 
 _HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
-_BLANK = re.compile(rb"(?<![^,])[ \t]+(?![^,])")
+_BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
 _WORDS = re.compile(
     rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
     % b"|".join(re.escape(word).encode() for word in sorted(MISSING - {""}))
@@ -754,12 +754,13 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
         return None
     n_rows = sum(len(numbers) for numbers, _ in parts)
     # Every column in one piece of memory, as they are read one by one.
-    values = np.full((len(lines.kinds), n_rows), np.nan).T
+    values = np.empty((len(lines.kinds), n_rows)).T
     numeric = [index for index, kind in enumerate(lines.kinds) if kind == "n"]
+    where = slice(None) if len(numeric) == len(lines.kinds) else numeric
     end = 0
     for numbers, _ in parts:
         begin, end = end, end + len(numbers)
-        values[begin:end, numeric if len(numeric) < len(lines.kinds) else slice(None)] = numbers
+        values[begin:end, where] = numbers
     table = Table(path, lines.headers, values, np.arange(row, row + n_rows))
     for index, (kind, cell) in enumerate(zip(lines.kinds, lines.cells, strict=True)):
         if kind == "s":
@@ -767,6 +768,7 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
             values[:, index] = np.round(seconds - seconds[0], 6)
             table.stamps[index] = cell.strip()
         elif kind == "t":
+            values[:, index] = np.nan
             table.faults[index] = (
                 f"Row {row} of {path.name}, column {lines.headers[index]!r}: {complaint(cell)}"
             )
@@ -869,17 +871,19 @@ class _Lines:
 
     def _plain(self, block: bytes) -> bytes:
         """All numbers with commas between them and decimal points."""
-        if self.delimiter != b"," and b"," in block:
-            if b"." in block:
-                raise ValueError
-            return block.translate(bytes.maketrans(b"\v\f," + self.delimiter + b"\n", b"  .,,"))
-        return block.translate(bytes.maketrans(b"\v\f" + self.delimiter + b"\n", b"  ,,"))
+        if self.delimiter == b",":
+            return block.replace(b"\n", b",")
+        if b"," not in block:
+            return block.translate(bytes.maketrans(self.delimiter + b"\n", b",,"))
+        if b"." in block:
+            raise ValueError
+        return block.translate(bytes.maketrans(b"," + self.delimiter + b"\n", b".,,"))
 
 
 def _floats(body: bytes) -> np.ndarray:
     """Numbers between commas; nothing, and the words for nothing, are NaN."""
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
-    if b" " in body or b"\t" in body:
+    if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
         body = _BLANK.sub(b"", body)
     if b",," in body or body.startswith(b",") or body.endswith(b","):
         body = b",%s," % body
