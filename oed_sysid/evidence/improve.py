@@ -32,6 +32,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import level_concerns
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
+from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -64,7 +65,7 @@ def improve(
     *,
     candidates: Sequence[Effect] | None = None,
     known_noise: bool = False,
-    disturbances: str | Sequence[str] = "auto",
+    disturbances: Disturbances = "auto",
     max_effects: int = 4,
     terms: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -131,7 +132,9 @@ def improve(
             "train": [[record.name, record.content_hash] for record in train],
             "validation": [[record.name, record.content_hash] for record in test or ()],
             "known_noise": known_noise,
-            "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+            "disturbances": [disturbances]
+            if isinstance(disturbances, str)
+            else [str(one) for one in np.atleast_1d(np.array(disturbances, dtype=object))],
             "max_effects": max_effects,
             "terms": terms,
         },

@@ -325,10 +325,19 @@ def _process_noise(fit: Estimate) -> tuple[Concern, ...]:
 
 
 def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
-    """Innovations that swing with a period of their own."""
+    """Innovations that swing with a period of their own.
+
+    Within an octave of a sea that the fit has, it is the shape of its spectrum that is not quite
+    the assumed one, which standard errors hold.
+    """
     if fit.innovations is None:
         return ()
-    peaks = clear_peaks(fit.series, tuple(fit.dataset), fit.model.output_names)
+    periods = [float(sea.period or 0.0) for sea in fit.noise.seas]
+    peaks = [
+        peak
+        for peak in clear_peaks(fit.series, tuple(fit.dataset), fit.model.output_names)
+        if not any(0.5 < peak.period / period < 2.0 for period in periods)
+    ]
     return tuple(
         Concern(
             "swing",

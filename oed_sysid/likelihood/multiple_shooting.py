@@ -35,7 +35,7 @@ from oed_sysid.likelihood.noise_levels import (
     start_levels,
     without_spikes,
 )
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -152,7 +152,7 @@ class MultipleShooting:
     solver: str = "gauss-newton"
     hessian: str = "gauss-newton"
     constraints: Sequence[str] = ()
-    disturbances: str | Sea | Sequence[str | Sea] = "auto"
+    disturbances: Disturbances = "auto"
     horizon: float | None = None
 
     def __post_init__(self) -> None:
@@ -208,8 +208,7 @@ class MultipleShooting:
     @property
     def _seas(self) -> tuple[Sea, ...]:
         """Seas that are declared."""
-        given = (self.disturbances,) if isinstance(self.disturbances, Sea) else self.disturbances
-        return tuple(one for one in given if isinstance(one, Sea))
+        return seas_in(self.disturbances)
 
     @property
     def _named(self) -> str | tuple[str, ...]:
