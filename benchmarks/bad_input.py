@@ -6,7 +6,6 @@ python -m benchmarks.bad_input --write        # puts the messages into docs/erro
 
 from __future__ import annotations
 
-import argparse
 import re
 import sys
 import tempfile
@@ -14,17 +13,16 @@ import warnings
 from collections.abc import Iterable
 from pathlib import Path
 
+from benchmarks.harness import ROOT, command, markdown, write_page
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
-from bad_input import csv_files, problem_files  # noqa: E402
+from bad_input import csv_files, problem_files
 
 NOTED_AND_REFUSED = (*csv_files.REFUSED, *csv_files.NOTED)
 PAGE = ROOT / "docs" / "errors.md"
-BEGIN, END = "<!-- catalogue: {} -->\n", "<!-- end of catalogue -->\n"
 _LONGEST = 260
 
 
@@ -66,14 +64,13 @@ def _without_places(message: str, folder: Path) -> str:
 
 def table(rows: Iterable[tuple[str, str]]) -> str:
     """Rows of kind and message as Markdown."""
-    lines = ["| what | answer |", "|---|---|"]
+    cells = []
     for kind, message in rows:
         short = message if len(message) <= _LONGEST else message[: _LONGEST - 1] + "…"
-        plain = (
-            short.replace("\n", " ").replace("|", "\\|").replace("<", "&lt;").replace("*", "\\*")
-        )
-        lines.append(f"| {kind} | {plain} |")
-    return "\n".join(lines) + "\n"
+        for sign, plain in (("\n", " "), ("|", "\\|"), ("<", "&lt;"), ("*", "\\*")):
+            short = short.replace(sign, plain)
+        cells.append((kind, short))
+    return "\n".join(markdown(("what", "answer"), cells))
 
 
 def sections() -> dict[str, str]:
@@ -86,18 +83,14 @@ def sections() -> dict[str, str]:
     }
 
 
-def placed(text: str, name: str, content: str) -> str:
-    """The page with one of its tables replaced."""
-    begin = BEGIN.format(name)
-    head, _, rest = text.partition(begin)
-    _, _, tail = rest.partition(END)
-    return head + begin + content + END + tail
+def main(*, write: bool = False) -> None:
+    """Count the messages that are right.
 
-
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--write", action="store_true", help="write docs/errors.md")
-    options = parser.parse_args()
+    Parameters
+    ----------
+    write : bool
+        write docs/errors.md
+    """
     for what, entries, say in (
         ("CSV files refused", csv_files.REFUSED, csv_message),
         ("CSV files read and noted", csv_files.NOTED, csv_message),
@@ -109,12 +102,9 @@ def main() -> None:
         print(
             f"{what}: {len(entries)}, with the message that they must get {right}, silent {silent}"
         )
-    if options.write:
-        text = PAGE.read_text(encoding="utf-8")
-        for name, content in sections().items():
-            text = placed(text, name, content)
-        PAGE.write_text(text, encoding="utf-8")
+    for name, content in sections().items() if write else ():
+        write_page(PAGE, content, name)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -10,7 +10,6 @@ place, and inputs that take longer than two seconds.
 
 from __future__ import annotations
 
-import argparse
 import copy
 import json
 import random
@@ -26,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import ROOT, command, known, markdown
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
@@ -33,37 +33,21 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text import dimensions, expressions, notation, units
 
-ROOT = Path(__file__).resolve().parent.parent
 SLOW = 2.0  # s
 # Share of the inputs, by what reads them.
 SHARES = {"units": 0.36, "notation": 0.2, "expressions": 0.3, "csv": 0.12, "results": 0.017}
 SHARES["problems"] = 1.0 - sum(SHARES.values())
 
+# What has caused trouble somewhere.
+_WORDS = """
+nan NaN inf -inf 1e999 -1e999 1e-999 0x1F 1_000 1.2.3 --1 1,5 1.234,5 null None True #N/A =A1
+99999999999 -0.0 ( ) (((( )))) [ ] { } " ' ^ ** * / // % << ~ ! @ ; , | : . - + < > <= == a<b<c
+lambda x.y x[0] f(*a) __import__('os') 2024-05-31T12:00:00 12:00:00 31.05.2024 [deg] (m/s) {rad}
+10**10**10 é µ ° ² ⁻ ∞ １ 𝛿
+"""
 TROUBLE = (
-    *(
-        "",
-        " ",
-        "\t",
-        "\n",
-        "\r\n",
-        "\0",
-        "\ufeff",
-        "\u00a0",
-        "é",
-        "µ",
-        "°",
-        "²",
-        "⁻",
-        "∞",
-        "１",
-        "𝛿",
-    ),
-    *("nan", "NaN", "inf", "-inf", "1e999", "-1e999", "1e-999", "0x1F", "1_000", "1.2.3", "--1"),
-    *("9" * 400, "99999999999", "-0.0", "1,5", "1.234,5", "null", "None", "True", "#N/A", "=A1"),
-    *("(", ")", "((((", "))))", "[", "]", "{", "}", '"', "'", "^", "**", "*", "/", "//", "%", "<<"),
-    *("~", "!", "@", ";", ",", "|", ":", ".", "-", "+", "<", ">", "<=", "==", "a<b<c", "lambda"),
-    *("(" * 300, "-" * 300, "a" * 5000, "1+" * 2000, "__import__('os')", "x.y", "x[0]", "f(*a)"),
-    *("2024-05-31T12:00:00", "12:00:00", "31.05.2024", "[deg]", "(m/s)", "{rad}", "10**10**10"),
+    *("", " ", "\t", "\n", "\r\n", "\0", "\ufeff", "\u00a0", *_WORDS.split()),
+    *("9" * 400, "(" * 300, "-" * 300, "a" * 5000, "1+" * 2000),
 )
 
 
@@ -90,31 +74,10 @@ def grown(rng: random.Random, pieces: tuple[str, ...], most: int) -> str:
     return "".join(rng.choice(pieces) for _ in range(rng.randint(1, most)))
 
 
-UNIT_PIECES = (
-    *("m", "s", "kg", "rad", "deg", "N", "kn", "rpm", "degC", "V", "Ohm", "Hz", "mN", "%", "1"),
-    *(
-        " ",
-        "/",
-        "*",
-        "·",
-        "^",
-        "**",
-        "2",
-        "-1",
-        "-2",
-        "^2",
-        "^(1/2)",
-        "^0.5",
-        "(",
-        ")",
-        "m2",
-        "s-1",
-    ),
-)
-NOTATION_PIECES = (
-    *("X_", "Y_", "Z_", "K_", "M_", "N_", "_", "abs", "u", "v", "w", "p", "q", "r", "phi", "theta"),
-    *("delta", "dr", "ds", "db", "0", "dot", "_prime", "tau", "max"),
-)
+_UNITS = "m s kg rad deg N kn rpm degC V Ohm Hz mN % 1 / * · ^ ** 2 -1 -2 ^2 ^(1/2) ^0.5 m2 s-1"
+UNIT_PIECES = (*_UNITS.split(), " ", "(", ")")
+_NOTATION = "X_ Y_ Z_ K_ M_ N_ _ abs u v w p q r phi theta delta dr ds db 0 dot _prime tau max"
+NOTATION_PIECES = tuple(_NOTATION.split())
 NAMES = ("u", "w", "q", "theta", "Z_absww", "m", "t")
 EXPRESSION_PIECES = (
     *NAMES,
@@ -324,31 +287,34 @@ def run(n_inputs: int, *, seed: int = 0, shares: dict[str, float] = SHARES) -> T
     return tally
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--inputs", type=int, default=20_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", choices=tuple(SHARES), help="one reader only")
-    options = parser.parse_args()
-    shares = {options.only: 1.0} if options.only else SHARES
+def main(*, inputs: int = 20_000, seed: int = 0, only: str = "") -> None:
+    """Count what comes out; end with 1 if anything did that should not.
+
+    Parameters
+    ----------
+    inputs : int
+        all together
+    seed : int
+        of the inputs
+    only : str
+        one reader only
+    """
+    shares = {known(only, SHARES, "reader"): 1.0} if only else SHARES
     began = time.perf_counter()
-    tally = run(options.inputs, seed=options.seed, shares=shares)
-    seconds = time.perf_counter() - began
-    print("| reader | inputs | accepted | refused | uncaught | slower than 2 s |")
-    print("|---|---|---|---|---|---|")
+    tally = run(inputs, seed=seed, shares=shares)
+    rows = []
     for name, count in tally.inputs.items():
         faults = sum(n for (target, _, _), n in tally.uncaught.items() if target == name)
         accepted = tally.accepted[name]
-        print(
-            f"| {name} | {count} | {accepted} | {count - accepted - faults} | {faults} | "
-            f"{tally.slow[name]} |"
-        )
+        rows.append((name, count, accepted, count - accepted - faults, faults, tally.slow[name]))
+    head = ("reader", "inputs", "accepted", "refused", "uncaught", "slower than 2 s")
+    print("\n".join(markdown(head, rows)))
     for kind, count in tally.uncaught.most_common():
         print(f"{count} x {' '.join(kind)}, first at input {tally.examples[kind]}")
     print(f"{sum(tally.inputs.values())} inputs, {sum(tally.uncaught.values())} uncaught, "
-          f"{seconds:.0f} s")  # fmt: skip
+          f"{time.perf_counter() - began:.0f} s")  # fmt: skip
     sys.exit(1 if tally.uncaught or tally.slow else 0)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -211,6 +211,30 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]
     return [f"| {lines[0]} |", "|" + "---|" * len(head), *(f"| {line} |" for line in lines[1:])]
 
 
+def tabulate(
+    groups: Mapping[Hashable, Sequence[Row]], columns: Mapping[str, Callable[..., object]]
+) -> list[str]:
+    """Lines of a Markdown table with a line for each group of cases and a function per column.
+
+    A function takes the name of the group and its cases.
+
+    Examples
+    --------
+    >>> tabulate({"a": [{"n": 1}, {"n": 2}]}, {"name": lambda k, _: k, "n": lambda _, g: len(g)})
+    ['| name | n |', '|---|---|', '| a | 2 |']
+    """
+    rows = ([column(key, group) for column in columns.values()] for key, group in groups.items())
+    return markdown(list(columns), rows)
+
+
+def grouped(rows: Iterable[Row], key: Callable[[Row], Hashable]) -> dict[Hashable, list[Row]]:
+    """Cases by what they have in common, in the order in which they come."""
+    found: dict[Hashable, list[Row]] = {}
+    for row in rows:
+        found.setdefault(key(row), []).append(row)
+    return found
+
+
 def between(page: str, begin: str, end: str, lines: Iterable[str]) -> str:
     """The page with what stands between two marks written anew, at its end without the marks."""
     body = "\n".join([begin, *lines, end])
@@ -228,6 +252,19 @@ def write_page(path: Path, text: str, name: str = "measured") -> None:
 
 
 # -- the command line -------------------------------------------------------------------
+
+
+def known(name: str, names: Iterable[str], kind: str) -> str:
+    """The name, if there is one like it.
+
+    Raises
+    ------
+    SystemExit
+        If there is none; the message lists those that there are.
+    """
+    if name not in (all_ := list(names)):
+        raise SystemExit(f"there is no {kind} {name}; choose from {', '.join(all_)}")
+    return name
 
 
 def command(main: Callable[..., Any], arguments: Sequence[str] | None = None) -> Any:

@@ -10,7 +10,6 @@ written, the result equals that of an undisturbed run to the last bit, and no re
 
 from __future__ import annotations
 
-import argparse
 import json
 import signal
 import subprocess
@@ -24,7 +23,8 @@ from typing import Any
 
 import numpy as np
 
-ROOT = Path(__file__).resolve().parents[1]
+from benchmarks.harness import ROOT, command, markdown
+
 RECORDS = ROOT / "problems" / "remus_diving_plane" / "data"
 COMMANDS: Mapping[str, tuple[str, ...]] = {
     "improve": (
@@ -150,25 +150,29 @@ def _without_times(value: Any) -> Any:
     return [_without_times(v) for v in value] if isinstance(value, list) else value
 
 
-def main() -> int:
-    """Print a table; 1 if anything was lost."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kills", type=int, default=20)
-    parser.add_argument("--seed", type=int, default=0)
-    given = parser.parse_args()
-    print("| command | killed | steps written again | equal | files left | time | undisturbed |")
-    print("|---|---|---|---|---|---|---|")
-    ok = True
-    for name, command in COMMANDS.items():
-        found = killed(command, kills=given.kills, rng=np.random.default_rng(given.seed))
-        ok = ok and found.ok
-        print(
-            f"| {name} | {found.kills} | {found.rewritten} | {'yes' if found.equal else 'no'} "
-            f"| {found.left} | {found.seconds:.0f} s | {found.undisturbed:.0f} s |",
-            flush=True,
-        )
-    return 0 if ok else 1
+def main(*, kills: int = 20, seed: int = 0) -> None:
+    """Print a table; end with 1 if anything was lost.
+
+    Parameters
+    ----------
+    kills : int
+        of each command
+    seed : int
+        of their times
+    """
+    found = {
+        name: killed(words, kills=kills, rng=np.random.default_rng(seed))
+        for name, words in COMMANDS.items()
+    }
+    head = ("command", "killed", "steps written again", "equal", "files left", "s", "undisturbed")
+    rows = [
+        (name, one.kills, one.rewritten, "yes" if one.equal else "no", one.left,
+         f"{one.seconds:.0f}", f"{one.undisturbed:.0f}")
+        for name, one in found.items()
+    ]  # fmt: skip
+    print("\n".join(markdown(head, rows)))
+    sys.exit(0 if all(one.ok for one in found.values()) else 1)
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    command(main)

@@ -9,13 +9,12 @@ resumed and enlarged; the table in docs/benchmark_estimators.md is written from 
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import between
+from benchmarks.harness import command, markdown, write_page
 from oed_sysid.baselines.benchmark import OURS, WORLDS, Row, benchmark
 from oed_sysid.baselines.contest import (
     BELIEVERS,
@@ -25,7 +24,6 @@ from oed_sysid.baselines.contest import (
 )
 
 PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmark_estimators.md"
-BEGIN, END = "<!-- real world: begin -->", "<!-- real world: end -->"
 PROBLEMS = ("online_ship", "auv_diving_plane", "remus_diving_plane")
 NOISE = 1.0  # per cent of the peak
 # Short searches that treat these problems; the populations take minutes a run.
@@ -50,37 +48,43 @@ NEAR = 1.10
 
 
 def table(rows: Sequence[Row], estimators: Sequence[str]) -> list[str]:
-    """One line per problem and world: errors of determined parameters and their bound, per cent."""
-    lines = [
-        "| problem | world | seeds | determined | bound | "
-        + " | ".join(estimators)
-        + " | place | with a prior |",
-        "|" + "---|" * (len(estimators) + 7),
-    ]
+    """One line per problem and world: errors of determined parameters, their bound, per cent."""
+    head = (
+        "problem",
+        "world",
+        "seeds",
+        "determined",
+        "bound",
+        *estimators,
+        "place",
+        "with a prior",
+    )
+    lines = []
     for problem, world in dict.fromkeys((row.problem, row.world) for row in rows):
         found = {r.estimator: r for r in rows if (r.problem, r.world) == (problem, world)}
         shown = {name: row for name, row in found.items() if not row.refused}
         errors = {name: _pooled(row) for name, row in shown.items()}
         plain = {name: error for name, error in errors.items() if name not in BELIEVING}
         told = {name: error for name, error in errors.items() if name in BELIEVING}
-        cells = []
-        for name in estimators:
-            if name not in errors:
-                cells.append("cannot")
-                continue
-            text = f"{100 * errors[name]:.3g}"
-            failed = f" ({shown[name].n_failed} failed)" if shown[name].n_failed else ""
-            least = min((told if name in BELIEVING else plain).values())
-            cells.append((f"**{text}**" if errors[name] <= NEAR * least else text) + failed)
-        seeds = max(row.n_runs for row in found.values())
-        any_row = next(iter(shown.values()))
-        known = f"{any_row.n_determined} of {any_row.n_parameters} | {100 * any_row.bound:.3g}"
+        cells = [
+            _cell(shown.get(name), min((told if name in BELIEVING else plain).values(), default=0))
+            for name in estimators
+        ]
+        one = next(iter(shown.values()))
+        known = f"{one.n_determined} of {one.n_parameters}", f"{100 * one.bound:.3g}"
         places = _place(plain, FAMILY), _place(told, BELIEVING_FAMILY)
-        title = WORLDS[world].title
-        lines.append(
-            f"| {problem} | {title} | {seeds} | {known} | " + " | ".join((*cells, *places)) + " |"
-        )
-    return lines
+        seeds = max(row.n_runs for row in found.values())
+        lines.append((problem, WORLDS[world].title, seeds, *known, *cells, *places))
+    return markdown((*head, "place", "with a prior"), lines)
+
+
+def _cell(row: Row | None, least: float) -> str:
+    """Error of one estimator, bold where it is near the least."""
+    if row is None:
+        return "cannot"
+    text = f"{100 * _pooled(row):.3g}"
+    failed = f" ({row.n_failed} failed)" if row.n_failed else ""
+    return (f"**{text}**" if _pooled(row) <= NEAR * least else text) + failed
 
 
 def _place(errors: Mapping[str, float], family: Sequence[str]) -> str:
@@ -100,31 +104,38 @@ def _pooled(row: Row) -> float:
     return float(np.median(row.by_seed))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the grid and write the table."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=20)
-    parser.add_argument("--problems", nargs="+", default=list(PROBLEMS))
-    parser.add_argument("--worlds", nargs="+", default=list(WORLDS))
-    parser.add_argument("--estimators", nargs="+", default=list(ESTIMATORS))
-    parser.add_argument("--store", default="out/worlds")
-    parser.add_argument("--jobs", type=int, default=1)
-    parser.add_argument("--output", type=Path, default=PAGE)
-    given = parser.parse_args(arguments)
+def main(
+    *,
+    seeds: int = 20,
+    problems: Sequence[str] = PROBLEMS,
+    worlds: Sequence[str] = tuple(WORLDS),
+    estimators: Sequence[str] = ESTIMATORS,
+    store: str = "out/worlds",
+    jobs: int = 1,
+    output: Path = PAGE,
+) -> None:
+    """Run the grid and write the table.
+
+    Parameters
+    ----------
+    seeds : int
+        runs of each cell
+    problems, worlds, estimators : sequence of str
+        what is run
+    store : str
+        folder of finished runs
+    jobs : int
+        processes
+    output : Path
+        page that has the table
+    """
     result = benchmark(
-        given.problems,
-        given.estimators,
-        noise=[NOISE],
-        seeds=given.seeds,
-        worlds=given.worlds,
-        store=given.store,
-        n_jobs=given.jobs,
+        problems, estimators, noise=[NOISE], seeds=seeds, worlds=worlds, store=store, n_jobs=jobs
     )
-    lines = table(result.rows, given.estimators)
+    lines = table(result.rows, estimators)
     print("\n".join(lines))
-    page = given.output.read_text(encoding="utf-8") if given.output.is_file() else ""
-    given.output.write_text(between(page, BEGIN, END, lines), encoding="utf-8")
+    write_page(output, "\n".join(lines), "real world")
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -1,7 +1,7 @@
 r"""Realised over stated errors of planned runs under disturbance forces.
 
     OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
-                                                    [--plan designed]
+                                                    [--plans designed]
 
 The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N, 0.06 N
 m
@@ -15,17 +15,13 @@ With ``n`` repetitions a ratio has a standard error of about :math:`1/\sqrt{2n}`
 
 from __future__ import annotations
 
-import argparse
-import json
 import math
-import time
 from collections.abc import Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import ignorant
+from benchmarks.harness import command, ignorant, known, markdown
 from benchmarks.random_forces.scenarios import MEDIUM, REMUS
 from benchmarks.random_forces.simulator import gauss_markov
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
@@ -123,42 +119,46 @@ def realised(
     return np.sqrt(np.mean(np.square(errors), axis=0)), converged
 
 
-def main(argv: Sequence[str] | None = None) -> list[dict]:
-    """Measure and print."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--repetitions", type=int, default=20)
-    parser.add_argument("--forces", type=float, nargs="+", default=[1.0])
-    parser.add_argument("--plan", nargs="+", choices=PLANS, default=["designed"])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--json", type=Path)
-    chosen = parser.parse_args(argv)
-    model, rows = believed(), []
+def main(
+    *,
+    repetitions: int = 20,
+    forces: Sequence[float] = (1.0,),
+    plans: Sequence[str] = ("designed",),
+    seed: int = 0,
+) -> None:
+    """Measure and print.
+
+    Parameters
+    ----------
+    repetitions : int
+        of every plan
+    forces : sequence of float
+        times the medium ones
+    plans : sequence of str
+        zigzags, designed, calm
+    seed : int
+        of forces and noise
+    """
+    model = believed()
     sizes = np.abs([model.values[name] for name in model.free_names])
-    for factor in chosen.forces:
+    for factor in forces:
         noise = sea(model, factor)
-        for name in chosen.plan:
-            runs = plan(model, name, noise)
+        for name in plans:
+            runs = plan(model, known(name, PLANS, "plan"), noise)
             stated = information_of(model, runs, noise=noise, priors=None).std_errors
             white = information_of(model, runs, noise=noise.white, priors=None).std_errors
-            began = time.perf_counter()
-            found, converged = realised(model, runs, noise, chosen.repetitions, chosen.seed)
-            print(f"\n{name}, forces x {factor:g}: {chosen.repetitions} repetitions, {converged} "
-                  f"converged, {time.perf_counter() - began:.0f} s")  # fmt: skip
-            print(f"  {'parameter':<10} {'stated':>8} {'realised':>9} {'ratio':>6} {'to white':>9}")
-            for i, parameter in enumerate(model.free_names):
-                row = {
-                    "plan": name, "forces": factor, "parameter": parameter,
-                    "stated": stated[i] / sizes[i], "realised": found[i] / sizes[i],
-                    "ratio": found[i] / stated[i], "ratio_white": found[i] / white[i],
-                    "repetitions": chosen.repetitions, "converged": converged,
-                }  # fmt: skip
-                rows.append(row)
-                print(f"  {parameter:<10} {row['stated']:>8.2%} {row['realised']:>9.2%} "
-                      f"{row['ratio']:>6.2f} {row['ratio_white']:>9.2f}", flush=True)  # fmt: skip
-    if chosen.json is not None:
-        chosen.json.write_text(json.dumps(rows, indent=1) + "\n")
-    return rows
+            found, converged = realised(model, runs, noise, repetitions, seed)
+            print(
+                f"\n{name}, forces x {factor:g}: {repetitions} repetitions, {converged} converged"
+            )
+            shares = (stated / sizes, found / sizes, found / stated, found / white)
+            rows = [
+                (parameter, f"{a:.2%}", f"{b:.2%}", f"{c:.2f}", f"{d:.2f}")
+                for parameter, a, b, c, d in zip(model.free_names, *shares, strict=True)
+            ]
+            head = ("parameter", "stated", "realised", "ratio", "to white")
+            print("\n".join(markdown(head, rows)), flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -37,17 +37,16 @@ no code of the package). A vehicle counts as kept if all runs together never lef
 
 from __future__ import annotations
 
-import argparse
 import math
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Store, ignorant, machine, markdown
+from benchmarks.harness import RESULTS, Row, Store, command, ignorant, tabulate
 from benchmarks.missing_physics.simulator import SAMPLE, STEP, SUBSTEPS, Case, Fin, _Truth
 from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
@@ -315,73 +314,86 @@ def judged(
     return rows
 
 
-def table(rows: Sequence[dict[str, Any]]) -> str:
-    """What is finished as Markdown."""
-    share = "share of the standard trials' ship time: median (10 to 90 % of the vehicles)"
-    kept = ("limits kept: planned", "standard", "cautious")
-    about = ("vehicle", "criterion", "runs planned", "judged")
-    head = (*about, share, "target", "of the cautious ones", *kept)
-    lines = []
-    for name in TASKS:
-        mine = [row for row in rows if row["task"] == name]
-        for criterion, most in TARGETS.items():
-            plan = next((row for row in mine if row.get("plan") == criterion), None)
-            ready = [row for row in mine if "vehicle" in row and criterion in row]
-            if plan is None or not ready:
-                continue
-            spans = [
-                "{1:.2f} ({0:.2f} to {2:.2f})".format(
-                    *np.quantile(
-                        [row[criterion + word] for row in ready], [0.1, 0.5, 0.9], method="higher"
-                    )
-                )
-                for word in ("", " cautious")
-            ]
-            counts = [
-                "-" if key not in ready[0] else f"{sum(map(bool, flags))} of {len(flags)}"
-                for key in (f"kept {criterion}", "kept standard", "kept cautious")
-                for flags in [[row[key] for row in mine if key in row]]
-            ]
-            runs = ", ".join(plan["runs"])
-            mean, careful = spans
-            lines.append((name, criterion, runs, len(ready), mean, f"{most:g}", careful, *counts))
-    lines = markdown(head, lines)
-    failed = sum("failed" in row for row in rows)
-    if failed:
+def span(group: Sequence[Row], key: str) -> str:
+    """Median of a number over the vehicles, and its 10 and 90 % quantiles."""
+    low, middle, high = np.quantile([row[key] for row in group], [0.1, 0.5, 0.9], method="higher")
+    return f"{middle:.2f} ({low:.2f} to {high:.2f})"
+
+
+def count(group: Sequence[Row], key: str) -> str:
+    """How many vehicles a flag holds of."""
+    flags = [bool(row[key]) for row in group if key in row]
+    return f"{sum(flags)} of {len(flags)}" if flags else "-"
+
+
+COLUMNS: dict[str, Callable[[tuple[str, str], list[Row]], object]] = {
+    "vehicle": lambda key, _: key[0],
+    "criterion": lambda key, _: key[1],
+    "runs planned": lambda _, group: ", ".join(group[0]["runs"]),
+    "judged": lambda key, group: len([row for row in group if key[1] in row]),
+    "share of the standard trials' ship time: median (10 to 90 % of the vehicles)": (
+        lambda key, group: span([row for row in group if key[1] in row], key[1])
+    ),
+    "target": lambda key, _: f"{TARGETS[key[1]]:g}",
+    "of the cautious ones": lambda key, group: span(
+        [row for row in group if key[1] in row], f"{key[1]} cautious"
+    ),
+    "limits kept: planned": lambda key, group: count(group, f"kept {key[1]}"),
+    "standard": lambda _, group: count(group, "kept standard"),
+    "cautious": lambda _, group: count(group, "kept cautious"),
+}
+
+
+def table(rows: Sequence[Row]) -> str:
+    """What is finished as Markdown: of each vehicle and criterion the plan, then the judged."""
+    groups = {
+        (row["task"], row["plan"]): [
+            row,
+            *(one for one in rows if one["task"] == row["task"] and "vehicle" in one),
+        ]
+        for name in TASKS
+        for row in rows
+        if row["task"] == name and "plan" in row
+    }
+    lines = tabulate(groups, COLUMNS)
+    if failed := sum("failed" in row for row in rows):
         lines += ["", f"{failed} vehicles could not be judged: a standard trial diverges."]
     return "\n".join(lines)
 
 
-def main() -> None:
-    """Run what is missing, print the table."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--vehicles", type=int, default=100)
-    parser.add_argument("--tasks", nargs="+", choices=list(TASKS), default=list(TASKS))
-    parser.add_argument("--show", action="store_true", help="print what is finished only")
-    options = parser.parse_args()
-    for name in [] if options.show else options.tasks:
-        print(machine())
-        task = TASKS[name]()
-        mine = [row for row in STORE.rows() if row["task"] == name]
-        plans = {row["plan"]: row for row in mine if "plan" in row}
-        for criterion in CRITERIA:
-            if criterion not in plans:
-                plans[criterion] = planned(task, criterion)
-                STORE.add(plans[criterion])
-                print(f"{name}, {criterion}: {', '.join(plans[criterion]['runs'])} "
-                      f"({plans[criterion]['seconds']:.0f} s)", flush=True)  # fmt: skip
-        careful = cautious(task)
-        print(f"{name}, cautious standard trials: " + ", ".join(
-            f"{run.name} at {run.initial.get('u', 0.0):.2f} m/s" for run in careful
-        ), flush=True)  # fmt: skip
-        there = {row["vehicle"] for row in mine if "vehicle" in row}
-        missing = [number for number in range(options.vehicles) if number not in there]
-        for begin in range(0, len(missing), BATCH):
-            began = time.process_time()
-            STORE.add(*judged(task, plans, careful, missing[begin : begin + BATCH]))
-            print(f"{name}: {begin + BATCH} more ({time.process_time() - began:.0f} s)", flush=True)
+def judge_all(name: str, vehicles: int) -> None:
+    """Plan what is not planned yet, and judge it on vehicles that are not in the store."""
+    task = TASKS[name]()
+    mine = [row for row in STORE.rows() if row["task"] == name]
+    plans = {row["plan"]: row for row in mine if "plan" in row}
+    for criterion in CRITERIA:
+        if criterion not in plans:
+            plans[criterion] = planned(task, criterion)
+            STORE.add(plans[criterion])
+    careful = cautious(task)
+    there = {row["vehicle"] for row in mine if "vehicle" in row}
+    missing = [number for number in range(vehicles) if number not in there]
+    for begin in range(0, len(missing), BATCH):
+        STORE.add(*judged(task, plans, careful, missing[begin : begin + BATCH]))
+        print(f"{name}: {begin + BATCH} more", flush=True)
+
+
+def main(*, vehicles: int = 100, tasks: Sequence[str] = tuple(TASKS), show: bool = False) -> None:
+    """Run what is missing, print the table.
+
+    Parameters
+    ----------
+    vehicles : int
+        vehicles drawn
+    tasks : sequence of str
+        auv, auv long, tanker
+    show : bool
+        print what is finished only
+    """
+    for name in () if show else tasks:
+        judge_all(name, vehicles)
     print(table(STORE.rows()))
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

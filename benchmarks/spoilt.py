@@ -43,7 +43,7 @@ def main() -> int:
             step.effect.stage == "sensor" and signal in " ".join(map(str, step.effect.terms))
             for step in result.steps
         )
-        wrong = not named and result.remains.kind in ("adequate", "random forces")
+        wrong = not named and result.remains.kind in ("adequate", "disturbance")
         certified += wrong
         print(
             f"| {kind} {signal} | {'named' if named_as(found, name) else found.verdict} "

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, Store, command, markdown
+from benchmarks.harness import RESULTS, Row, Store, command, grouped, tabulate
 from oed_sysid import Dataset, Limits, Model, MultipleShooting, Problem, improve, load_problem
 from oed_sysid.design import (
     Budget,
@@ -139,31 +139,55 @@ def stops(rule: str) -> Callable[[Decision], bool]:
     return lambda found: found.stop
 
 
-def table(rows: list[dict[str, Any]]) -> str:
+def known(group: Sequence[Row]) -> list[Row]:
+    """Trials whose coefficients are called known; by errors alone a contradiction is not asked for.
+
+    Examples
+    --------
+    >>> known([{"action": "time", "rule": "errors"}])
+    []
+    """
+    return [
+        row
+        for row in group
+        if row["action"] in ("enough", "contradicted", "go on")
+        and (row["rule"] == "errors" or not row["doubted"])
+    ]
+
+
+def dives(group: Sequence[Row]) -> str:
+    """Median and range of the dives done."""
+    numbers = [row["dives"] for row in group]
+    return f"{np.median(numbers):g} ({min(numbers)} to {max(numbers)})"
+
+
+def held(group: Sequence[Row]) -> str:
+    """Share of the 95 % intervals that hold the truth where coefficients are called known."""
+    inside = [abs(value) < 1.96 for row in known(group) for value in row["apart"].values()]
+    return f"{np.mean(inside):.0%} of {len(inside)}" if inside else "-"
+
+
+COLUMNS: dict[str, Callable[[tuple[str, str, str], list[Row]], object]] = {
+    "hidden": lambda key, _: f"`{key[0]}`",
+    "rule": lambda key, _: key[1],
+    "dives": lambda key, _: key[2],
+    "trials": lambda _, group: len(group),
+    "dives done, median (range)": lambda _, group: dives(group),
+    "called known": lambda _, group: len(known(group)),
+    "95 % intervals hold there": lambda _, group: held(group),
+    "worst error there, median": lambda _, group: (
+        f"{np.median([row['worst'] for row in there]):.0%}" if (there := known(group)) else "-"
+    ),
+    "contradicted": lambda key, group: (
+        "-" if key[1] == "errors" else sum(row["doubted"] for row in group)
+    ),
+}
+
+
+def table(rows: list[Row]) -> str:
     """Rows of a table in Markdown."""
-    head = (
-        "hidden", "rule", "dives", "trials", "dives done, median (range)", "called known",
-        "95 % intervals hold there", "worst error there, median", "contradicted",
-    )  # fmt: skip
-    lines = []
-    keys = dict.fromkeys((row["hidden"], row["rule"], row["arm"]) for row in rows)
-    for key in keys:
-        own = [row for row in rows if (row["hidden"], row["rule"], row["arm"]) == key]
-        dives = [row["dives"] for row in own]
-        # By errors alone a contradiction is not asked for.
-        known = [
-            row for row in own
-            if row["action"] in ("enough", "contradicted", "go on")
-            and (key[1] == "errors" or not row["doubted"])
-        ]  # fmt: skip
-        inside = [abs(value) < 1.96 for row in known for value in row["apart"].values()]
-        held = f"{np.mean(inside):.0%} of {len(inside)}" if inside else "-"
-        worst = f"{np.median([row['worst'] for row in known]):.0%}" if known else "-"
-        doubted = "-" if key[1] == "errors" else str(sum(row["doubted"] for row in own))
-        span = f"{np.median(dives):g} ({min(dives)} to {max(dives)})"
-        known_ = (len(known), held, worst, doubted)
-        lines.append((f"`{key[0]}`", key[1], key[2], len(own), span, *known_))
-    return "\n".join(markdown(head, lines))
+    groups = grouped(rows, lambda row: (row["hidden"], row["rule"], row["arm"]))
+    return "\n".join(tabulate(groups, COLUMNS))
 
 
 def main(

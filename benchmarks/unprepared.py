@@ -12,54 +12,60 @@ Finished cases are kept in the store.
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
-from benchmarks.harness import RESULTS, Store, command, markdown
+import numpy as np
+
+from benchmarks.harness import RESULTS, Row, Store, command, grouped, tabulate
 from benchmarks.other_vehicles.cases import draws
 from benchmarks.other_vehicles.run import judged
 from benchmarks.other_vehicles.truth import VEHICLES
+from benchmarks.rates import claims
 
 STORE = RESULTS / "unprepared.jsonl"
 RIGHT = 1.05
 
 
-def ratio(entry: dict[str, Any]) -> float:
+def ratio(entry: Row) -> float:
     """Error of whole validation runs over that of the true structure; infinite if there is none."""
     found, true = (float(entry.get(f"{one}_validation", "inf")) for one in ("found", "true"))
     return found / true if true > 0 else float("inf")
 
 
-def table(entries: Sequence[dict[str, Any]]) -> str:
+def hidden(group: Sequence[Row], *, detectable: bool) -> list[Row]:
+    """Cases that hide something which shows, or does not."""
+    return [row for row in group if row["effects"] and row["detectable"] is detectable]
+
+
+def right(group: Sequence[Row]) -> int:
+    """How many cases are right."""
+    return sum(ratio(row) <= RIGHT for row in group)
+
+
+COLUMNS: dict[str, Callable[[str, list[Row]], object]] = {
+    "vehicle": lambda vehicle, _: vehicle,
+    "hidden and detectable": lambda _, group: len(hidden(group, detectable=True)),
+    "right": lambda _, group: right(hidden(group, detectable=True)),
+    "claims, mean": lambda _, group: "{:.2f}".format(
+        np.mean([len(row.get("steps", ())) for row in hidden(group, detectable=True)] or [0])
+    ),
+    "right where not detectable": lambda _, group: (
+        f"{right(weak)} of {len(weak)}" if (weak := hidden(group, detectable=False)) else "-"
+    ),
+    "nothing hidden": lambda _, group: sum(not row["effects"] for row in group),
+    "claims there": lambda _, group: sum(claims(row) and not row["effects"] for row in group),
+    "aborted": lambda _, group: sum("error" in row for row in group),
+    "processor s, median": lambda _, group: "{:.0f}".format(
+        np.median([row["processor_seconds"] for row in group])
+    ),
+}
+
+
+def table(rows: Sequence[Row]) -> str:
     """Rates by vehicle as Markdown."""
-    head = (
-        "vehicle", "hidden and detectable", "right", "claims, mean", "right where not detectable",
-        "nothing hidden", "claims there", "aborted", "processor s, median",
-    )  # fmt: skip
-    rows = []
-    for vehicle in (*VEHICLES, "all"):
-        own = [e for e in entries if vehicle in ("all", e["vehicle"])]
-        shown = [e for e in own if e["effects"] and e["detectable"]]
-        weak = [e for e in own if e["effects"] and not e["detectable"]]
-        bare = [e for e in own if not e["effects"]]
-        if not own:
-            continue
-        seconds = sorted(e["processor_seconds"] for e in own)[len(own) // 2]
-        claims = sum(len(e.get("steps", ())) for e in shown) / max(len(shown), 1)
-        cells = (
-            vehicle,
-            len(shown),
-            sum(ratio(e) <= RIGHT for e in shown),
-            f"{claims:.2f}",
-            f"{sum(ratio(e) <= RIGHT for e in weak)} of {len(weak)}",
-            len(bare),
-            sum(bool(e.get("steps")) for e in bare),
-            sum("error" in e for e in own),
-            f"{seconds:.0f}",
-        )
-        rows.append(cells)
-    return "\n".join(markdown(head, rows))
+    groups = grouped(rows, lambda row: row["vehicle"])
+    return "\n".join(tabulate(groups | {"all": list(rows)}, COLUMNS))
 
 
 def main(

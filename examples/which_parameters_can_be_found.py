@@ -5,7 +5,7 @@ told apart is another matter, and depends on the manoeuvre.
 """
 
 from oed_sysid import load_problem
-from oed_sysid.information import identifiable_subset, information_of, rank_parameters
+from oed_sysid.information import rank_parameters
 
 problem = load_problem("remus_diving_plane")
 gentle = problem.experiment("zigzag_5_5")
@@ -13,8 +13,7 @@ both = [gentle, problem.experiment("steps")]
 
 for words, runs in (("one gentle zigzag", [gentle]), ("zigzag and steps", both)):
     ranking = rank_parameters(problem.model, runs)
-    information = information_of(problem.model, runs, priors=None)
-    subset = identifiable_subset(information, problem.model.values)
+    subset = ranking.together
     worst = ranking.rows[-1]
     print(f"{words}: {subset.size} of {len(subset.order)} parameters can be told apart")
     print(f"  best found together: {', '.join(subset.names)}")

@@ -63,6 +63,7 @@ _HOME = {
     "Fit": "likelihood.fit",
     "Model": "physics.model",
     "MultipleShooting": "baselines",
+    "Solver": "baselines",
     "OedSysidError": "errors",
     "Parameter": "physics.parameters",
     "Problem": "experiments.problem",

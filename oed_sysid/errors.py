@@ -83,8 +83,8 @@ def respelled(
             if gone:
                 write = "; ".join(dict.fromkeys(table[name] for name in gone))
                 raise error(
-                    f"{function.__name__} has no argument {', '.join(map(repr, gone))}. "
-                    f"Write {write}."
+                    f"{function.__qualname__.removesuffix('.__init__')} has no argument "
+                    f"{', '.join(map(repr, gone))}. Write {write}."
                 )
             return function(*args, **kwargs)
 

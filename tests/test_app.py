@@ -53,9 +53,9 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     app = opened(ship)
     assert app.header[0].value == problem.title
     app = done(at_fit(app), "fit")
-    assert "The estimation converged." in text_of(app)
+    assert "parameters estimated" in text_of(app)
     app = done(following(app), "compare")
-    assert "in 95 % band" in text_of(app)
+    assert "more than noise is left" in text_of(app)
     app = done(following(app), "improve")
     assert "records that nothing was fitted to" in text_of(app)
     effect = problem.effects[0].name

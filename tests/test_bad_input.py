@@ -16,6 +16,7 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
@@ -111,21 +112,21 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
     ),
     (
         "unknown solver",
-        lambda: MultipleShooting(solver="snopt"),
+        lambda: Solver("snopt"),
         ModelError,
         ("'snopt'", "gauss-newton or ipopt"),
     ),
     (
         "unknown Hessian",
-        lambda: MultipleShooting(solver="ipopt", hessian="bfgs"),
+        lambda: Solver("ipopt", hessian="bfgs"),
         ModelError,
         ("'bfgs'", "exact or gauss-newton"),
     ),
     (
         "constraints without IPOPT",
-        lambda: MultipleShooting(constraints=("K > 0",)),
+        lambda: Solver(constraints=("K > 0",)),
         ModelError,
-        ("solver='ipopt'", "Parameter(lower=..., upper=...)"),
+        ("Solver('ipopt')", "Parameter(lower=..., upper=...)"),
     ),
     (
         "shooting interval of no length",
@@ -135,13 +136,13 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
     ),
     (
         "no iteration allowed",
-        lambda: MultipleShooting(max_iterations=0),
+        lambda: Solver(max_iterations=0),
         ModelError,
         ("max_iterations is 0", "1 or more"),
     ),
     (
         "tolerance of zero",
-        lambda: MultipleShooting(tolerance=0.0),
+        lambda: Solver(tolerance=0.0),
         ModelError,
         ("tolerance is 0.0", "positive"),
     ),

@@ -16,7 +16,7 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics import amplitude
 from oed_sysid.results import page as page_of
-from oed_sysid.results.fit_plots import plot_output
+from oed_sysid.results import plot_output
 
 NOISE, CROSSFLOW = 0.3, -60.0
 CANDIDATES = (

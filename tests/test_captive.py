@@ -26,6 +26,7 @@ from oed_sysid.baselines import OutputError
 from oed_sysid.errors import DataError, ModelError, UnitWarning
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
@@ -188,7 +189,13 @@ def drift_series(order: np.ndarray | None = None, *, quadratic: float = -30.0) -
 
 @pytest.mark.parametrize(
     "settings",
-    [{"disturbances": "none"}, {}, {"horizon": 10.0}, {"loss": "auto"}, {"solver": "ipopt"}],
+    [
+        {"disturbances": "none"},
+        {},
+        {"horizon": 10.0},
+        {"loss": "auto"},
+        {"solver": Solver("ipopt")},
+    ],
 )
 @pytest.mark.parametrize("free_running", [False, True])
 def test_the_order_of_tests_says_nothing(settings: dict, free_running: bool) -> None:

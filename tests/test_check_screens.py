@@ -26,7 +26,8 @@ from oed_sysid import (
 )
 from oed_sysid.cli import main
 from oed_sysid.errors import ModelError
-from oed_sysid.evidence.check import SHARE, corrected_copies, misfit, why_not_more
+from oed_sysid.evidence.check import corrected_copies, why_not_more
+from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, deviations, screen, screened, steps, weights
 from oed_sysid.evidence.traces import Trace
@@ -424,25 +425,29 @@ def heading(jump: float, turning: float, noise: float = 0.002) -> Trace:
     )
 
 
+def misfit(trace: Trace):  # type: ignore[no-untyped-def]
+    """What the equation of the heading leaves in a record; None if noise explains it."""
+    equations = tuple(one for one in relations(SHIP.model) if one.target == "psi")
+    return next(iter(unexplained([trace], equations)), None)
+
+
 def test_share_and_time_of_a_misfit() -> None:
     """A jump of 90 degrees is what is left of a heading that swings by half a radian."""
-    (equation,) = (one for one in relations(SHIP.model, set(), set()) if one.target == "psi")
-    found = misfit(heading(np.pi / 2.0, 0.5), equation)
+    found = misfit(heading(np.pi / 2.0, 0.5))
     assert found is not None
     # One block changes by pi/2, the other 199 by 0.05 cos(0.1 t).
     usual = 199.0 * 0.05**2 / 2.0
     assert found.share == pytest.approx(np.sqrt((np.pi / 2.0) ** 2 / (usual + 2.56)), rel=0.05)
     assert found.time == pytest.approx(100.0, abs=1.0)
-    assert misfit(heading(0.0, 0.5), equation) is None
+    assert misfit(heading(0.0, 0.5)) is None
 
 
 def test_noise_that_leaves_everything_is_no_misfit() -> None:
     """A heading that hardly turns is all noise, and no equation fails for that."""
-    (equation,) = (one for one in relations(SHIP.model, set(), set()) if one.target == "psi")
     quiet = heading(0.0, 1e-4)
-    assert misfit(quiet, equation) is None
+    assert misfit(quiet) is None
     still = replace(quiet, noise={"psi": 1e-5, "r": 1e-6})
-    found = misfit(still, equation)
+    found = misfit(still)
     assert found is not None
     assert found.share > 0.9
 
@@ -454,7 +459,7 @@ def test_the_equation_the_record_and_the_time_are_named() -> None:
     one = found.named("unexplained", "psi")
     assert one is not None
     assert one.records == (data[1].name,)
-    assert one.size > SHARE
+    assert one.size > UNEXPLAINED
     assert found.contradictory
     psi_r = next(row for row in found.balances if row.relation == "psi' = r")
     assert psi_r.after > 0.2
@@ -512,7 +517,7 @@ def test_noise_of_any_colour_is_no_misfit(colour: float) -> None:
     for vehicle in (DIVER, SHIP):
         found = check(clean_log(vehicle, 3, colour), vehicle.model, inputs=False)
         assert found.named("unexplained") is None
-        assert max(row.after for row in found.balances) < SHARE
+        assert max(row.after for row in found.balances) < UNEXPLAINED
 
 
 TWIN = Model(

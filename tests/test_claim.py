@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,17 +13,16 @@ from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 from oed_sysid import Force, Parameter, improve
 from oed_sysid.evidence.claim import (
     FALSE_CLAIMS,
-    GROUP_WIDTH,
     RISE,
     RISE_DISTURBED,
     Claim,
     at_bounds,
     claim,
-    leader,
     threshold,
 )
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.study import Study
+from oed_sysid.physics.table import POLYNOMIAL
 
 BIASED = Force("push", {"r": "E_push"}, (Parameter("E_push", 0.0, "rad/s^2", scale=0.01),))
 
@@ -118,11 +118,14 @@ def test_whole_runs_may_wander_under_process_noise_only() -> None:
 
 def test_named_physics_leads_its_group() -> None:
     """Of two that are as likely the named one leads; a clearly likelier polynomial stays first."""
-    named, other = (Claim(n, t, 0.0, 13.0) for n, t in (("drag", 100.0), ("cubic", 104.0)))
-    far = Claim("cubic", 100.0 + 2.0 * GROUP_WIDTH, 0.0, 13.0)
-    assert leader([named, other], ["drag"]) is named
-    assert leader([named, far], ["drag"]) is far
-    assert leader([Claim("drag", 1.0, 0.0, 13.0)], ["drag"]) is None
+    train, test = dataset(11, -15.0), dataset(12, -15.0)
+    series = replace(CUBIC, source=POLYNOMIAL)
+    twin = Force("drag", {"r": "n_d*r**3"}, (Parameter("n_d", 0.0, "s/rad^2", scale=1.0),))
+    found = improve(SHIP, train, test, candidates=[series, twin], terms=False)
+    assert found.steps[0].group == ("drag", "cubic_damping")
+    other = Force("drag", {"r": "n_d*r*abs(r)"}, (Parameter("n_d", 0.0, "1/rad", scale=1.0),))
+    found = improve(SHIP, train, test, candidates=[series, other], terms=False)
+    assert found.steps[0].added == "cubic_damping"
 
 
 def test_zero_is_no_bound_of_an_amplitude_that_cannot_be_negative() -> None:

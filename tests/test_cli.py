@@ -218,6 +218,25 @@ def test_several_experiments_after_one_option(ferry: Path, tmp_path: Path, capsy
     assert all(errors[0][name] > errors[1][name] for name in ("K", "T"))
 
 
+def test_rank_at_sea_with_other_noise_and_priors(ferry: Path, tmp_path, capsys) -> None:
+    """Twice the noise doubles the errors, a sea enlarges them, priors bound them."""
+    stored = tmp_path / "rank.json"
+    arguments = ["rank", str(ferry), "--experiment", "zigzag_10", "--json", str(stored)]
+    errors = []
+    outputs = load_problem(ferry).model.outputs
+    double = [f"{output.name}={2 * output.noise_std}" for output in outputs]
+    for more in ([], ["--noise", *double], ["--sea", "moderate"], ["--priors", "1e-6"]):
+        assert main([*arguments, *more]) == DONE
+        result = json.loads(stored.read_text())
+        errors.append({row["name"]: row["error"] for row in result["ranking"]["parameters"]})
+        assert result["subset"]["identifiable"]
+    assert {n: 2 * e for n, e in errors[0].items()} == pytest.approx(errors[1], rel=1e-6)
+    assert all(errors[2][name] > errors[0][name] for name in errors[0])
+    assert all(error <= 1e-6 for error in errors[3].values())
+    for wrong in (["--noise", "nothing=1"], ["--noise", "r"], ["--priors", "much"]):
+        assert main([*arguments, *wrong]) != DONE
+
+
 def test_rank_of_records_equals_rank_of_their_experiments(ferry: Path, tmp_path, capsys) -> None:
     """A noise-free record tells as much as the experiment that gave it."""
     file, stored = tmp_path / "zigzag_10.csv", tmp_path / "rank.json"

@@ -70,6 +70,8 @@ def test_design_completes_a_fit(ship: Path, tmp_path: Path) -> None:
         (["--reveal", "wind"], "no candidate 'wind'"),
         (["--discriminate", "a", "--reveal", "b"], "one run has one aim"),
         (["--overrides", "o.csv"], "needs the channels"),
+        (["--controller", "ardupilot=o.lua"], "needs the channels"),
+        (["--controller", "plc=o.txt"], "write KIND=FILE"),
         (["--overrides", "o.csv", "--servo", "fin=1"], "an input with a range: rudder"),
     ],
 )
@@ -117,12 +119,15 @@ def test_limit_words_find_their_channels() -> None:
 
 
 def test_files_for_those_on_board(ship: Path, tmp_path: Path) -> None:
-    """One sheet of A4, pulses of the servo and a bag come from one command."""
+    """One sheet of A4, pulses of the servo, a bag and a script come from one command."""
     pytest.importorskip("rosbags")
     card, pulses, bag = tmp_path / "card.pdf", tmp_path / "o.csv", tmp_path / "bag"
     arguments = ["design", str(ship), "--duration", "60", "--max-rudder", "8", "--length", "7"]
     arguments += ["--card", str(card), "--overrides", str(pulses), "--servo", "rudder=2"]
+    script = tmp_path / "run.lua"
+    arguments += ["--controller", f"ardupilot={script}"]
     assert main([*arguments, "--bag", str(bag)]) == DONE
+    assert "SRV_Channels" in script.read_text()
     assert card.read_bytes()[:5] == b"%PDF-"
     table = np.genfromtxt(pulses, delimiter=",", skip_header=1)
     assert table[-1, 0] == 60_000

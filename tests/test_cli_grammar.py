@@ -185,7 +185,7 @@ def test_every_result_can_be_drawn_and_silenced() -> None:
     words = {name: {w for p in one.params for w in p.opts} for name, one in commands().items()}
     assert all("--quiet" in some for some in words.values())
     without = {name for name, some in words.items() if "--picture" not in some}
-    plain = {"problems", "new", "export", "app", "campaign", "benchmark missing-physics"}
+    plain = {"problems", "new", "export", "app", "campaign", "watch", "benchmark missing-physics"}
     assert without <= plain
     for name in ("fit", "compare", "improve", "report", "check"):
         assert "--validate" in words[name]

@@ -473,6 +473,68 @@ def test_wind_from_astern_pushes() -> None:
     assert evaluate(wind, "Y", u=0.0, v=0.0, psi=starboard) == pytest.approx(pressure, rel=1e-4)
 
 
+@pytest.mark.parametrize(("value", "limit"), [(2.0, 0.5), (8.0, 0.125), (0.0, math.inf)])
+def test_an_unknown_limit_cuts_commands_off(value: float, limit: float) -> None:
+    """The actual value is the command within the limit and the limit beyond, of either sign."""
+    effect = effects.unknown_limit("limit", "d", value=value)
+    np.testing.assert_allclose(means(effect), np.clip(COMMANDS, -limit, limit), atol=1e-12)
+
+
+def test_a_start_beside_the_command_fades() -> None:
+    """An actuator that begins elsewhere comes to its command with its time constant."""
+    start = effects.actuator_start("start", "d", time_constant=0.4)
+    assert start.parameters[0].per_record
+    moved = means(start.with_values({"E_start": 0.3})) - COMMANDS
+    np.testing.assert_allclose(moved, 0.3 * np.exp(-STEP * np.arange(len(moved)) / 0.4), atol=1e-12)
+
+
+def hidden(effect: Effect, force: Callable[[float], float]) -> np.ndarray:
+    """Velocity of a unit mass that only a hidden state pushes, driven by a force on a command."""
+    model = Model(
+        "mass",
+        (State("v", "m/s"),),
+        (Input("d", "N"),),
+        (Output("v", "m/s"),),
+        axes={"X": "v"},
+        inertia={("X", "v"): "1"},
+        effects=(effect,),
+        step=0.01,
+    )
+    times = 0.01 * np.arange(300)
+    inputs = np.array([[force(t)] for t in times])
+    built = kernel(model)
+    z, _ = built.start(np.zeros(1), inputs[0], model.value_vector, 0.0)
+    return built.run(times, inputs, model.value_vector, z[None]).outputs[:, 0]
+
+
+def test_hidden_states_answer_as_their_transfer_functions() -> None:
+    """The step answers of first and second order are those of SciPy's integration."""
+    lag = effects.hidden_lag("lag", "X", "d", unit="1", time_constant=0.5, value=2.0)
+    tank = effects.hidden_oscillator("tank", "X", "d", unit="1", frequency=3.0, value=2.0)
+    omega, zeta = (p.value for p in tank.parameters[1:])
+
+    def slow(t: float, x: np.ndarray) -> list[float]:
+        return [2.0 * x[1], (1.0 - x[1]) / 0.5]
+
+    def swinging(t: float, x: np.ndarray) -> list[float]:
+        return [2.0 * x[1], x[2], omega**2 * (1.0 - x[1]) - 2.0 * zeta * omega * x[2]]
+
+    times = 0.01 * np.arange(300)
+    for effect, rates, n in ((lag, slow, 2), (tank, swinging, 3)):
+        expected = solve_ivp(rates, (0.0, 3.0), np.zeros(n), t_eval=times, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(hidden(effect, lambda t: 1.0), expected.y[0], atol=2e-3)
+
+
+def test_an_end_stop_pushes_back_beyond_its_place() -> None:
+    """Within the stop there is no force; beyond, a spring from there on, of either sign."""
+    stop = effects.end_stop("stop", "K", "phi", reach=1.0, scale=5.0, value=5.0)
+    (text,) = stop.terms.values()
+    angles = np.array([-0.9, -0.5, 0.0, 0.5, 0.9])
+    scope = {"phi": angles, "E_stop": 5.0, "stop_stop": 0.6}
+    found = expressions.to_numpy(text, scope)
+    np.testing.assert_allclose(found, [1.5, 0.0, 0.0, 0.0, -1.5], atol=1e-12)
+
+
 def test_memory_fades_in_steady_motion() -> None:
     """Fluid memory starts without force and adds none to steady motion."""
     memory = effects.fluid_memory("memory", "Z", "w", value=-15.0)

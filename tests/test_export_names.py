@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 from xml.etree import ElementTree
 
+import numpy as np
 import pytest
 from test_export import compiled, loaded
 from yaw_vehicle import NOISE, yaw_data, yaw_model
@@ -95,6 +96,9 @@ def test_name_stays_in_its_comment(
 ) -> None:
     """Code in every language is that of a record with a plain name; JSON has the name itself."""
     for file, text in written(called(fit, name), tmp_path).items():
+        if file.endswith(".json"):
+            assert json.loads(text)["fitted_to"][0] == name
+            continue
         tame = plain[file]
         if file.endswith((".c", ".h")):
             assert code(text) == code(tame)
@@ -102,9 +106,6 @@ def test_name_stays_in_its_comment(
             assert ast.dump(ast.Module(ast.parse(text).body[1:], [])) == ast.dump(
                 ast.Module(ast.parse(tame).body[1:], [])
             )
-        elif file.endswith(".json"):
-            assert json.loads(text)["fitted_to"][0] == name
-            continue
         else:  # a line of comment of its own
             assert len(text.splitlines()) == len(tame.splitlines())
             marked = [line for line in text.splitlines() if not line.startswith("%")]
@@ -163,6 +164,68 @@ def test_hostile_model_is_compiled_and_runs(tmp_path: Path) -> None:
          tmp_path / f"{name}.c"], capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert not built.returncode, built.stderr
+
+
+PIECES = (
+    *(
+        "*/",
+        "/*",
+        "//",
+        "\\",
+        "??/",
+        '"',
+        "'",
+        '"""',
+        "'''",
+        "\n",
+        "\r",
+        "\u2028",
+        "\x00",
+        "%{",
+        "%}",
+    ),
+    *("...", "#", "<!--", "-->", "]]>", "&", "$", "`", ";", "{", "}", "(", ")", " ", "é", "\u202e"),
+    'int main(void){fclose(fopen("stolen","w"));return 0;}',
+    '__attribute__((constructor)) void s(void){fopen("stolen","w");}',
+    '#include <stdlib.h>\nint z = system("touch stolen");',
+    "open('stolen', 'w')",
+    "__import__('os').system('touch stolen')",
+    "system('touch stolen')",
+)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(COMPILER is None, reason="needs a C compiler")
+@pytest.mark.parametrize("seed", range(10))
+def test_two_hundred_drawn_names_run_no_code(
+    tmp_path: Path, fit: Fit, seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Names of records, model and descriptions, drawn from code: all is built, nothing is run."""
+    rng = np.random.default_rng(seed)
+    names = ["".join(rng.choice(PIECES, rng.integers(1, 9))) for _ in range(20)]
+    monkeypatch.chdir(tmp_path)
+    first, parameters = fit.dataset[0], fit.model.parameters
+    told = (replace(p, description=n) for p, n in zip(parameters, names, strict=False))
+    model = replace(
+        fit.model, name=names[-1].strip() or "a", parameters=(*told, *parameters[len(names) :])
+    )
+    records = tuple(replace(first, name=f"{n}{i}") for i, n in enumerate(names))
+    whole = replace(fit, model=model, dataset=Dataset(records))
+    name = program_of(whole).identifier
+    export(whole, "c", tmp_path)
+    done = compiled(tmp_path, name)
+    assert done.returncode == 0, done.stdout
+    assert fit.model.state_names == loaded(export(whole, "python", tmp_path)[0]).STATES
+    (unit,) = export(whole, "fmu", tmp_path)
+    with zipfile.ZipFile(unit) as inside:
+        ElementTree.fromstring(inside.read("modelDescription.xml"))
+        stated = json.loads(inside.read("resources/model.json"))["fitted_to"]
+    assert stated == [record.name for record in records]
+    script, originals = export(whole, "matlab", tmp_path)
+    assert json.loads(originals.read_text("utf-8"))["model"] == model.name
+    code_lines = [line.split("%")[0] for line in script.read_text("utf-8").splitlines()]
+    assert not any(word in line for line in code_lines for word in ("system('", 'open("', "open('"))
+    assert not list(tmp_path.rglob("stolen"))
 
 
 @pytest.mark.parametrize(("unit", "written"), [("kg*m²/s²", "kg m^2/s^2"), ("%", "percent"),

@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import (
+    Dataset,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Record,
+    Solver,
+    State,
+)
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.fit import Fit
@@ -51,7 +61,7 @@ def test_the_same_optimum_and_the_delta_method(disturbances: str | tuple[str]) -
     """Without priors the optimum and the information do not depend on the scale."""
     data = Dataset((record(np.random.default_rng(1)),))
     estimator = MultipleShooting(
-        noise="given", disturbances=disturbances, coloured="never", tolerance=1e-9
+        noise="given", disturbances=disturbances, coloured="never", solver=Solver(tolerance=1e-9)
     )
     plain = estimator.fit(relaxation(log=False), data)
     logged = estimator.fit(relaxation(log=True), data)

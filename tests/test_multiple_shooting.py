@@ -14,6 +14,7 @@ from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_reco
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Force
 from oed_sysid.physics.model import Model
@@ -401,8 +402,9 @@ def test_inputs_are_unchanged() -> None:
         ({"disturbances": (1,)}, r"disturbances is \(1,\)"),
         ({"noise": {"r": 0.1}}, "noise is {'r': 0.1}. Choose auto, given, estimate or a list"),
         ({"noise": None}, "noise is None"),
-        ({"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
-        ({"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
+        ({"solver": "ipopt"}, r"Write solver=Solver\('ipopt'\)"),
+        ({"max_iterations": 40}, r"no argument 'max_iterations'. Write solver=Solver\(max_iter"),
+        ({"constraints": ("K > 0",)}, r"MultipleShooting has no argument 'constraints'"),
         ({"interval": "5"}, "Shooting interval is '5'. Give a positive length in s"),
     ],
 )
@@ -410,3 +412,16 @@ def test_options_of_another_kind_are_refused_at_once(options: dict, words: str) 
     """What is expected, what was given and what to do, before any record is read."""
     with pytest.raises(ModelError, match=words):
         MultipleShooting(**options)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"max_iterations": 2.5}, "max_iterations is 2.5. Give a whole number, 1 or more"),
+        ({"tolerance": "small"}, "tolerance is 'small'. Give a positive number"),
+    ],
+)
+def test_settings_of_the_solver_are_checked(options: dict, words: str) -> None:
+    """Numbers of iterations and tolerances are numbers."""
+    with pytest.raises(ModelError, match=words):
+        Solver(**options)

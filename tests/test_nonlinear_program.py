@@ -10,6 +10,7 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.gauss_newton import Progress
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.parameters import Parameter
@@ -35,9 +36,9 @@ def test_same_optimum_as_gauss_newton(hessian: str, irregular: bool) -> None:
         alpha=Parameter("alpha", 5.0, prior_mean=12.0, prior_std=2.0),
     )
     condensed = CONDENSED.fit(model, data)
-    program = MultipleShooting(noise=NOISE, coloured="never", solver="ipopt", hessian=hessian).fit(
-        model, data
-    )
+    program = MultipleShooting(
+        noise=NOISE, coloured="never", solver=Solver("ipopt", hessian=hessian)
+    ).fit(model, data)
     assert program.status.ok
     assert difference(condensed, program) < 2e-3
     assert np.allclose(condensed.covariance, program.covariance, rtol=1e-3)
@@ -53,7 +54,7 @@ def test_memory_and_substeps() -> None:
     data = diving_data(model, 60)
     noise = [0.02, 0.02, 0.004, 0.004, 0.03]
     rough = model.with_values({"Z_uw": -35.0, "E_lag": 0.4, "M_uq": -8.0})
-    fit = MultipleShooting(noise=noise, solver="ipopt").fit(rough, data)
+    fit = MultipleShooting(noise=noise, solver=Solver("ipopt")).fit(rough, data)
     assert fit.status.ok
     for name in model.free_names:
         assert fit.values[name] == pytest.approx(model.values[name], rel=1e-4)
@@ -66,8 +67,10 @@ def test_robust_losses(loss: str) -> None:
     outputs = data[0].outputs.copy()
     outputs[::17] += 0.1
     data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
-    condensed = MultipleShooting(noise=NOISE, loss=loss, tolerance=1e-9).fit(yaw_model(), data)
-    program = MultipleShooting(noise=NOISE, loss=loss, solver="ipopt", hessian="exact").fit(
+    condensed = MultipleShooting(noise=NOISE, loss=loss, solver=Solver(tolerance=1e-9)).fit(
+        yaw_model(), data
+    )
+    program = MultipleShooting(noise=NOISE, loss=loss, solver=Solver("ipopt", hessian="exact")).fit(
         yaw_model(), data
     )
     assert difference(condensed, program) < 0.02
@@ -78,7 +81,7 @@ def test_bounds() -> None:
     """An active bound is held exactly."""
     model = yaw_model(T=Parameter("T", 6.0, lower=0.5, upper=7.5))
     condensed = CONDENSED.fit(model, yaw_data(3))
-    program = MultipleShooting(noise=NOISE, solver="ipopt").fit(model, yaw_data(3))
+    program = MultipleShooting(noise=NOISE, solver=Solver("ipopt")).fit(model, yaw_data(3))
     assert program.values["T"] == pytest.approx(7.5, abs=1e-6)
     assert program.cost == pytest.approx(condensed.cost, abs=1e-4)
 
@@ -87,7 +90,7 @@ def test_constraints_among_parameters() -> None:
     """An equation among parameters is the same as eliminating one of them."""
     data = yaw_data(4)
     constrained = MultipleShooting(
-        noise=NOISE, solver="ipopt", constraints=("alpha == 1.2*T", "K/T > 0.001")
+        noise=NOISE, solver=Solver("ipopt", constraints=("alpha == 1.2*T", "K/T > 0.001"))
     ).fit(yaw_model(), data)
     assert constrained.status.ok
     assert constrained.values["alpha"] == pytest.approx(1.2 * constrained.values["T"], rel=1e-6)
@@ -106,9 +109,9 @@ def test_constraints_among_parameters() -> None:
 
 def test_contradictions_are_said() -> None:
     """Constraints that exclude each other end with a status, not an exception."""
-    fit = MultipleShooting(noise=NOISE, solver="ipopt", constraints=("K > 0.3", "K < 0.01")).fit(
-        yaw_model(), yaw_data(4)
-    )
+    fit = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=("K > 0.3", "K < 0.01"))
+    ).fit(yaw_model(), yaw_data(4))
     assert fit.status.code == "infeasible"
     assert "Loosen" in fit.status.advice
 
@@ -117,7 +120,7 @@ def test_noise_levels_and_progress(capfd: pytest.CaptureFixture[str]) -> None:
     """Noise is estimated as by the other solver; progress is reported; nothing is printed."""
     seen: list[Progress] = []
     data = yaw_data(5)
-    fit = MultipleShooting(noise="estimate", solver="ipopt", progress=seen.append).fit(
+    fit = MultipleShooting(noise="estimate", solver=Solver("ipopt"), progress=seen.append).fit(
         yaw_model(), data
     )
     other = MultipleShooting(noise="estimate", disturbances="none").fit(yaw_model(), data)
@@ -129,7 +132,7 @@ def test_noise_levels_and_progress(capfd: pytest.CaptureFixture[str]) -> None:
 
 def test_limit_of_iterations() -> None:
     """Too few iterations are reported as such."""
-    fit = MultipleShooting(noise=NOISE, solver="ipopt", max_iterations=1, start="near").fit(
+    fit = MultipleShooting(noise=NOISE, solver=Solver("ipopt", max_iterations=1), start="near").fit(
         yaw_model().with_values({"K": 0.05}), yaw_data(6)
     )
     assert fit.status.code == "iterations"
@@ -142,6 +145,6 @@ def test_limit_of_iterations() -> None:
 def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None:
     """A constraint compares expressions of known parameters."""
     with pytest.raises(ModelError, match=words):
-        MultipleShooting(noise=NOISE, solver="ipopt", constraints=(constraint,)).fit(
+        MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(constraint,))).fit(
             yaw_model(), yaw_data(0)
         )

@@ -536,7 +536,9 @@ def test_report_and_plain_data(fit_turning) -> None:
     for words in ("17.2 deg", "starboard [L]"):
         assert words in text
     half = 1.96 * circle.std("advance", "starboard")
-    assert f"{circle.value('advance', 'starboard'):.3g} +/- {half:.2g}" in text
+    advance = circle.value("advance", "starboard")
+    decimals = 1 - math.floor(math.log10(half))  # two digits of the uncertainty
+    assert f"{advance:.{decimals}f} ± {half:.2g}" in text
     data = json.loads(json.dumps(circle.to_dict()))
     assert set(data["sides"]["port"]) == set(QUANTITIES)
     assert "[L]" not in turning_circle(NOMOTO, speed=2.0).report()

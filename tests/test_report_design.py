@@ -23,8 +23,8 @@ def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:
     assert len(ax.get_yticklabels()) == len(ranking.rows)
     dots = [line.get_xdata()[0] for line in ax.lines if line.get_label() == "estimated together"]
     np.testing.assert_allclose(dots, [min(r.error, dots[i]) for i, r in
-                                      enumerate(reversed(ranking.rows))])  # fmt: skip
-    assert dots[-1] == pytest.approx(ranking.rows[0].error)
+                                      enumerate(ranking.rows)])  # fmt: skip
+    assert dots[0] == pytest.approx(ranking.rows[0].error)
 
 
 def test_design_figure_draws_commands_limits_and_errors(tmp_path: Path) -> None:

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed_sysid import information_of, load_problem, rank_parameters
+from oed_sysid import load_problem, rank_parameters
 from oed_sysid.data.dataset import Record
-from oed_sysid.information import identifiable_subset
 from oed_sysid.results import figure_record, ranking_page, style_sheet
 
 
@@ -32,8 +31,7 @@ def test_ranking_page_states_the_worst_parameter() -> None:
     problem = load_problem("remus_diving_plane")
     runs = [problem.experiment("steps")]
     ranking = rank_parameters(problem.model, runs)
-    subset = identifiable_subset(information_of(problem.model, runs, priors=None), {})
-    page = ranking_page(ranking, subset)
+    page = ranking_page(ranking)
     worst = ranking.rows[-1]
     assert (f"std. error, worst: {worst.name}", f"{worst.error:.2%}") in page.numbers
     assert f"{worst.error:.2%}" in page.summary_html()

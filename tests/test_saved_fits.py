@@ -44,7 +44,9 @@ def test_numbers_and_report_are_those_of_the_time(old: Fit, numbers: dict[str, A
     assert old.n_unknowns == numbers["n_unknowns"]
     assert old.rms == pytest.approx(numbers["rms"], rel=1e-12)
     angles = {}
-    for now, then in zip(old.report().splitlines(), numbers["report"].splitlines(), strict=True):
+    since = ("one step", "whole runs")
+    lines = [line for line in old.report().splitlines() if not line.strip().startswith(since)]
+    for now, then in zip(lines, numbers["report"].splitlines(), strict=True):
         output = then.split()[:1]
         if then.endswith(("  rad", "rad/s")) and output[0] in old.model.output_names:
             # Angles were printed in radians then, and are in degrees now.

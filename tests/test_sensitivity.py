@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from oed_sysid.information import (
     collinearity_index,
     confirm_bound,
     fitted_colour,
+    identifiability,
     identifiable_subset,
     information_of,
     noise_of,
@@ -195,6 +197,103 @@ def test_best_subset_leaves_out_one_of_two_twins() -> None:
     assert set(subset.names) == {"a", "b", "c"}
     assert subset.left_out == ("twin",)
     assert "to fix: twin" in subset.report()
+
+
+def enumerated(relative: np.ndarray, limit: float, error: float) -> tuple[int, float]:
+    """Size and collinearity of the best of all sets of columns, by the definition."""
+    norms = np.linalg.norm(relative, axis=0)
+    best = (0, np.inf)
+    for size in range(1, relative.shape[1] + 1):
+        for names in combinations(range(relative.shape[1]), size):
+            part = relative[:, names]
+            index = 1 / np.linalg.svd(part / norms[list(names)], compute_uv=False)[-1]
+            errors = np.sqrt(np.diag(np.linalg.inv(part.T @ part)))
+            if index <= limit and errors.max() <= error:
+                best = min(best, (size, index), key=lambda one: (-one[0], one[1]))
+    return best
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_best_set_is_that_of_enumeration(seed: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of collinear columns the set is the best of all, and exchange alone finds its size."""
+    rng = np.random.default_rng(seed)
+    rows = rng.standard_normal((40, 4)) @ rng.standard_normal((4, 9))
+    rows = (rows + 0.1 * rng.standard_normal(rows.shape)) * rng.uniform(0.5, 30.0, 9)
+    names = tuple("abcdefghi")
+    information = Information.from_jacobian(names, rows)
+    for limit, error in ((8.0, np.inf), (50.0, np.inf), (50.0, 0.3)):
+        size, index = enumerated(rows, limit, error)
+        ones = dict.fromkeys(names, 1.0)
+        found = identifiable_subset(information, ones, limit=limit, largest_error=error)
+        assert found.size == size
+        assert found.collinearity == pytest.approx(index if size else 0.0, rel=1e-6)
+        monkeypatch.setattr(identifiability, "ENUMERATED", 0)
+        exchanged = identifiable_subset(information, ones, limit=limit, largest_error=error)
+        monkeypatch.undo()
+        assert exchanged.size == size
+
+
+def test_errors_and_biases_are_those_of_finite_differences() -> None:
+    """Errors of a set have the others fixed, and a wrong fixed value moves the estimates."""
+    model, test = oscillator(), roll_test()
+    known = information_of(model, test, start="known", priors=None)
+    found = identifiable_subset(known, model.values, limit=3.0, assumed={"c": 0.01})
+    columns = {}
+    for name in known.names:
+        value = model.parameter(name).value
+        ends = [
+            simulate(
+                model.with_values({name: value * (1 + sign * 1e-4)}), test, noise=False
+            ).outputs
+            for sign in (1, -1)
+        ]
+        columns[name] = ((ends[0] - ends[1]) / 2e-4 / 2e-3).ravel()
+    for place in found.places:
+        others = [name for name in found.names if name != place.name]
+        rows = np.column_stack([columns[name] for name in (*others, place.name)])
+        bound = np.sqrt(np.diag(np.linalg.inv(rows.T @ rows)))
+        assert place.error == pytest.approx(bound[-1], rel=0.01)
+        change = np.linalg.lstsq(rows[:, :-1], rows[:, -1], rcond=None)[0]
+        share = 0.01 / 0.02 if place.name == "c" else identifiability.ASSUMED
+        assert place.assumed == pytest.approx(share)
+        assert place.bias == pytest.approx(np.abs(change).max() * share, rel=0.01)
+    assert 0 < found.size < len(known.names)
+
+
+@pytest.mark.parametrize(("name", "wrong"), [("d", 0.05), ("k", 0.02), ("b", 0.05)])
+def test_bias_of_a_wrong_fixed_value_is_what_a_fit_finds(name: str, wrong: float) -> None:
+    """Fixed at a wrong value, a parameter moves the others as the ranking says."""
+    model, test = oscillator().fix("c"), roll_test()
+    value = model.parameter(name).value
+    found = identifiable_subset(
+        information_of(model, test, priors=None), model.values, assumed={name: wrong * value}
+    )
+    place = next(one for one in found.places if one.name == name)
+    data = Dataset((simulate(model, test, noise=False),))
+    fixed = model.with_values({name: value * (1 + wrong)}).fix(name)
+    fit = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(fixed, data)
+    true = model.parameter(place.biased).value
+    assert abs(fit.values[place.biased] / true - 1) == pytest.approx(place.bias, rel=0.2)
+
+
+def test_reason_names_the_motions_that_keep_a_ratio() -> None:
+    """Where sway and yaw rate are proportional, the sentence says so and which run would tell."""
+    rng = np.random.default_rng(3)
+    v, delta = rng.standard_normal((2, 60))
+    r = 0.4 * v + 1e-3 * rng.standard_normal(60)
+    rows = np.column_stack([v, r, delta])
+    names = ("Y_v", "Y_r", "Y_dr")
+    found = identifiable_subset(
+        Information.from_jacobian(names, 100 * rows),
+        dict.fromkeys(names, 1.0),
+        assumed={"Y_r": 50.0},
+        motions={"v": v, "r": r, "dr": delta},
+    )
+    assert found.left_out == ("Y_r",)
+    assert found.places[-1].advice == "prior"
+    assert "Y_r +10 % looks like Y_v +4.0%" in found.reasons[0]
+    assert "r and v keep nearly one ratio in them (cosine 1.000); a pull-out" in found.reasons[0]
+    assert found.places[-1].bias == pytest.approx(0.4 * 50.0, rel=1e-3)
 
 
 def test_structural_check_finds_a_product() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, State
+from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Solver, State
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.judgement import step_change
 
@@ -44,7 +44,7 @@ def test_a_jumping_force_is_noticed(force: str, hangs: bool) -> None:
     """A relay changes with the step by more than the noise, a smooth spring does not."""
     model = relay(force)
     data = shaken(model)
-    fit = MultipleShooting(disturbances="none", max_iterations=5).fit(model, data)
+    fit = MultipleShooting(disturbances="none", solver=Solver(max_iterations=5)).fit(model, data)
     size, output, record = step_change(fit)
     assert (size > 0.5) == hangs
     if hangs:
@@ -55,7 +55,7 @@ def test_a_jumping_force_is_noticed(force: str, hangs: bool) -> None:
 def test_the_status_says_so() -> None:
     """A fit that fails on the stairs of a relay names the output, the record and the step."""
     model = relay("sign(x)")
-    fit = MultipleShooting(max_iterations=3).fit(
+    fit = MultipleShooting(solver=Solver(max_iterations=3)).fit(
         model.with_values({"stiffness": 1.3}), shaken(model)
     )
     assert not fit.status.ok

@@ -8,7 +8,17 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import (
+    Dataset,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Record,
+    Solver,
+    State,
+)
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import actuator_lag, sensor_lag
@@ -195,8 +205,10 @@ def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
     outputs = run(DRIVE, times, inputs, np.array([0.1, 0.0])).outputs
     data = Dataset((Record("run", times, inputs, outputs, DRIVE.channels),))
     with pytest.raises(ModelError, match="only explicit steps"):
-        MultipleShooting(noise="given", solver="ipopt").fit(DRIVE, data)
+        MultipleShooting(noise="given", solver=Solver("ipopt")).fit(DRIVE, data)
     # Fast, yet not unstable with this step: the trajectory hangs on it.
     slow = explicit.with_values({"tau": 0.045, "s": 0.0})
-    fit = MultipleShooting(noise="given", disturbances="none", max_iterations=1).fit(slow, data)
+    fit = MultipleShooting(noise="given", disturbances="none", solver=Solver(max_iterations=1)).fit(
+        slow, data
+    )
     assert "integrator='implicit'" in fit.status.advice

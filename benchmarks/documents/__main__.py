@@ -8,37 +8,40 @@ the numbers that were measured last; without either they are compared with these
 
 from __future__ import annotations
 
-import argparse
 import sys
-from collections.abc import Collection
+from collections.abc import Collection, Sequence
 
 from benchmarks.documents import extrapolation, measured_data, published
 from benchmarks.documents.page import Page, Unfounded
+from benchmarks.harness import command, known
 
 PAGES = {page.name: page for page in (measured_data.PAGE, extrapolation.PAGE, published.PAGE)}
 
 
-def main(arguments: list[str] | None = None) -> int:
-    """Measure and write; return how many pages could not be written or differ."""
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.documents", description=__doc__)
-    parser.add_argument("pages", nargs="*", metavar="page", help=", ".join(PAGES))
-    parser.add_argument("--only", nargs="+", default=None, help="sections to measure")
-    how = parser.add_mutually_exclusive_group()
-    how.add_argument("--write", action="store_true", help="measure, and write the pages")
-    how.add_argument("--kept", action="store_true", help="write from the numbers kept")
-    given = parser.parse_args(arguments)
-    if unknown := [name for name in given.pages if name not in PAGES]:
-        parser.error(f"there is no page {unknown[0]}; choose from {', '.join(PAGES)}")
-    pages = [PAGES[name] for name in given.pages or PAGES]
-    known = {section for page in pages for section in page.sections}
-    if unknown := [name for name in given.only or () if name not in known]:
-        parser.error(f"there is no section {unknown[0]}; choose from {', '.join(sorted(known))}")
-    if given.only and not given.write:
-        parser.error("--only says what --write measures")
-    if given.write:
-        for page in pages:
-            measure(page, given.only or page.sections)
-    return sum(_ended(page, write=given.write or given.kept) for page in pages)
+def main(
+    pages: Sequence[str] = (), *, only: Sequence[str] = (), write: bool = False, kept: bool = False
+) -> int:
+    """Measure and write; return how many pages could not be written or differ.
+
+    Parameters
+    ----------
+    pages : sequence of str
+        measured_data, extrapolation, published; all without a name
+    only : sequence of str
+        sections that --write measures
+    write : bool
+        measure, and write the pages
+    kept : bool
+        write from the numbers kept
+    """
+    chosen = [PAGES[known(name, PAGES, "page")] for name in pages or PAGES]
+    sections = [section for page in chosen for section in page.sections]
+    if only and not write:
+        raise SystemExit("--only says what --write measures")
+    wanted = [known(name, sections, "section") for name in only] or sections
+    for page in chosen if write else ():
+        measure(page, wanted)
+    return sum(_ended(page, write=write or kept) for page in chosen)
 
 
 def measure(page: Page, sections: Collection[str]) -> None:
@@ -66,4 +69,4 @@ def _ended(page: Page, *, write: bool) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command(main))

@@ -16,8 +16,6 @@ from typing import Protocol
 import numpy as np
 
 SAMPLE, SUBSTEPS = 0.1, 10
-
-
 STEP = SAMPLE / SUBSTEPS
 
 
@@ -91,11 +89,7 @@ class Fin:
 
 
 MASS, INERTIA = 30.48, 3.45
-
-
 X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
-
-
 PRIORS = {
     "X_uu": -3.9,
     "Z_uw": -40.0,
@@ -106,20 +100,10 @@ PRIORS = {
     "M_uuds": -6.15,
     "zgW": 5.9,
 }
-
-
 OUTPUTS = ("u", "w", "q", "theta", "z")
-
-
 NOISE_STD = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
-
-
 MEMORY_TIME = 2.0  # of the fluid's memory, s
-
-
 FIRST_DEPTH = 10.0
-
-
 Force = Callable[[SimpleNamespace], np.ndarray]
 
 
@@ -232,15 +216,11 @@ class Manoeuvre:
 
 
 BEGIN, DURATION = 2.0, 90.0
-
-
 TRAIN = (
     Manoeuvre("train_steps", 12.0, levels=(8, -8, 8, -8, 0, 12, -12, 4, -4, 0), hold=4.0),
     Manoeuvre("train_zigzag_10_10", 9.0, 10.0, 10.0),
     Manoeuvre("train_zigzag_5_5", 5.0, 5.0, 5.0),
 )
-
-
 TEST = (
     Manoeuvre("test_steps", 7.0, levels=(6, 0, -10, 10, -6, 3, -3, 14, -14, 0), hold=5.0),
     Manoeuvre("test_zigzag_15_12", 10.0, 15.0, 12.0),
@@ -287,36 +267,46 @@ def simulate(
     list of Records
         One per manoeuvre.
     """
-    n_times = round(DURATION / SAMPLE) + 1
-    times = np.arange(n_times) * SAMPLE
+    times = np.arange(round(DURATION / SAMPLE) + 1) * SAMPLE
     rows = [(case, manoeuvre) for manoeuvre in manoeuvres for case in cases]
-    truth = _Truth([case for case, _ in rows])
     streams = [np.random.default_rng([c.seed, zlib.crc32(m.name.encode())]) for c, m in rows]
-    forces = np.stack([_forces(c, n_times, r) for (c, _), r in zip(rows, streams, strict=True)], 2)
+    drawn = [_forces(c, len(times), r) for (c, _), r in zip(rows, streams, strict=True)]
+    given = None if commands is None else commands.reshape(len(rows), len(times), 2)
+    inputs, clean = _integrated(rows, times, np.stack(drawn, 2), given)
+    noise = np.stack([_noise(c, len(times), r) for (c, _), r in zip(rows, streams, strict=True)])
+    n = len(cases)
+    parts = [slice(i * n, (i + 1) * n) for i in range(len(manoeuvres))]
+    return [Records(times, inputs[p], clean[p], clean[p] + noise[p]) for p in parts]
+
+
+def _integrated(
+    rows: Sequence[tuple[Case, Manoeuvre]],
+    times: np.ndarray,
+    forces: np.ndarray,
+    given: np.ndarray | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Commands ``(n_rows, n_times, 2)`` and outputs without noise ``(n_rows, n_times, 5)``."""
+    truth = _Truth([case for case, _ in rows])
     thrust = np.array([manoeuvre.thrust for _, manoeuvre in rows])
     state = np.zeros((9, len(rows)))
     state[0] = state[7] = np.sqrt(thrust / -truth.derivatives["X_uu"])
     state[4] = state[6] = FIRST_DEPTH
     pilot = _Pilot([manoeuvre for _, manoeuvre in rows])
-    given = None if commands is None else commands.reshape(len(rows), n_times, 2)
     fin = Fin(truth, np.zeros(len(rows)) if given is None else given[:, 0, 0])
-    inputs = np.zeros((len(rows), n_times, 2))
-    clean = np.zeros((len(rows), n_times, 5))
+    inputs = np.zeros((len(rows), len(times), 2))
+    clean = np.zeros((len(rows), len(times), 5))
     for k, time in enumerate(times):
         if given is None:
             inputs[:, k, 0], inputs[:, k, 1] = pilot.command(k, state[3]), thrust
         else:
             inputs[:, k] = given[:, k]
         clean[:, k] = truth.measure(state).T
-        if k + 1 < n_times:
+        if k + 1 < len(times):
             fin.command(inputs[:, k, 0])
             for sub in range(SUBSTEPS):
                 angle = fin.advance(sub)
                 state = truth.advance(state, time + sub * STEP, angle, inputs[:, k, 1], forces[k])
-    noise = np.stack([_noise(c, n_times, r) for (c, _), r in zip(rows, streams, strict=True)])
-    n = len(cases)
-    parts = [slice(i * n, (i + 1) * n) for i in range(len(manoeuvres))]
-    return [Records(times, inputs[p], clean[p], clean[p] + noise[p]) for p in parts]
+    return inputs, clean
 
 
 class _Pilot:

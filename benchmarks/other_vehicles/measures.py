@@ -90,17 +90,9 @@ def _detectable(entries: Sequence[Entry], hidden: str = "single", *conditions: s
 
 
 def _rates(entries: Sequence[Entry]) -> list[Rate]:
-    rates = []
-    for vehicle in (None, *dict.fromkeys(entry["vehicle"] for entry in entries)):
-        own = [e for e in entries if vehicle in (None, e["vehicle"])]
-        head, seen, none = f"{vehicle or 'all'}: ", _detectable(own), of_kind(own, "none")
-        rates += [
-            share(head + "right effect first", right_first, seen),
-            share(head + "right effect first or in its group", right_group, seen),
-            share(head + "right effect accepted", accepted, seen, ">= 0.95"),
-            share(head + "no abort", lambda e: not aborted(e), own, "1"),
-            share(head + "nothing hidden: false claims", claims, none, "<= 0.02"),
-        ]
+    rates = _of_vehicle("all", entries)
+    for vehicle in dict.fromkeys(entry["vehicle"] for entry in entries):
+        rates += _of_vehicle(vehicle, [e for e in entries if e["vehicle"] == vehicle])
     for condition in ("white", "waves", "input_noise"):
         none, seen = of_kind(entries, "none", condition), _detectable(entries, "single", condition)
         rates.append(share(f"{condition}, nothing hidden: false claims", claims, none, "<= 0.02"))
@@ -108,21 +100,35 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
     for declared, words in ((True, "noise declared"), (False, "noise not declared")):
         seen = [e for e in _detectable(entries) if e["declared"] is declared]
         rates.append(share(f"{words}: right effect accepted", accepted, seen, ">= 0.95"))
+    return rates + _of_all(entries)
+
+
+def _of_vehicle(name: str, entries: Sequence[Entry]) -> list[Rate]:
+    """How often the improvement is right on one vehicle."""
+    seen, none = _detectable(entries), of_kind(entries, "none")
+    return [
+        share(f"{name}: right effect first", right_first, seen),
+        share(f"{name}: right effect first or in its group", right_group, seen),
+        share(f"{name}: right effect accepted", accepted, seen, ">= 0.95"),
+        share(f"{name}: no abort", lambda e: not aborted(e), entries, "1"),
+        share(f"{name}: nothing hidden: false claims", claims, none, "<= 0.02"),
+    ]
+
+
+def _of_all(entries: Sequence[Entry]) -> list[Rate]:
+    """Pairs, contradictions, errors and times over all vehicles."""
     pairs, hidden = _detectable(entries, "pair"), [e for e in entries if e["hidden"] != "none"]
     ratios = [r for r in map(ratio, entries) if not np.isnan(r)]
     seconds = [e["processor_seconds"] for e in entries]
+    error, spent = "validation error, found over true structure", "processor seconds of a case"
     return [
-        *rates,
         share("two hidden: both found", accepted, pairs),
         share("two hidden: one of them first", right_group, pairs),
         share("claims more than is hidden", more_claimed, hidden),
         share("claim beside a validation error that rises", contradicts, entries, "0"),
         share("hidden effects that are detectable", lambda e: e["detectable"], hidden),
-        *(
-            number(f"validation error, found over true structure: {p} %", ratios, p)
-            for p in PERCENT
-        ),
-        *(number(f"processor seconds of a case: {p} %", seconds, p) for p in PERCENT),
+        *(number(f"{error}: {p} %", ratios, p) for p in PERCENT),
+        *(number(f"{spent}: {p} %", seconds, p) for p in PERCENT),
     ]
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import argparse
-import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from benchmarks.harness import command, known, markdown
 from benchmarks.scoreboard import (
     esso_osaka,
     roll_decay,
@@ -31,7 +30,6 @@ that cannot be scored stands in its row, and all other rows are as without it. N
 fitted to a record that is scored as a test, and official test records chose no structure either;
 where a validation part of our own confirmed the effects (`improve`), the note says so.
 """
-TABLE = "| benchmark | ours | published | note |\n|---|---|---|---|\n"
 
 
 def written(rows: dict[str, list[Row]], page: str) -> str:
@@ -41,30 +39,29 @@ def written(rows: dict[str, list[Row]], page: str) -> str:
         name, _, body = part.partition("\n")
         sections[name] = body.strip()
     for name, found in rows.items():
-        lines = ["| " + " | ".join(row.cells()) + " |" for row in found]
-        sections[name] = TABLE + "\n".join(lines)
+        head = ("benchmark", "ours", "published", "note")
+        sections[name] = "\n".join(markdown(head, (row.cells() for row in found)))
     body = (f"\n## {name}\n\n{text}\n" for name, text in sections.items() if text)
     return HEAD + "".join(body)
 
 
-def main(arguments: list[str] | None = None) -> None:
-    """Run the boards that are named, or all."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("names", nargs="*", metavar="name", help=", ".join(BOARDS))
-    parser.add_argument("--output", type=Path, default=TARGET, help="docs/scoreboard.md")
-    given = parser.parse_args(arguments)
-    if unknown := [name for name in given.names if name not in BOARDS]:
-        parser.error(f"there is no board {unknown[0]}; choose from {', '.join(BOARDS)}")
-    for name in given.names or BOARDS:
-        began = time.perf_counter()
-        print(f"{name}:", flush=True)
+def main(names: Sequence[str] = (), *, output: Path = TARGET) -> None:
+    """Run the boards that are named, or all.
+
+    Parameters
+    ----------
+    names : sequence of str
+        silverbox, tanks, esso_osaka, roll_decay
+    output : Path
+        page that has the tables
+    """
+    for name in [known(name, BOARDS, "board") for name in names] or BOARDS:
         found = attempted(name, "-", f"the board {name}", BOARDS[name])
         for row in found:
-            print("  " + " | ".join(row.cells()), flush=True)
-        print(f"  ({time.perf_counter() - began:.0f} s)", flush=True)
-        page = given.output.read_text(encoding="utf-8") if given.output.is_file() else ""
-        given.output.write_text(written({name: found}, page), encoding="utf-8")
+            print(f"{name}: " + " | ".join(row.cells()), flush=True)
+        page = output.read_text(encoding="utf-8") if output.is_file() else ""
+        output.write_text(written({name: found}, page), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -15,7 +15,16 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.scoreboard.row import Row, attempted, columns, missing, place
-from oed_sysid import Channels, Dataset, Model, MultipleShooting, Record, load_problem, read_csv
+from oed_sysid import (
+    Channels,
+    Dataset,
+    Model,
+    MultipleShooting,
+    Record,
+    Solver,
+    load_problem,
+    read_csv,
+)
 from oed_sysid.data.third_party import fetch
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -96,9 +105,9 @@ def grow(model: Model, name: str) -> Model:
 def fit(model: Model, record: Record, *, start: str = "auto") -> Fit:
     """Least squares on one record."""
     own = Record(record.name, record.times, record.inputs, record.outputs, model.channels)
-    return MultipleShooting(disturbances="none", noise=[0.15], start=start, max_iterations=40).fit(
-        model, Dataset((own,))
-    )
+    return MultipleShooting(
+        disturbances="none", noise=[0.15], start=start, solver=Solver(max_iterations=40)
+    ).fit(model, Dataset((own,)))
 
 
 def at_bound(found: Fit) -> bool:

@@ -1,5 +1,6 @@
 """Estimators: from a model and measured records to a :class:`~oed_sysid.likelihood.fit.Fit`."""
 
+from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.baselines.gibbs import GibbsRegression
 from oed_sysid.baselines.kalman import JointKalmanFilter
 from oed_sysid.baselines.least_squares import (
@@ -22,7 +23,7 @@ from oed_sysid.baselines.population import (
     ParticleSwarm,
 )
 from oed_sysid.baselines.support_vectors import LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.likelihood.estimator import Estimator
+from oed_sysid.likelihood.estimator import Estimator, Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.multistart import Multistart, Profile, profile
 
@@ -30,10 +31,13 @@ __all__ = [
     "Estimator",
     "MultipleShooting",
     "Multistart",
+    "Solver",
     "Profile",
     "profile",
     "OutputError",
     "EquationError",
+    "FourierRegression",
+    "FourierStream",
     "TotalLeastSquares",
     "LeastSquaresSVM",
     "SupportVectorRegression",

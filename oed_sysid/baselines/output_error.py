@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.model import Model
@@ -46,8 +47,7 @@ class OutputError:
             start="near",
             noise=self.noise,
             loss=self.loss,
-            max_iterations=self.max_iterations,
-            tolerance=self.tolerance,
+            solver=Solver(max_iterations=self.max_iterations, tolerance=self.tolerance),
             coloured=self.coloured,
             disturbances="none",
         )

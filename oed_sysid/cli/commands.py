@@ -20,6 +20,7 @@ from oed_sysid.runtime.display import Figure, Table, counted
 from oed_sysid.runtime.files import check_place, make_folder
 
 if TYPE_CHECKING:
+    from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.logs import Imported, Log, LogMapping
     from oed_sysid.design import Candidate
@@ -344,6 +345,90 @@ def export(
         say(str(file))
     if not result.status.ok:
         note(f"The fit ended as {result.status}")
+
+
+def watch(
+    problem: str,
+    source: str,
+    duration: float | None = None,
+    period: float | None = None,
+    band: str | None = None,
+    waves: str | None = None,
+    goal: float = 10.0,
+    places: list[str] | None = None,
+    silence: float = 10.0,
+    model: str | None = None,
+    json_file: Path | None = None,
+    html_file: Path | None = None,
+) -> None:
+    """Estimate while the run goes on: what is known by now, and whether to go on.
+
+    Fourier regression of every equation of motion, in a band of frequencies. The page is written
+    anew with every line that is printed and loads itself again. What is known at the end are start
+    values of a fit.
+
+    [bold]Example[/bold]: oed-sysid watch online_ship --source udp://127.0.0.1:5005 --waves
+    0.09:0.16
+    """
+    from oed_sysid.baselines.fourier import FourierStream
+    from oed_sysid.data.live import Place, samples
+
+    study = Study.named(problem, model)
+    run = next(iter(study.problem.experiments.values()), None)
+    if run is None and (duration is None or period is None):
+        raise DesignError("The problem has no experiment. Give --duration and --period.")
+    length = duration or float(getattr(run, "duration", 0.0) or 0.0)
+    step = period or float(getattr(run, "sample_time", 1.0))
+    stream = FourierStream(
+        study.problem.model, duration=length, period=step,
+        band=None if band is None else _band("--band", band),
+        without=() if waves is None else (_band("--waves", waves),),
+    )  # fmt: skip
+    found = {}
+    for text in places or []:
+        name, _, place = text.partition("=")
+        found[name] = Place.of(place)
+    told = -float("inf")
+    given = samples(
+        source, study.problem.model.channels, places=found, period=step, silence=silence
+    )
+    for time, sample in given:
+        stream.push(time, sample)
+        if time - told >= max(0.05 * length, step) and stream.n_samples > 2:
+            told = time
+            note(f"{time:6.0f} s  {stream.advice(goal / 100)}")
+            _live_page(stream, html_file, goal, study.problem.title, over=False)
+    if stream.n_samples < 3:
+        raise DataError(f"{source!r} gave {counted(stream.n_samples, 'sample')}; nothing is known.")
+    _live_page(stream, html_file, goal, study.problem.title, over=True)
+    document = stream.document(title=study.problem.title, goal=goal / 100)
+    answer(document.answer, document.text())
+    store(stream.to_dict(), json_file)
+
+
+def _band(option: str, text: str) -> tuple[float, float]:
+    """Two frequencies, Hz."""
+    low, _, high = text.partition(":")
+    try:
+        found = float(low), float(high)
+    except ValueError:
+        found = (1.0, 0.0)
+    if not 0 <= found[0] < found[1]:
+        raise DesignError(f"{option} {text}: write LOW:HIGH in Hz, such as 0.005:0.08.")
+    return found
+
+
+def _live_page(
+    stream: FourierStream, path: Path | None, goal: float, title: str, *, over: bool
+) -> None:
+    """Write the page; while the run goes on it loads itself again every other second."""
+    if path is None:
+        return
+    place = stream.document(title=title, goal=goal / 100).write(path)
+    if not over:
+        text = place.read_text(encoding="utf-8")
+        again = '<head><meta http-equiv="refresh" content="2">'
+        write(text.replace("<head>", again, 1), place)
 
 
 def campaign(

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 from oed_sysid.cli.study import DEFAULT_MODEL, Study, Task, grouped
-from oed_sysid.cli.tasks import Aim, Allowed, Bounds, Effort, Expected
+from oed_sysid.cli.tasks import Aim, Allowed, Assumed, Bounds, Effort, Expected
 
 _HEAD = '''"""Repeats a study of {title}.
 
@@ -117,22 +117,31 @@ print(diagnosis.report())
 """
 
 
-def _improve(study: Study, max_effects: int) -> str:
+def _improve(study: Study, max_effects: int, no_terms: bool = False) -> str:
     return f"""
 improvement = oed_sysid.improve(
     problem.model, train, test, candidates=problem.effects,
-    known_noise={study.known_noise}, max_effects={max_effects},
+    known_noise={study.known_noise}, max_effects={max_effects}, terms={not no_terms},
 )
 print(improvement.report())
 improvement.fit.save(HERE / "improved.json")
 """
 
 
-def _rank(study: Study, experiment: tuple[str, ...]) -> str:
+def _rank(study: Study, experiment: tuple[str, ...], assumed: Assumed) -> str:
     runs = f"[problem.experiment(name) for name in {list(experiment)!r}]" if experiment else "train"
+    more = ""
+    if assumed.sea is not None:
+        more = f", noise={_noise(Expected(sea=assumed.sea))}"
+    elif assumed.noise:
+        model = study.problem.model
+        levels = {o.name: o.noise_std for o in model.outputs} | assumed.levels(model)
+        more = f", noise={levels!r}"
+    if (known := assumed.known(study.problem.model)) is not None:
+        more += f", priors={known!r}"
     return f"""
 runs = {runs}
-print(oed_sysid.rank_parameters(problem.model, runs).report())
+print(oed_sysid.rank_parameters(problem.model, runs{more}).report())
 """
 
 

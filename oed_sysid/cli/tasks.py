@@ -324,7 +324,7 @@ def diagnose(study: Study, show: Shown) -> Outcome:
     )
 
 
-def improve(study: Study, show: Shown, *, max_effects: int = 4) -> Outcome:
+def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool = False) -> Outcome:
     """Find the effects that a model lacks, and test the claim on validation records.
 
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
@@ -343,6 +343,7 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4) -> Outcome:
         known_noise=study.known_noise,
         disturbances=study.acting,
         max_effects=max_effects,
+        terms=not no_terms,
         progress=Rounds(max_effects, show).tell,
         journal=show.journal,
     )
@@ -363,14 +364,60 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4) -> Outcome:
     )
 
 
-def rank(study: Study, show: Shown, *, experiment: tuple[str, ...] = ()) -> Outcome:
+@dataclass(frozen=True)
+class Assumed:
+    """What a ranking takes as given: noise of the sensors, a sea, and what is known besides."""
+
+    noise: tuple[str, ...] = ()
+    sea: str | None = None
+    priors: str | None = None
+
+    def levels(self, model: Model) -> dict[str, float | None]:
+        """Standard deviations of outputs that replace the model's."""
+        found: dict[str, float | None] = {}
+        for text in self.noise:
+            name, _, number = text.partition("=")
+            try:
+                found[name] = float(number)
+            except ValueError:
+                raise DesignError(
+                    f"--noise {text!r} is no OUTPUT=STD. Write r=0.001, say."
+                ) from None
+            if name not in model.output_names:
+                raise DesignError(
+                    f"--noise names {name!r}; outputs are {', '.join(model.output_names)}."
+                )
+        return found
+
+    def measured(self, model: Model) -> Model:
+        """The model with these standard deviations."""
+        levels = self.levels(model)
+        outputs = (replace(o, noise_std=levels.get(o.name, o.noise_std)) for o in model.outputs)
+        return replace(model, outputs=tuple(outputs)) if levels else model
+
+    def known(self, model: Model) -> Any:
+        """Nothing, the problem's priors, or every value to a share."""
+        if self.priors in (None, "none", "model"):
+            return "model" if self.priors == "model" else None
+        try:
+            share = float(self.priors or "")
+        except ValueError:
+            share = 0.0
+        if not share > 0:
+            raise DesignError(f"--priors is {self.priors!r}. Give none, model, or a share as 0.3.")
+        return {p.name: share * p.reference for p in model.free_parameters}
+
+
+def rank(
+    study: Study, show: Shown, *, experiment: tuple[str, ...] = (), assumed: Assumed = Assumed()
+) -> Outcome:
     """Rank parameters by what experiments tell about them, before fitting anything.
 
     [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
     """
-    from oed_sysid.information import identifiable_subset, information_of, rank_parameters
+    from oed_sysid.information import rank_parameters
 
-    problem, model = study.problem, study.problem.model
+    problem, model = study.problem, assumed.measured(study.problem.model)
     if study.train is not None and experiment:
         raise ProblemError("Give either --experiment or records, not both.")
     runs: Any = study.train
@@ -382,12 +429,12 @@ def rank(study: Study, show: Shown, *, experiment: tuple[str, ...] = ()) -> Outc
             "records."
         )
     show.say("computing sensitivities")
-    ranking = rank_parameters(model, runs)
-    subset = identifiable_subset(information_of(model, runs, priors=None), model.values)
+    forces = Weather(sea=assumed.sea).noise(problem, model, show)
+    ranking = rank_parameters(model, runs, noise=forces, priors=assumed.known(model))
     return Outcome(
-        (ranking, subset),
-        ranking.document(subset, title=problem.title),
-        {"ranking": ranking.to_dict(), "subset": subset.to_dict()},
+        ranking,
+        ranking.document(title=problem.title),
+        {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()},
         figure=Figure("plot_sensitivity", ranking, "", size=None),
     )
 
@@ -705,17 +752,18 @@ class Played(Files):
     servo: tuple[str, ...] = ()
     overrides: Path | None = None
     bag: Path | None = None
+    controller: tuple[str, ...] = ()
 
     def before(self, study: Study) -> None:
         """Check the channels of the servos, and that no bag is in the way."""
-        if self.overrides is not None:
+        if self.overrides is not None or "ardupilot" in self._controllers():
             self._servos(study.problem.limits)
         if self.bag is not None and self.bag.exists():
             raise FileError(f"{str(self.bag)!r} exists already. Name a folder that does not.")
 
     def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
-        """Write table, card, pulses and bag."""
-        from oed_sysid.design import write_bag, write_overrides
+        """Write table, card, pulses, bag and controllers."""
+        from oed_sysid.design import write_bag, write_controller, write_overrides
 
         found = outcome.result
         played = found.model, found.trajectory.times, found.trajectory.inputs
@@ -730,6 +778,46 @@ class Played(Files):
             yield f"Written: {write_overrides(self.overrides, *played, servos=servos)}"
         if self.bag is not None:
             yield f"Written: {write_bag(self.bag, *played)}"
+        yield from self._open_loop(found, outcome.settings)
+        rules = None if found.assurance is None else found.assurance.rules
+        for kind, place in self._controllers().items():
+            servos = self._servos(found.experiment.limits) if kind == "ardupilot" else {}
+            write_controller(
+                place, found.model, found.experiment, kind, aborts=rules, servos=servos
+            )
+            yield f"Written: {place}"
+
+    def _open_loop(self, found: Design, settings: Mapping[str, Any]) -> Iterator[str]:
+        """How surely limits are kept where a run that reacts is played as a table."""
+        import numpy as np
+
+        from oed_sysid.design import assess_limits, played
+
+        closed = found.assurance
+        if not (found.experiment.reacts and (self.overrides or self.bag)):
+            return
+        if closed is not None and closed.limited:
+            table = assess_limits(
+                found.model, played(found.model, found.experiment), limits=found.experiment.limits,
+                rng=np.random.default_rng(settings["seed"]), spread=closed.spread,
+                prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
+            )  # fmt: skip
+            yield f"Played as a table, without its feedback: {table.report()}."
+
+    def _controllers(self) -> dict[str, Path]:
+        """Files of controllers by their kind."""
+        from oed_sysid.cli.options import checked
+        from oed_sysid.design.controllers import KINDS
+
+        found = {}
+        for text in self.controller:
+            kind, _, place = text.partition("=")
+            if kind not in KINDS or not place:
+                raise DesignError(
+                    f"--controller {text}: write KIND=FILE, a kind of {', '.join(KINDS)}."
+                )
+            found[kind] = checked("file", Path(place))
+        return found
 
     def _write_card(
         self, found: Design, path: Path, title: str, show: Shown, settings: Mapping[str, Any]

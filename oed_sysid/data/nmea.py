@@ -62,6 +62,24 @@ def read_nmea(path: Path) -> Log:
     return assemble(path, "NMEA 0183", topics, notes=notes)
 
 
+def sentence_of(line: str) -> tuple[float | None, str, dict[str, float]] | None:
+    """Logger's time in front, type and numbers of one line; None if it holds no whole sentence.
+
+    Parameters
+    ----------
+    line : str
+        From a logger or a port.
+    """
+    pynmea2 = library("pynmea2", "NMEA 0183 sentences")
+    if (found := _SENTENCE.search(line)) is None:
+        return None
+    try:
+        sentence = pynmea2.parse(found.group().strip(), check=True)
+    except Exception:  # a wrong checksum or a torn line
+        return None
+    return _stamp(line[: found.start()]), sentence.sentence_type, _numbers(sentence)
+
+
 _Parsed = tuple[str, dict[str, float], float | None, float | None]
 
 

@@ -149,15 +149,17 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
     >>> clear_wraps(np.radians([10.0, 350.0, 20.0, 340.0])) is None
     True
     """
-    present = np.flatnonzero(np.isfinite(values))
-    series = values[present]
-    if series.size < 4:
+    finite = np.isfinite(values)
+    if finite.sum() < 4:
         return None
-    reach = float(series.max() - series.min())
-    steps = np.diff(series)
-    for period in PERIODS:
-        if not period * (1.0 - 2.0 * CLEAR) < reach < period * (1.0 + 0.5 * CLEAR):
-            continue
+    reach = float(np.max(values, where=finite, initial=-np.inf))
+    reach -= float(np.min(values, where=finite, initial=np.inf))
+    periods = [p for p in PERIODS if p * (1.0 - 2.0 * CLEAR) < reach < p * (1.0 + 0.5 * CLEAR)]
+    if not periods:  # of nearly all signals this is all that has to be looked at
+        return None
+    present = np.flatnonzero(finite)
+    steps = np.diff(values[present])
+    for period in periods:
         jumps = np.flatnonzero(np.abs(np.abs(steps) - period) < CLEAR * period)
         if not jumps.size:
             continue
@@ -376,18 +378,18 @@ class Record:
             )
 
     def _check_values(self) -> None:
-        bad = np.argwhere(~np.isfinite(self.inputs))
-        if bad.size:
-            row, column = bad[0]
+        known = np.isfinite(self.inputs)
+        if not known.all():
+            row, column = np.argwhere(~known)[0]
             raise DataError(
                 f"Record {self.name!r}: input {self.channels.input_names[column]!r} is "
                 f"{self.inputs[row, column]} at index {row} (t = {self.times[row]:g} s). Inputs "
                 "have to be known at every time: fill the gap by what the command was, or cut "
                 "the record there with window()."
             )
-        infinite = np.argwhere(np.isinf(self.outputs))
-        if infinite.size:
-            row, column = infinite[0]
+        infinite = np.isinf(self.outputs)
+        if infinite.any():
+            row, column = np.argwhere(infinite)[0]
             raise DataError(
                 f"Record {self.name!r}: output {self.channels.output_names[column]!r} is infinite "
                 f"at index {row}. Mark missing samples with NaN."

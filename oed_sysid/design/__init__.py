@@ -9,6 +9,7 @@ from oed_sysid.design.assurance import (
     assess_limits,
     predicted_tracks,
 )
+from oed_sysid.design.controllers import played, write_controller
 from oed_sysid.design.criteria import (
     AOptimal,
     Criterion,

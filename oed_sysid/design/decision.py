@@ -26,9 +26,8 @@ they do not, no stated error holds, and no number of further runs mends it.
 
 from __future__ import annotations
 
-import textwrap
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -48,7 +47,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict, counted
+from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, counted
 
 # A run that lowers what is missing by less than this per goal is not worth its fuel.
 WORTH = 0.01
@@ -329,51 +328,44 @@ class Decision:
             words += "; no limit on the motion was given"
         return f"{words}."
 
-    def report(self) -> str:
-        """Return the decision in words, the verdict first."""
+    def document(self) -> Report:
+        """Return the decision, the verdict first."""
         head = "GO ON." if not self.stop else f"STOP: {REASONS[self.action]}."
         if self.is_check:
             head = "GO ON: on paper everything is known, but one run alone has said so; check it."
-        lines = [head]
-        if self.contradiction is not None:
-            lines.append(
-                textwrap.fill(
-                    self.contradiction.text, 96, initial_indent="  WARNING       ",
-                    subsequent_indent=16 * " ",
-                )
-            )  # fmt: skip
-        if self.action == "go on" and self.next_run is not None:
-            lines += self._next_words(self.next_run.name)
-        lines.append(f"  {'goal':<34} {'wanted':>12} {'now':>12} {'after next':>12}")
+        rows = []
         for one in self.goals:
-            words = [
-                one.goal.words(self.model, value)
-                for value in (one.goal.tolerance, one.now, one.then)
-            ]
-            mark = "met" if one.is_met else ""
-            row = f"  {one.goal.name:<34} " + " ".join(f"{word:>12}" for word in words)
-            lines.append(f"{row} {mark}".rstrip())
-        lines += [f"  Not run: {name!r} may leave its limits." for name in self.refused]
-        return "\n".join(lines)
+            values = (one.goal.tolerance, one.now, one.then)
+            words = (one.goal.words(self.model, value) for value in values)
+            rows.append((one.goal.name, *words, "met" if one.is_met else ""))
+        headers = ("goal", "wanted", "now", "after next", "")
+        facts = list(self._next_words()) if self.action == "go on" else []
+        if self.contradiction is not None:
+            facts.insert(0, ("WARNING", self.contradiction.text))
+        refused = [f"Not run: {name!r} may leave its limits." for name in self.refused]
+        section = Section("Goals", refused, (Table(headers, rows),), indent=2)
+        return Report(head, answer=head, head=facts, sections=(section,))
 
-    def _next_words(self, name: str) -> list[str]:
-        """Lines about the next run, and what is left after it."""
-        lines = [f"  next          {name}"]
+    report = as_text
+
+    def _next_words(self) -> Iterator[tuple[str, str]]:
+        """Facts about the next run, and what is left after it."""
+        if self.next_run is None:
+            return
+        yield "next", self.next_run.name
         if self.kept is not None:
-            lines.append(
-                f"  limits        kept on {self.kept:.0%} of {self.n_checked} vehicles that remain "
-                "possible"
-            )
+            kept = f"kept on {self.kept:.0%} of {self.n_checked} vehicles that remain possible"
+            yield "limits", kept
         left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
-        if not np.isfinite(self.hours_left):
-            left = "more than can be planned: lower a goal"
-        lines.append(f"  to go         {left}")
+        yield (
+            "to go",
+            left if np.isfinite(self.hours_left) else "more than can be planned: lower a goal",
+        )
         if self.hours_available is not None and self.hours_left > self.hours_available:
-            lines.append(
-                f"  WARNING       only {self.hours_available:.2g} h are left: not all goals will "
-                "be met"
+            yield (
+                "WARNING",
+                f"only {self.hours_available:.2g} h are left: not all goals will be met",
             )
-        return lines
 
     to_dict = as_dict(
         "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",

@@ -166,7 +166,7 @@ class Design(_Accuracy):
         return (
             f"<Design {self.experiment.name!r} for {self.model.name!r}: "
             f"{self.experiment.duration:g} s, {self.names[worst]} least certain, "
-            f"+/- {TWO_SIDED_95 * self.relative_errors[worst]:.2%} (95 %)>"
+            f"± {share(TWO_SIDED_95 * self.relative_errors[worst])} (95 %)>"
         )
 
     def gain(self, reference: Reference) -> tuple[float, float]:

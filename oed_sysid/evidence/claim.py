@@ -197,17 +197,3 @@ def rises(study: Study, before: FilteredSolution, after: FilteredSolution) -> bo
 def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:
     """Error over all outputs of the model on its own on records, in units of the noise."""
     return total_error(study.rms(found, dataset) / study.setting.white)
-
-
-def leader(claims: Sequence[Claim], named: Sequence[str]) -> Claim | None:
-    """The claim that stands with the largest excess; of a group, one that is physics with a name.
-
-    Parameters
-    ----------
-    claims : sequence of Claim
-    named : sequence of str
-        Which of them are named effects and no polynomials.
-    """
-    standing = sorted((one for one in claims if one.stands), key=lambda one: -one.excess)
-    close = [one for one in standing if standing[0].excess - one.excess < GROUP_WIDTH]
-    return next((one for one in close if one.name in named), next(iter(close), None))

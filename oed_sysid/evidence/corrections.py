@@ -28,7 +28,8 @@ from oed_sysid.physics.model import Model
 PITCH_LIKE = 1.6
 # What happened last on the way from the vehicle to the log is undone first.
 ORDER = (
-    "blank", "step", "swap", "sign", "unit", "offset", "frame", "delay", "bias", "scale",
+    "blank", "step", "burst", "swap", "sign", "unit", "offset", "frame", "delay", "rate", "bias",
+    "scale",
     "misalignment", "lever", "drift",
 )  # fmt: skip
 
@@ -92,7 +93,7 @@ def pivot(series: np.ndarray, unit: str) -> float:
     return float(np.nanmean(series))
 
 
-def shifted(times: np.ndarray, series: np.ndarray, delay: float) -> np.ndarray:
+def shifted(times: np.ndarray, series: np.ndarray, delay: float | np.ndarray) -> np.ndarray:
     """Series that was logged ``delay`` seconds late, at the times of the others; NaN outside."""
     present = np.isfinite(series)
     moved = np.interp(times + delay, times[present], series[present], left=np.nan, right=np.nan)
@@ -140,11 +141,17 @@ def _mended(
         result = series.copy()
         result[list(one.rows.get(record, ()))] = np.nan
         return result
+    if one.kind in ("step", "burst") and not one.rows:
+        share = (times - times[0]) / (times[-1] - times[0])
+        until = one.span[1] if one.kind == "burst" else np.inf
+        return series - one.value * ((share >= one.span[0]) & (share < until))
     if one.kind == "step":
         jumps = zip(one.rows.get(record, ()), one.sizes.get(record, ()), strict=True)
         return series - sum((size * (np.arange(times.size) >= row) for row, size in jumps), 0.0)
     if one.kind == "delay":
         return shifted(times, series, one.value)
+    if one.kind == "rate":
+        return shifted(times, series, one.value * (times - times[0]))
     if one.kind == "lever":
         return series - one.value * values[one.other[0]]
     if one.kind in ("sign", "unit"):

@@ -21,7 +21,7 @@ from oed_sysid.physics import Effect, Force
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import factor_of
+from oed_sysid.physics.table import POLYNOMIAL, factor_of
 from oed_sysid.text import dimensions, expressions, notation
 from oed_sysid.text.units import Dimension, dimension
 
@@ -130,6 +130,7 @@ class Term:
             {self.equation: name if self.expression == "1" else f"{name}*{self.expression}"},
             (size,),
             description=f"{self.text} in the {self.equation} equation, proposed from records",
+            source=POLYNOMIAL,
         )
 
 

@@ -23,15 +23,22 @@ from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
-from oed_sysid.evidence.search import Standing, on_all_samples, overgrown, searched, with_term
+from oed_sysid.evidence.search import (
+    Standing,
+    asked_again,
+    on_all_samples,
+    overgrown,
+    rebuilt,
+    searched,
+    with_term,
+)
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.judgement import level_concerns
-from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
+from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
@@ -41,8 +48,6 @@ from oed_sysid.runtime.threads import single_threaded
 
 # Factor of a declared noise level from which it is worth a word.
 OTHER_NOISE = 1.3
-# Share of a signal that whole runs must miss before a search is worth making again.
-MUCH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -146,7 +151,7 @@ def improve(
     notes = [*ready.notes, *told]
     run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
     end = run.whole(study, base)
-    if disturbances == "auto" and _hidden_by_forces(end):
+    if disturbances == "auto" and not end.left.is_noise and end.left.random:
         tell("searching without random forces")
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -216,24 +221,17 @@ class _Run:
         more = sum(calm.needed(effect) for effect in calm.effects)
         more -= sum(end.state.needed(effect) for effect in end.state.effects)
         decided = claim(study, present, fit, calm.effects, more)
+        decisions = (*end.state.decisions, decided)
         if not decided.stands:
-            return end
+            return replace(end, state=replace(end.state, decisions=decisions))
         self.notes.append(
             "Random forces had grown over what is missing: it was searched for without them, and "
             "is likelier with them, too."
         )
-        state = replace(calm, study=study, fit=fit, path=(*calm.path[:-1], fit))
+        path = (*calm.path[:-1], fit)
+        state = replace(calm, study=study, fit=fit, path=path, decisions=decisions)
+        state = asked_again(rebuilt(state))
         return _Ended(state, base, first, last, self._left(state), None)
-
-
-def _hidden_by_forces(end: _Ended) -> bool:
-    """Whether disturbance forces may hide what is missing: whole runs are far off under them."""
-    study, fit = end.state.study, end.state.fit
-    if overgrown(study, fit):
-        return True
-    missed = study.rms(fit, study.train) / signal_spread(study.train)
-    unexplained = end.left.kind == "structure missing" and bool(end.left.random)
-    return unexplained and bool(np.nanmax(missed) > MUCH)
 
 
 def _bought(end: _Ended) -> list[str]:
@@ -254,7 +252,7 @@ def _other_noise(fit: Fit) -> list[str]:
     slow = {n for n, level in zip(fit.noise.outputs, fit.noise.colour, strict=True) if level > 0}
     found = [
         concern
-        for concern in level_concerns(fit)
+        for concern in concerns_of(fit, "noise_level")
         # Where some of it is slow, its white part is no level of the sensor.
         if concern.signal not in slow and not 1.0 / OTHER_NOISE < concern.size < OTHER_NOISE
     ]
@@ -298,8 +296,6 @@ def _result(
     rms = [_rms(study, fit) for fit in path]
     steps = _steps(state, fits, rms, sigma)
     yardstick = Yardstick.of(study.train, sigma)
-    worst = rms[-1]["test"] if study.validation is not None else rms[-1]["train"]
-    shares, ratios = _missed(study, sigma, worst, yardstick)
     term = None if end.proposals is None else Term.of(end.proposals, steps[-1], state.replaced)
     claimed = {step.added for step in steps}
     refused = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
@@ -314,9 +310,8 @@ def _result(
         location=location,
         remains=replace(
             end.left,
-            shares=shares,
-            over_wiggles=ratios,
-            declared=tuple(np.array(study.base.output_names)[~study.estimated].tolist()),
+            training=fits[-1].whole_runs,
+            validation=None if study.validation is None else fits[-1].runs_on(study.validation),
             suspect=_suspect(log, steps),
         ),
         parameters=parameter_table(fits[-1]),
@@ -366,20 +361,6 @@ def _steps(
             )
         )
     return tuple(found)
-
-
-def _missed(
-    study: Study, sigma: np.ndarray, worst: np.ndarray, yardstick: Yardstick
-) -> tuple[dict[str, float], ...]:
-    """What whole runs miss of every output beyond noise, over its spread and over its noise."""
-    # Noise that nobody declared is what the fastest content shows, whatever a fit took for noise.
-    fast = np.where(study.estimated, np.minimum(sigma, credible_levels(study.train)[0]), sigma)
-    excess = np.sqrt(np.maximum(worst**2 - fast**2, 0.0))
-    pairs = (
-        zip(study.base.output_names, excess / unit, strict=True)
-        for unit in (yardstick.spread, fast)
-    )
-    return tuple({name: float(v) for name, v in pair if not np.isnan(v)} for pair in pairs)
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:

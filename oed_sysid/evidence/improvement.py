@@ -211,6 +211,10 @@ class Step:
         return self.gain
 
 
+# Verdicts of whole runs that are as noise and disturbances would leave them.
+EXPLAINED = ("adequate", "disturbance")
+
+
 @dataclass(frozen=True, eq=False)
 class Improvement:
     """What is missing, step by step, with the errors before and after.
@@ -293,8 +297,7 @@ class Improvement:
         """``missing``, ``unexplained`` (more than noise, no claim) or ``nothing_missing``."""
         if self.steps and self.remains.kind != "log suspect":
             return "missing"
-        kinds = ("structure missing", "log suspect")
-        return "unexplained" if self.remains.kind in kinds else "nothing_missing"
+        return "nothing_missing" if self.remains.kind in EXPLAINED else "unexplained"
 
     @property
     def located(self) -> dict[str, float]:
@@ -309,7 +312,7 @@ class Improvement:
             self.ranking,
             self.parameters,
             before=self.base_error["test"],
-            explained=self.remains.kind in ("adequate", "random forces"),
+            explained=self.remains.kind in EXPLAINED,
             suspect=self.remains.kind == "log suspect",
             commanded=bool(self.base.inputs),
             last=self.last,
@@ -323,7 +326,7 @@ class Improvement:
     @property
     def explained(self) -> bool:
         """Whether what remains is noise: no disturbance is needed, and no sensor has to drift."""
-        return self.remains.is_noise and self.remains.kind == "adequate"
+        return self.remains.kind == "adequate"
 
     def at_step(self, count: int) -> Model:
         """Return the model after the first steps only: what came later is undone.
@@ -418,21 +421,28 @@ class Improvement:
         if self.remains.kind == "log suspect":
             return f"Log suspect: nothing about {self.base.name} can be claimed from it."
         if self.verdict == "unexplained":
+            more = "misses more than noise"
+            if self.remains.kind == "not known":
+                more = "may miss more than noise (not known)"
             return (
-                f"{self.base.name} misses more than noise, and no candidate is confirmed: error on "
-                f"the {records} records {before:.3g} × noise."
+                f"{self.base.name} {more}, and no candidate is confirmed: error on "
+                f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
         if not self.steps:
             return (
                 f"Nothing is missing from {self.base.name} that these records could show: error on "
-                f"the {records} records {before:.3g} × noise."
+                f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
         names = " and ".join(step.added for step in self.steps)
         goes = "falls" if after < before else "does not fall: it goes"
         return (
             f"{self.base.name} lacks {names}: with it the error on the {records} records {goes} "
-            f"from {before:.3g} to {after:.3g} × noise; {self.remains.kind}."
+            f"from {before:.3g} to {after:.3g} × noise{self._sizes()}; {self.remains.kind}."
         )
+
+    def _sizes(self) -> str:
+        """Whole-run errors in units and per cent of the signals, in brackets."""
+        return f" ({self.remains.size})" if self.remains.size else ""
 
     def _story(self) -> Section:
         """The steps, or why there is none."""

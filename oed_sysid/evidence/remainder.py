@@ -1,16 +1,28 @@
-r"""What a model leaves unexplained: noise of sensors, disturbance forces, or structure.
+r"""The one verdict on what a model leaves: noise, a disturbance, structure, or not known.
+
+It is decided here only, from whole runs (:mod:`oed_sysid.likelihood.whole_runs`): could sensors and
+process noise as estimated have left the runs of the training and of the validation records?
+
+================== ================================================================================
+kind               where
+================== ================================================================================
+log suspect        the log contradicts itself: nothing is certified
+structure missing  runs lie beyond what the noise model would have left (\|z\| > 4, or a whole-run
+                   error of 1.5 times that of a fit without process noise); or the disturbance
+                   follows inputs and motion, or has another level elsewhere
+not known          a question could not be asked, or the noise of a sensor was not declared and what
+                   is left is no white noise of it
+disturbance        process noise acts, and all of that was asked
+adequate           sensor noise alone
+================== ================================================================================
 
 The likelihood with disturbance forces is compared with that without, everything else estimated
-anew. A force is *random* where its level is the same on the validation records, no term of the
-dictionary explains it and it does not follow the motion
-(:mod:`oed_sysid.evidence.residual_forces`);
-*structure is missing* where something that repeats with the manoeuvre would. How much it matters is
-the error of the model on its own, beside the spread of each signal.
+anew; a force is asked whether its level is the same on the validation records and whether it
+follows the motion (:mod:`oed_sysid.evidence.residual_forces`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,18 +31,11 @@ from oed_sysid.evidence.residual_forces import Repeated, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.score_test import DRIFTS
+from oed_sysid.likelihood.whole_runs import WholeRuns
 from oed_sysid.runtime.display import as_dict
 
 # Twice the log-likelihood that disturbances may gain before they count as real.
 REMAINDER_LIMIT = 14.0
-# Below this share of a signal's spread an error of the model is no reason to go on.
-RELEVANT = 0.01
-# Share of a signal's spread that cannot be noise of its sensor; and that which cannot be where it
-# is slow and far above what the high-frequency content shows.
-ABSORBED, DRIFTING = 0.5, 0.1
-# Slow noise, over what was declared, that is no longer the declared sensor.
-LOUDER = 2.5
 # A level on other records that differs by more than this factor is tied to the manoeuvre.
 SAME_LEVEL = 2.0
 
@@ -77,10 +82,10 @@ class RandomForceFound:
 
     @property
     def text(self) -> str:
-        """The force in words, for instance ``random force in Z, 0.31 N, 2.0 s``."""
+        """The force in words, for instance ``disturbance force in Z, 0.31 N, 2.0 s``."""
         stage, _, signal = self.place.partition(" ")
-        what = {"actuator": f"noise on {signal}", "force": f"random force in {signal}"}
-        name = what.get(stage, f"random {stage} of {signal}")
+        what = {"actuator": f"noise on {signal}", "force": f"disturbance force in {signal}"}
+        name = what.get(stage, f"disturbance {stage} of {signal}")
         time = f", {self.time:.2g} s" if self.time > 0 else ""
         return f"{name}, {self.level:.2g} {self.unit}{time}".replace(" ,", ",")
 
@@ -99,14 +104,8 @@ class Remains:
         explains them too.
     random : tuple of RandomForceFound
         Those that are real, largest gain first.
-    shares : mapping of str to float
-        Error of the model on its own, as a share of each signal's spread; infinite where it leaves
-        the numbers.
-    over_wiggles : mapping of str to float
-        The same error, over the declared noise of each signal, or over what its high-frequency
-        content shows.
-    declared : tuple of str
-        Signals whose noise was declared.
+    training, validation : WholeRuns or None
+        What whole runs say; None where they were not asked.
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
     follows : tuple of Repeated
@@ -118,9 +117,8 @@ class Remains:
     forces: float
     sensor_time: float | None
     random: tuple[RandomForceFound, ...] = ()
-    shares: Mapping[str, float] | None = None
-    over_wiggles: Mapping[str, float] | None = None
-    declared: tuple[str, ...] = ()
+    training: WholeRuns | None = None
+    validation: WholeRuns | None = None
     tied: tuple[str, ...] = ()
     follows: tuple[Repeated, ...] | None = None
     suspect: str = ""
@@ -131,124 +129,87 @@ class Remains:
         return self.forces < REMAINDER_LIMIT and not self.suspect
 
     @property
-    def is_absorbed(self) -> bool:
-        """Whether noise is said to be what a model should explain: most of some signal."""
-        return bool(self.shares) and max((self.shares or {}).values()) > ABSORBED
+    def judges(self) -> WholeRuns | None:
+        """Whole runs that sizes are told of: on validation records where there are any."""
+        return self.training if self.validation is None else self.validation
 
     @property
-    def diverging(self) -> tuple[str, ...]:
-        """Signals for which the model on its own diverges."""
-        return tuple(name for name, share in (self.shares or {}).items() if share == np.inf)
+    def structured(self) -> tuple[str, ...]:
+        """What in the forces themselves says that they hold structure, in words."""
+        found = [one.text for one in self.follows or ()]
+        if self.tied and self.random:
+            names = ", ".join(self.tied[:3])
+            found.append(f"{names} would explain part of it but is not confirmed")
+        if not all(force.is_the_same_elsewhere for force in self.random):
+            found.append("its level differs between training and validation records")
+        return tuple(found)
 
     @property
-    def drifting(self) -> tuple[str, ...]:
-        """Signals whose misfit would be slow noise far above their high-frequency content."""
-        if self.sensor_time is None or not self.over_wiggles:
-            return ()
-        shares = self.shares or {}
-        found = []
-        for name, ratio in self.over_wiggles.items():
-            most, least = (LOUDER, RELEVANT) if name in self.declared else (DRIFTS, DRIFTING)
-            if ratio > most and shares.get(name, 0.0) > least:
-                found.append(name)
+    def beyond(self) -> tuple[str, ...]:
+        """What in whole runs neither sensors nor process noise could have left, in words."""
+        found = list[str]()
+        for records, runs in (("training", self.training), ("validation", self.validation)):
+            found += [] if runs is None else [f"{one} ({records})" for one in runs.objections]
+        return tuple(found)
+
+    @property
+    def open_questions(self) -> tuple[str, ...]:
+        """What could not be asked, in words."""
+        asked = [runs for runs in (self.validation, self.training) if runs is not None]
+        found = [] if asked else ["whole runs were not asked"]
+        # What the validation records leave open, the training records mostly do, too.
+        found += next((runs.open_questions for runs in asked if runs.open_questions), ())
+        if (self.random or self.sensor_time is not None) and self.follows is None:
+            found.append("whether what is left follows inputs and motion was not asked")
         return tuple(found)
 
     @property
     def kind(self) -> str:
-        """``"adequate"``, ``"random forces"``, ``"structure missing"`` or ``"log suspect"``."""
+        """One of the five kinds at the head of this module."""
         if self.suspect:
             return "log suspect"
-        if self.diverging:
+        if self.beyond or self.structured:
             return "structure missing"
-        if self.is_noise or not self.random:
-            return "structure missing" if self.is_absorbed or self.drifting else "adequate"
-        same = all(force.is_the_same_elsewhere for force in self.random)
-        if self.tied or self.follows or not same:
-            small = self.shares and max(self.shares.values()) < RELEVANT
-            return "adequate" if small else "structure missing"
-        return "random forces"
+        if self.open_questions:
+            return "not known"
+        return "adequate" if self.is_noise else "disturbance"
 
     @property
     def sentence(self) -> str:
         """What is left, with its size."""
         if self.suspect:
             return f"log suspect: {self.suspect} Nothing is certified before that is put right."
-        if self.diverging:
-            return (
-                "structure missing: on its own the model diverges in "
-                f"{', '.join(self.diverging)}, whatever the likelihood says. Bound the parameters, "
-                "or declare noise_std, and look at the values of the fit."
-            )
+        listed = "; ".join(force.text for force in self.random)
+        size = f" On its own the model misses {self.size}." if self.size else ""
+        if self.kind == "structure missing":
+            why = "; ".join((*self.beyond, *self.structured))
+            where = f" where process noise stands ({listed})" if listed else ""
+            return f"structure missing{where}: {why}.{size}"
+        if self.kind == "not known":
+            what = f"; process noise: {listed}" if listed else ""
+            return f"not known: {'; '.join(self.open_questions)}{what}.{size}"
         colour = (
             ""
             if self.sensor_time is None
             else f", correlated over about {self.sensor_time:.2g} s at the sensors"
         )
-        if self.is_noise or not self.random:
-            return self._without_forces(colour)
-        return self._with_forces(colour)
-
-    def _without_forces(self, colour: str) -> str:
-        """The sentence where no disturbance force acts."""
-        if self.kind != "structure missing":
-            return f"adequate: the remaining misfit is noise at this level{colour}."
-        if self.drifting and not self.is_absorbed:
-            return (
-                f"structure missing: on its own the model misses {self._shares()}{colour}. "
-                f"That is {self._above()}: no noise of a sensor, unless it drifts."
-            )
-        return (
-            f"structure missing: on its own the model misses {self._shares()}, which noise of "
-            "the sensors cannot be. Declare noise_std, check signs, units and start values."
-        )
-
-    def _with_forces(self, colour: str) -> str:
-        """The sentence where disturbance forces act."""
-        listed = "; ".join(force.text for force in self.random)
-        shares = self._shares()
-        if self.kind == "adequate":
-            return f"adequate: what is left ({listed}) moves no signal by more than {shares}."
-        if self.kind == "random forces":
-            checked = not np.isnan(self.random[0].elsewhere)
+        if self.kind == "disturbance":
+            checked = self.random and not np.isnan(self.random[0].elsewhere)
             same = ", about the same on the validation records" if checked else ""
-            if self.follows is None:
-                return f"{listed}{same}; no known effect or term explains it{colour}."
-            return f"{listed}{same}; nothing in it repeats with the manoeuvre{colour}."
-        if self.follows:
-            why = "; ".join(one.text for one in self.follows)
-        elif self.tied:
-            why = f"{', '.join(self.tied[:3])} would explain part of it but is not confirmed"
-        else:
-            why = "its level differs between training and validation records"
-        return (
-            f"structure missing in {', '.join(f.place for f in self.random)} ({why}); on its own "
-            f"the model misses {shares}."
-        )
+            what = f": {listed}{same}" if listed else ""
+            return f"disturbance{what}; whole runs are as it would leave them{colour}.{size}"
+        return f"adequate: the remaining misfit is noise at this level{colour}."
 
-    def _above(self) -> str:
-        """How far slow misfit is above the noise of the sensors."""
-        ratios = self.over_wiggles or {}
-        return ", ".join(
-            f"{ratios[name]:.2g} times "
-            + (
-                "the declared noise of " * (name in self.declared)
-                or "the high-frequency content of "
-            )
-            + name
-            for name in self.drifting
-        )
-
-    def _shares(self) -> str:
-        if not self.shares:
-            return "an unknown share of the signals"
-        worst = sorted(self.shares.items(), key=lambda pair: -pair[1])[:3]
-        return ", ".join(f"{100 * share:.2g} % of {name}" for name, share in worst)
+    @property
+    def size(self) -> str:
+        """Whole-run errors beyond noise, in units and per cent of the signals; the largest."""
+        return "" if self.judges is None else self.judges.sizes
 
     to_dict = as_dict(
-        "kind", "sensor_time", "random", "tied", "follows",
+        "kind", "sensor_time", "random", "tied", "follows", "training", "validation",
+        "open_questions",
         gain_of_forces="forces",
-        shares=lambda self: self.shares or {},
-        over_wiggles=lambda self: self.over_wiggles or {},
+        shares=lambda self: {} if self.judges is None else self.judges.shares,
     )  # fmt: skip
 
 
@@ -270,7 +231,7 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
         forces = 0.0
     time = _sensor_time(study, fit)
     if forces < REMAINDER_LIMIT:
-        return Remains(forces, time)
+        return Remains(forces, time, follows=() if time is None else repeated(study, fit, None))
     validated = None if study.validation is None else study.on_records(fit, study.validation)
     elsewhere = np.full(len(noise.force), np.nan) if validated is None else validated.noise.force
     told = validated is not None and _tells_levels(study, fit, validated)

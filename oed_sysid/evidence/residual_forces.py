@@ -12,17 +12,22 @@ take the Gauss-Newton step that goes with the innovations, and their covariance 
 Free parameters absorb part of a missing force. The residual force is the rest; a candidate is put
 through the same projection and the same smoother before it is compared with it.
 
-What was taken for a disturbance force may follow the motion of the vehicle. A force that nobody can
-foresee knows nothing of where the model goes on its own. So the smoothed force :math:`\hat d` is
-averaged, on all records but one, in classes of one or two signals :math:`s` of the model's own run;
-on the record left out these means :math:`m(s(t))` are compared with :math:`\hat d(t)`, and so on
-for every record. The correlation has the standard error
+What was taken for a disturbance may be a dynamic function of inputs and motion. With :math:`\hat d`
+the smoothed force, of correlation time :math:`\tau`, and :math:`f_j` functions of logged inputs and
+of the model's own run (piecewise linear in one or two signals, and low-pass filtered ones), its
+shocks are regressed on all records but one and compared on the one left out,
 
-.. math:: \sigma_\rho^2 = \frac1n\Bigl(1 + 2\sum_{k>0} \rho_d(k)\,\rho_m(k)\Bigr)
+.. math::
+    \hat d_k - \phi \hat d_{k-1} = \sum_j a_j\, (f_{j,k} - \phi f_{j,k-1}) + s_k,
+    \qquad \phi = e^{-\Delta/\tau}
 
-(Bartlett 1935, *J. R. Stat. Soc.* 98, 536). Signals are those of the model on its own, not the
-measured ones: these follow a disturbance force because it moves the vehicle. Commands that are not
-held may answer it, too (a helmsman's rudder), and then nothing is asked.
+A shock of a true disturbance knows nothing of what was commanded before it, and the error of
+:math:`\hat d` is orthogonal to all that was measured: also where a helmsman or an autopilot answers
+the disturbance, the correlation :math:`\rho` of shocks and regression is zero but for chance,
+
+.. math:: \sigma_\rho^2 = \frac1n\Bigl(1 + 2\sum_{k>0} \rho_s(k)\,\rho_m(k)\Bigr)
+
+(Bartlett 1935, *J. R. Stat. Soc.* 98, 536). The same is asked of slow noise of a sensor.
 """
 
 from __future__ import annotations
@@ -32,8 +37,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
+from scipy.signal import lfilter
 
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import SimulationError
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.filtered import Filtered
@@ -242,27 +247,25 @@ def agreement(forces: Sequence[Series], signature: Sequence[np.ndarray]) -> floa
     return float(seen @ expected / size) if size > 0 else 0.0
 
 
-# Classes of one signal, and of each of two; fewest samples in a class.
-CLASSES, PAIRED, FEWEST = 10, 5, 10
+# Knots of a piecewise linear function, and low-pass filters of every signal.
+KNOTS, FILTERS = 5, 3
 # Standard errors of a correlation, and share of the force's square, from which it repeats: with
 # thirty questions one in a thousand searches would say so by chance.
 SURE, SHARE = 4.0, 0.2
 # What two signals leave of the square, over what one of them leaves, to be named both.
 CLEARLY = 0.7
-# Share of samples at which a held command may change.
-MOVING = 0.2
 # Lags over which correlations are added, as a share of a record.
 LAGS = 0.25
 
 
 @dataclass(frozen=True)
 class Repeated:
-    """A force taken for random that is a function of the motion.
+    """A force or noise of a sensor taken for random that is a function of the motion.
 
     Attributes
     ----------
     place : str
-        ``"force Z"``.
+        ``"force Z"``, or ``"noise of q"``.
     signals : tuple of str
         One or two signals of the model's own run.
     share : float
@@ -279,12 +282,42 @@ class Repeated:
         return f"{self.place} follows {' and '.join(self.signals)} ({100 * self.share:.0f} % of it)"
 
 
+@dataclass(frozen=True, eq=False)
+class _Part:
+    """What one record, or a half of it, shows.
+
+    Attributes
+    ----------
+    times : ndarray (n_times,)
+    series : mapping of str to ndarray (n_times,)
+        Smoothed forces and residuals of sensors with autocorrelated noise, by place.
+    signals : mapping of str to ndarray (n_times,)
+        Of the model's own run, and commands that move.
+    """
+
+    times: np.ndarray
+    series: Mapping[str, np.ndarray]
+    signals: Mapping[str, np.ndarray]
+
+    def halves(self) -> list[_Part]:
+        """Its first and its second half."""
+        middle = len(self.times) // 2
+        return [
+            _Part(
+                self.times[part],
+                {name: values[part] for name, values in self.series.items()},
+                {name: values[part] for name, values in self.signals.items()},
+            )
+            for part in (slice(middle), slice(middle, None))
+        ]
+
+
 def repeated(
     study: Study, fit: FilteredSolution, other: FilteredSolution | None
 ) -> tuple[Repeated, ...] | None:
-    """Random forces of a fit that repeat with the motion, one entry a force.
+    """Random forces and slow noise of a fit that follow inputs and motion, one entry each.
 
-    None where it cannot be asked: without validation records, or with commands that may answer.
+    None where that cannot be asked: the smoother or the model on its own diverges.
 
     Parameters
     ----------
@@ -294,56 +327,53 @@ def repeated(
     other : FilteredSolution or None
         The same parameters on the validation records; None without these, or where it fails.
     """
-    if study.validation is None or other is None:
+    parts = [part for one in (fit, other) if one is not None for part in _series(one, study.unit)]
+    if len(parts) < len(study.train.records):
         return None
-    if not _held(study.train) or not _held(study.validation):
-        return None
-    parts = [*_series(fit, study.unit), *_series(other, study.unit)]
-    if len(parts) < len(study.train.records) + len(study.validation.records):
-        return None
-    names = set.intersection(*(set(signals) for _, signals in parts))
-    known = [name for name in parts[0][1] if name in names]
-    found = []
-    for index, place in enumerate(study.unit.places):
-        if not fit.noise.level(place)[0] > 0 or not place.startswith("force"):
-            continue
-        share, chosen = _followed(parts, index, known)
+    if len(parts) == 1:
+        parts = parts[0].halves()
+    names = set.intersection(*(set(part.signals) for part in parts))
+    known = [name for name in parts[0].signals if name in names]
+    noise, found = fit.noise, []
+    times = dict(zip(noise.places, noise.force_time, strict=True))
+    times |= {
+        f"noise of {name}": time
+        for name, time in zip(study.base.output_names, noise.colour_time, strict=True)
+    }
+    for place in parts[0].series if known else ():
+        share, chosen = _followed(parts, place, float(times[place]), known)
         if share > SHARE:
             found.append(Repeated(place, chosen, float(share)))
     return tuple(found)
 
 
 def _followed(
-    parts: Sequence[Part], index: int, known: Sequence[str]
+    parts: Sequence[_Part], place: str, time: float, known: Sequence[str]
 ) -> tuple[float, tuple[str, ...]]:
-    """The signal or the two that explain most of a force, and the share of it."""
-    alone = max((_share(parts, index, (name,)), (name,)) for name in known)
-    pairs = ((_share(parts, index, two), two) for two in combinations(known, 2))
+    """The signal or the two that explain most of a series, and the share of it."""
+    alone = max((_share(parts, place, time, (name,)), (name,)) for name in known)
+    pairs = ((_share(parts, place, time, two), two) for two in combinations(known, 2))
     pair = max(pairs, default=(0.0, ()))
     # Two signals only where they leave clearly less than the better of them.
     return pair if 1.0 - pair[0] < CLEARLY * (1.0 - alone[0]) else alone
 
 
-Part = tuple[np.ndarray, dict[str, np.ndarray]]
-
-
-def _held(dataset: Dataset) -> bool:
-    """Whether commands are held from sample to sample."""
-    return all(
-        np.mean(np.diff(column) != 0.0) < MOVING for record in dataset for column in record.inputs.T
-    )
-
-
-def _series(fit: FilteredSolution, unit: NoiseModel) -> list[Part]:
-    """Smoothed forces, and the signals of the model's own run, per record; none if that fails."""
-    problem = fit.problem
+def _series(fit: FilteredSolution, unit: NoiseModel) -> list[_Part]:
+    """Forces, slow noise and signals of the own run, per record; none if that fails."""
+    problem, noise = fit.problem, fit.noise
     try:
         forces = ResidualForces.of(*let_in(fit, unit)).series()
     except SimulationError:
         return []
+    acting = [
+        (index, place)
+        for index, place in enumerate(unit.places)
+        if noise.level(place)[0] > 0 and place.startswith("force")
+    ]
+    slow = np.flatnonzero((noise.colour > 0) & (not acting))
     result = []
     for index, record in enumerate(problem.records):
-        _, states, ok = problem.alone(fit.point.unknowns, index)
+        outputs, states, ok = problem.alone(fit.point.unknowns, index)
         if not ok:
             return []
         signals = {
@@ -352,8 +382,22 @@ def _series(fit: FilteredSolution, unit: NoiseModel) -> list[Part]:
         }
         commands = zip(record.channels.input_names, record.inputs.T, strict=True)
         signals |= {name: series for name, series in commands if np.ptp(series) > 0}
-        result.append((forces[index].values, signals))
+        series = {place: forces[index].values[:, column] for column, place in acting}
+        residuals = record.residuals(outputs)
+        series |= {
+            f"noise of {problem.model.output_names[column]}": _filled(residuals[:, column])
+            for column in slow
+        }
+        result.append(_Part(record.times, series, signals))
     return result
+
+
+def _filled(series: np.ndarray) -> np.ndarray:
+    """A series with missing samples linear in between; zero where there are none at all."""
+    known = np.flatnonzero(np.isfinite(series))
+    if not len(known):
+        return np.zeros(len(series))
+    return np.interp(np.arange(len(series)), known, series[known])
 
 
 def _turned(series: np.ndarray, unit: str) -> np.ndarray:
@@ -363,42 +407,79 @@ def _turned(series: np.ndarray, unit: str) -> np.ndarray:
     return series
 
 
-def _share(parts: Sequence[Part], index: int, names: Sequence[str]) -> float:
-    """Share of a force's square that means of the other records explain; 0 where chance might."""
-    n_classes = CLASSES if len(names) == 1 else PAIRED
-    columns = [np.concatenate([signals[name] for _, signals in parts]) for name in names]
-    edges = [np.quantile(c, np.linspace(0, 1, n_classes + 1)[1:-1]) for c in columns]
-    size = n_classes ** len(names)
-    inside = [_classes([s[name] for name in names], edges, n_classes) for _, s in parts]
-    forces = [force[:, index] for force, _ in parts]
-    counts = np.array([np.bincount(own, minlength=size) for own in inside])
-    totals = np.array(
-        [np.bincount(o, weights=f, minlength=size) for o, f in zip(inside, forces, strict=True)]
-    )
-    seen, said = [], []
-    for own, force, count, total in zip(inside, forces, counts, totals, strict=True):
-        others = counts.sum(axis=0) - count
-        whole = totals.sum(axis=0) - total
-        mean = whole.sum() / max(others.sum(), 1)
-        means = np.where(others >= FEWEST, whole / np.maximum(others, 1), mean) - mean
-        seen.append(force - mean)
-        said.append(means[own])
-    all_seen, all_said = np.concatenate(seen), np.concatenate(said)
-    norm = float(np.linalg.norm(all_seen) * np.linalg.norm(all_said))
-    if not norm > 0:
+def _share(parts: Sequence[_Part], place: str, time: float, names: Sequence[str]) -> float:
+    """Share of a series' square that a function of signals explains on records left out.
+
+    Zero where chance might.
+    """
+    features = _features(parts, names)
+    series = [part.series[place] for part in parts]
+    mean = float(np.mean(np.concatenate(series)))
+    steps = [np.diff(part.times) for part in parts]
+    memory = [np.exp(-step / time) if time > 0 else 0.0 * step for step in steps]
+    shocks = [own[1:] - phi * own[:-1] for own, phi in zip(series, memory, strict=True)]
+    rows = [own[1:] - phi[:, None] * own[:-1] for own, phi in zip(features, memory, strict=True)]
+    squares = float(np.mean((np.concatenate(series) - mean) ** 2))
+    if not squares > 0:
         return 0.0
-    correlation = float(all_seen @ all_said) / norm
-    return correlation**2 if correlation > SURE * _standard_error(seen, said) else 0.0
+    # Each function may be as large as the series: a normal prior of that spread.
+    prior = float(np.mean(np.concatenate(shocks) ** 2)) / squares * np.eye(features[0].shape[1])
+    prior[-1, -1] = 0.0  # the constant
+    matrices = [own.T @ own for own in rows]
+    rights = [own.T @ shock for own, shock in zip(rows, shocks, strict=True)]
+    found = [
+        np.linalg.lstsq(sum(matrices) - own + prior, sum(rights) - right, rcond=None)[0]
+        for own, right in zip(matrices, rights, strict=True)
+    ]
+    said = [own[:, :-1] @ sizes[:-1] for own, sizes in zip(rows, found, strict=True)]
+    left = [shock - own[:, -1] * sizes[-1]
+            for shock, own, sizes in zip(shocks, rows, found, strict=True)]  # fmt: skip
+    if not _correlation(left, said) > SURE * _standard_error(left, said):
+        return 0.0
+    said = [own[:, :-1] @ sizes[:-1] for own, sizes in zip(features, found, strict=True)]
+    return max(_correlation([own - mean for own in series], said), 0.0) ** 2
 
 
-def _classes(
-    columns: Sequence[np.ndarray], edges: Sequence[np.ndarray], n_classes: int
-) -> np.ndarray:
-    """Class of each sample."""
-    found = np.zeros(len(columns[0]), dtype=int)
-    for column, edge in zip(columns, edges, strict=True):
-        found = found * n_classes + np.searchsorted(edge, column)
+def _correlation(seen: Sequence[np.ndarray], said: Sequence[np.ndarray]) -> float:
+    one, other = np.concatenate(seen), np.concatenate(said)
+    size = float(np.linalg.norm(one) * np.linalg.norm(other))
+    return float(one @ other) / size if size > 0 else 0.0
+
+
+def _features(parts: Sequence[_Part], names: Sequence[str]) -> list[np.ndarray]:
+    """Functions of some signals, of unit size, and a constant, ``(n_times, n_functions)`` each."""
+    hats, slow = [], []
+    for name in names:
+        columns = [part.signals[name] for part in parts]
+        pooled = np.concatenate(columns)
+        knots = np.unique(np.quantile(pooled, np.linspace(0, 1, KNOTS)))
+        hats.append(
+            [np.column_stack([np.interp(c, knots, one) for one in np.eye(len(knots))])
+             for c in columns]
+        )  # fmt: skip
+        scale = max(float(np.std(pooled)), 1e-300)
+        slow.append(
+            [_low_passed(part.times, c / scale) for part, c in zip(parts, columns, strict=True)]
+        )
+    found = []
+    for index, part in enumerate(parts):
+        grid = hats[0][index]
+        for other in hats[1:]:
+            grid = (grid[:, :, None] * other[index][:, None, :]).reshape(len(part.times), -1)
+        constant = np.ones((len(part.times), 1))
+        found.append(np.hstack([grid, *(one[index] for one in slow), constant]))
     return found
+
+
+def _low_passed(times: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """A signal after first-order lags, from some samples to a tenth of the record."""
+    step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
+    found = []
+    for time in np.geomspace(3.0 * step, max(0.1 * length, 3.0 * step), FILTERS):
+        share = -np.expm1(-step / time)
+        begin = np.array([(1.0 - share) * series[0]])
+        found.append(lfilter([share], [1.0, share - 1.0], series, zi=begin)[0])
+    return np.column_stack(found)
 
 
 def _standard_error(seen: Sequence[np.ndarray], said: Sequence[np.ndarray]) -> float:

@@ -33,6 +33,10 @@ CONTRADICTIONS = (
 )  # fmt: skip
 
 
+# Faults that change a model's coefficients, whatever the motion.
+MATTER = ("sign", "unit", "scale", "delay")
+
+
 @dataclass(frozen=True)
 class Correction:
     """How to undo a finding in a copy of a record.
@@ -55,6 +59,8 @@ class Correction:
         For ``step``: record name to the jump at each of these indices, in the signal's SI unit.
     record : str
         The only record that changes; empty for all of them.
+    span : tuple of float
+        For ``step`` and ``burst``: share of the record where it begins and ends.
     """
 
     kind: str
@@ -64,6 +70,7 @@ class Correction:
     rows: dict[str, tuple[int, ...]] = field(default_factory=dict, repr=False)
     sizes: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
     record: str = ""
+    span: tuple[float, float] = (0.0, 1.0)
 
 
 @dataclass(frozen=True)
@@ -182,6 +189,30 @@ class Balance:
 
 
 @dataclass(frozen=True)
+class Judged:
+    """What was asked of one signal.
+
+    Parameters
+    ----------
+    fault : str
+        Kind of fault.
+    signal : str
+        Output or input.
+    state : str
+        ``tested``, ``found`` or ``not tested``.
+    says : str
+        From which size on the fault would have been seen, or why it could not be tested.
+    """
+
+    fault: str
+    signal: str
+    state: str
+    says: str = ""
+
+    to_dict = as_dict("fault", "signal", "state", "says")
+
+
+@dataclass(frozen=True)
 class LogCheck:
     """Result of :func:`~oed_sysid.evidence.check`.
 
@@ -196,7 +227,9 @@ class LogCheck:
     balances : tuple of Balance
         How well each of them holds.
     unchecked : tuple of str
-        What no equation relates, and what these equations cannot tell, in sentences.
+        What these equations cannot tell, in sentences.
+    judged : tuple of Judged
+        What was asked of every signal, and what could not be.
     duration : float
         Time that the check took, s.
     """
@@ -206,6 +239,7 @@ class LogCheck:
     relations: tuple[str, ...] = ()
     balances: tuple[Balance, ...] = field(default=(), repr=False)
     unchecked: tuple[str, ...] = ()
+    judged: tuple[Judged, ...] = field(default=(), repr=False)
     duration: float = math.nan
 
     _repr_html_ = as_html
@@ -245,7 +279,18 @@ class LogCheck:
             return f"Log suspect: {n} {'finding' if n == 1 else 'findings'} ({names})."
         if not self.relations:
             return "Nothing wrong was seen in single signals; no equation relates them."
+        open_ones = self.not_tested
+        if open_ones:
+            names = "; ".join(f"{kind} of {', '.join(of)}" for kind, of in open_ones.items())
+            return f"The signals agree as far as they could be tested. Not tested: {names}."
         return "The signals agree with each other."
+
+    @property
+    def not_tested(self) -> dict[str, tuple[str, ...]]:
+        """Signals by kind of the faults that change a model and could not be tested."""
+        rows = [one for one in self.judged if one.state == "not tested" and one.fault in MATTER]
+        return {kind: tuple(r.signal for r in rows if r.fault == kind)
+                for kind in dict.fromkeys(r.fault for r in rows)}  # fmt: skip
 
     def named(self, kind: str, signal: str | None = None) -> Finding | None:
         """Return the first finding of a kind, of a signal if given; None if there is none."""
@@ -294,6 +339,7 @@ class LogCheck:
                     "Equations between signals, and what is left of the left side's changes",
                     equations, figures=self._figures(), heading=True, indent=5,
                 ),
+                *self._judged(),
                 Section("What this check cannot tell", self.unchecked, heading=True, indent=5),
                 Section("Records", figures=_drawn(dataset), only="page"),
             ),
@@ -338,6 +384,28 @@ class LogCheck:
         )
         return [Section("Findings", tables=(table,), only="page")] if rows else []
 
+    def _judged(self) -> list[Section]:
+        """Faults times signals: what was tested, from which size on, and what was found."""
+        if not self.judged:
+            return []
+        kinds = list(dict.fromkeys(one.fault for one in self.judged))
+        cells = {(one.signal, one.fault): one for one in self.judged}
+        rows = []
+        for signal in dict.fromkeys(one.signal for one in self.judged):
+            mine = [cells.get((signal, kind)) for kind in kinds]
+            rows.append((signal, *("" if one is None else _cell(one) for one in mine)))
+        reasons = dict.fromkeys(
+            f"{one.signal}: {one.says}"
+            for one in self.judged
+            if one.state == "not tested" and one.says
+        )
+        table = Table(
+            ("signal", *kinds), rows,
+            caption="The least size that would have been seen; FOUND; or a dash where it could "
+            "not be tested.",
+        )  # fmt: skip
+        return [Section("What was tested", list(reasons), tables=(table,), heading=True, indent=5)]
+
     def _figures(self) -> list[Figure]:
         if not self.balances:
             return []
@@ -357,7 +425,7 @@ class LogCheck:
         ]  # fmt: skip
 
     to_dict = as_dict(
-        "verdict", "suspect", "records", "findings", "unchecked",
+        "verdict", "suspect", "records", "findings", "judged", "unchecked",
         relations="balances", duration_s="duration",
     )  # fmt: skip
 
@@ -366,6 +434,13 @@ def _drawn(dataset: Dataset | None) -> list[Figure]:
     """The first records as they were read."""
     records = () if dataset is None else dataset.records[:MOST_DRAWN]
     return [Figure("figure_record", one, f"{one.name} as it was read.") for one in records]
+
+
+def _cell(one: Judged) -> str:
+    """A cell of the table of what was tested."""
+    if one.state == "tested":
+        return one.says or "yes"
+    return "FOUND" if one.state == "found" else "-"
 
 
 def _share(value: float) -> str:

@@ -379,9 +379,12 @@ def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
         low, high = parameter.lower, parameter.upper
         if not (np.isfinite(low) and np.isfinite(high)):
             low, high = sorted((0.5 * parameter.value, 2.0 * parameter.value))
-        grid = np.linspace(low, high, N_SHAPES if position == 0 else N_OTHER_SHAPES)
+        spaced = np.geomspace if parameter.log else np.linspace
+        grid = spaced(low, high, N_SHAPES if position == 0 else N_OTHER_SHAPES)
         if _swings(effect, parameter):
-            grid = np.append(grid, lines(rows.times, rows.scaled, low, high))
+            found = lines(rows.times, rows.scaled, low, high)
+            told = _trials(effect, rows)  # a grid that is coarser than that says nothing
+            grid = np.append(grid if told < N_SHAPES or not len(found) else grid[:0], found)
         axes.append(grid)
     return [
         dict(zip(effect.shape_names, map(float, point), strict=True)) for point in product(*axes)

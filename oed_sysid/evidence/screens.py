@@ -1,15 +1,22 @@
 r"""Screens of single signals: what a log shows without any equation.
 
+Exact coincidences. In continuous noise no two samples are equal, so no likelihood can hold them:
+held, frozen, cut-off, lost, interpolated and coarse samples are told by counting. With a share
+:math:`p` of samples that repeat their neighbour by rounding alone, a run of :math:`L` is none if
+
+.. math:: N p^{L-1} < \alpha .
+
 Spikes are looked for in what a cubic through four neighbours does not explain,
 
 .. math:: d_i = y_i - (-y_{i-2} + 4 y_{i-1} + 4 y_{i+1} - y_{i+2})/6,
 
 at 8.5 times the robust deviation of :math:`d`, globally and nearby: with normal noise one in
-:math:`10^{16}` samples. A kink, where a rudder starts to move say, changes the slope and is left
-alone: the deviation from both neighbours has to exceed 1.5 times the change of slope around it.
-Groups of bad samples and lasting jumps are found as below. Where chance would hardly put so many of
-them right after steps of the inputs, those there are no faults but answers that are faster than the
-sampling.
+:math:`10^{16}` samples. Noise may have heavier tails, as Student's law with five degrees of freedom
+has: of :math:`n` samples beyond 3.5 deviations :math:`n\,(3.5/x)^5` are then beyond :math:`x`, and
+the limit is where that is :math:`\alpha`. A kink, where a rudder starts to move say, changes the
+slope and is left alone: the deviation from both neighbours has to exceed 1.5 times the change of
+slope around it. Where chance would hardly put so many of these samples right after steps of the
+inputs, those there are no faults but answers that are faster than the sampling.
 
 Groups of bad samples: a signal leaves its surroundings at once and comes back.
 
@@ -45,27 +52,28 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.special import bdtrc
 
 from oed_sysid.evidence.traces import QUARTILE, Trace, fast_noise
 
-SPIKE = 8.5
-# Faults below this share of a signal's range are immaterial.
-SMALL = 0.01
-# Largest deviation of a time step in a burst or about a step from the usual one, and fewest
-# windows that tell what is usual.
-UNEVEN, LEAST_WINDOWS = 0.2, 20
-LEAST_RUNS = 4
-FROZEN = 8
-# Shortest run of one value that may be a drop-out of its own, and the steps into it and out of it
-# in usual ones.
-LEAST_LOST, SUDDEN = 3, 3.0
+# False alarms a signal of a record; what rounding repeats is counted, not assumed.
+ALPHA = 0.001
 LEAST_SAMPLES = 20
-UNIQUE = 0.6
-# Probability below which spikes after steps of the inputs are none.
-CHANCE = 0.05
+# Robust deviations of a spike or step in normal noise, and from which on tails are counted.
+SPIKE, TAIL = 8.5, 3.5
+# Lengths of groups, and samples around one that say what is usual.
+LENGTHS, AROUND = (2, 3, 4, 5, 6, 9, 12), 25
+# Largest deviation of a time step from the usual one.
+UNEVEN = 0.2
+# Samples on either side of a step that tell level and slope.
+SIDE = 5
+# Shares of samples and values from which on a signal is coarse, held or interpolated.
+COARSE, UNIQUE, HELD = 0.2, 0.6, 0.5
+# A shape below this share of a signal's range is immaterial.
+SMALL = 0.01
 # Faults that may be answers to the inputs.
 ANSWERS = ("spikes", "step")
 
@@ -114,117 +122,10 @@ class Runs:
         parts = [np.arange(self.first[k] + after, self.first[k] + self.length[k]) for k in chosen]
         return np.concatenate(parts) if parts else np.empty(0, dtype=int)
 
-
-def screen(trace: Trace) -> list[Fault]:
-    """All faults of the single signals of one record.
-
-    A signal without any noise (a simulation, a hand-made file) is not judged as frozen or dead,
-    because nothing tells that it should have moved.
-    """
-    noisy = any(std > 0.0 for std in trace.noise.values())
-    return [fault for name in trace.values for fault in _faults(trace, name, noisy)]
-
-
-def _faults(trace: Trace, name: str, noisy: bool) -> Iterator[Fault]:
-    values = trace.values[name]
-    present = np.flatnonzero(np.isfinite(values))
-    series = values[present]
-    if series.size < LEAST_SAMPLES:
-        return
-    if series.max() == series.min():
-        if noisy:
-            yield Fault("dead", name, trace.name, present)
-        return
-    runs = Runs.of(series)
-    equal = 1.0 - runs.length.size / series.size
-    distinct = np.unique(series).size
-    coarse = equal > 0.2 and distinct < UNIQUE * runs.length.size
-    held = not coarse and equal >= 0.5 and float(np.quantile(runs.length, 0.25)) >= 2
-    taken = np.zeros(series.size, dtype=bool)
-    sentinel = _dropouts(series, runs, coarse or held)
-    if sentinel.size:
-        taken[sentinel] = True
-        yield Fault("dropouts", name, trace.name, present[sentinel], float(series[sentinel[0]]))
-    if held:
-        interval = float(np.median(runs.length)) * trace.step
-        later = runs.rows(np.arange(runs.length.size), after=1)
-        yield Fault("held", name, trace.name, present[later], interval)
-    elif coarse:
-        jumps = np.abs(np.diff(np.unique(series)))
-        yield Fault("quantised", name, trace.name, np.empty(0, dtype=int), float(np.min(jumps)))
-    elif equal < 0.5 and trace.noise[name] > 0.0:
-        yield from _standing_still(trace, name, present, runs, taken)
-    if not held:
-        yield from _jumping(trace, name, present, runs, taken, coarse)
-
-
-def _standing_still(
-    trace: Trace, name: str, present: np.ndarray, runs: Runs, taken: np.ndarray
-) -> Iterator[Fault]:
-    """A smooth signal that is cut off, or stops dead; its samples are ``taken``."""
-    series = trace.values[name][present]
-    # Runs far longer than its usual ones.
-    least = max(FROZEN, 4.0 * float(np.quantile(runs.length, 0.9)))
-    long = np.flatnonzero(runs.length >= least)
-    at_end = np.isin(runs.value, (series.max(), series.min()))
-    flat = np.flatnonzero((runs.length >= 3) & at_end & ~taken[runs.first])
-    clipped = flat if _is_clipped(series, runs, flat) else np.empty(0, dtype=int)
-    left = [k for k in long if k not in clipped and not taken[runs.first[k]]]
-    frozen = np.array([int(k) for k in left if _is_sudden(series, runs, int(k))], dtype=int)
-    if clipped.size:
-        rows = runs.rows(clipped)
-        taken[rows] = True
-        yield Fault("saturated", name, trace.name, present[rows], float(runs.value[clipped[0]]))
-    if frozen.size:
-        rows = runs.rows(frozen, after=1)
-        taken[rows] = True
-        duration = float(runs.length[frozen].sum()) * trace.step
-        yield Fault("frozen", name, trace.name, present[rows], duration)
-
-
-def _jumping(
-    trace: Trace, name: str, present: np.ndarray, runs: Runs, taken: np.ndarray, coarse: bool
-) -> Iterator[Fault]:
-    """Spikes, and steps beside what is ``taken``."""
-    series = trace.values[name][present]
-    rows = _spikes(trace.times[present], series, taken, coarse)
-    if rows.size:
-        taken[rows] = True
-        yield Fault("spikes", name, trace.name, present[rows], float(rows.size))
-    least = max(SMALL_STEP * _reach(series[~taken]), 4.0 * _quantum(series) * coarse)
-    # Beside samples that stand still a jump is the end of that, not a new level.
-    stuck = runs.rows(np.flatnonzero((runs.length >= LEAST_LOST) & (not coarse)))
-    taken[stuck] = True
-    jumped = steps(trace.times[present], series, taken, least)
-    if jumped:
-        sizes = tuple(one.size for one in jumped)
-        rows = present[[one.row for one in jumped]]
-        yield Fault("step", name, trace.name, rows, max(sizes, key=abs), sizes)
-
-
-def _reach(series: np.ndarray) -> float:
-    """Range of a signal without its outermost samples."""
-    return float(np.subtract(*np.quantile(series, [0.98, 0.02])))
-
-
-def _quantum(series: np.ndarray) -> float:
-    """Smallest difference between two values of a signal."""
-    return float(np.min(np.diff(np.unique(series))))
-
-
-def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
-    """Signals whose samples that stand out follow steps of the inputs beyond chance."""
-    share = float(np.concatenate(list(after.values())).mean())
-    begins: dict[str, list[bool]] = {}
-    for f in faults:
-        if f.kind in ANSWERS:
-            known = begins.setdefault(f.signal, [])
-            known += [bool(after[f.record][f.rows[group[0]]]) for group in f.groups()]
-    return {
-        name
-        for name, said in begins.items()
-        if any(said) and bdtrc(sum(said) - 1, len(said), share) < CHANCE
-    }
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Changes from the run before into each run, and from it to the next; NaN at the ends."""
+        between = np.diff(self.value)
+        return np.concatenate([[np.nan], between]), np.concatenate([between, [np.nan]])
 
 
 def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
@@ -235,7 +136,17 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """
     faults = [fault for trace in traces for fault in screen(trace)]
     after = {trace.name: trace.pushed for trace in traces}
-    fast = _fast(faults, after)
+    share = float(np.concatenate(list(after.values())).mean())
+    begins: dict[str, list[bool]] = {}
+    for f in faults:
+        if f.kind in ANSWERS:
+            known = begins.setdefault(f.signal, [])
+            known += [bool(after[f.record][f.rows[group[0]]]) for group in f.groups()]
+    fast = {
+        name
+        for name, said in begins.items()
+        if any(said) and bdtrc(sum(said) - 1, len(said), share) < 0.2
+    }
     kept = []
     for fault in faults:
         if fault.kind in ANSWERS and fault.signal in fast:
@@ -246,89 +157,135 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
 
 
-def _is_clipped(series: np.ndarray, runs: Runs, flat: np.ndarray) -> bool:
-    """Whether flat stretches at the extremes are a limit.
+def screen(trace: Trace) -> list[Fault]:
+    """All faults of the single signals of one record.
 
-    Two or more have the same value, and the signal comes to it by steps of its usual size: what
-    falls there at once was not measured.
+    A signal without any noise (a simulation, a hand-made file) is not judged as frozen or dead,
+    because nothing tells that it should have moved.
     """
-    if flat.size < 2:
-        return False
-    _, counts = np.unique(runs.value[flat], return_counts=True)
-    into, out = _edges(runs)
-    nearer = np.fmin(into, out)[flat]
-    return bool(counts.max() >= 2 and np.nanmedian(nearer) <= SUDDEN * _usual_step(series))
-
-
-def _edges(runs: Runs) -> tuple[np.ndarray, np.ndarray]:
-    """Steps from the run before into each run, and from it to the next one; NaN at the ends."""
-    between = np.abs(np.diff(runs.value))
-    return np.concatenate([[np.nan], between]), np.concatenate([between, [np.nan]])
-
-
-def _usual_step(series: np.ndarray) -> float:
-    """What 95 in 100 changes from sample to sample stay below, where the signal changes."""
-    changes = np.abs(np.diff(series))
-    return float(np.quantile(changes[changes > 0.0], 0.95))
-
-
-def _is_sudden(series: np.ndarray, runs: Runs, k: int) -> bool:
-    """Whether a signal stops and starts at once, not by coming to rest at a turning point."""
-    usual = float(np.median(np.abs(np.diff(series))))
-    first, last = int(runs.first[k]), int(runs.first[k] + runs.length[k])
-    entry = abs(series[first] - series[first - 1]) if first else None
-    leave = abs(series[last] - series[last - 1]) if last < series.size else None
-    edges = [edge for edge in (entry, leave) if edge is not None]
-    if len(edges) < 2:
-        return bool(edges) and edges[0] > 4.0 * usual
-    return min(edges) > 0.02 * usual and max(edges) > 0.3 * usual
-
-
-def _dropouts(series: np.ndarray, runs: Runs, coarse: bool) -> np.ndarray:
-    """Samples that hold a value which stands for "nothing was measured"."""
-    low, high = np.quantile(series, [0.02, 0.98])
-    reach = float(high - low) or float(series.max() - series.min())
-    d = _deviation(series)
-    noise = float(np.median(np.abs(d)) / QUARTILE) if d.size else 0.0
-    least = max(SPIKE * noise, 0.05 * reach)
-    before = np.concatenate([[np.nan], runs.value[:-1]])
-    after = np.concatenate([runs.value[1:], [np.nan]])
-    with np.errstate(invalid="ignore"):
-        jump = np.fmin(np.abs(runs.value - before), np.abs(runs.value - after))
-        returns = ~(np.abs(before - after) > 0.5 * jump)
-    apart = (jump > least) & returns
-    rows = []
-    for value in np.unique(runs.value[apart]):
-        here = apart & (runs.value == value)
-        extreme = abs(value - np.median(series)) > 10.0 * reach
-        share = here.sum() / max(int((runs.value == value).sum()), 1)
-        if extreme or (here.sum() >= LEAST_RUNS and share > 0.8 and not coarse):
-            rows.append(runs.rows(np.flatnonzero(runs.value == value)))
-    if not coarse:
-        rows.append(_lost(series, runs, least))
-    return np.unique(np.concatenate(rows)) if rows else np.empty(0, dtype=int)
-
-
-def _lost(series: np.ndarray, runs: Runs, least: float) -> np.ndarray:
-    """Samples of runs of one value that a signal falls to at once and leaves at once.
-
-    The value is that of two such runs or more, or beyond all others; a single run of an ordinary
-    value is a sensor that froze.
-    """
-    into, out = _edges(runs)
-    before = np.concatenate([[np.nan], runs.value[:-1]])
-    after = np.concatenate([runs.value[1:], [np.nan]])
-    jump = max(least, SUDDEN * _usual_step(series))
-    with np.errstate(invalid="ignore"):
-        same_side = (runs.value - before) * (runs.value - after) > 0.0
-        fallen = (runs.length >= LEAST_LOST) & (np.minimum(into, out) > jump) & same_side
-    chosen = [
-        k
-        for k in np.flatnonzero(fallen)
-        if (runs.value[fallen] == runs.value[k]).sum() > 1
-        or runs.value[k] in (series.min(), series.max())
+    noisy = any(std > 0.0 for std in trace.noise.values())
+    found = [
+        Fault("copied", f"{second} = {first}", trace.name, np.arange(trace.times.size))
+        for first, second in combinations(trace.values, 2)
+        if np.array_equal(trace.values[first], trace.values[second])
+        and np.nanstd(trace.values[first]) > 0.0
     ]
-    return runs.rows(np.array(chosen, dtype=int))
+    for name, values in trace.values.items():
+        present = np.flatnonzero(np.isfinite(values))
+        if present.size >= LEAST_SAMPLES:
+            of = _of(trace, name, present, noisy)
+            found += [
+                Fault(kind, name, trace.name, present[rows], *more) for kind, rows, *more in of
+            ]
+    return found
+
+
+def _of(trace: Trace, name: str, present: np.ndarray, noisy: bool) -> Iterator[tuple]:  # type: ignore[type-arg]
+    """Kind, rows and amount of each fault of one signal."""
+    series = trace.values[name][present]
+    none = np.empty(0, dtype=int)
+    if np.ptp(series) == 0.0:
+        if noisy:
+            yield "dead", np.arange(series.size)
+        return
+    runs = Runs.of(series)
+    equal = 1.0 - runs.length.size / series.size
+    distinct = np.unique(series)
+    step = float(np.min(np.diff(distinct)))
+    coarse = equal > COARSE and distinct.size < UNIQUE * runs.length.size
+    coarse |= distinct.size < HELD * series.size and step > trace.noise[name] > 0.0
+    held = not coarse and equal >= HELD and float(np.quantile(runs.length, 0.25)) >= 2
+    taken = np.zeros(series.size, dtype=bool)
+    if held:
+        later = runs.rows(np.arange(runs.length.size), after=1)
+        yield "held", later, float(np.median(runs.length)) * trace.step
+        return
+    between = none if coarse else interpolated(series)
+    if between.size > HELD * series.size:
+        knots = series.size - between.size
+        yield "interpolated", between, float(series.size / max(knots, 1)) * trace.step
+        return
+    if coarse:
+        yield "quantised", none, step
+    if noisy:
+        for kind, rows, amount in _repeated(series, runs, coarse):
+            taken[rows] = True
+            yield kind, rows, amount * (trace.step if kind == "frozen" else 1.0)
+    least = max(SMALL * float(np.subtract(*np.quantile(series, [0.98, 0.02]))), 4.0 * step * coarse)
+    pulses = _spikes(trace.times[present], series, taken, least)
+    if pulses.size:
+        taken[pulses] = True
+        yield "spikes", pulses, float(pulses.size)
+    # Beside samples that stand still a jump is the end of that, not a new level.
+    taken[runs.rows(np.flatnonzero((runs.length >= 3) & (not coarse)))] = True
+    jumped = steps(trace.times[present], series, taken, 5.0 * least)
+    if jumped:
+        sizes = tuple(one.size for one in jumped)
+        yield "step", np.array([one.row for one in jumped]), max(sizes, key=abs), sizes
+
+
+def interpolated(series: np.ndarray) -> np.ndarray:
+    """Samples on the straight line through both neighbours, to the digits that are written.
+
+    Examples
+    --------
+    >>> slow = np.random.default_rng(0).standard_normal(11)
+    >>> interpolated(np.interp(np.arange(41) / 4.0, np.arange(11), slow)).size
+    30
+    """
+    values = np.unique(series)
+    digits = float(np.min(np.diff(values)))
+    usual = float(np.median(np.abs(np.diff(series))))
+    fine = max(1e-9 * float(np.ptp(series)), 2.1 * digits if digits < 0.01 * usual else 0.0)
+    flat = np.abs(np.diff(series, 2)) <= fine
+    return np.flatnonzero(flat & (np.abs(np.diff(series))[1:] > 0.0)) + 1
+
+
+def _repeated(
+    series: np.ndarray, runs: Runs, coarse: bool
+) -> Iterator[tuple[str, np.ndarray, float]]:
+    """Runs of equal samples that rounding does not make: lost, cut off or frozen."""
+    n = series.size
+    # Of the repetitions those in the longest run of all are what is asked.
+    usual = np.sort(runs.length)[: max(1, int(0.99 * runs.length.size))]
+    p = float(np.clip((usual - 1).sum() / n, 1.0 / n, 0.98))
+    least = 1.0 + np.log(ALPHA / n) / np.log(p)
+    if coarse:  # a slow signal stays on a step of the converter
+        least = max(least, 4.0 * float(np.quantile(runs.length, 0.9)))
+    into, out = runs.edges()
+    with np.errstate(invalid="ignore"):
+        changes = np.abs(np.diff(series))
+        jump = 3.0 * float(np.quantile(changes[changes > 0.0], 0.95))
+        entered, left = np.abs(into) > jump, np.abs(out) > jump
+        back = np.sign(into) * np.sign(out) < 0.0
+        reach = float(np.subtract(*np.quantile(series, [0.98, 0.02]))) or float(np.ptp(series))
+        far = np.abs(runs.value - np.median(series)) > 10.0 * reach
+    fallen = entered & left & back
+    values, place = np.unique(runs.value, return_inverse=True)
+    times = np.bincount(place)
+    recurs = np.bincount(place, weights=fallen)[place] * (not coarse)
+    extreme = (runs.value == values[0]) | (runs.value == values[-1])
+    lost = far | (fallen & (recurs >= 4) & (recurs > 0.8 * times[place]))
+    lost |= fallen & (runs.length >= max(3.0, least)) & ((recurs > 1) | extreme)
+    if lost.any():
+        yield "dropouts", runs.rows(np.flatnonzero(lost)), float(runs.value[lost][0])
+    long = (runs.length >= least) & ~lost
+    level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~(entered & left)
+    cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
+    if cut.any():
+        yield "saturated", runs.rows(np.flatnonzero(cut)), float(runs.value[cut][0])
+    still = long & ~cut & (runs.length >= 4) & _sudden(series, runs)
+    if still.any():
+        chosen = np.flatnonzero(still)
+        yield "frozen", runs.rows(chosen, after=1), float(runs.length[chosen].sum())
+
+
+def _sudden(series: np.ndarray, runs: Runs) -> np.ndarray:
+    """Runs in which a signal stops at once, not by coming to rest at a turning point."""
+    usual = float(np.median(np.abs(np.diff(series))))
+    into, out = (np.abs(edge) for edge in runs.edges())
+    first, last = np.fmin(into, out), np.fmax(into, out)
+    return (first > 0.02 * usual) & (last > 0.3 * usual)
 
 
 def _deviation(series: np.ndarray) -> np.ndarray:
@@ -337,26 +294,26 @@ def _deviation(series: np.ndarray) -> np.ndarray:
     return y[2:-2] - (-y[:-4] + 4.0 * y[1:-3] + 4.0 * y[3:-1] - y[4:]) / 6.0
 
 
-def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bool) -> np.ndarray:
+def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, floor: float) -> np.ndarray:
     """Indices of samples, alone or in short groups, that their neighbours contradict."""
     y = series.copy()
     y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), series[~taken])
     d = _deviation(y)
     if d.size < LEAST_SAMPLES:
         return np.empty(0, dtype=int)
-    floor = max(SMALL * _reach(y), 4.0 * _quantum(series) * coarse)
-    limit = max(SPIKE * float(np.median(np.abs(d))) / QUARTILE, floor)
+    factor = _limit(d)
+    limit = max(factor * float(np.median(np.abs(d))) / QUARTILE, floor)
     steps = np.diff(times)
     usual = float(np.median(steps))
     found: list[int] = []
     for i in np.argsort(-np.abs(d)) + 2:
         if abs(d[i - 2]) <= limit:
             break
-        if taken[i] or np.any(np.abs(steps[i - 2 : i + 2] - usual) > 0.2 * usual):
+        if taken[i] or np.any(np.abs(steps[i - 2 : i + 2] - usual) > UNEVEN * usual):
             continue
         now = y[i] - (-y[i - 2] + 4.0 * y[i - 1] + 4.0 * y[i + 1] - y[i + 2]) / 6.0
         near = d[max(i - 12, 0) : i + 8]
-        nearby = SPIKE * float(np.median(np.abs(near))) / QUARTILE
+        nearby = factor * float(np.median(np.abs(near))) / QUARTILE
         middle = 0.5 * (y[i - 1] + y[i + 1])
         bend = abs((y[i + 2] - y[i + 1]) - (y[i - 1] - y[i - 2]))
         apart = abs(y[i] - middle)
@@ -368,13 +325,16 @@ def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, coarse: bo
         y[i] = middle
     known = taken.copy()
     known[found] = True
-    groups = bursts(times, y, known, SPIKE, floor)
+    groups = bursts(times, y, known, factor, floor)
     return np.sort(np.concatenate([np.array(found, dtype=int), *groups]))
 
 
-LENGTHS = (2, 3, 4, 5, 6)
-# Half width, in samples, of what is near by, beside the group.
-AROUND_BURST = 20
+def _limit(d: np.ndarray) -> float:
+    """Robust deviations beyond which noise like this leaves nothing, heavy tails allowed for."""
+    size = np.abs(d) / (float(np.median(np.abs(d))) / QUARTILE + 1e-300)
+    beyond = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5
+    n_tail = int(np.sum((size > TAIL) & ~beyond)) - 1
+    return max(SPIKE, TAIL * (max(n_tail, 0) / ALPHA) ** 0.2)
 
 
 def bursts(
@@ -411,7 +371,7 @@ def bursts(
     uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
     found: list[tuple[float, int, int]] = []
     for length in LENGTHS:
-        if series.size - length - 3 >= LEAST_WINDOWS:
+        if series.size - length - 3 >= LEAST_SAMPLES:
             found += _candidates(series, length, limit, least)
     groups = []
     # The clearest first: a window that holds a part of a group sees the rest beside it.
@@ -465,27 +425,13 @@ def _candidates(
             continue
         # Windows that overlap the group see it as well.
         beside = np.abs(np.arange(d.shape[0]) - k)
-        near = d[(beside > length + 3) & (beside <= length + 3 + AROUND_BURST)]
+        near = d[(beside > length + 3) & (beside <= length + 3 + AROUND)]
         nearby = limit * float(np.median(near[:, [0, -1]])) / QUARTILE if near.size else 0.0
         # Calm surroundings: their own changes are no size that would make a group stand out.
         calm = 3.0 * max(abs(before), abs(after))
         if ends[k] > max(nearby, calm):
             result.append((float(ends[k] / max(limit * usual, nearby, least)), first, length))
     return result
-
-
-LIMIT = 8.5
-# Samples on either side that tell level and slope.
-SIDE = 5
-AROUND_STEP = 25
-# A step below this share of the range of a signal is left to the equations.
-SMALL_STEP = 0.05
-# Against the motion along either line over its samples, and the part between the two samples.
-STEEP, AT_ONCE = 3.0, 0.7
-# Half widths, in samples, of the surroundings that its size is fitted in.
-WIDTHS = (10, 20, 40, 80)
-# What a fit may leave against the noise.
-NOISY = 1.15
 
 
 @dataclass(frozen=True)
@@ -517,7 +463,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     [(250, 1.5)]
     """
     n = series.size - 2 * SIDE + 1
-    if n < LEAST_WINDOWS:
+    if n < LEAST_SAMPLES:
         return []
     # Level half a sample beyond the end of a line through SIDE samples, and its slope.
     at = np.arange(SIDE) - 0.5 * (SIDE - 1)
@@ -533,16 +479,16 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     uneven = np.abs(intervals - np.median(intervals)) > UNEVEN * np.median(intervals)
     size = np.abs(jumps)
     result = []
-    for k in np.flatnonzero(size > np.maximum(max(LIMIT * usual, least), STEEP * motion)):
+    for k in np.flatnonzero(size > np.maximum(max(SPIKE * usual, least), 3.0 * motion)):
         around = slice(k, k + 2 * SIDE)
         if taken[around].any() or uneven[k : k + 2 * SIDE - 1].any():
             continue
         if size[k] < size[max(k - SIDE, 0) : k + SIDE + 1].max():
             continue
         beside = np.abs(np.arange(n) - k)
-        near = size[(beside >= SIDE) & (beside < SIDE + AROUND_STEP)]
-        nearby = LIMIT * float(np.median(near)) / QUARTILE
-        if size[k] > nearby and raw[k] / jumps[k] > AT_ONCE:
+        near = size[(beside >= SIDE) & (beside < SIDE + AROUND)]
+        nearby = SPIKE * float(np.median(near)) / QUARTILE
+        if size[k] > nearby and raw[k] / jumps[k] > 0.7:
             result.append(Step(int(k) + SIDE, float(jumps[k])))
     edges = [0, *(one.row for one in result), series.size]
     return [
@@ -554,7 +500,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
 def _size(series: np.ndarray, taken: np.ndarray, one: Step, free: tuple[int, int]) -> float:
     """Size of a jump from the widest surroundings that a cubic with a step follows."""
     noise, size = fast_noise(series), one.size
-    for width in WIDTHS:
+    for width in (10, 20, 40, 80):
         if one.row - width < free[0] or one.row + width > free[1]:
             break
         rows = np.arange(one.row - width, one.row + width)
@@ -563,7 +509,16 @@ def _size(series: np.ndarray, taken: np.ndarray, one: Step, free: tuple[int, int
         here = series[rows[~taken[rows]]]
         fitted = np.linalg.lstsq(matrix, here, rcond=None)[0]
         left = here - matrix @ fitted
-        if np.sqrt(np.sum(left**2) / (here.size - 5)) > NOISY * noise:
+        if np.sqrt(np.sum(left**2) / (here.size - 5)) > 1.15 * noise:
             break
         size = float(fitted[-1])
     return size
+
+
+def marked(faults: Sequence[Fault], record: str, kinds: Sequence[str]) -> Mapping[str, np.ndarray]:
+    """Rows of some kinds of faults in a record, by signal."""
+    rows: dict[str, np.ndarray] = {}
+    for fault in faults:
+        if fault.record == record and fault.kind in kinds:
+            rows[fault.signal] = np.union1d(rows.get(fault.signal, []), fault.rows).astype(int)
+    return rows

@@ -20,7 +20,6 @@ from oed_sysid.evidence.claim import (
     GROUP_WIDTH,
     Claim,
     claim,
-    leader,
     own_error,
     rises,
     threshold,
@@ -135,24 +134,47 @@ def choice(
     best = ranking.refits[0].gain if ranking.refits else 0.0
     asked = [one for one in ranking.refits[:ASKED] if hopeful(one, best)]
     claims = asked_of(state, asked)
-    lead = leader(claims, _named(asked))
+    lead = leader(ranking, asked, claims)
     if lead is None:
         asked = [one for one in pairs(state.study, state.fit, ranking) if hopeful(one, 0.0)]
         more = asked_of(state, asked)
-        claims, lead = [*claims, *more], leader(more, _named(asked))
-    if lead is None:
-        return None, tuple(claims)
-    refit = next(one for one in asked if one.name == lead.name)
-    return (refit, lead), tuple(claims)
+        claims, lead = [*claims, *more], leader(ranking, asked, more)
+    return lead, tuple(claims)
+
+
+def leader(
+    ranking: Ranking, refits: Sequence[Refit], claims: Sequence[Claim]
+) -> tuple[Refit, Claim] | None:
+    """The refit that stands with the largest excess; of its group, physics that has a name.
+
+    Parameters
+    ----------
+    ranking : Ranking
+        Says what two statistics may differ by and be the same.
+    refits, claims : sequence
+        What was asked, and the answers.
+    """
+    standing = [pair for pair in zip(refits, claims, strict=True) if pair[1].stands]
+    standing.sort(key=lambda pair: -pair[1].excess)
+    if not standing:
+        return None
+    best, first = standing[0]
+    close = (
+        (refit, one)
+        for refit, one in standing
+        if first.excess - one.excess < ranking.error(best, refit)
+    )
+    return next((pair for pair in close if not polynomial(pair[0])), standing[0])
+
+
+def polynomial(refit: Refit) -> bool:
+    """Whether a term of a series is in a refit."""
+    return any(effect.source == POLYNOMIAL for effect in refit.effects)
 
 
 def asked_of(state: Standing, refits: Sequence[Refit]) -> list[Claim]:
     """The claim of every refit."""
     return [claim(state.study, state.fit, r.fit, r.effects, r.needed) for r in refits]
-
-
-def _named(refits: Sequence[Refit]) -> list[str]:
-    return [one.name for one in refits if all(e.source != POLYNOMIAL for e in one.effects)]
 
 
 def with_refit(

@@ -20,9 +20,11 @@ with the information :math:`\Lambda` of the training and :math:`H_v` of the vali
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from time import perf_counter
+from typing import Any, TypeVar, cast
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -32,6 +34,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
@@ -50,7 +53,7 @@ from oed_sysid.likelihood.random_forces import (
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.summary import summarise_filtered
-from oed_sysid.likelihood.whole_runs import rms, whole_runs
+from oed_sysid.likelihood.whole_runs import WholeRun, rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 
@@ -58,12 +61,12 @@ from oed_sysid.physics.model import Model
 VAGUE = 1e-8
 
 # A fit to white noise, on the way to one with disturbance forces.
-PLAIN = MultipleShooting(max_iterations=15, coloured="never", disturbances="none")
-# Fits of start states on records: a validation, its error and the table of errors ask for the same.
-_VALIDATED: WeakKeyDictionary[FilteredSolution, list[tuple[Study, float]]] = WeakKeyDictionary()
-_ALONE: WeakKeyDictionary[
-    FilteredSolution, list[tuple[Study, Dataset, FilteredSolution | None]]
-] = WeakKeyDictionary()
+PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
+# What is found of a fit on records: claims and the table of errors ask for the same.
+_FOUND: WeakKeyDictionary[FilteredSolution, list[tuple[str, Study, Dataset, Any]]] = (
+    WeakKeyDictionary()
+)
+Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,8 +213,11 @@ class Study:
         order = {effect.name: i for i, effect in enumerate(self.candidates)}
         # In the order of the filter's full state.
         model = self.base + sorted(effects, key=lambda e: order.get(e.name, len(order)))
-        known = set(model.parameter_names)
-        return model.with_values({k: v for k, v in values.items() if k in known})
+        # A logarithm that ends at a bound misses it by rounding.
+        limits = {p.name: (p.lower, p.upper) for p in model.all_parameters}
+        return model.with_values(
+            {k: float(np.clip(v, *limits[k])) for k, v in values.items() if k in limits}
+        )
 
     def problem_of(self, found: FilteredSolution, levels: Levels) -> Filtered:
         """The same model on the training records with other unknown levels."""
@@ -325,16 +331,11 @@ class Study:
         float
             Up to a constant that all models share; infinite where the model cannot be run.
         """
-        kept = _VALIDATED.setdefault(found, [])
-        known = next((value for study, value in kept if study is self), None)
-        if known is None:
-            known = self._validated(found)
-            kept.append((self, known))
-        return known
+        assert self.validation is not None
+        work = partial(self._validated, found, self.validation)
+        return _once("validated", self, found, self.validation, work)
 
-    def _validated(self, found: FilteredSolution) -> float:
-        dataset = self.validation
-        assert dataset is not None
+    def _validated(self, found: FilteredSolution, dataset: Dataset) -> float:
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
         rest = np.arange(len(shared), layout.n_unknowns)
@@ -394,19 +395,24 @@ class Study:
         Where levels are estimated too, it is from here that they are: a start state that is far
         off would be taken for a disturbance force, which it is not.
         """
-        kept = _ALONE.setdefault(found, [])
-        for study, data, result in kept:
-            if study is self and data is dataset:
-                return result
+        return _once("alone", self, found, dataset, lambda: self._alone(found, dataset))
+
+    def _alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
         levels = self.levels(found.noise, dataset).held()
         problem = self.problem(self.effects_of(found), found.values, levels, dataset)
-        start = _nominal_start(problem.model, dataset, found.noise.sensors)
+        # Sizes of single records are far from their mean: whole runs have found them.
+        runs = self.runs(found, dataset)
+        starts = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
         shared = np.arange(len(problem.layout.shared))
-        point = problem.point(start.initial, start.local)
+        point = problem.point(starts, [run.local for run in runs])
         held = problem.holding(shared, point.unknowns[shared])
-        result = solve_filtered(held, point, max_iterations=15, polish=0)
-        kept.append((self, dataset, result))
-        return result
+        return solve_filtered(held, point, max_iterations=15, polish=0)
+
+    def runs(self, found: FilteredSolution, dataset: Dataset) -> tuple[WholeRun, ...]:
+        """Whole runs of the model on its own, start states and values of each record fitted."""
+        model = self.model(self.effects_of(found), found.values)
+        sigma = found.noise.sensors
+        return _once("runs", self, found, dataset, lambda: whole_runs(model, dataset, sigma))
 
     def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
@@ -414,8 +420,20 @@ class Study:
         Shared parameters are held, start states fitted to each whole record; infinite where the
         model diverges.
         """
-        model = self.model(self.effects_of(found), found.values)
-        return rms(whole_runs(model, dataset, found.noise.sensors))
+        return rms(self.runs(found, dataset))
+
+
+def _once(
+    name: str, study: Study, found: FilteredSolution, dataset: Dataset, work: Callable[[], Found]
+) -> Found:
+    """The result of some work on a fit and records, done once."""
+    kept = _FOUND.setdefault(found, [])
+    for what, whose, records, result in kept:
+        if what == name and whose is study and records is dataset:
+            return cast(Found, result)
+    result = work()
+    kept.append((name, study, dataset, result))
+    return result
 
 
 def total_error(rms: np.ndarray) -> float:

@@ -16,6 +16,7 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from oed_sysid.data.record import Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
@@ -108,7 +109,7 @@ class Trace:
         return replace(self, times=times, values=values, noise=noise, step=0.0, pushed=pushed)
 
     def filled(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Series joined by straight lines, and where all of them can be relied on.
+        """Series joined by cubic splines, and where all of them can be relied on.
 
         Returns
         -------
@@ -131,6 +132,10 @@ class Trace:
             if present.size < 2:
                 return {}, np.zeros_like(usable)
             series[name] = np.interp(self.times, self.times[present], values[present])
+            if present.size > 3:  # a curve between samples, straight on outside of them
+                inside = slice(present[0], present[-1] + 1)
+                curve = CubicSpline(self.times[present], values[present])
+                series[name][inside] = curve(self.times[inside])
             steps = np.diff(self.times[present])
             limit = BRIDGED * max(float(np.median(steps)), self.step)
             usable[: present[0]] = usable[present[-1] + 1 :] = False

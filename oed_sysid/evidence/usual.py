@@ -43,13 +43,15 @@ from oed_sysid.physics import (
 from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import ABKOWITZ
+from oed_sysid.physics.table import ABKOWITZ, POLYNOMIAL
 from oed_sysid.text import expressions
 from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import Dimension, dimension
 
 # Typical sizes, as shares of the accelerations, inertia and lift seen, and of what signals do.
 SHARE, TENTH = 0.2, 0.1
+# Periods that a record holds at least of a periodic force.
+FEWEST_PERIODS = 5.0
 # A lag in samples; the most steps that the register of a delay may hold.
 LAG, LONGEST = 2.0, 12
 # Share of its typical speed over which dry friction changes sign.
@@ -80,16 +82,28 @@ class Sizes:
         Root mean square of the rate of change of every state.
     mobility : dict
         What a unit force in an equation adds to the rate of its state.
-    sample, step : float
-        Median sample time and shortest integration step, s.
+    reach : dict
+        Largest magnitude of every state.
+    reversing : frozenset of str
+        What goes both ways.
+    sample, step, duration : float
+        Median sample time, shortest integration step and median duration of a record, s.
     """
 
     swing: dict[str, float]
     level: dict[str, float]
     rate: dict[str, float]
     mobility: dict[str, float]
+    reach: dict[str, float]
+    reversing: frozenset[str]
     sample: float
     step: float
+    duration: float
+
+    @property
+    def time(self) -> float:
+        """A time between those that the samples and the records show, s."""
+        return float(np.sqrt(self.sample * self.duration))
 
     def force(self, equation: str, state: str) -> float:
         """Force or rate in an equation that makes the accelerations seen."""
@@ -138,7 +152,9 @@ def sizes_of(model: Model, dataset: Dataset) -> Sizes:
     )
     begin = {name: float(values[0]) for name, values in joined.items()}
     mobility = _mobility(model, dataset, begin)
-    return Sizes(swing, level, rates, mobility, sample, shortest)
+    reach = {name: float(np.max(np.abs(v), initial=0.0)) for name, v in joined.items()}
+    both = frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max())
+    return Sizes(swing, level, rates, mobility, reach, both, sample, shortest, duration)
 
 
 def _mobility(model: Model, dataset: Dataset, begin: dict[str, float]) -> dict[str, float]:
@@ -192,6 +208,10 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     found: dict[str, Effect] = {}
     made = (
         *_forces(model, sizes),
+        *_frictions(model, sizes),
+        *_stops(model, sizes),
+        *_hidden_states(model, sizes),
+        *_waves(model, sizes),
         *_flows(model, sizes),
         *_winds(model, sizes),
         *_weights(model, sizes),
@@ -231,11 +251,106 @@ def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
             term = Term(equation, text, factors)
             if size > 0 and level > 0 and term.symbol not in taken:
                 yield _named(term.effect(model, units, size / level), word, equation, text)
-        if size > 0 and not model.axes and state not in cyclic(model):
-            rate = _unit_of(dimension(units[state]) / dimension("s"))
-            yield forces.coulomb_friction(
-                f"friction_{state}", equation, state, unit=rate, velocity_unit=units[state],
-                smooth=SLOW * sizes.level[state], scale=size,
+
+
+@dataclass(frozen=True)
+class _Equation:
+    """An equation with its state, typical force and units."""
+
+    name: str
+    state: str
+    size: float
+    load: str
+    unit: str
+    position: str
+
+    def per(self, unit: str) -> str:
+        """Unit of the force over another."""
+        return _unit_of(dimension(self.load) / dimension(unit))
+
+
+def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
+    """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
+    units = {state.name: state.unit for state in model.states}
+    still = cyclic(model)
+    found = []
+    for name in sizes.mobility:
+        state = model.axes.get(name, name)
+        size = SHARE * sizes.force(name, state)
+        if not size > 0 or state in still:
+            continue
+        moment = "N m" if name in ("K", "M", "N") else "N"
+        load = moment if model.axes else _unit_of(dimension(units[state]) / dimension("s"))
+        places = [p for p, text in model.kinematics.items() if text == state and p in units]
+        found.append(_Equation(name, state, size, load, units[state], next(iter(places), "")))
+    return found
+
+
+def _frictions(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Dry friction of every motion: sliding, and larger near rest."""
+    for one in _equations(model, sizes):
+        level = sizes.level[one.state]
+        if one.state not in sizes.reversing:  # of one sign: a constant
+            continue
+        motion, slow = (one.name, one.state), SLOW * level
+        yield forces.coulomb_friction(
+            f"friction_{one.state}", *motion, unit=one.load, velocity_unit=one.unit, smooth=slow,
+            scale=one.size,
+        )  # fmt: skip
+        yield forces.stribeck_friction(
+            f"stribeck_{one.state}", *motion, unit=one.load, velocity_unit=one.unit, smooth=slow,
+            stribeck=SHARE * level, scale=one.size,
+        )  # fmt: skip
+
+
+def _stops(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """End stops of every coordinate on which a force may depend."""
+    units = {state.name: state.unit for state in model.states}
+    for one in _equations(model, sizes):
+        reach = sizes.reach.get(one.position, 0.0)
+        if reach > 0 and one.position not in HORIZONTAL and one.position != "psi":
+            unit = units[one.position]
+            yield forces.end_stop(
+                f"stop_{one.position}", one.name, one.position, reach=reach, unit=one.per(unit),
+                position_unit=unit, scale=one.size / (TENTH * reach),
+            )  # fmt: skip
+
+
+def _hidden_states(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Forces through hidden states with free poles, driven by the own motion or a command."""
+    commands = {
+        signal: unit
+        for signal, unit in commanded(model).items()
+        if sizes.swing.get(signal, 0.0) > 0 and unit
+    }
+    time = sizes.time
+    for one in _equations(model, sizes):
+        scale = one.size / (sizes.level[one.state] or 1.0)
+        motion, unit = (one.name, one.state), one.per(one.unit)
+        yield forces.hidden_lag(
+            f"memory_{one.name}_{one.state}", *motion, unit=unit, signal_unit=one.unit,
+            start=one.state, time_constant=time, scale=scale,
+        )  # fmt: skip
+        yield forces.hidden_oscillator(
+            f"oscillator_{one.name}_{one.state}", *motion, unit=unit, signal_unit=one.unit,
+            frequency=1.0 / time, scale=scale,
+        )  # fmt: skip
+        for signal, its in commands.items() if len(model.axes) < 2 else ():
+            yield forces.hidden_lag(
+                f"memory_{one.name}_{signal}", one.name, signal, unit=one.per(its),
+                signal_unit=its, time_constant=time, scale=one.size / sizes.level[signal],
+            )  # fmt: skip
+
+
+def _waves(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """A periodic force in every equation, of any frequency that the records tell."""
+    low, high = FEWEST_PERIODS * 2.0 * np.pi / sizes.duration, np.pi / (LAG * sizes.sample)
+    for one in _equations(model, sizes):
+        if high > low:
+            middle, half = 0.5 * (high + low), (high - low) / (high + low)
+            yield forces.wave_force(
+                f"periodic_{one.name}", one.name, one.load, frequency=middle, spread=half,
+                scale=one.size,
             )  # fmt: skip
 
 
@@ -246,9 +361,17 @@ def _named(force: Force, word: str, equation: str, text: str) -> Force:
         force,
         name="_".join(part for part in (kind, equation, signal) if part),
         description=f"constant {equation}" if text == "1" else f"{text} in the {equation} equation",
-        source=ABKOWITZ,
+        source=ABKOWITZ if _is_physics(kind, equation, signal) else POLYNOMIAL,
         needs=f"{signal} of varied size" if signal else "a steady part of the motion",
     )
+
+
+def _is_physics(kind: str, equation: str, signal: str) -> bool:
+    """Whether a term is drag, lift or a trim; other powers are terms of a series."""
+    if kind in ("cubic", "hardening", "advance"):
+        return False
+    # Where the equation is the rate of a state, only its own square is a drag.
+    return kind != "quadratic" or equation in "XYZKMN" or signal == equation
 
 
 _Power = tuple[str, str, Factors, float]
@@ -459,6 +582,11 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
         if unit == "rad":
             bend = SHARE / sizes.swing[signal] ** 2
             yield signals.stall(f"{signal}_stall", signal, scale=bend)
+        inverse = 2.0 / sizes.level[signal]
+        yield signals.unknown_limit(f"{signal}_limit", signal, unit, scale=inverse)
+        yield signals.actuator_start(
+            f"{signal}_start", signal, unit, time_constant=sizes.time, scale=sizes.swing[signal]
+        )
         yield from _moved((signal,), unit, sizes)
     for (unit, _), twins in alike.items():
         if len(twins) > 1:

@@ -9,7 +9,7 @@ import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.base import FloatArray, Numbers
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import Report, as_dict, as_text
 
 _SIDE_SHARE = 0.2  # of the largest rudder angle: below, the rudder is on neither side
 _PLATEAU_SHARE = 0.05  # of a leg's angle: within, the rudder still holds it
@@ -62,19 +62,25 @@ class ZigZagIndices:
 
     to_dict = as_dict()
 
-    def report(self) -> str:
-        """Return the numbers in lines of text, angles in degrees."""
+    def document(self) -> Report:
+        """Return the numbers, angles in degrees."""
         overshoots = ", ".join(f"{math.degrees(angle):.2f}" for angle in self.overshoots)
-        return "\n".join(
-            [
-                f"overshoot angles       {overshoots} deg",
-                f"initial turning time   {self.initial_turning_time:.2f} s to "
-                f"{math.degrees(self.initial_turning_heading):.2f} deg",
-                f"initial turning track  {_text(self.initial_turning_track, 'm')}",
-                f"reach                  {_text(self.reach, 's')}",
-                f"period                 {_text(self.period, 's')}",
-            ]
+        turning = (
+            f"{self.initial_turning_time:.2f} s to "
+            f"{math.degrees(self.initial_turning_heading):.2f} deg"
         )
+        return Report(
+            "zigzag",
+            head=(
+                ("overshoot angles", f"{overshoots} deg"),
+                ("initial turning time", turning),
+                ("initial turning track", _text(self.initial_turning_track, "m")),
+                ("reach", _text(self.reach, "s")),
+                ("period", _text(self.period, "s")),
+            ),
+        )
+
+    report = as_text
 
 
 @dataclass(frozen=True)
@@ -124,22 +130,26 @@ class TurningIndices:
 
     to_dict = as_dict()
 
-    def report(self) -> str:
-        """Return the numbers in lines of text, angles in degrees."""
+    def document(self) -> Report:
+        """Return the numbers, angles in degrees."""
         drift = None if self.drift is None else math.degrees(self.drift)
-        return "\n".join(
-            [
-                f"turn to {'starboard' if self.side > 0 else 'port'}, "
-                f"{math.degrees(self.turned):.0f} deg",
-                f"advance             {self.advance:.2f} m at 90 deg, {self.time_90:.2f} s",
-                f"transfer            {self.transfer:.2f} m at 90 deg",
-                f"tactical diameter   {self.tactical_diameter:.2f} m at 180 deg, "
-                f"{self.time_180:.2f} s",
-                f"steady diameter     {_text(self.steady_diameter, 'm')}",
-                f"steady speed ratio  {_text(self.steady_speed_ratio, '')}".rstrip(),
-                f"drift               {_text(drift, 'deg')}",
-            ]
+        side, turned = "starboard" if self.side > 0 else "port", math.degrees(self.turned)
+        return Report(
+            f"turn to {side}, {turned:.0f} deg",
+            head=(
+                ("advance", f"{self.advance:.2f} m at 90 deg, {self.time_90:.2f} s"),
+                ("transfer", f"{self.transfer:.2f} m at 90 deg"),
+                (
+                    "tactical diameter",
+                    f"{self.tactical_diameter:.2f} m at 180 deg, {self.time_180:.2f} s",
+                ),
+                ("steady diameter", _text(self.steady_diameter, "m")),
+                ("steady speed ratio", _text(self.steady_speed_ratio, "").rstrip()),
+                ("drift", _text(drift, "deg")),
+            ),
         )
+
+    report = as_text
 
 
 def zigzag_indices(

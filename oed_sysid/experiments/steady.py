@@ -15,6 +15,7 @@ from oed_sysid.compiled.graph import Graph
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import Report, as_text
 
 if TYPE_CHECKING:
     import control
@@ -58,11 +59,12 @@ class Equilibrium:
         """Largest of the rates that should vanish, in SI units per second."""
         return max((abs(self.rates[name]) for name in self.steady), default=0.0)
 
-    def report(self) -> str:
-        """Return the trim condition as a table in words."""
-        values = dict(self.states) | dict(self.inputs)
-        rows = [f"  {name:<16} {value: .6g}" for name, value in values.items()]
-        return "\n".join([self.status, *rows])
+    def document(self) -> Report:
+        """Return the trim condition."""
+        values = {**self.states, **self.inputs}
+        return Report(self.status, head=tuple((n, f"{v: .6g}") for n, v in values.items()))
+
+    report = as_text
 
 
 def equilibrium(

@@ -7,6 +7,7 @@ package's simulation, step for step.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -18,6 +19,7 @@ from oed_sysid.export.scripts import write_casadi, write_control, write_matlab, 
 from oed_sysid.export.symbolic import write_latex, write_sympy
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.files import write_text
 
 __all__ = ["KINDS", "Program", "export", "program_of"]
 
@@ -85,4 +87,11 @@ def export(
         return write_control(program, place, trim)
     if trim:
         raise ModelError(f"A trim is for kind 'control'; {kind!r} is the whole model.")
-    return KINDS[kind](program, place)
+    written = KINDS[kind](program, place)
+    beside = {file.suffix for file in written} & {".json", ".fmu"}
+    if program.is_plain or beside:
+        return written
+    # What people called things, where code cannot carry it.
+    names = written[0].with_suffix(".json")
+    write_text(names, json.dumps(program.describe(), indent=2) + "\n")
+    return (*written, names)

@@ -199,6 +199,13 @@ class Program:
         records = ", ".join(map(safe, self.fit.dataset.names))
         return f"{origin}; fitted to {records} ({safe(self.fit.estimator)})"
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether code can carry every name as it is."""
+        model, records = self.model, () if self.fit is None else self.fit.dataset.names
+        names = (*self.state_names, *model.input_names, *model.output_names, *model.parameter_names)
+        return all(safe(name, "(),") == name for name in (model.name, *records, *names))
+
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
         model = self.model

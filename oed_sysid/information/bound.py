@@ -36,7 +36,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
+from oed_sysid.runtime.display import TWO_SIDED_95, Report, Section, Table, as_dict, as_text
 
 # Squared conditioning up to which normal equations keep ten digits of the factor.
 _SAFE_SQUARED_CONDITION = 1e5
@@ -458,22 +458,23 @@ class Confirmation:
         low, high = np.sqrt(chdtri(n, [1 - tail, tail]) / n)
         return bool(np.all((self.ratios > low) & (self.ratios < high)))
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the comparison as a table."""
         low, high = self.interval
-        lines = [
+        title = (
             f"{self.n_runs} simulated experiments, {self.n_failed} not converged; found/predicted "
             f"lies in {low:.2f} to {high:.2f} with 99 % if the bound is exact: "
-            f"{'confirmed' if self.confirmed else 'NOT confirmed'}",
-            f"{'parameter':<20} {'predicted':>10} {'found':>10} {'ratio':>6} {'bias/se':>8}"
-            f" {'coverage':>8}",
+            f"{'confirmed' if self.confirmed else 'NOT confirmed'}"
+        )
+        columns = (self.predicted, self.found, self.ratios, self.bias, self.coverage)
+        rows = [
+            (name, f"{p:.3g}", f"{f:.3g}", f"{ratio:.2f}", f"{bias:.2f}", f"{100 * held:.0f} %")
+            for name, p, f, ratio, bias, held in zip(self.names, *columns, strict=True)
         ]
-        for i, name in enumerate(self.names):
-            lines.append(
-                f"{name:<20} {self.predicted[i]:>10.3g} {self.found[i]:>10.3g} "
-                f"{self.ratios[i]:>6.2f} {self.bias[i]:>8.2f} {self.coverage[i]:>8.0%}"
-            )
-        return "\n".join(lines)
+        headers = ("parameter", "predicted", "found", "ratio", "bias/se", "coverage")
+        return Report(title, sections=(Section("Bound", tables=(Table(headers, rows),)),))
+
+    report = as_text
 
     to_dict = as_dict(
         "names", "predicted", "found", "bias", "coverage", "n_runs", "n_failed", "confirmed"

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from itertools import combinations
 
 import numpy as np
-from scipy.linalg import qr
 
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.bound import prior_factor, rows_to_parameters, triangle, whitened_factor
+from oed_sysid.information.bound import prior_factor, triangle, whitened_factor
 from oed_sysid.information.noise import Noise
 from oed_sysid.information.response import Play, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text
+from oed_sysid.text import notation
 
 # Brun et al. call subsets between 10 and 15 critical.
 COLLINEARITY_LIMIT = 15.0
@@ -79,30 +79,88 @@ def collinear_groups(
     return tuple(sorted((f for f in found if f[1] > limit), key=lambda f: -f[1]))
 
 
+# Up to here all sets are looked at that could be larger than the best one found: 2^17 at most.
+ENUMERATED = 17
+# A parameter without a prior is fixed at a value that is wrong by this share.
+ASSUMED = 0.25
+# Two motions keep nearly one ratio where the cosine between them is this large.
+ALIKE = 0.9
+
+
 @dataclass(frozen=True)
-class Subset:
-    """Parameters in the order in which data can determine them.
+class Place:
+    """One parameter beside the set that is estimated: what freeing and what fixing it costs.
 
     Attributes
     ----------
-    order : tuple of str
-        All parameters; each adds the most information that those before do
-        not have (QR with column pivoting).
-    collinearity : tuple of float
-        Index of the first 1, 2, ... of them.
-    relative_errors : tuple of float
-        Largest relative standard error among the first 1, 2, ..., the others fixed.
-    size : int
-        How many of them can be estimated together.
-    limit : float
-        The collinearity that was allowed.
+    name : str
+    free : bool
+        Whether it is of the set.
+    error : float
+        Relative standard error if it is estimated with the set, parameters outside it fixed.
+    assumed : float
+        Relative error of the value at which it would be fixed: its prior, else a quarter.
+    bias : float
+        Largest relative change of another parameter of the set if it is fixed so wrong.
+    biased : str
+        Which parameter that is.
+    imitated : float
+        Share of its effect on the outputs that the others of the set reproduce, 0 to 1.
+    partners : tuple of (str, float)
+        What 10 % more of it looks like: relative changes of those of the others that do most.
     """
 
-    order: tuple[str, ...]
-    collinearity: tuple[float, ...]
-    relative_errors: tuple[float, ...]
-    size: int
+    name: str
+    free: bool
+    error: float
+    assumed: float
+    bias: float
+    biased: str
+    imitated: float
+    partners: tuple[tuple[str, float], ...]
+
+    @property
+    def advice(self) -> str:
+        """``estimate``, ``prior`` (free beside its prior: the data know more), or ``fix``."""
+        if self.free:
+            return "estimate"
+        return "prior" if self.error < self.assumed else "fix"
+
+    to_dict = as_dict(
+        *("name", "advice", "free", "error", "assumed", "bias", "biased", "imitated", "partners")
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Subset:
+    """The largest set of parameters that data determine together, and what each one costs.
+
+    Attributes
+    ----------
+    places : tuple of Place
+        All parameters: those of the set, then those to fix, each with the smallest error first.
+    collinearity : float
+        Index of the set.
+    limit : float
+        The collinearity that was allowed.
+    reasons : tuple of str
+        For every parameter to fix, which others imitate it, and what kind of run would tell.
+    """
+
+    places: tuple[Place, ...]
+    collinearity: float
     limit: float
+    reasons: tuple[str, ...] = ()
+
+    @property
+    def order(self) -> tuple[str, ...]:
+        """All parameters, those of the set first."""
+        return tuple(place.name for place in self.places)
+
+    @property
+    def size(self) -> int:
+        """How many can be estimated together."""
+        return sum(place.free for place in self.places)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -111,37 +169,56 @@ class Subset:
 
     @property
     def left_out(self) -> tuple[str, ...]:
-        """Parameters to fix, best first."""
+        """Parameters outside it: to be kept near their priors, or fixed."""
         return self.order[self.size :]
 
+    def advised(self, advice: str) -> tuple[str, ...]:
+        """Names of the parameters with an advice of :attr:`Place.advice`."""
+        return tuple(place.name for place in self.places if place.advice == advice)
+
     def words(self, source: str = "") -> str:
-        """How many parameters can be estimated, and which not."""
-        fixed = f"; fix {', '.join(self.left_out)}" if self.left_out else ""
-        n = len(self.order)
-        return f"{self.size} of {n} parameters can be estimated together{source}{fixed}."
+        """How many parameters can be estimated, and what to do with the others."""
+        text = f"{self.size} of {len(self.order)} parameters can be estimated together{source}"
+        if near := self.advised("prior"):
+            text += f"; estimate with their priors {', '.join(near)}"
+        if fixed := self.advised("fix"):
+            text += f"; fix {', '.join(fixed)}"
+        return f"{text}."
 
     def document(self) -> Report:
         """Return the subset in words and as a table."""
+        words = {"estimate": "estimate", "prior": "with its prior", "fix": "fix"}
         rows = [
-            (f"{i + 1}", name, f"{index:.3g}", f"{error:.2%}", "" if i < self.size else "x")
-            for i, (name, index, error) in enumerate(
-                zip(self.order, self.collinearity, self.relative_errors, strict=True)
+            (
+                place.name,
+                words[place.advice],
+                f"{place.error:.2%}" if np.isfinite(place.error) else "none",
+                f"{place.assumed:.0%}",
+                f"{place.bias:.2%} of {place.biased}" if place.bias > 0 else "none",
+                f"{1.0 - place.imitated:.2%}" if place.imitated > 0 else "all",
             )
+            for place in self.places
         ]
-        headers = ("", "parameter", "collinearity", "worst rel. error", "to fix")
-        fixed = ", ".join(self.left_out) or "none"
+        headers = (
+            "parameter", "", "rel. error if free", "if fixed wrong by", "largest bias",
+            "effect of its own",
+        )  # fmt: skip
+        fixed = ", ".join(self.advised("fix")) or "none"
         title = (
             f"{self.size} of {len(self.order)} parameters can be estimated together "
-            f"(collinearity at most {self.limit:g}); to fix: {fixed}"
+            f"(collinearity {self.collinearity:.3g}, at most {self.limit:g}); to fix: {fixed}"
         )
-        table = Table(headers, rows, words=(1,))
-        return Report(
-            "", answer=self.words(), sections=(Section(title, (), (table,), heading=True),)
-        )
+        table = Table(headers, rows, words=(0, 1, 4))
+        sections = [Section(title, (), (table,), heading=True)]
+        if self.reasons:
+            sections.append(Section("What these runs cannot separate", list(self.reasons)))
+        return Report("", answer=self.words(), sections=tuple(sections))
 
     report = as_text
 
-    to_dict = as_dict("order", "collinearity", "relative_errors", "limit", identifiable="names")
+    to_dict = as_dict(
+        "order", "collinearity", "limit", "reasons", identifiable="names", parameters="places"
+    )
 
 
 def identifiable_subset(
@@ -150,8 +227,24 @@ def identifiable_subset(
     *,
     limit: float = COLLINEARITY_LIMIT,
     largest_error: float = np.inf,
+    assumed: Mapping[str, float] | None = None,
+    motions: Mapping[str, np.ndarray] | None = None,
 ) -> Subset:
-    """Find the largest set of parameters that data determine together.
+    r"""Find the largest set of parameters that data determine together.
+
+    With :math:`S` the whitened sensitivities relative to the values, a set :math:`K` can be
+    estimated, all others fixed, if :math:`\gamma_K` (:func:`collinearity_index`) and the errors
+
+    .. math:: \sigma_i = \sqrt{[(S_K' S_K)^{-1}]_{ii}}
+
+    are within their limits. Both grow with every parameter that joins, so that parts of a set that
+    can be estimated can be estimated too. Of the largest sets the one with the smallest index is
+    taken. It is searched by exchange: parameters join one by one, and swap places with those
+    outside as long as the index falls or another one can join; up to 17 parameters, all larger
+    sets are then tried. If :math:`j` is fixed at a value that is wrong by :math:`\delta_j`, the
+    estimates of the others move by
+
+    .. math:: b = (S_E' S_E)^{-1} S_E' S_j\, \delta_j, \qquad E = K \setminus j .
 
     Parameters
     ----------
@@ -163,33 +256,191 @@ def identifiable_subset(
         Largest collinearity index.
     largest_error : float
         Largest relative standard error that any of them may have.
+    assumed : mapping of str to float, optional
+        How wrong each would be if it were fixed, in its unit; a quarter of the value by default.
+    motions : mapping of str to numpy.ndarray, optional
+        States and inputs in the runs ``(n_times,)``, to say which of them keep one ratio.
 
     References
     ----------
-    G. H. Golub, V. Klema, G. W. Stewart, Rank degeneracy and least squares
-    problems, Stanford report STAN-CS-76-559 (1976): subset by pivoted QR.
-    M. Burth, G. C. Verghese, M. Velez-Reyes, Subset selection for improved
-    parameter estimation in on-line identification of a synchronous generator,
-    *IEEE Trans. Power Systems* 14 (1999) 218-225.
+    R. Brun, P. Reichert, H. R. Kuensch (2001), as above: sets by collinearity.
+    A. J. Miller, *Subset Selection in Regression*, 2nd ed. (2002), section 3.8: exchange.
     """
     names = information.names
     sizes = np.array([abs(values.get(n, 0.0)) for n in names])
     sizes = np.where(sizes > 0, sizes, information.scales)
     relative = information.factor / information.scales * sizes
-    _, _, pivots = qr(relative, mode="economic", pivoting=True)
-    order = tuple(names[i] for i in pivots)
-    indices, errors = [], []
-    for count in range(1, len(order) + 1):
-        indices.append(collinearity_index(information, order[:count]))
-        sub = rows_to_parameters(information.factor / information.scales, pivots[:count].tolist())
-        bound = Information(order[:count], sub, np.ones(count)).std_errors
-        errors.append(float(np.max(bound / sizes[pivots[:count]])))
-    allowed = [
-        count
-        for count in range(1, len(order) + 1)
-        if indices[count - 1] <= limit and errors[count - 1] <= largest_error
+    norms = np.linalg.norm(relative, axis=0)
+    search = _Search(relative / np.where(norms > 0, norms, 1.0), norms, limit, largest_error)
+    chosen = search.best()
+    wrong = np.array([(assumed or {}).get(name, np.nan) for name in names]) / sizes
+    wrong = np.where(np.isfinite(wrong), wrong, ASSUMED)
+    places = [_place(relative, names, chosen, index, wrong[index]) for index in range(len(names))]
+    places.sort(key=lambda place: (not place.free, place.error))
+    reasons = [
+        _reason(place, motions or {}) for place in places if not place.free and place.partners
     ]
-    return Subset(order, tuple(indices), tuple(errors), max(allowed, default=0), limit)
+    index = collinearity_index(information, [names[i] for i in chosen]) if chosen else 0.0
+    return Subset(tuple(places), index, limit, tuple(reasons))
+
+
+class _Search:
+    """Sets of columns whose smallest singular value stays above a bound."""
+
+    def __init__(self, unit: np.ndarray, norms: np.ndarray, limit: float, error: float) -> None:
+        self.gram = unit.T @ unit
+        self.norms = norms
+        self.least = limit**-2.0
+        self.error = error
+        self.candidates = [i for i in range(len(norms)) if norms[i] > 0 and self._of([[i]])[0] > 0]
+
+    def _smallest(self, sets: Sequence[Sequence[int]]) -> np.ndarray:
+        """Smallest eigenvalue of every set of one size."""
+        index = np.asarray(sets, dtype=int)
+        return np.linalg.eigvalsh(self.gram[index[:, :, None], index[:, None, :]])[:, 0]
+
+    def _of(self, sets: Sequence[Sequence[int]]) -> np.ndarray:
+        """Smallest eigenvalue of every set of one size, 0 where it may not be estimated."""
+        smallest = self._smallest(sets)
+        fine = smallest >= self.least * (1.0 - 1e-9)
+        if np.isfinite(self.error) and fine.any():
+            index = np.asarray(sets, dtype=int)[fine]
+            inverse = np.linalg.inv(self.gram[index[:, :, None], index[:, None, :]])
+            variances = np.diagonal(inverse, axis1=1, axis2=2) / self.norms[index] ** 2
+            fine[fine] = np.all(variances <= self.error**2, axis=1)
+        return np.where(fine, smallest, 0.0)
+
+    def best(self) -> list[int]:
+        """The largest set, and of these the one whose columns are least alike."""
+        found = self.exchanged()
+        if len(self.candidates) > ENUMERATED:
+            return found
+        for size in range(len(self.candidates), max(len(found), 1) - 1, -1):
+            sets = list(combinations(self.candidates, size))
+            values = self._of(sets)
+            if values.max(initial=0.0) > 0:
+                return list(sets[int(np.argmax(values))])
+        return found
+
+    def exchanged(self) -> list[int]:
+        """The better end of two exchanges: from nothing, and from all but those most alike."""
+        return max(self._improved([]), self._improved(self._reduced()), key=self._worth)
+
+    def _worth(self, kept: Sequence[int]) -> tuple[int, float]:
+        return len(kept), float(self._of([kept])[0]) if kept else 0.0
+
+    def _reduced(self) -> list[int]:
+        """Leave out one by one what makes the rest least alike, until the rest may be estimated."""
+        kept = list(self.candidates)
+        while kept and self._of([kept])[0] == 0.0:
+            without = [[j for j in kept if j != k] for k in kept]
+            kept = without[int(np.argmax(self._smallest(without)))] if without[0] else []
+        return kept
+
+    def _improved(self, kept: list[int]) -> list[int]:
+        """Add one, else put two for one, else one for one that makes the columns less alike."""
+        while True:
+            value = float(self._of([kept])[0]) if kept else np.inf
+            outside = [i for i in self.candidates if i not in kept]
+            rests = [[j for j in kept if j != k] for k in kept]
+            added = [[*kept, i] for i in outside]
+            doubled = [[*rest, i, j] for rest in rests for i, j in combinations(outside, 2)]
+            swapped = [[*rest, i] for rest in rests for i in outside]
+            for sets, threshold in ((added, 0.0), (doubled, 0.0), (swapped, value * (1 + 1e-9))):
+                values = self._of(sets) if sets else np.zeros(1)
+                if values.max() > threshold:
+                    kept = sets[int(np.argmax(values))]
+                    break
+            else:
+                return kept
+
+
+def _place(
+    relative: np.ndarray, names: Sequence[str], chosen: Sequence[int], index: int, wrong: float
+) -> Place:
+    """What one parameter costs, free and fixed."""
+    others = [i for i in chosen if i != index]
+    own = relative[:, index]
+    bound = Information.from_jacobian(
+        [names[i] for i in (*others, index)], relative[:, [*others, index]]
+    )
+    change = np.linalg.lstsq(relative[:, others], own, rcond=None)[0] if others else np.zeros(0)
+    rest = own - relative[:, others] @ change
+    size = float(own @ own)
+    imitated = 1.0 - float(rest @ rest) / size if size > 0 else 0.0
+    # In the metric of the data, whoever moves the outputs most does most of the imitation.
+    effect = np.abs(change) * np.linalg.norm(relative[:, others], axis=0)
+    most = [int(i) for i in np.argsort(-effect)[:3] if effect[i] > 0.2 * effect.max()]
+    biased = int(np.argmax(np.abs(change))) if others else -1
+    return Place(
+        names[index],
+        index in chosen,
+        float(bound.std_errors[-1]),
+        float(wrong),
+        float(np.abs(change[biased]) * wrong) if others else 0.0,
+        names[others[biased]] if others else "",
+        float(imitated),
+        tuple((names[others[i]], float(0.1 * change[i])) for i in most),
+    )
+
+
+# Runs in which two motions do not keep one ratio, by the symbols of the motions.
+_RUNS = {
+    frozenset("vr"): "a pull-out, or a turn held by a tug or begun with a drift angle,",
+    frozenset("wq"): "a steady dive, or heave without pitch,",
+    frozenset("uw"): "a run at another speed",
+    frozenset("uv"): "a run at another speed",
+}
+
+
+def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
+    """Which parameters share a direction, and why, as a naval architect says it."""
+    if not place.partners:
+        return f"{place.name} moves no output in these runs."
+    partners = ", ".join(name for name, _ in place.partners)
+    looks = " and ".join(f"{name} {change:+.1%}" for name, change in place.partners)
+    text = (
+        f"These runs hardly separate {place.name} from {partners}: {place.name} +10 % looks like "
+        f"{looks}, but for {100 * (1 - place.imitated):.2g} % of its effect."
+    )
+    if place.advice == "prior":
+        text += (
+            f" Fixed at a value {place.assumed:.0%} wrong it would move {place.biased} by "
+            f"{place.bias:.0%}; free, its error is {place.error:.1%}."
+        )
+    for partner, _ in place.partners:
+        one, other = _symbols(place.name), _symbols(partner)
+        own, its = sorted(set(one) - set(other)), sorted(set(other) - set(one))
+        cosine = _cosine(_product(one, motions), _product(other, motions))
+        if len(own) != 1 or len(its) != 1 or not abs(cosine) > ALIKE:
+            continue
+        run = _RUNS.get(frozenset((*own, *its)), "a run that moves them apart")
+        return (
+            f"{text} {own[0]} and {its[0]} keep nearly one ratio in them (cosine {cosine:.3f}); "
+            f"{run} would tell."
+        )
+    return text
+
+
+def _symbols(name: str) -> tuple[str, ...]:
+    """Motions that a derivative multiplies, none if the name is no derivative's."""
+    name = name.removesuffix("_prime")
+    if not notation.is_derivative(name):
+        return ()
+    found = notation.parse(name)
+    return () if found.is_dot else tuple(factor.symbol for factor in found.factors)
+
+
+def _product(symbols: Sequence[str], motions: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    if not symbols or any(symbol not in motions for symbol in symbols):
+        return None
+    return np.prod([motions[symbol] for symbol in symbols], axis=0)
+
+
+def _cosine(one: np.ndarray | None, other: np.ndarray | None) -> float:
+    if one is None or other is None or not (np.any(one) and np.any(other)):
+        return 0.0
+    return float(one @ other / np.linalg.norm(one) / np.linalg.norm(other))
 
 
 def _columns(information: Information, names: Sequence[str]) -> np.ndarray:
@@ -235,17 +486,20 @@ class Structure:
         """Whether all parameters can be determined by some manoeuvre."""
         return self.rank == len(self.names)
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the verdict in words."""
         head = (
             f"Structure: rank {self.rank} of {len(self.names)} over {len(self.ranks)} random sets "
             f"of values, {self.n_runs} random manoeuvres each (smallest share {self.margin:.1e})."
         )
         if self.identifiable:
-            return f"{head}\nAll parameters are locally identifiable from these outputs."
-        return "\n".join(
-            [head, "No manoeuvre separates:", *(f"  {text}" for text in self.directions)]
-        )
+            words = "All parameters are locally identifiable from these outputs."
+            return Report(head, answer=words, sections=(Section("Verdict", (words,)),))
+        words = "No manoeuvre separates:"
+        section = Section(words, self.directions, heading=True, indent=2)
+        return Report(head, answer=f"{words} {'; '.join(self.directions)}", sections=(section,))
+
+    report = as_text
 
     to_dict = as_dict("names", "rank", "ranks", "identifiable", "directions", "margin")
 

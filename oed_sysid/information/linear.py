@@ -14,7 +14,7 @@ from scipy.signal import periodogram
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import Equilibrium, linearise
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import Report, Section, as_dict, as_text
 
 
 @dataclass(frozen=True, eq=False)
@@ -152,24 +152,27 @@ class Stability:
     criterion: float
     stable: bool
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the modes in words."""
-        lines = [
+        title = (
             f"straight-line motion is {'stable' if self.stable else 'UNSTABLE'} with the controls "
             f"fixed (det A = {self.criterion:.4g} in {', '.join(self.states)})"
-        ]
-        for pole in self.poles:
-            kind = f"{pole.real:+.4g}"
-            if abs(pole.imag) > 1e-9:
-                damping = -pole.real / abs(pole)
-                kind += f" +- {abs(pole.imag):.4g}j 1/s, damping ratio {damping:.3g}"
-            else:
-                kind += f" 1/s, time constant {-1 / pole.real:.4g} s" if pole.real else " 1/s"
-            if pole.imag >= 0:
-                lines.append(f"  {kind}")
-        return "\n".join(lines)
+        )
+        modes = tuple(_mode(pole) for pole in self.poles if pole.imag >= 0)
+        return Report(title, sections=(Section("Modes", modes, indent=2),))
+
+    report = as_text
 
     to_dict = as_dict("states", "poles", "criterion", "stable")
+
+
+def _mode(pole: complex) -> str:
+    """A pole in words, 1/s."""
+    if abs(pole.imag) > 1e-9:
+        damping = -pole.real / abs(pole)
+        return f"{pole.real:+.4g} +- {abs(pole.imag):.4g}j 1/s, damping ratio {damping:.3g}"
+    lasting = f", time constant {-1 / pole.real:.4g} s" if pole.real else ""
+    return f"{pole.real:+.4g} 1/s{lasting}"
 
 
 def straight_line_stability(
@@ -258,13 +261,15 @@ class Nomoto:
             self.gain * ratio, (first / ratio, second / ratio), self.numerator_time / ratio
         )
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the indices in one line."""
         first, second = self.time_constants
-        return (
+        return Report(
             f"K = {self.gain:.4g} 1/s, T1 = {first:.4g} s, T2 = {second:.4g} s, "
             f"T3 = {self.numerator_time:.4g} s, T = {self.first_order_time:.4g} s"
         )
+
+    report = as_text
 
 
 def nomoto(

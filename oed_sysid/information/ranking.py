@@ -14,13 +14,13 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information.bound import information_of
-from oed_sysid.information.identifiability import Subset
+from oed_sysid.information.bound import RunInformation, information_of
+from oed_sysid.information.identifiability import Subset, identifiable_subset
 from oed_sysid.information.noise import Colour, Levels, noise_of
 from oed_sysid.information.response import Play, Run, plays, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain, share
 from oed_sysid.runtime.threads import single_threaded
 
 # An error of the estimate beyond this share of the value counts as not determined.
@@ -42,7 +42,8 @@ class Sensitivity:
         Relative change of the peaks per relative change of the parameter
         (Hwang; Rhee & Kim), averaged over the signals.
     error_alone : float
-        Relative standard error if everything else were known.
+        Relative standard error if the other parameters were known (start states are not, unless
+        ``start`` says so).
     error : float
         Relative standard error with all unknowns estimated together.
     """
@@ -75,6 +76,8 @@ class SensitivityRanking:
         What was compared, in which manoeuvres.
     information : Information
         Behind the errors.
+    together : Subset
+        Which of them the runs alone determine together, and what each costs.
     """
 
     rows: tuple[Sensitivity, ...]
@@ -82,6 +85,7 @@ class SensitivityRanking:
     signals: tuple[str, ...]
     runs: tuple[str, ...]
     information: Information
+    together: Subset
 
     @property
     def by_information(self) -> tuple[str, ...]:
@@ -131,8 +135,8 @@ class SensitivityRanking:
                 )
         return tuple(words)
 
-    def document(self, subset: Subset | None = None, *, title: str = "") -> Report:
-        """Return the ranking; with a subset, how many parameters can be estimated together."""
+    def document(self, *, title: str = "") -> Report:
+        """Return the ranking, and which parameters can be estimated together."""
         change_rank = {name: i + 1 for i, name in enumerate(self.by_output_change)}
         headers = (
             "", "parameter", "rel. error", "alone", "inflation", "output change", "place",
@@ -142,8 +146,8 @@ class SensitivityRanking:
             (
                 f"{rank}",
                 row.name,
-                f"{row.error:.2%}",
-                f"{row.error_alone:.2%}",
+                share(row.error),
+                share(row.error_alone),
                 f"{row.inflation:.3g}",
                 f"{row.output_change:.3g}",
                 f"{change_rank[row.name]}",
@@ -159,22 +163,21 @@ class SensitivityRanking:
             size=(7.6, 1.4 + 0.3 * len(rows)),
         )  # fmt: skip
         best, worst = self.rows[0], self.rows[-1]
-        known = None if subset is None else subset.document()
         runs = ", ".join(self.runs)
         return Report(
             title=title or "What these experiments tell",
             subtitle=f"Parameters in {runs}",
             headline=f"Sensitivity of {len(rows)} parameters in {runs}; signals "
             f"{', '.join(self.signals)}; index for a change of {self.change:.0%}",
-            answer="" if subset is None else subset.words(f" from {runs}"),
+            answer=self.together.words(f" from {runs}"),
             numbers=(
-                (f"std. error, best: {best.name}", f"{best.error:.2%}"),
-                (f"std. error, worst: {worst.name}", f"{worst.error:.2%}"),
+                (f"std. error, best: {best.name}", share(best.error)),
+                (f"std. error, worst: {worst.name}", share(worst.error)),
             ),
             sections=(
                 Section("Accuracy to expect", (), (Table(headers, rows, words=(1,)),), (drawing,)),
                 Section("What this says", self._remarks()),
-                *([] if known is None else known.sections),
+                *self.together.document().sections,
             ),
         )
 
@@ -237,10 +240,9 @@ def rank_parameters(
     if not change or change <= -1:
         raise DesignError(f"change is {change}. Give a relative change such as 0.2.")
     played = plays(model, runs, initial_states=initial_states)
-    own = [play.initial for play in played]
-    information = information_of(
-        model, runs, noise=noise, coloured=coloured, priors=priors, start=start, initial_states=own
-    )
+    expected = RunInformation(model, noise, coloured, start)
+    factors = [expected.factor(play) for play in played]
+    information = expected.joint(factors, priors)
     wanted = tuple(signals) if signals is not None else model.output_names
     base = [_signals(model, play, wanted) for play in played]
     alone = np.linalg.norm(information.factor / information.scales, axis=0)
@@ -264,9 +266,23 @@ def rank_parameters(
             )
         )
     rows.sort(key=lambda row: row.error)
-    return SensitivityRanking(
-        tuple(rows), change, wanted, tuple(play.name for play in played), information
+    together = identifiable_subset(
+        expected.joint(factors, None),
+        model.values,
+        assumed={p.name: p.prior_spread for p in model.free_parameters if p.prior_spread},
+        motions=_motions(model, played),
     )
+    return SensitivityRanking(
+        tuple(rows), change, wanted, tuple(play.name for play in played), information, together
+    )
+
+
+def _motions(model: Model, played: Sequence[Play]) -> dict[str, np.ndarray]:
+    """States and inputs in all runs, one behind the other."""
+    states = np.vstack([_signals(model, play, model.state_names) for play in played])
+    inputs = np.vstack([play.inputs for play in played])
+    names = (*model.state_names, *model.input_names)
+    return dict(zip(names, np.hstack([states, inputs]).T, strict=True))
 
 
 def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
@@ -354,23 +370,23 @@ class Reduction:
         """Names of the dropped parameters."""
         return tuple(drop.name for drop in self.drops[: self.n_dropped])
 
-    def report(self) -> str:
-        """Return the order of dropping and its cost as text."""
+    def document(self) -> Report:
+        """Return the order of dropping and its cost as a table."""
         outputs = self.full.output_names
-        lines = [
+        title = (
             f"{self.full.name}: {self.n_dropped} of {len(self.drops)} parameters dropped "
-            f"({', '.join(self.dropped) or 'none'})",
-            f"{'':>3} {'dropped':<20} {'chi-square':>11} {'rms/noise':>9}  change of "
-            f"{', '.join(outputs)}, others unchanged",
-        ]
-        for index, drop in enumerate(self.drops, start=1):
-            mark = "" if index <= self.n_dropped else " x"
-            shares = "  ".join(f"{drop.rms[name]:.2%}" for name in outputs)
-            lines.append(
-                f"{index:>3} {drop.name:<20} {drop.cost:>11.3g} {drop.predicted_rms:>9.3g}"
-                f"  {shares}{mark}"
-            )
-        return "\n".join(lines)
+            f"({', '.join(self.dropped) or 'none'})"
+        )
+        rows = [
+            (str(index), drop.name, f"{drop.cost:.3g}", f"{drop.predicted_rms:.3g}",
+             *(share(drop.rms[name]) for name in outputs), "x" if index > self.n_dropped else "")
+            for index, drop in enumerate(self.drops, start=1)
+        ]  # fmt: skip
+        headers = ("", "dropped", "chi-square", "rms/noise", *outputs, "kept")
+        table = Table(headers, rows, "changes of outputs, others unchanged", words=(1,))
+        return Report(title, sections=(Section("Order of dropping", tables=(table,)),))
+
+    report = as_text
 
     to_dict = as_dict("dropped", "n_samples", model="full.name", steps="drops")
 

@@ -22,11 +22,11 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from pathlib import Path
 from types import UnionType
-from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
@@ -43,27 +43,30 @@ def encode(value: Any) -> Any:
     >>> encode({"a": np.array([1.0, np.nan])})
     {'mapping': [['a', {'array': [1.0, None], 'shape': [2], 'dtype': 'float64'}]]}
     """
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if isinstance(value, float | np.floating):
-        number = float(value)
-        return number if math.isfinite(number) else {"number": repr(number)}
-    if isinstance(value, np.integer | np.bool_):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        return {
-            "array": [_finite(item) for item in value.ravel().tolist()],
-            "shape": list(value.shape),
-            "dtype": str(value.dtype),
-        }
-    if isinstance(value, tuple | list):
-        return {"tuple": [encode(item) for item in value]}
-    if isinstance(value, Mapping):
-        return {"mapping": [[encode(key), encode(item)] for key, item in value.items()]}
+    for kinds, written in _WRITTEN.items():
+        if isinstance(value, kinds):
+            return written(value)
     if is_dataclass(value) and not isinstance(value, type):
         content = {f.name: encode(getattr(value, f.name)) for f in fields(value) if f.init}
         return {"class": type(value).__name__, "fields": content}
     raise DataError(f"A {type(value).__name__} cannot be kept in a file: {value!r}.")
+
+
+# How values other than dataclasses are written.
+_WRITTEN: dict[Any, Callable[[Any], Any]] = {
+    (str, bool, int, type(None)): lambda value: value,
+    (float, np.floating): lambda value: (
+        float(value) if math.isfinite(value) else {"number": repr(float(value))}
+    ),
+    (np.integer, np.bool_): lambda value: value.item(),
+    np.ndarray: lambda value: {
+        "array": [_finite(item) for item in value.ravel().tolist()],
+        "shape": list(value.shape),
+        "dtype": str(value.dtype),
+    },
+    (tuple, list): lambda value: {"tuple": [encode(item) for item in value]},
+    Mapping: lambda value: {"mapping": [[encode(k), encode(v)] for k, v in value.items()]},
+}
 
 
 def decode(data: Any, classes: Iterable[type]) -> Any:
@@ -153,32 +156,17 @@ class _Builder:
                 f"The file holds a {name!r:.60}{_at(place)}, which this version does not know. It "
                 "was written by another version, or is not a saved fit."
             )
-        cls = self.known[name]
-        expected = {f.name: f for f in fields(cls) if f.init}
         if not isinstance(entries, dict):
             raise _damage(place, f"a {name} without fields")
-        if extra := [key for key in entries if key not in expected]:
-            raise _damage(
-                place,
-                f"a {name} with {extra[0]!r:.40}, which this version of the package does not know",
-            )
-        required = [
-            key
-            for key, f in expected.items()
-            if f.default is MISSING and f.default_factory is MISSING
-        ]
-        if lost := [key for key in required if key not in entries]:
-            raise _damage(place, f"a {name} without its {lost[0]}")
-        content = {
-            key: self.build(entry, f"{place}.{key}".lstrip(".")) for key, entry in entries.items()
-        }
-        hints = get_type_hints(cls)
-        for key, value in content.items():
-            if not _fits(value, hints[key]):
-                raise _damage(
-                    f"{place}.{key}".lstrip("."),
-                    f"{value!r:.40}, which is no {getattr(hints[key], '__name__', hints[key])}",
-                )
+        cls = self.known[name]
+        _check_names(cls, entries, place)
+        hints, content = get_type_hints(cls), {}
+        for key, entry in entries.items():
+            within = f"{place}.{key}".lstrip(".")
+            content[key] = self.build(entry, within)
+            if not _fits(content[key], hints[key]):
+                kind = getattr(hints[key], "__name__", hints[key])
+                raise _damage(within, f"{content[key]!r:.40}, which is no {kind}")
         try:
             return getattr(cls, "of_saved", cls)(**content)
         except OedSysidError as error:
@@ -189,37 +177,58 @@ class _Builder:
             raise _damage(place, f"a {name} that cannot be built ({error})") from None
 
 
+def _check_names(cls: type, entries: Mapping[str, Any], place: str) -> None:
+    """Raise :class:`DataError` unless entries are fields of a class, none of them missing."""
+    expected = {f.name: f for f in fields(cls) if f.init}
+    if extra := [key for key in entries if key not in expected]:
+        raise _damage(
+            place,
+            f"a {cls.__name__} with {extra[0]!r:.40}, which this version of the package does not "
+            "know",
+        )
+    for key, one in expected.items():
+        if key not in entries and one.default is MISSING and one.default_factory is MISSING:
+            raise _damage(place, f"a {cls.__name__} without its {key}")
+
+
 _DTYPES = ("float64", "float32", "int64", "int32", "bool")
 
 
 def _fits(value: Any, hint: Any) -> bool:
     """Whether a value is of the kind that a field is declared with."""
-    if hint is Any or isinstance(hint, TypeVar):
-        return True
-    origin, arguments = get_origin(hint), get_args(hint)
-    if origin in (Union, UnionType):
-        return any(_fits(value, one) for one in arguments)
-    if hint is float:
-        return isinstance(value, int | float)
-    if hint is int:
-        return isinstance(value, int) and not isinstance(value, bool)
-    if hint is np.ndarray or origin is np.ndarray:
-        return isinstance(value, np.ndarray) or (
-            isinstance(value, tuple) and all(_fits(one, float | np.ndarray) for one in value)
-        )
-    if origin is tuple:
-        if not isinstance(value, tuple):
-            return False
-        if len(arguments) == 2 and arguments[1] is ...:
-            return all(_fits(one, arguments[0]) for one in value)
-        return len(value) == len(arguments) and all(map(_fits, value, arguments))
-    if isinstance(origin, type) and issubclass(origin, Mapping):
+    kind, inner = get_origin(hint) or hint, get_args(hint)
+    if kind in (Union, UnionType):
+        return any(_fits(value, one) for one in inner)
+    if kind in _FITTING:
+        return _FITTING[kind](value, inner)
+    if isinstance(kind, type) and issubclass(kind, Mapping):
         return isinstance(value, Mapping) and all(
-            _fits(key, arguments[0]) and _fits(one, arguments[1]) for key, one in value.items()
+            _fits(key, inner[0]) and _fits(one, inner[1]) for key, one in value.items()
         )
-    if hint is type(None):
-        return value is None
-    return isinstance(value, hint) if isinstance(hint, type) else True
+    return isinstance(value, kind) if isinstance(kind, type) else True
+
+
+def _fits_tuple(value: Any, inner: tuple[Any, ...]) -> bool:
+    if not isinstance(value, tuple):
+        return False
+    if len(inner) == 2 and inner[1] is ...:
+        return all(_fits(one, inner[0]) for one in value)
+    return len(value) == len(inner) and all(map(_fits, value, inner))
+
+
+def _fits_array(value: Any, inner: tuple[Any, ...]) -> bool:
+    return isinstance(value, np.ndarray) or (
+        isinstance(value, tuple) and all(_fits(one, float | np.ndarray) for one in value)
+    )
+
+
+_FITTING: dict[Any, Callable[[Any, tuple[Any, ...]], bool]] = {
+    Any: lambda value, inner: True,
+    float: lambda value, inner: isinstance(value, int | float),
+    int: lambda value, inner: isinstance(value, int) and not isinstance(value, bool),
+    np.ndarray: _fits_array,
+    tuple: _fits_tuple,
+}
 
 
 def _at(place: str) -> str:
@@ -328,36 +337,41 @@ def read_result(path: str | Path, kind: str) -> tuple[Any, dict[str, Any]]:
     )
     if not isinstance(data, dict):
         raise DataError(f"{path} holds a {_WORDS[type(data)]}, not a saved result. {wanted}")
-    version = data.get("format")
-    if version == 1 and isinstance(version, int) and "fit" in data:
-        return data["fit"], {}
-    if version is None:
+    if data.get("format") is None:
         raise DataError(_foreign(path, data, wanted))
-    if not isinstance(version, int) or isinstance(version, bool):
+    if type(data["format"]) is int and data["format"] == 1 and "fit" in data:
+        return data["fit"], {}
+    _check_head(path, data, wanted)
+    if data["kind"] != kind:
+        raise DataError(f"{path} holds a {data['kind']!r:.40}, expected a {kind}.")
+    if _digest(data["content"]) != data["sha256"]:
+        raise DataError(
+            f"{path} is damaged, or was changed by hand: its content does not have the digest that "
+            "was written with it. Use a copy of it, or make it again."
+        )
+    return data["content"], data["made"]
+
+
+def _check_head(path: str | Path, data: Mapping[str, Any], wanted: str) -> None:
+    """Raise :class:`DataError` unless a result is of this format and says who made it."""
+    version, made = data["format"], data.get("made", {})
+    if type(version) is not int:
         raise DataError(f"{path} is of format {version!r:.40}, which is none. {wanted}")
-    made = data.get("made", {})
     if version > FORMAT:
         by = made.get("version", "?") if isinstance(made, dict) else "?"
         raise DataError(
             f"{path} is of format {version}, written by oed_sysid {by!s:.20}. This is "
             f"{__version__}, which reads formats up to {FORMAT}: update it."
         )
-    for key in ("kind", "made", "sha256", "content"):
-        if version < FORMAT or key not in data:
+    needed = ("fit",) if version < FORMAT else ("kind", "made", "sha256", "content")
+    for key in needed:
+        if key not in data:
             raise DataError(
-                f"{path} is of format {version} but has no {'fit' if version < FORMAT else key!r}: "
+                f"{path} is of format {version} but has no {key!r}: "
                 "a part of it is missing. Use a copy of it, or make it again."
             )
-    if data["kind"] != kind:
-        raise DataError(f"{path} holds a {data['kind']!r:.40}, expected a {kind}.")
     if not isinstance(made, dict):
         raise DataError(f"{path} does not say who made it: its 'made' is no object. {wanted}")
-    if _digest(data["content"]) != data["sha256"]:
-        raise DataError(
-            f"{path} is damaged, or was changed by hand: its content does not have the digest that "
-            "was written with it. Use a copy of it, or make it again."
-        )
-    return data["content"], made
 
 
 def decode_result(path: str | Path, kind: str, classes: Iterable[type]) -> Any:
@@ -382,35 +396,30 @@ def check_fit(fit: Estimate, where: str) -> None:
     where : str
         The file, for the message.
     """
-    n, n_records, n_outputs = len(fit.names), len(fit.dataset), len(fit.model.outputs)
-    expected = {"estimates": (n,), "covariance": (n, n)}
-    expected |= {"sigma": (n_outputs,), "sigma_estimated": (n_outputs,)}
-    faults = [
-        f"{name} of shape {np.shape(getattr(fit, name))}, expected {shape}"
-        for name, shape in expected.items()
-        if np.shape(getattr(fit, name)) != shape
-    ]
+    n, records, n_outputs = len(fit.names), tuple(fit.dataset), len(fit.model.outputs)
+    factor, scales = fit.information.factor, fit.information.scales
+    shapes = {"estimates": (n,), "covariance": (n, n)}
+    shapes |= {"sigma": (n_outputs,), "sigma_estimated": (n_outputs,)}
+    per_record = ("predictions", "residuals", "states", "initial_states", "local_values")
+    sampled = [(name, i) for name in per_record[:2] for i in range(len(records))]
+    checks = [
+        *((np.shape(getattr(fit, name)) == shape,
+           f"{name} of shape {np.shape(getattr(fit, name))}, expected {shape}")
+          for name, shape in shapes.items()),
+        *((name in fit.model.parameter_names,
+           f"an estimate of {name!r}, which is no parameter of the model") for name in fit.names),
+        (fit.dataset.channels == fit.model.channels, "records with other channels than the model"),
+        (factor.ndim == 2 and len(fit.information.names) == factor.shape[-1] == scales.size,
+         f"information of shape {np.shape(factor)}"),
+        *((len(getattr(fit, name)) == len(records),
+           f"{len(getattr(fit, name))} {name} for {len(records)} records") for name in per_record),
+    ]  # fmt: skip
+    faults = [fault for right, fault in checks if not right]
     faults += [
-        f"an estimate of {name!r}, which is no parameter of the model"
-        for name in fit.names
-        if name not in fit.model.parameter_names
+        f"{name} of shape {np.shape(getattr(fit, name)[i])} for record {records[i].name!r}"
+        for name, i in sampled[: 0 if faults else None]
+        if np.shape(getattr(fit, name)[i]) != (records[i].n_samples, n_outputs)
     ]
-    if fit.dataset.channels != fit.model.channels:
-        faults.append("records with other channels than the model")
-    if fit.information.factor.ndim != 2 or not (
-        len(fit.information.names) == fit.information.factor.shape[1] == fit.information.scales.size
-    ):
-        faults.append(f"information of shape {np.shape(fit.information.factor)}")
-    for name in ("predictions", "residuals", "states", "initial_states", "local_values"):
-        pieces = getattr(fit, name)
-        if len(pieces) != n_records:
-            faults.append(f"{len(pieces)} {name} for {n_records} records")
-        elif name in ("predictions", "residuals"):
-            faults += [
-                f"{name} of shape {np.shape(piece)} for record {record.name!r}"
-                for piece, record in zip(pieces, fit.dataset, strict=True)
-                if np.shape(piece) != (record.n_samples, n_outputs)
-            ]
     if faults:
         raise DataError(
             f"{where} is damaged, or was changed by hand: it holds {faults[0]}. Use a copy of it, "

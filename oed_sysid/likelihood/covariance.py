@@ -85,6 +85,67 @@ def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class Scores:
+    """One-step errors and their derivatives by the shared parameters, all else estimated along.
+
+    Attributes
+    ----------
+    records : sequence of Record
+    jacobians : list of ndarray (n_times, n_outputs, n_shared)
+        In units of the errors' standard deviation, zero where nothing was measured.
+    errors : list of ndarray (n_times, n_outputs)
+        In that unit, NaN where nothing was measured.
+    """
+
+    records: Sequence[Record]
+    jacobians: list[np.ndarray]
+    errors: list[np.ndarray]
+
+    @property
+    def series(self) -> list[int]:
+        """Positions of the records that are series in time."""
+        return [i for i, record in enumerate(self.records) if not record.independent]
+
+    @property
+    def tests(self) -> tuple[np.ndarray, np.ndarray]:
+        """Rows and errors of all independent tests."""
+        chosen = [i for i, record in enumerate(self.records) if record.independent]
+        nothing = self.jacobians[0][:0], self.errors[0][:0]
+        return (
+            np.concatenate([nothing[0], *(self.jacobians[i] for i in chosen)]),
+            np.concatenate([nothing[1], *(self.errors[i] for i in chosen)]),
+        )
+
+    def stray(self, white: np.ndarray) -> bool:
+        """Whether independent tests scatter more than their noise allows."""
+        rows, errors = self.tests
+        return bool(len(rows)) and bool(white.size) and tests_stray(rows, errors, white)
+
+    def white(self) -> np.ndarray:
+        """Covariance of the summed scores of all series, were their errors white."""
+        n_shared = self.jacobians[0].shape[2]
+        middle = np.zeros((n_shared, n_shared))
+        for index in self.series:
+            flat = self.jacobians[index].reshape(-1, n_shared)
+            middle += flat.T @ flat
+        return middle
+
+    def coloured(self, memory: float | None = None) -> np.ndarray:
+        """The same from the autocovariances of the errors, over ``memory`` seconds where given."""
+        n_shared = self.jacobians[0].shape[2]
+        middle = np.zeros((n_shared, n_shared))
+        for group in sampled_alike([self.records[i] for i in self.series]):
+            own = [self.series[i] for i in group]
+            step = self.records[own[0]].sample_time
+            middle += coloured_score_covariance(
+                [self.jacobians[i] for i in own],
+                [self.errors[i] for i in own],
+                lags=None if memory is None else int(np.ceil(memory / step)),
+            )
+        return middle
+
+
 class ReducedProblem:
     """Jacobian of the shared parameters, with everything else projected out.
 
@@ -104,8 +165,8 @@ class ReducedProblem:
     ----------
     rows : list of ndarray (n_times, n_outputs, n_shared)
         Whitened and reduced Jacobian, per record; zero where nothing was measured.
-    scores : list of ndarray (n_times, n_outputs)
-        Whitened residuals, as the loss lets them count; NaN where missing.
+    told : Scores
+        Of the residuals, as the loss lets them count.
     prior_rows : list of ndarray (n_rows, n_shared)
         What priors add.
     gain : ndarray (n_outputs,)
@@ -117,7 +178,7 @@ class ReducedProblem:
         layout = shooting.layout
         n_shared = len(layout.shared)
         residuals = [residual / shooting.sigma for residual in lin.residuals]
-        self.scores, self.gain = _scores(residuals, shooting.loss)
+        scores, self.gain = _scores(residuals, shooting.loss)
         keep = layout.n_own + layout.shared
         others = np.concatenate([np.arange(layout.n_own), layout.n_own + layout.local])
         # Derivatives by values, of parameters whose logarithm is unknown too.
@@ -139,6 +200,9 @@ class ReducedProblem:
             self.prior_rows.append(reduced[len(flat) :])
         own = np.sqrt(shooting.limits.prior_weight[:n_shared])
         self.prior_rows.append(np.diag(own / self._slopes))
+        # Residuals count once with the slope of a robust loss, not twice.
+        jacobians = [rows / np.sqrt(self.gain)[:, None] for rows in self.rows]
+        self.told = Scores(shooting.records, jacobians, scores)
 
     @property
     def information(self) -> Information:
@@ -156,17 +220,15 @@ class ReducedProblem:
             return None
         matrices, scores = [], []
         prior = np.zeros((self.rows[0].shape[2],) * 2)
-        for record, rows, residual in zip(
-            self.shooting.records, self.rows, self.scores, strict=True
+        for record, rows, own, errors in zip(
+            self.shooting.records, self.rows, self.told.jacobians, self.told.errors, strict=True
         ):
             flat = rows.reshape(-1, rows.shape[2])
             if record.independent:  # known before the series, as it were
                 prior += flat.T @ flat
                 continue
             matrices.append(flat.T @ flat)
-            # Residuals count once with the slope of a robust loss, not twice.
-            own = (rows / np.sqrt(self.gain)[:, None]).reshape(-1, rows.shape[2])
-            scores.append(own.T @ np.nan_to_num(residual).ravel())
+            scores.append(own.reshape(flat.shape).T @ np.nan_to_num(errors).ravel())
         prior += sum((rows.T @ rows for rows in self.prior_rows), np.zeros_like(prior))
         return sources_of(matrices, scores, prior)
 
@@ -179,24 +241,8 @@ class ReducedProblem:
 
     @property
     def _series(self) -> list[np.ndarray]:
-        """Scores of the records that are series in time."""
-        records = self.shooting.records
-        return [s for r, s in zip(records, self.scores, strict=True) if not r.independent]
-
-    @property
-    def _tests(self) -> tuple[np.ndarray, np.ndarray]:
-        """Rows and scores of all independent tests."""
-        chosen = [i for i, record in enumerate(self.shooting.records) if record.independent]
-        if not chosen:
-            return self.rows[0][:0], self.scores[0][:0]
-        return (
-            np.concatenate([self.rows[i] for i in chosen]),
-            np.concatenate([self.scores[i] for i in chosen]),
-        )
-
-    def tests_stray(self, white: np.ndarray) -> bool:
-        """Whether independent tests scatter more than their noise allows."""
-        return tests_stray(*self._tests, white)
+        """Errors of the records that are series in time."""
+        return [self.told.errors[i] for i in self.told.series]
 
     @property
     def _lost_freedom(self) -> float:
@@ -221,30 +267,19 @@ class ReducedProblem:
         -------
         ndarray (n_shared, n_shared)
         """
-        jacobians = [rows / np.sqrt(self.gain)[:, None] for rows in self.rows]
         if white.size == 0:  # every parameter is known; initial states alone were estimated
             return white
-        middle = np.zeros_like(white)
-        records = self.shooting.records
-        series = [i for i, record in enumerate(records) if not record.independent]
-        robust = self.shooting.loss is not None
+        told, robust = self.told, self.shooting.loss is not None
         if coloured:
-            for group in sampled_alike([records[i] for i in series]):
-                middle += coloured_score_covariance(
-                    [jacobians[series[i]] for i in group], [self.scores[series[i]] for i in group]
-                )
+            middle = told.coloured() * self._lost_freedom
+        elif robust:
+            size = np.sqrt(np.nanmean(np.vstack(told.errors) ** 2, axis=0))
+            flat = np.vstack([(j * size[:, None]).reshape(-1, len(white)) for j in told.jacobians])
+            middle = flat.T @ flat * self._lost_freedom
         else:
-            variance = np.ones(self.scores[0].shape[1])
-            if robust:
-                variance = np.nanmean(np.vstack(self.scores) ** 2, axis=0)
-            for index in range(len(records)) if robust else series:
-                flat = (jacobians[index] * np.sqrt(variance)[:, None]).reshape(-1, len(white))
-                middle += flat.T @ flat
-        if coloured or robust:
-            middle *= self._lost_freedom
+            middle = told.white()
         if coloured or not robust:
-            rows, scores = self._tests
-            middle += tests_middle(rows, scores, white, scattered=scattered)
+            middle += tests_middle(*told.tests, white, scattered=scattered)
         middle += sum(rows.T @ rows for rows in self.prior_rows)
         return sandwich(white, middle)
 
@@ -512,22 +547,13 @@ def widened(
         return covariance
     share = _share(problem, matrix)
     slopes = layout.shared_values(unknowns)[1]
-    jacobians, scores = shared_rows(problem, unknowns, matrix)
+    told = shared_rows(problem, unknowns, matrix)
     weight = limits.prior_weight
     middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
     if problem.knowledge is not None:
         middle = middle + problem.knowledge.information
-    middle = middle / slopes[:, None] / slopes
-    series = [i for i, record in enumerate(problem.records) if not record.independent]
-    for group in sampled_alike([problem.records[i] for i in series]):
-        own = [series[i] for i in group]
-        lags = int(np.ceil(MEMORY * period / problem.records[own[0]].sample_time))
-        middle = middle + coloured_score_covariance(
-            [jacobians[i] for i in own], [scores[i] for i in own], lags=lags
-        )
-    for index in set(range(len(problem.records))) - set(series):
-        flat = jacobians[index].reshape(-1, n_shared)
-        middle = middle + flat.T @ flat
+    middle = middle / slopes[:, None] / slopes + told.coloured(MEMORY * period)
+    middle += tests_middle(*told.tests, covariance, scattered=False)
     robust = sandwich(covariance, middle)
     white, found = np.diag(covariance)[finite], np.diag(robust)[finite]
     grow = np.ones(n_shared)
@@ -535,9 +561,7 @@ def widened(
     return robust * grow[:, None] * grow
 
 
-def shared_rows(
-    problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
+def shared_rows(problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray) -> Scores:
     """Derivatives of innovations by the shared parameters, all else estimated along.
 
     Parameters
@@ -546,13 +570,6 @@ def shared_rows(
     unknowns : ndarray (n_unknowns,)
     matrix : ndarray (n_unknowns, n_unknowns)
         Information of all unknowns, priors included.
-
-    Returns
-    -------
-    jacobians : list of ndarray (n_times, n_outputs, n_shared)
-        In units of the innovations' standard deviation, zero where nothing was measured.
-    scores : list of ndarray (n_times, n_outputs)
-        Innovations in that unit, NaN where nothing was measured.
     """
     layout = problem.layout
     n_shared = len(layout.shared)
@@ -570,7 +587,7 @@ def shared_rows(
         jacobian[~np.isfinite(part.innovations)] = 0.0
         jacobians.append(jacobian)
         scores.append(part.innovations / np.sqrt(part.variances))
-    return jacobians, scores
+    return Scores(problem.records, jacobians, scores)
 
 
 def _share(problem: Filtered, matrix: np.ndarray) -> np.ndarray:

@@ -320,6 +320,17 @@ class Estimate:
         present = np.isfinite(stacked)
         return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
 
+    @property
+    def one_step_rms(self) -> float:
+        """Root mean square one-step error, in its stated standard deviation: one if all is right.
+
+        Minus twice the log-likelihood is its square times the samples, but for a constant and the
+        determinants of the standard deviations.
+        """
+        stacked = np.vstack(self.whitened)
+        present = np.isfinite(stacked)
+        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
+
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error.
 

@@ -6,6 +6,7 @@ Options of estimators: numbers that are numbers, before any work is done.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass
 from numbers import Integral, Real
 from typing import Any, Protocol, runtime_checkable
 
@@ -30,6 +31,48 @@ class Estimator(Protocol):
     def fit(self, model: Model, dataset: Dataset) -> Fit:
         """Estimate the free parameters of a model from measured records."""
         ...
+
+
+@dataclass(frozen=True)
+class Solver:
+    """How the optimum of an estimation is sought.
+
+    Parameters
+    ----------
+    method : str
+        ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds
+        every node as an unknown and takes constraints.
+    max_iterations : int
+        Most iterations.
+    tolerance : float
+        Gain of a full step below which the cost is least; see
+        :func:`oed_sysid.likelihood.gauss_newton.solve`.
+    hessian : str
+        For IPOPT: ``"gauss-newton"`` or ``"exact"``.
+    constraints : sequence of str
+        For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
+        ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
+    """
+
+    method: str = "gauss-newton"
+    _: KW_ONLY
+    max_iterations: int = 100
+    tolerance: float = 1e-6
+    hessian: str = "gauss-newton"
+    constraints: Sequence[str] = ()
+
+    def __post_init__(self) -> None:
+        if self.method not in ("gauss-newton", "ipopt"):
+            raise ModelError(f"Solver is {self.method!r}. Choose gauss-newton or ipopt.")
+        if self.hessian not in ("exact", "gauss-newton"):
+            raise ModelError(f"hessian is {self.hessian!r}. Choose exact or gauss-newton.")
+        if self.constraints and self.method != "ipopt":
+            raise ModelError(
+                "Constraints among parameters need Solver('ipopt'); bounds of single parameters "
+                "do not: give them as Parameter(lower=..., upper=...)."
+            )
+        check_count("max_iterations", self.max_iterations)
+        check_positive("tolerance", self.tolerance, "Give a positive number.")
 
 
 def check_count(name: str, value: Any) -> None:

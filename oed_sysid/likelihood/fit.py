@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +29,7 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
+from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.channels import Channels, Input, Output, State
@@ -49,13 +50,14 @@ from oed_sysid.runtime.display import (
 from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
-# Multiple of the noise up to which residuals say no more than noise would, and from which they
-# are no measure: filtered logs have next to no noise.
-EXPLAINED, SMOOTHED = 1.2, 100.0
+# Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
+SMOOTHED = 100.0
 # Prior standard deviations beyond which an estimate contradicts the prior.
 SURPRISING = 3.0
-# Records that a page draws.
-MOST_DRAWN = 8
+# Correlation of two estimates from which on they can hardly be told apart.
+ALIKE = 0.95
+# Records that a page draws, and correlated pairs that are named.
+MOST_DRAWN, MOST_PAIRS = 8, 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,6 +159,26 @@ class Fit(Estimate):
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
         return grave(self, self.concerns)
 
+    @cached_property
+    def whole_runs(self) -> WholeRuns:
+        """Errors of whole runs, and whether noise as estimated could have left them."""
+        return judged_runs(self, unasked=self._unasked)
+
+    def runs_on(self, dataset: Dataset) -> WholeRuns:
+        """The same on records that the fit has not seen."""
+        return judged_runs(self, dataset, unasked=self._unasked)
+
+    @property
+    def _unasked(self) -> str:
+        """Why runs under the noise model would not be those of the sea; empty where they would."""
+        waves = [one for one in self.concerns if one.kind == "swing"]
+        if not waves or not self.noise.has_forces:
+            return ""
+        return (
+            f"innovations are narrow-band about {waves[0].size:.2g} s, which the noise model "
+            "does not hold"
+        )
+
     @property
     def caveat(self) -> str:
         """What to add to every interval that follows from the standard errors; often empty."""
@@ -247,7 +269,7 @@ class Fit(Estimate):
         way = self.estimator.replace(", ", " with ", 1)
         effective = sum(count for count, _ in self.effective_samples().values())
         tested = "samples" if self.innovations is None else "innovations"
-        misfit = f"{self.normalised_rms:.3f} x noise over all outputs"
+        misfit = f"{self._misfit:.3f} x noise over all outputs"
         return Report(
             title=self.model.name,
             subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",
@@ -256,15 +278,18 @@ class Fit(Estimate):
             warnings=(
                 *([] if log is None else log.warning().splitlines()),
                 *(f"Do not use these values: {concern.text}" for concern in self.grave),
+                *self._taken(),
             ),
             head=(
                 ("records", ", ".join(self._record_words())),
                 ("observations", f"{self.n_observations}"),
                 ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
                 ("misfit", misfit),
+                ("one step", f"{self.one_step_rms:.3f} x its standard deviation"),
+                ("whole runs", self.whole_runs.sizes or "none"),
             ),
             numbers=(
-                ("misfit", f"{self.normalised_rms:.3g} × noise"),
+                ("misfit", f"{self._misfit:.3g} × noise"),
                 ("parameters", str(len(self.names))),
                 ("samples", f"{self.n_observations:,}".replace(",", " ")),
                 (f"independent {tested}", f"{effective:,.0f}".replace(",", " ")),
@@ -284,6 +309,21 @@ class Fit(Estimate):
 
     report = as_text
 
+    @property
+    def _misfit(self) -> float:
+        """Error of whole runs over all outputs, in units of the noise."""
+        return self.normalised_rms if self.innovations is None else self.whole_runs.relative
+
+    def _taken(self) -> list[str]:
+        """Words where process noise has taken the work of physics."""
+        if not self.whole_runs.took_the_work:
+            return []
+        return [
+            "Process noise has taken the work of physics: "
+            f"{'; '.join(self.whole_runs.objections)}. Look for what is missing with improve(); "
+            "for runs, simulation and export take the values of replayed(fit)."
+        ]
+
     def _answer(self, comparison: Any) -> str:
         """Whether the fit can be used, how certain it is, and how well it fits and predicts."""
         if not self.status.ok:
@@ -298,14 +338,16 @@ class Fit(Estimate):
         if errors:
             worst = max(errors, key=lambda name: errors[name])
             words += f", the least certain {worst} ± {share(errors[worst])} (95 %)"
-        words += f"; residuals are {self.normalised_rms:.3g} × noise"
-        if self.normalised_rms > SMOOTHED:
+        words += f"; residuals are {self._misfit:.3g} × noise"
+        if self._misfit > SMOOTHED:
             words += (
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "
                 "in units"
             )
-        elif not self.normalised_rms < EXPLAINED:
+        elif self.whole_runs.objections:
             words += ", so the model lacks something"
+        if self.whole_runs.sizes:
+            words += f"; whole runs are off {self.whole_runs.sizes}"
         if comparison is not None:
             size = comparison.best.relative
             words += f"; errors on the validation records {size:.3g} × noise"
@@ -550,51 +592,11 @@ class Fit(Estimate):
         """What else to know before the values are used, one sentence each."""
         said_first = {self.status.advice, *(concern.text for concern in self.grave)}
         lines = [one.text for one in self.concerns if one.text not in said_first]
-        commands = np.vstack([record.inputs for record in self.dataset])
-        for channel, series in zip(self.model.inputs, commands.T, strict=True):
-            if np.ptp(series) == 0.0 and not self.tests_alone:
-                lines.append(
-                    f"Input {channel.name} never moves in any record: what it does cannot be "
-                    "told from what else is constant."
-                )
-        if self.coloured:
-            lines.append(
-                "Residuals are correlated in time (see eff. samples): standard errors are from "
-                "the sandwich covariance."
-            )
-        lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
-        own = {name: self.model.parameter(name) for name in self.names}
-        if bounded := [n for n, v in self.values.items() if not own[n].lower < v < own[n].upper]:
-            lines.append(
-                f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
-                "an angle the other way does this too: Input(..., sign=-1)."
-            )
-        if far := [name for name in self.names if self._surprise(name) > SURPRISING]:
-            lines.append(
-                f"Further than {SURPRISING:g} standard deviations from the prior: "
-                f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
-            )
-        correlation = self.correlation
-        pairs = [
-            (abs(correlation[i, j]), self.names[i], self.names[j], correlation[i, j])
-            for i in range(len(self.names))
-            for j in range(i)
-            if abs(correlation[i, j]) > 0.95
-        ]
-        for _, first, second, value in sorted(pairs, reverse=True)[:6]:
-            lines.append(f"Correlation of {first} and {second}: {value:+.3f}.")
-        return lines
-
-    def _surprise(self, name: str) -> float:
-        """Distance of an estimate from its prior mean, in standard deviations of the prior."""
-        parameter = self.model.parameter(name)
-        if parameter.prior_spread is None or parameter.prior_mean is None:
-            return 0.0
-        return abs(self.values[name] - parameter.prior_mean) / parameter.prior_spread
+        return lines + [sentence for remark in REMARKS for sentence in remark(self)]
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
-        "noise_std", "concerns", "grave", "status",
+        "noise_std", "concerns", "grave", "status", "one_step_rms", "whole_runs",
         model="model.name", records="dataset.names", coloured_residuals="coloured",
         # Null where nothing tells: three records or fewer, another estimator.
         parameters=lambda self: [
@@ -610,6 +612,72 @@ class Fit(Estimate):
         noise=lambda self: dict(zip(self.model.output_names, self.sigma, strict=True)),
         effective_samples=lambda self: self.effective_samples(), noise_model="noise",
     )  # fmt: skip
+
+
+def _still_inputs(fit: Fit) -> Iterator[str]:
+    commands = np.vstack([record.inputs for record in fit.dataset])
+    for channel, series in zip(fit.model.inputs, commands.T, strict=True):
+        if np.ptp(series) == 0.0 and not fit.tests_alone:
+            yield (
+                f"Input {channel.name} never moves in any record: what it does cannot be "
+                "told from what else is constant."
+            )
+
+
+def _correlated_residuals(fit: Fit) -> Iterator[str]:
+    if fit.coloured:
+        yield (
+            "Residuals are correlated in time (see eff. samples): standard errors are from "
+            "the sandwich covariance."
+        )
+
+
+def _unidentified(fit: Fit) -> Iterator[str]:
+    for text in fit.information.null_directions():
+        yield f"Not identifiable: {text}."
+
+
+def _at_bounds(fit: Fit) -> Iterator[str]:
+    own = {name: fit.model.parameter(name) for name in fit.names}
+    if bounded := [n for n, v in fit.values.items() if not own[n].lower < v < own[n].upper]:
+        yield (
+            f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+            "an angle the other way does this too: Input(..., sign=-1)."
+        )
+
+
+def _off_priors(fit: Fit) -> Iterator[str]:
+    far = []
+    for name, value in fit.values.items():
+        parameter = fit.model.parameter(name)
+        mean, spread = parameter.prior_mean, parameter.prior_spread
+        if mean is not None and spread is not None and abs(value - mean) > SURPRISING * spread:
+            far.append(name)
+    if far:
+        yield (
+            f"Further than {SURPRISING:g} standard deviations from the prior: "
+            f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
+        )
+
+
+def _correlated_pairs(fit: Fit) -> Iterator[str]:
+    correlation = np.tril(fit.correlation, -1)
+    pairs = [
+        (abs(correlation[i, j]), fit.names[i], fit.names[j], correlation[i, j])
+        for i, j in zip(*np.nonzero(np.abs(correlation) > ALIKE), strict=True)
+    ]
+    for _, first, second, value in sorted(pairs, reverse=True)[:MOST_PAIRS]:
+        yield f"Correlation of {first} and {second}: {value:+.3f}."
+
+
+REMARKS: tuple[Callable[[Fit], Iterator[str]], ...] = (
+    _still_inputs,
+    _correlated_residuals,
+    _unidentified,
+    _at_bounds,
+    _off_priors,
+    _correlated_pairs,
+)
 
 
 def _typed(content: dict[str, Any]) -> dict[str, Any]:

@@ -23,6 +23,8 @@ the output's share of the unknowns. Large ``f`` with small :math:`f_\Delta` is c
 
 *Integration.* Root mean square change of the outputs when the step is a quarter, in units of noise.
 
+Every kind of concern is a row of :data:`CHECKS`: how it is found, what it takes, and its sentence.
+
 What none of this can see: errors that the parameters absorb without a trace in the residuals.
 
 How much of every output a fitted model explains on its own, and whether that is enough.
@@ -41,15 +43,15 @@ the misfit is one and the iterations converge. :func:`grave` says so.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr, stdtr
 
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.likelihood.covariance import clear_peaks
+from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
     COLOUR_SHARE,
@@ -62,18 +64,22 @@ from oed_sysid.likelihood.departures import (
     values_of,
 )
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.noise_levels import signal_spread, spike_masks, spike_sizes, white_levels
+from oed_sysid.likelihood.noise_levels import (
+    DIFFERENCE_ERROR,
+    signal_spread,
+    spike_masks,
+    spike_sizes,
+    white_levels,
+)
 from oed_sysid.runtime.display import TWO_SIDED_95, as_dict
 from oed_sysid.text.units import shown_unit
 
 # A fit goes through the verdict as what it is.
-Found = TypeVar("Found", bound=Estimate)
+Judged = TypeVar("Judged", bound=Estimate)
 # Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
 LEVEL_FACTOR = 1.15
 # Chance of the statistic from which on residuals are coloured.
 COLOUR_CHANCE = 1e-5
-# Standard error of the logarithm of a level from third differences, times the root of n.
-DIFFERENCE_ERROR = 1.5
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 FINER = 4
@@ -95,8 +101,12 @@ FOLLOWS_CHANCE, FOLLOWS_RECORDS = 0.05, 4
 INPUT_EFFECT = 0.1
 # Parameters that are named where records differ.
 NAMED = 3
-# Kinds that make a fit not converged, worst first.
+# Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
+HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
+# Kinds that make a fit not converged, worst first, and those with which it may converge and must
+# still not be used.
 FATAL = ("runaway", "integration", "degenerate")
+GRAVE = ("absorbed", "degenerate", "few_samples")
 
 
 @dataclass(frozen=True)
@@ -134,10 +144,63 @@ class Concern:
     to_dict = as_dict("kind", "signal", "record", "size", "text")
 
 
-def with_verdict(fit: Found) -> Found:
+@dataclass(frozen=True)
+class Found:
+    """One thing that speaks against a fit: its size, where it is, and what its sentence names."""
+
+    size: float
+    signal: str = ""
+    record: str = ""
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Check:
+    """One kind of concern.
+
+    Attributes
+    ----------
+    kind : str
+    find : callable
+        Gives what is found in a fit.
+    threshold : str
+        What it takes.
+    sentence : str
+        With the facts in braces.
+    """
+
+    kind: str
+    find: Callable[[Estimate], Iterable[Found]]
+    threshold: str
+    sentence: str
+
+    def concerns(self, fit: Estimate) -> tuple[Concern, ...]:
+        """What is found, in words."""
+        return tuple(
+            Concern(
+                self.kind,
+                one.signal,
+                one.record,
+                float(one.size),
+                self.sentence.format(
+                    size=one.size, signal=one.signal, record=one.record, **one.facts
+                ),
+            )
+            for one in self.find(fit)
+        )
+
+
+def concerns_of(fit: Estimate, *kinds: str) -> tuple[Concern, ...]:
+    """Concerns of some kinds, in the order of :data:`CHECKS`."""
+    return tuple(
+        concern for check in CHECKS if check.kind in kinds for concern in check.concerns(fit)
+    )
+
+
+def with_verdict(fit: Judged) -> Judged:
     """The same fit; its status is not ``converged`` where its values must not be used."""
     if fit.status.code in ("stalled", "iterations"):
-        steps = " ".join(concern.text for concern in _integration(fit))
+        steps = " ".join(concern.text for concern in concerns_of(fit, "integration"))
         advice = f"{fit.status.advice} {steps}".rstrip()
         return replace(fit, status=replace(fit.status, advice=advice))
     if not fit.status.ok:
@@ -162,36 +225,40 @@ def judge(fit: Estimate) -> tuple[Concern, ...]:
     """
     found = fatal(fit)
     if any(concern.kind == "runaway" for concern in found):
-        return (*found, *_few_samples(fit))
+        return (*found, *concerns_of(fit, "few_samples"))
     if not _has_numbers(fit):
         return found
-    spikes = spike_concerns(fit)
-    colours, swings = colour_concerns(fit), swing_concerns(fit)
-    return (
-        *found,
-        *_few_samples(fit),
-        *_process_noise(fit),
-        *_other_way(fit),
-        *_records_differ(fit),
-        *spikes,
-        *delay_concerns(fit),
-        *start_concerns(fit),
-        *level_concerns(fit),
-        *_absorbed(fit),
-        *input_concerns(fit),
-        *swings,
-        *(colour for colour in colours if colour.signal not in {swing.signal for swing in swings}),
-        *_follows(fit),
-    )
+    return (*found, *concerns_of(fit, *({check.kind for check in CHECKS} - set(FATAL))))
 
 
 def fatal(fit: Estimate) -> tuple[Concern, ...]:
     """Concerns that forbid the use of the values: runaway, integration, degenerate."""
     if not np.isfinite(fit.cost) and not _has_numbers(fit):
         return ()
-    if away := _runaway(fit):
-        return away
-    return (*_integration(fit), *_degenerate(fit))
+    return concerns_of(fit, "runaway") or concerns_of(fit, "integration", "degenerate")
+
+
+def grave(fit: Estimate, concerns: Sequence[Concern]) -> tuple[Concern, ...]:
+    """What makes a fit useless although it converged: the noise holds what a model should.
+
+    Parameters
+    ----------
+    fit : Estimate
+    concerns : sequence of Concern
+        What speaks against it, as :func:`judge` finds it.
+
+    Returns
+    -------
+    tuple of Concern
+        ``absorbed``, ``degenerate`` and ``few_samples``; empty where the fit can be used, or
+        where its status says already that it cannot.
+    """
+    if not fit.status.ok:
+        return ()
+    found = [concern for concern in concerns if concern.kind in GRAVE]
+    named = {concern.signal for concern in found}
+    more = (concern for concern in UNEXPLAINED.concerns(fit) if concern.signal not in named)
+    return (*found, *more)
 
 
 def _has_numbers(fit: Estimate) -> bool:
@@ -207,40 +274,21 @@ def _has_numbers(fit: Estimate) -> bool:
 # -- the noise ---------------------------------------------------------------------
 
 
-def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
+def _levels(fit: Estimate) -> Iterator[Found]:
     """Declared noise levels that are not those found."""
-    found = []
     declared = _declared(fit)
-    total = max(fit.n_observations, 1)
+    share = max(1.0 - fit.n_unknowns / max(fit.n_observations, 1), 0.1)
     for column, output in enumerate(fit.model.outputs):
         if fit.sigma_estimated[column] or not np.isfinite(declared[column]):
             continue
-        parts = [part[:, column] for part in fit.whitened]
-        present = np.concatenate([part[np.isfinite(part)] for part in parts])
-        n = len(present)
-        if n < 20:
+        told = _level(fit, column, share)
+        if told is None:
             continue
-        # A spike is not a level: what lies beyond four deviations is left out.
-        size = max(1.4826 * float(np.median(np.abs(present))), 1e-12)
-        kept = present[np.abs(present) < 4.0 * size]
-        if not len(kept):
-            continue
-        share = max(1.0 - fit.n_unknowns / total, 0.1)
-        whole = float(np.sqrt(np.mean(kept**2) / share))
-        ordered = [part[:, column] for part in fit.series]
-        tests = not any(np.isfinite(part).any() for part in ordered)
-        fast = whole if tests else fast_level(ordered)
-        if not fast > 0.0:
-            continue
-        factor, error = whole, np.sqrt(0.5 / n)
-        if whole > 1.0 and fast < whole * (1.0 - 2.5 * DIFFERENCE_ERROR / np.sqrt(n)):
-            # Slow residuals raise the variance, not the level of the white noise.
-            factor, error = max(fast, 1.0), DIFFERENCE_ERROR / np.sqrt(n)
+        factor, error, tests = told
         # A filter that was told less white noise than there is finds the rest elsewhere.
         factor *= float(fit.sigma[column] / declared[column])
         if abs(np.log(factor)) < max(CLEAR * error, np.log(LEVEL_FACTOR)):
             continue
-        low, high = factor * np.exp(-TWO_SIDED_95 * error), factor * np.exp(TWO_SIDED_95 * error)
         wrong = "small" if factor > 1.0 else "large"
         so = f"Standard errors are too {wrong} for it: set noise_std, or noise='estimate'."
         if tests and factor > 1.0:
@@ -248,18 +296,37 @@ def level_concerns(fit: Estimate) -> tuple[Concern, ...]:
                 "Standard errors are from the scatter of the tests. Look for what the model "
                 "lacks, or state a larger noise."
             )
-        found.append(
-            Concern(
-                "noise_level",
-                output.name,
-                "",
-                factor,
-                f"Noise of {output.name}: declared {declared[column]:.3g} {output.unit}, found "
-                f"{factor * declared[column]:.3g} ({factor:.2f} times, 95 % {low:.2f} to "
-                f"{high:.2f}). {so}",
-            )
-        )
-    return tuple(found)
+        yield Found(factor, output.name, facts={
+            "declared": declared[column], "found": factor * declared[column], "unit": output.unit,
+            "low": factor * np.exp(-TWO_SIDED_95 * error),
+            "high": factor * np.exp(TWO_SIDED_95 * error), "so": so,
+        })  # fmt: skip
+
+
+def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool] | None:
+    """Factor of the level, error of its logarithm, whether of tests alone; None if nothing tells.
+
+    ``share`` is that of the samples which are not used up by unknowns.
+    """
+    present = np.concatenate([part[np.isfinite(part[:, column]), column] for part in fit.whitened])
+    n = len(present)
+    if n < 20:
+        return None
+    # A spike is not a level: what lies beyond four deviations is left out.
+    size = max(1.4826 * float(np.median(np.abs(present))), 1e-12)
+    kept = present[np.abs(present) < 4.0 * size]
+    if not len(kept):
+        return None
+    whole = float(np.sqrt(np.mean(kept**2) / share))
+    ordered = [part[:, column] for part in fit.series]
+    tests = not any(np.isfinite(part).any() for part in ordered)
+    fast = whole if tests else fast_level(ordered)
+    if not fast > 0.0:
+        return None
+    if whole > 1.0 and fast < whole * (1.0 - 2.5 * DIFFERENCE_ERROR / np.sqrt(n)):
+        # Slow residuals raise the variance, not the level of the white noise.
+        return max(fast, 1.0), float(DIFFERENCE_ERROR / np.sqrt(n)), tests
+    return whole, float(np.sqrt(0.5 / n)), tests
 
 
 def _declared(fit: Estimate) -> np.ndarray:
@@ -271,132 +338,86 @@ def _declared(fit: Estimate) -> np.ndarray:
     return given
 
 
-def colour_concerns(fit: Estimate) -> tuple[Concern, ...]:
+def _peaks(fit: Estimate) -> list[Peak]:
+    """Outputs whose innovations have a period of their own."""
+    if fit.innovations is None:
+        return []
+    return clear_peaks(fit.series, tuple(fit.dataset), fit.model.output_names)
+
+
+def _swings(fit: Estimate) -> Iterator[Found]:
+    """Peaks that are no sea of the fit.
+
+    Within an octave of one it is the shape of the spectrum that is not quite the assumed one, which
+    standard errors hold.
+    """
+    periods = [float(sea.period or 0.0) for sea in fit.noise.seas]
+    for peak in _peaks(fit):
+        if any(0.5 < peak.period / period < 2.0 for period in periods):
+            continue
+        yield Found(peak.period, peak.output, facts={"ratio": peak.ratio})
+
+
+def _colours(fit: Estimate) -> Iterator[Found]:
     """One-step errors that remember, after all the noise that the fit knows."""
-    found = []
+    todo = (
+        "Standard errors are from the sandwich covariance, which needs noise that does not "
+        "depend on the manoeuvre; look for what is missing with improve()."
+        if fit.coloured
+        else "Standard errors are too small; look for what is missing with improve(), or let "
+        "random forces in."
+    )
+    found = {}
     for name, tests in fit.whiteness().items():
-        if not tests:
+        n = sum(test.n_samples for test in tests)
+        if not n:
             continue
         effective = sum(test.effective_samples for test in tests)
-        n = sum(test.n_samples for test in tests)
         lag_one = sum(test.lag_one * test.n_samples for test in tests) / n
         clear = min(test.p_value for test in tests) < COLOUR_CHANCE / len(tests)
-        if not (clear or abs(lag_one) * np.sqrt(n) > CLEAR) or effective > COLOUR_SHARE * n:
-            continue
-        what = "Innovations" if fit.innovations is not None else "Residuals"
-        todo = (
-            "Standard errors are from the sandwich covariance, which needs noise that does not "
-            "depend on the manoeuvre; look for what is missing with improve()."
-            if fit.coloured
-            else "Standard errors are too small; look for what is missing with improve(), or let "
-            "random forces in."
-        )
-        found.append(
-            Concern(
-                "colour",
-                name,
-                "",
-                effective / n,
-                f"{what} of {name} are correlated: {n} samples count as {effective:.0f}, expected "
-                f"{n}. {todo}",
-            )
-        )
-    return tuple(found)
+        if (clear or abs(lag_one) * np.sqrt(n) > CLEAR) and effective <= COLOUR_SHARE * n:
+            found[name] = Found(effective / n, name, facts={
+                "what": "Innovations" if fit.innovations is not None else "Residuals",
+                "n": n, "effective": effective, "todo": todo,
+            })  # fmt: skip
+    swinging = {peak.output for peak in _peaks(fit)} if found else set()
+    yield from (one for name, one in found.items() if name not in swinging)
 
 
-def _process_noise(fit: Estimate) -> tuple[Concern, ...]:
+def _process_noise(fit: Estimate) -> Iterator[Found]:
     """Process noise that acts, but whose estimation failed."""
     test = fit.process_noise
-    if test is None or not test.failed:
-        return ()
-    return (
-        Concern(
-            "process_noise",
-            "",
-            "",
-            test.statistic,
-            f"Process noise seems to act (2 delta ln L is about {test.statistic:.3g} by the score "
-            f"test), but the fit with it ended with {test.failed!r}: these values are from the "
-            "fit without it. Look for what is missing with improve() and for faults of the log "
-            "with `oed-sysid check`, or name the disturbed equations, such as "
-            "disturbances=('Z', 'M').",
-        ),
-    )
+    if test is not None and test.failed:
+        yield Found(test.statistic, facts={"failed": test.failed})
 
 
-def swing_concerns(fit: Estimate) -> tuple[Concern, ...]:
-    """Innovations that swing with a period of their own.
-
-    Within an octave of a sea that the fit has, it is the shape of its spectrum that is not quite
-    the assumed one, which standard errors hold.
-    """
-    if fit.innovations is None:
-        return ()
-    periods = [float(sea.period or 0.0) for sea in fit.noise.seas]
-    peaks = [
-        peak
-        for peak in clear_peaks(fit.series, tuple(fit.dataset), fit.model.output_names)
-        if not any(0.5 < peak.period / period < 2.0 for period in periods)
-    ]
-    return tuple(
-        Concern(
-            "swing",
-            peak.output,
-            "",
-            peak.period,
-            f"Innovations of {peak.output} swing with a period of about {peak.period:.2g} s "
-            f"({peak.ratio:.1f} times the power of white ones): waves that one sea does not "
-            "describe, or motion that the model lacks. Standard errors are from the sandwich "
-            "covariance, which holds the swing; estimates are not as precise as they could be.",
-        )
-        for peak in peaks
-    )
-
-
-def _absorbed(fit: Estimate) -> tuple[Concern, ...]:
+def _absorbed(fit: Estimate) -> Iterator[Found]:
     """Estimated levels that hold what the model does not explain."""
     if fit.innovations is not None or not fit.sigma_estimated.any():
-        return ()
-    found = []
+        return
     floor, _ = white_levels(fit.dataset)
     for column, (name, (effective, n)) in enumerate(fit.effective_samples().items()):
         if not fit.sigma_estimated[column] or n < 20 or not floor[column] > 0:
             continue
         factor = float(fit.sigma[column] / floor[column])
         if factor > ABSORBED and effective < COLOUR_SHARE * n:
-            unit = fit.model.outputs[column].unit
-            found.append(
-                Concern(
-                    "absorbed",
-                    name,
-                    "",
-                    factor,
-                    f"The estimated noise of {name}, {fit.sigma[column]:.3g} {unit}, is "
-                    f"{factor:.3g} times its high-frequency content ({floor[column]:.3g}): it "
-                    "holds what the model does not explain. A misfit of one says nothing here; "
-                    "declare noise_std, check signs and units, or look for what is missing.",
-                )
-            )
-    return tuple(found)
+            yield Found(factor, name, facts={
+                "sigma": fit.sigma[column], "floor": floor[column],
+                "unit": fit.model.outputs[column].unit,
+            })  # fmt: skip
 
 
 # -- spikes ------------------------------------------------------------------------
 
 
-def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
-    """Isolated outliers, and those that the fit has left out."""
-    found = []
+def _excluded(fit: Estimate) -> Iterator[Found]:
+    """Spikes that the fit has left out."""
     for name, (count, total) in fit.excluded.items():
-        found.append(
-            Concern(
-                "spikes",
-                name,
-                "",
-                float(count),
-                f"{count} of {total} samples of {name} excluded as spikes. Look at them: a "
-                "sensor that jumps is repaired, not fitted.",
-            )
-        )
+        yield Found(count, name, facts={"total": total})
+
+
+def _spikes(fit: Estimate) -> Iterator[Found]:
+    """Isolated outliers."""
     masks = spike_masks(fit.series, declared=~fit.sigma_estimated)
     sizes = spike_sizes(fit.series)
     for column, name in enumerate(fit.model.output_names):
@@ -408,93 +429,55 @@ def spike_concerns(fit: Estimate) -> tuple[Concern, ...]:
             [part[mask[:, column], column] for part, mask in zip(sizes, masks, strict=True)]
         )
         up = int((values > 0).sum())
-        side = ", one-sided" if count > 4 and min(up, count - up) <= 0.1 * count else ""
-        expected = 2.0 * n * float(ndtr(-4.0))
-        found.append(
-            Concern(
-                "spikes",
-                name,
-                "",
-                float(count),
-                f"{count} of {n} samples of {name} stand out alone{side}, by up to "
-                f"{np.max(np.abs(values)):.3g} times their usual distance from their neighbours "
-                f"(normal noise: {expected:.1g} beyond four). They bias the fit "
-                "and its errors: mark them NaN, or use MultipleShooting(loss='auto'), which leaves "
-                "them out.",
-            )
-        )
-    return tuple(found)
+        one_sided = count > 4 and min(up, count - up) <= 0.1 * count
+        yield Found(count, name, facts={
+            "n": n, "side": ", one-sided" if one_sided else "",
+            "largest": np.max(np.abs(values)), "expected": 2.0 * n * float(ndtr(-4.0)),
+        })  # fmt: skip
 
 
-# -- delays, noise of inputs: simulations ----------------------------------------------
+# -- delays, starts, inputs: simulations -------------------------------------------------
 
 
-def delay_concerns(fit: Estimate) -> tuple[Concern, ...]:
+def _delay(fit: Estimate) -> Iterator[Found]:
     """A delay of one signal: the one that explains most, others follow once it is mended."""
+    # Disturbance forces absorb a delay: then what was found before them counts.
     best = None if fit.process_noise is None else fit.process_noise.delay
-    if best is not None:
-        pass  # found before disturbance forces absorbed it
-    elif fit.innovations is not None or not fit.names:
-        return ()
-    else:
+    if best is None and fit.innovations is None and fit.names:
         best = clear_delay(fit, estimate_delays(fit))
-    if best is None:
-        return ()
-    verb = "is logged" if best.kind == "output" else "acts"
-    late = "late" if best.seconds > 0 else "early"
-    return (
-        Concern(
-            "delay",
-            best.signal,
-            "",
-            best.seconds,
-            f"The residuals look as if {best.signal} {verb} {abs(best.seconds):.3g} +/- "
-            f"{TWO_SIDED_95 * best.std:.2g} s {late} (expected none). Compare the clocks of "
-            f"the log, and shift {best.signal}, or add a delay or lag to the model.",
-        ),
-    )
+    if best is not None:
+        yield Found(best.seconds, best.signal, facts={
+            "verb": "is logged" if best.kind == "output" else "acts",
+            "seconds": abs(best.seconds), "error": TWO_SIDED_95 * best.std,
+            "late": "late" if best.seconds > 0 else "early",
+        })  # fmt: skip
 
 
-def start_concerns(fit: Estimate) -> tuple[Concern, ...]:
+def _starts(fit: Estimate) -> Iterator[Found]:
     """Actuators that did not begin at their first command, the clearest record of each."""
     clear = () if fit.process_noise is None else fit.process_noise.actuator_starts
-    if clear:
-        pass  # found before disturbance forces absorbed it
-    elif fit.innovations is not None or not fit.names:
-        return ()
-    else:
+    if not clear and fit.innovations is None and fit.names:
         clear = clear_starts(fit)
-    found: dict[tuple[str, str], Concern] = {}
+    units = {channel.name: channel.unit for channel in fit.model.inputs}
+    said = set()
     for one in clear:
-        same = {other.record for other in clear if other.effect == one.effect}
-        others = f" and {len(same) - 1} more records" if len(same) > 1 else ""
-        unit = next((i.unit for i in fit.model.inputs if i.name == one.signal), "")
-        factor, shown = shown_unit(unit)
-        found.setdefault(
-            (one.effect, one.signal),
-            Concern(
-                "actuator_start",
-                one.signal,
-                one.record,
-                one.size,
-                f"In {one.record!r}{others} {one.effect} did not begin at the first command of "
-                f"{one.signal}, but {factor * one.size:.2g} +/- "
-                f"{TWO_SIDED_95 * factor * one.std:.2g} {shown} beside it, and "
-                "parameters bend to that. Let the start of each record be estimated: "
-                "unknown_start(effect, std) of oed_sysid.physics, or begin records "
-                "later.",
-            ),
-        )
-    return tuple(found.values())
+        if (one.effect, one.signal) in said:
+            continue
+        said.add((one.effect, one.signal))
+        more = len({other.record for other in clear if other.effect == one.effect}) - 1
+        factor, shown = shown_unit(units.get(one.signal, ""))
+        yield Found(one.size, one.signal, one.record, facts={
+            "others": f" and {more} more records" if more else "", "effect": one.effect,
+            "value": factor * one.size, "error": TWO_SIDED_95 * factor * one.std, "unit": shown,
+        })  # fmt: skip
 
 
-def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
+def _inputs(fit: Estimate) -> Iterator[Found]:
     """Logged inputs whose white noise reaches the outputs.
 
     The vehicle answers to the true input, not to its log; a fit to the log lets coefficients
     shrink and errors look white (Fuller 1987, *Measurement error models*).
     """
-    found = []
     runner = kernel(fit.model)
     levels = noisy_inputs(fit.dataset)
     for column, channel in enumerate(fit.model.inputs):
@@ -514,38 +497,22 @@ def input_concerns(fit: Estimate) -> tuple[Concern, ...]:
             scaled = scaled[np.isfinite(scaled)]
             change, count = change + float(scaled @ scaled), count + len(scaled)
         size = float(np.sqrt(change / max(count, 1)))
-        if not size > INPUT_EFFECT:
-            continue
-        found.append(
-            Concern(
-                "input_noise",
-                channel.name,
-                "",
-                size,
-                f"The log of input {channel.name} carries white noise of {level:.3g} "
-                f"{channel.unit}; fed to the model it moves the outputs by {size:.2g} noise "
-                "levels. The vehicle answers to the true input: fit the command instead of the "
-                "measurement, or smooth the log, or allow a disturbance force at its actuator.",
-            )
-        )
-    return tuple(found)
+        if size > INPUT_EFFECT:
+            yield Found(size, channel.name, facts={"level": level, "unit": channel.unit})
 
 
-def _other_way(fit: Estimate) -> tuple[Concern, ...]:
+def _other_way(fit: Estimate) -> Iterator[Found]:
     """Inputs that act reversed, or in another unit, than the start values say."""
-    if not fit.status.ok or not fit.nominal:
-        return ()
-    return tuple(
-        Concern("other_way", one.channel.name, "", one.factor, one.text)
-        for one in other_way(fit, fit.nominal)
-    )
+    if fit.status.ok and fit.nominal:
+        for one in other_way(fit, fit.nominal):
+            yield Found(one.factor, one.channel.name, facts={"text": one.text})
 
 
 # -- the trajectory ------------------------------------------------------------------
 
 
-def _runaway(fit: Estimate) -> tuple[Concern, ...]:
-    """Values far beyond any scale."""
+def _runaway(fit: Estimate) -> Iterator[Found]:
+    """The first value far beyond any scale."""
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
         scale = parameter.scale or 0.0
@@ -555,28 +522,19 @@ def _runaway(fit: Estimate) -> tuple[Concern, ...]:
         most = RUNAWAY if np.isfinite(fit.std_errors.get(name, 0.0)) else UNSEEN
         limit = most * scale if scale > 0 else 1e15
         if not abs(value) <= max(limit, 1.0):
-            return (_ran_away(name, value, abs(value) / (scale or 1.0), parameter.unit),)
+            facts = {"value": value, "unit": f" {parameter.unit}".rstrip()}
+            yield Found(abs(value) / (scale or 1.0), name, facts=facts)
+            return
     spread = signal_spread(fit.dataset)
     highest = np.nanmax(np.abs(np.vstack([r.outputs for r in fit.dataset])), axis=0, initial=0.0)
     # An unstable vehicle leaves every scale on its own; what counts is the filter's error.
     parts = fit.predictions if fit.innovations is None else fit.innovations
     tops = np.max([np.max(np.abs(np.nan_to_num(p)), axis=0, initial=0.0) for p in parts], axis=0)
-    for column, output in enumerate(fit.model.outputs):
-        scale = float(max(highest[column], spread[column], fit.sigma[column]))
-        if tops[column] > RUNAWAY * scale:
-            return (_ran_away(output.name, tops[column], tops[column] / scale, output.unit),)
-    return ()
-
-
-def _ran_away(name: str, value: float, size: float, unit: str) -> Concern:
-    return Concern(
-        "runaway",
-        name,
-        "",
-        size,
-        f"{name} ran away to {value:.3g} {unit}".rstrip() + ", far beyond any scale. Start closer, "
-        "bound the parameters, or fix those that the records do not show.",
-    )
+    sizes = tops / np.max([highest, spread, fit.sigma], axis=0)
+    for column in np.flatnonzero(sizes > RUNAWAY)[:1]:
+        output = fit.model.outputs[column]
+        facts = {"value": tops[column], "unit": f" {output.unit}".rstrip()}
+        yield Found(sizes[column], output.name, facts=facts)
 
 
 def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
@@ -621,181 +579,87 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     return worst
 
 
-def _integration(fit: Estimate) -> tuple[Concern, ...]:
+def _integration(fit: Estimate) -> Iterator[Found]:
     """Trajectories that hang on the integration step."""
-    if not _has_numbers(fit):
-        return ()
     # Half the step shows nearly as much, and costs half.
-    if step_change(fit, 2)[0] < 0.5 * STEP_CHANGE:
-        return ()
+    if not _has_numbers(fit) or step_change(fit, 2)[0] < 0.5 * STEP_CHANGE:
+        return
     size, output, record = step_change(fit)
-    if size < STEP_CHANGE:
-        return ()
-    step, stiff = fit.model.step, ""
-    if fit.model.integrator != "implicit":
-        stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
-    return (
-        Concern(
-            "integration",
-            output,
-            record,
-            size,
-            f"The trajectories hang on the integration step: with {step / FINER:g} s instead of "
-            f"{step:g} s, {output} of record {record!r} changes by {size:.3g} noise levels "
-            f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again{stiff}; if that "
-            "does not help, a force of the model jumps where the state passes some value: make it "
-            "continuous.",
-        ),
-    )
+    if size >= STEP_CHANGE:
+        stiff = ""
+        if fit.model.integrator != "implicit":
+            stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
+        step = fit.model.step
+        yield Found(size, output, record, {"finer": step / FINER, "step": step, "stiff": stiff})
 
 
-def _degenerate(fit: Estimate) -> tuple[Concern, ...]:
+@dataclass(frozen=True, eq=False)
+class _Motion:
+    """How measured signals move, and what the model on its own leaves of it, by output.
+
+    Sums of squares ``(n_outputs,)`` about the mean of each record, or of increments: of the
+    signals ``own``, of the model ``moved``, of their difference ``left``.
+    """
+
+    count: np.ndarray
+    own: np.ndarray
+    moved: np.ndarray
+    left: np.ndarray
+
+    @classmethod
+    def of(cls, fit: Estimate, lag: float = 0.0) -> _Motion:
+        """Of the records as they are, or of increments over a share of each."""
+        sums = np.zeros((4, len(fit.model.outputs)))
+        for record, part in zip(fit.dataset, fit.predictions, strict=True):
+            for column, series in enumerate(record.outputs.T):
+                seen = np.isfinite(series)
+                signal, model = series[seen], part[seen, column]
+                if not len(signal):
+                    continue
+                with np.errstate(over="ignore", invalid="ignore"):
+                    rest = signal - model
+                    if lag:
+                        h = max(int(lag * len(signal)), 1)
+                        signal, model, rest = (x[h:] - x[:-h] for x in (signal, model, rest))
+                    else:
+                        signal, model = signal - signal.mean(), model - model.mean()
+                    squares = signal @ signal, model @ model, rest @ rest
+                sums[:, column] += (int(seen.sum()), *squares)
+        return cls(*sums)
+
+    @property
+    def share(self) -> np.ndarray:
+        """Root of the squares that are left over the squares that were there; NaN of nothing."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.sqrt(self.left / self.own)
+        return np.where(self.own > 0.0, np.nan_to_num(found, nan=np.inf), np.nan)
+
+    def beyond(self, noise: np.ndarray) -> np.ndarray:
+        """Which signals move by more than their noise."""
+        return self.own > (MOVES * noise) ** 2 * self.count
+
+
+def _degenerate(fit: Estimate) -> Iterator[Found]:
     """Outputs that a constant would explain as well."""
     if fit.innovations is not None or not _has_numbers(fit):
-        return ()
-    count, own, moved, left = np.zeros((4, len(fit.model.outputs)))
-    for record, part in zip(fit.dataset, fit.predictions, strict=True):
-        seen = np.isfinite(record.outputs)
-        n = seen.sum(axis=0)
-        count += n
-        signal, model = (np.where(seen, values, 0.0) for values in (record.outputs, part))
-        left += ((signal - model) ** 2).sum(axis=0)
-        for values, total in ((signal, own), (model, moved)):
-            total += ((values - values.sum(axis=0) / np.maximum(n, 1)) ** 2 * seen).sum(axis=0)
-    suspects = np.flatnonzero((count >= 10) & (left >= BARELY * own))
-    if not len(suspects):
-        return ()
+        return
+    motion = _Motion.of(fit)
+    suspects = (motion.count >= FEWEST) & (motion.left >= BARELY * motion.own)
+    if not suspects.any():
+        return
     noise, _ = white_levels(fit.dataset)
     noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
-    found = []
-    for column in suspects:
-        output = fit.model.outputs[column]
-        if own[column] <= (MOVES * noise[column]) ** 2 * count[column]:
-            continue
-        size = float(np.sqrt(left[column] / own[column]))
-        still = moved[column] < STILL**2 * own[column]
+    for column in np.flatnonzero(suspects & motion.beyond(noise)):
+        still = motion.moved[column] < STILL**2 * motion.own[column]
         how = "the model stands still" if still else "the model moves otherwise"
-        found.append(
-            Concern(
-                "degenerate",
-                output.name,
-                "",
-                size,
-                f"The residual of {output.name} is {size:.3g} times as large as the signal about "
-                f"its mean ({how}): a constant explains it as well. Start closer (start='near' "
-                "with values of the right sign and size), check signs and units, or bound the "
-                "parameters.",
-            )
-        )
-    return tuple(found)
+        yield Found(motion.share[column], fit.model.output_names[column], facts={"how": how})
 
 
 def _stands_still(fit: Estimate) -> bool:
     """Whether a constant per output explains all outputs together better than the model does."""
-    left = own = 0.0
-    for record, part in zip(fit.dataset, fit.predictions, strict=True):
-        signal = np.where(np.isfinite(record.outputs), record.outputs, np.nan) / fit.sigma
-        seen = np.isfinite(signal).any(axis=0)
-        signal, model = signal[:, seen], part[:, seen] / fit.sigma[seen]
-        own += float(np.nansum((signal - np.nanmean(signal, axis=0)) ** 2))
-        left += float(np.nansum((signal - model) ** 2))
-    return left >= BARELY * own
-
-
-# -- unknowns ------------------------------------------------------------------------
-
-
-def _few_samples(fit: Estimate) -> tuple[Concern, ...]:
-    ratio = fit.n_observations / max(fit.n_unknowns, 1)
-    if ratio >= FEW or not fit.n_unknowns:
-        return ()
-    return (
-        Concern(
-            "few_samples",
-            "",
-            "",
-            ratio,
-            f"{fit.n_observations} samples for {fit.n_unknowns} unknowns: residuals are small "
-            f"whatever the model is (at least {FEW:g} samples per unknown expected). Measure "
-            "longer, or fix what is known.",
-        ),
-    )
-
-
-def _records_differ(fit: Estimate) -> tuple[Concern, ...]:
-    """Estimates that scatter between records by more than their standard errors say."""
-    scatter = fit.record_scatter
-    if scatter is None:
-        return ()
-    with np.errstate(invalid="ignore"):
-        white = np.diag(fit.information.covariance)
-    factor, clear = scatter.exceeds(np.diag(fit.covariance), white)
-    if not clear.any():
-        return ()
-    order = [int(i) for i in np.argsort(-factor) if clear[i]]
-    worst = ", ".join(f"{fit.names[i]} {factor[i]:.2g} times" for i in order[:NAMED])
-    more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
-    return (
-        Concern(
-            "records_differ",
-            fit.names[order[0]],
-            "",
-            float(factor[order[0]]),
-            f"Estimates scatter between the {scatter.n_records} records by more than their "
-            f"standard errors say: {worst}{more}. Something acts that no parameter says and that "
-            "differs from record to record. Use the errors between records (fit.record_errors, "
-            "fit.with_record_errors(); jackknife() refits), and look for what is missing with "
-            "improve().",
-        ),
-    )
-
-
-def _follows(fit: Estimate) -> tuple[Concern, ...]:
-    """Parameters of records that follow the amplitude of a signal over the records."""
-    n = len(fit.dataset)
-    names = fit.local_values[0] if fit.local_values else {}
-    if n < FOLLOWS_RECORDS or not names:
-        return ()
-    sizes = {
-        channel.name: np.array([np.max(np.abs(r.inputs[:, i])) for r in fit.dataset])
-        for i, channel in enumerate(fit.model.inputs)
-    }
-    sizes = {name: size for name, size in sizes.items() if np.ptp(size) > 1e-2 * np.max(size)}
-    found = []
-    for name in names:
-        values = np.array([local[name] for local in fit.local_values])
-        if not np.ptp(values) > 0:
-            continue
-        best = ("", 0.0, 1.0)
-        for signal, size in sizes.items():
-            correlation = float(np.corrcoef(values, size)[0, 1])
-            t = abs(correlation) * np.sqrt((n - 2) / max(1.0 - correlation**2, 1e-12))
-            chance = 2.0 * float(stdtr(n - 2, -t))
-            if chance < best[2]:
-                best = (signal, correlation, chance)
-        signal, correlation, chance = best
-        if chance * len(sizes) > FOLLOWS_CHANCE:
-            continue
-        found.append(
-            Concern(
-                "per_record_follows",
-                name,
-                "",
-                correlation,
-                f"{name}, estimated per record, follows the amplitude of {signal} over {n} records "
-                f"(correlation {correlation:+.2f}, by chance in {100 * chance:.1g} % of cases): it "
-                f"stands for physics that grows with {signal}, and predictions beyond these "
-                "amplitudes will err. Make it one value for all records and look for what is "
-                "missing with improve().",
-            )
-        )
-    return tuple(found)
-
-
-# Concerns with which a fit may converge and must still not be used.
-GRAVE = ("absorbed", "degenerate", "few_samples")
-# Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
-HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
+    motion = _Motion.of(fit)
+    weight = np.where(motion.count > 0, fit.sigma**-2.0, 0.0)
+    return bool(weight @ motion.left >= BARELY * (weight @ motion.own))
 
 
 def unexplained(fit: Estimate) -> dict[str, float]:
@@ -812,89 +676,194 @@ def unexplained(fit: Estimate) -> dict[str, float]:
         Root of the smallest ratio of squares: 0 where everything is explained, 1 where a
         constant is as good; NaN where nothing, or next to nothing, was measured.
     """
-    found = {}
-    for column, name in enumerate(fit.model.output_names):
-        pairs = []
-        for record, part in zip(fit.dataset, fit.predictions, strict=True):
-            seen = np.isfinite(record.outputs[:, column])
-            if seen.any():
-                pairs.append((record.outputs[seen, column], part[seen, column]))
-        shares = [_share([(y - y.mean(), y - model) for y, model in pairs])]
-        for horizon in HORIZONS if fit.innovations is not None else ():
-            moved = []
-            for y, model in pairs:
-                h = max(int(horizon * len(y)), 1)
-                moved.append((y[h:] - y[:-h], (y - model)[h:] - (y - model)[:-h]))
-            shares.append(_share(moved))
-        few = sum(len(y) for y, _ in pairs) < FEWEST
-        found[name] = np.nan if few else float(np.nanmin([*shares, np.inf]))
-    return {name: share if np.isfinite(share) else np.nan for name, share in found.items()}
+    lags = (0.0, *(HORIZONS if fit.innovations is not None else ()))
+    motions = [_Motion.of(fit, lag) for lag in lags]
+    least = np.min([np.nan_to_num(one.share, nan=np.inf) for one in motions], axis=0)
+    told = np.isfinite(least) & (motions[0].count >= FEWEST)
+    shares = np.where(told, least, np.nan)
+    return dict(zip(fit.model.output_names, map(float, shares), strict=True))
 
 
-def _share(pairs: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Root of the squares that are left over the squares that were there."""
-    own = sum(float(signal @ signal) for signal, _ in pairs)
-    with np.errstate(over="ignore", invalid="ignore"):
-        left = sum(float(rest @ rest) for _, rest in pairs)
-    if not own > 0.0:
-        return np.nan
-    return float(np.sqrt(left / own)) if np.isfinite(left) else np.inf
-
-
-def grave(fit: Estimate, concerns: Sequence[Concern]) -> tuple[Concern, ...]:
-    """What makes a fit useless although it converged: the noise holds what a model should.
-
-    Parameters
-    ----------
-    fit : Estimate
-    concerns : sequence of Concern
-        What speaks against it, as :func:`.judgement.judge` finds it.
-
-    Returns
-    -------
-    tuple of Concern
-        ``absorbed``, ``degenerate`` and ``few_samples``; empty where the fit can be used, or
-        where its status says already that it cannot.
-    """
-    if not fit.status.ok:
-        return ()
-    found = [concern for concern in concerns if concern.kind in GRAVE]
-    named = {concern.signal for concern in found}
+def _unexplained(fit: Estimate) -> Iterator[Found]:
+    """Outputs that move, or all outputs, of which noise or forces hold nearly everything."""
     shares = {name: share for name, share in unexplained(fit).items() if not np.isnan(share)}
     poor = [name for name, share in shares.items() if share >= BARELY]
     if not poor or not fit.dataset.channels.inputs:
-        return tuple(found)
-    everything = len(poor) == len(shares)
-    moving = _moving(fit)
+        return
+    moves = _Motion.of(fit).beyond(white_levels(fit.dataset)[0])
+    moving = dict(zip(fit.model.output_names, moves, strict=True))
     what = "random forces hold the rest" if fit.innovations is not None else "the noise is the rest"
     for name in poor:
-        if name in named or not (everything or name in moving):
+        if len(poor) == len(shares) or moving[name]:
+            yield Found(shares[name], name, facts={"what": what})
+
+
+# -- unknowns ------------------------------------------------------------------------
+
+
+def _few_samples(fit: Estimate) -> Iterator[Found]:
+    ratio = fit.n_observations / max(fit.n_unknowns, 1)
+    if ratio < FEW and fit.n_unknowns:
+        yield Found(ratio, facts={"n": fit.n_observations, "unknowns": fit.n_unknowns})
+
+
+def _records_differ(fit: Estimate) -> Iterator[Found]:
+    """Estimates that scatter between records by more than their standard errors say."""
+    scatter = fit.record_scatter
+    if scatter is None:
+        return
+    with np.errstate(invalid="ignore"):
+        white = np.diag(fit.information.covariance)
+    factor, clear = scatter.exceeds(np.diag(fit.covariance), white)
+    order = [int(i) for i in np.argsort(-factor) if clear[i]]
+    if order:
+        worst = ", ".join(f"{fit.names[i]} {factor[i]:.2g} times" for i in order[:NAMED])
+        more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
+        facts = {"n": scatter.n_records, "worst": worst, "more": more}
+        yield Found(factor[order[0]], fit.names[order[0]], facts=facts)
+
+
+def _follows(fit: Estimate) -> Iterator[Found]:
+    """Parameters of records that follow the amplitude of a signal over the records."""
+    n = len(fit.dataset)
+    names = fit.local_values[0] if fit.local_values else {}
+    if n < FOLLOWS_RECORDS or not names:
+        return
+    sizes = {
+        channel.name: np.array([np.max(np.abs(r.inputs[:, i])) for r in fit.dataset])
+        for i, channel in enumerate(fit.model.inputs)
+    }
+    sizes = {name: size for name, size in sizes.items() if np.ptp(size) > 1e-2 * np.max(size)}
+    for name in names:
+        values = np.array([local[name] for local in fit.local_values])
+        if not sizes or not np.ptp(values) > 0:
             continue
-        found.append(
-            Concern(
-                "degenerate",
-                name,
-                "",
-                shares[name],
-                f"A constant explains {name} as well as the model on its own does (what is left "
-                f"is {shares[name]:.3g} times its movement; {what}). Check signs, units and "
-                "clocks with `oed-sysid check`, and look for what is missing with improve().",
-            )
-        )
-    return tuple(found)
+        told = []
+        for signal, size in sizes.items():
+            correlation = float(np.corrcoef(values, size)[0, 1])
+            t = abs(correlation) * np.sqrt((n - 2) / max(1.0 - correlation**2, 1e-12))
+            told.append((2.0 * float(stdtr(n - 2, -t)), signal, correlation))
+        chance, signal, correlation = min(told)
+        if chance * len(sizes) <= FOLLOWS_CHANCE:
+            facts = {"follows": signal, "n": n, "chance": 100 * chance}
+            yield Found(correlation, name, facts=facts)
 
 
-def _moving(fit: Estimate) -> set[str]:
-    """Outputs that move by more than their noise."""
-    noise, _ = white_levels(fit.dataset)
-    found = set()
-    for column, name in enumerate(fit.model.output_names):
-        own, count = 0.0, 0
-        for record in fit.dataset:
-            y = record.outputs[:, column]
-            y = y[np.isfinite(y)]
-            if len(y):
-                own, count = own + float(np.sum((y - y.mean()) ** 2)), count + len(y)
-        if count and own > (MOVES * noise[column]) ** 2 * count:
-            found.add(name)
-    return found
+# The gravest first.
+CHECKS = (
+    Check(
+        "runaway", _runaway, f"{RUNAWAY:g} scales ({UNSEEN:g} where nothing shows a value)",
+        "{signal} ran away to {value:.3g}{unit}, far beyond any scale. Start closer, "
+        "bound the parameters, or fix those that the records do not show.",
+    ),
+    Check(
+        "integration", _integration, f"{STEP_CHANGE:g} noise levels",
+        "The trajectories hang on the integration step: with {finer:g} s instead of "
+        "{step:g} s, {signal} of record {record!r} changes by {size:.3g} noise levels "
+        f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again{{stiff}}; if that "
+        "does not help, a force of the model jumps where the state passes some value: make it "
+        "continuous.",
+    ),
+    Check(
+        "degenerate", _degenerate, f"{BARELY:g} of the squares about the mean are left",
+        "The residual of {signal} is {size:.3g} times as large as the signal about "
+        "its mean ({how}): a constant explains it as well. Start closer (start='near' "
+        "with values of the right sign and size), check signs and units, or bound the "
+        "parameters.",
+    ),
+    Check(
+        "few_samples", _few_samples, f"fewer than {FEW:g} samples per unknown",
+        "{n} samples for {unknowns} unknowns: residuals are small "
+        f"whatever the model is (at least {FEW:g} samples per unknown expected). Measure "
+        "longer, or fix what is known.",
+    ),
+    Check(
+        "process_noise", _process_noise, "the fit with process noise failed",
+        "Process noise seems to act (2 delta ln L is about {size:.3g} by the score "
+        "test), but the fit with it ended with {failed!r}: these values are from the "
+        "fit without it. Look for what is missing with improve() and for faults of the log "
+        "with `oed-sysid check`, or name the disturbed equations, such as "
+        "disturbances=('Z', 'M').",
+    ),
+    Check("other_way", _other_way, "see departures.other_way", "{text}"),
+    Check(
+        "records_differ", _records_differ, "a chance of 1 %; see between_records.exceeds",
+        "Estimates scatter between the {n} records by more than their "
+        "standard errors say: {worst}{more}. Something acts that no parameter says and that "
+        "differs from record to record. Use the errors between records (fit.record_errors, "
+        "fit.with_record_errors(); jackknife() refits), and look for what is missing with "
+        "improve().",
+    ),
+    Check(
+        "spikes", _excluded, "any",
+        "{size} of {total} samples of {signal} excluded as spikes. Look at them: a "
+        "sensor that jumps is repaired, not fitted.",
+    ),
+    Check(
+        "spikes", _spikes, "see noise_levels.spike_masks",
+        "{size} of {n} samples of {signal} stand out alone{side}, by up to "
+        "{largest:.3g} times their usual distance from their neighbours "
+        "(normal noise: {expected:.1g} beyond four). They bias the fit "
+        "and its errors: mark them NaN, or use MultipleShooting(loss='auto'), which leaves "
+        "them out.",
+    ),
+    Check(
+        "delay", _delay, f"{CLEAR:g} standard errors; see departures.clear_delay",
+        "The residuals look as if {signal} {verb} {seconds:.3g} +/- {error:.2g} s {late} "
+        "(expected none). Compare the clocks of "
+        "the log, and shift {signal}, or add a delay or lag to the model.",
+    ),
+    Check(
+        "actuator_start", _starts, f"{CLEAR:g} standard errors; see departures.clear_starts",
+        "In {record!r}{others} {effect} did not begin at the first command of "
+        "{signal}, but {value:.2g} +/- {error:.2g} {unit} beside it, and "
+        "parameters bend to that. Let the start of each record be estimated: "
+        "unknown_start(effect, std) of oed_sysid.physics, or begin records later.",
+    ),
+    Check(
+        "noise_level", _levels, f"{CLEAR:g} standard errors and a factor of {LEVEL_FACTOR:g}",
+        "Noise of {signal}: declared {declared:.3g} {unit}, found {found:.3g} ({size:.2f} times, "
+        "95 % {low:.2f} to {high:.2f}). {so}",
+    ),
+    Check(
+        "absorbed", _absorbed, f"a factor of {ABSORBED:g}, of correlated residuals",
+        "The estimated noise of {signal}, {sigma:.3g} {unit}, is {size:.3g} times its "
+        "high-frequency content ({floor:.3g}): it "
+        "holds what the model does not explain. A misfit of one says nothing here; "
+        "declare noise_std, check signs and units, or look for what is missing.",
+    ),
+    Check(
+        "input_noise", _inputs, f"{INPUT_EFFECT:g} noise levels",
+        "The log of input {signal} carries white noise of {level:.3g} "
+        "{unit}; fed to the model it moves the outputs by {size:.2g} noise "
+        "levels. The vehicle answers to the true input: fit the command instead of the "
+        "measurement, or smooth the log, or allow a disturbance force at its actuator.",
+    ),
+    Check(
+        "swing", _swings, "a chance of 1 %; see covariance.clear_peaks",
+        "Innovations of {signal} swing with a period of about {size:.2g} s "
+        "({ratio:.1f} times the power of white ones): waves that one sea does not "
+        "describe, or motion that the model lacks. Standard errors are from the sandwich "
+        "covariance, which holds the swing; estimates are not as precise as they could be.",
+    ),
+    Check(
+        "colour", _colours, f"a chance of {COLOUR_CHANCE:g} (Ljung-Box), or of lag one",
+        "{what} of {signal} are correlated: {n} samples count as {effective:.0f}, expected "
+        "{n}. {todo}",
+    ),
+    Check(
+        "per_record_follows", _follows, f"a chance of {FOLLOWS_CHANCE:g}, all signals together",
+        "{signal}, estimated per record, follows the amplitude of {follows} over {n} records "
+        "(correlation {size:+.2f}, by chance in {chance:.1g} % of cases): it "
+        "stands for physics that grows with {follows}, and predictions beyond these "
+        "amplitudes will err. Make it one value for all records and look for what is "
+        "missing with improve().",
+    ),
+)  # fmt: skip
+# Asked once a fit has converged.
+UNEXPLAINED = Check(
+    "degenerate", _unexplained, f"{BARELY:g} of the squares about the mean are left",
+    "A constant explains {signal} as well as the model on its own does (what is left "
+    "is {size:.3g} times its movement; {what}). Check signs, units and "
+    "clocks with `oed-sysid check`, and look for what is missing with improve().",
+)  # fmt: skip

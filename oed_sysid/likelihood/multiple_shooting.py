@@ -11,13 +11,13 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import ModelError, SimulationError
+from oed_sysid.errors import ModelError, SimulationError, respelled
 from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import (
-    check_count,
+    Solver,
     check_disturbances,
     check_levels,
     check_positive,
@@ -26,7 +26,7 @@ from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
 from oed_sysid.likelihood.horizons import fit_horizons
-from oed_sysid.likelihood.judgement import level_concerns, with_verdict
+from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     credible_levels,
     residual_levels,
@@ -110,18 +110,13 @@ class MultipleShooting:
         the square.
     start : str
         ``"auto"``, ``"near"`` (trust the start values) or ``"wide"``.
-    max_iterations, tolerance
-        See :func:`oed_sysid.likelihood.gauss_newton.solve`.
     coloured : str
         ``"auto"`` reports the sandwich covariance where residuals are
         correlated; ``"never"`` and ``"always"`` force it.
     progress : callable or None
         Called with a :class:`~oed_sysid.likelihood.gauss_newton.Progress` after every iteration.
-    solver : str
-        ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds
-        every node as an unknown and takes constraints.
-    hessian : str
-        For IPOPT: ``"gauss-newton"`` or ``"exact"``.
+    solver : Solver
+        Method, iterations, tolerance; constraints among parameters.
     disturbances : str, Sea or sequence of these
         Disturbance forces. ``"auto"`` tests at the white fit whether any act (a score test
         at variance zero) and, if so, estimates their levels and times with everything
@@ -136,22 +131,15 @@ class MultipleShooting:
         length, each from a start state of its own (:mod:`oed_sysid.likelihood.horizons`). ``None``
         predicts whole records. A short horizon keeps misfit of structure out of the
         derivatives; disturbance forces are then not looked for.
-    constraints : sequence of str
-        For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
-        ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
     """
 
     interval: float | None = None
     noise: str | Sequence[float] = "auto"
     loss: str = "auto"
     start: str = "auto"
-    max_iterations: int = 100
-    tolerance: float = 1e-6
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
-    solver: str = "gauss-newton"
-    hessian: str = "gauss-newton"
-    constraints: Sequence[str] = ()
+    solver: Solver = Solver()  # noqa: RUF009 (frozen)
     disturbances: Disturbances = "auto"
     horizon: float | None = None
 
@@ -165,23 +153,14 @@ class MultipleShooting:
         if self.interval is not None:
             advice = "Give a positive length in s, infinity for single shooting, or None."
             check_positive("Shooting interval", self.interval, advice, infinite=True)
-        if self.solver not in ("gauss-newton", "ipopt"):
-            raise ModelError(f"solver is {self.solver!r}. Choose gauss-newton or ipopt.")
-        if self.hessian not in ("exact", "gauss-newton"):
-            raise ModelError(f"hessian is {self.hessian!r}. Choose exact or gauss-newton.")
-        if self.constraints and self.solver != "ipopt":
-            raise ModelError(
-                "Constraints among parameters need solver='ipopt'; bounds of single parameters "
-                "do not: give them as Parameter(lower=..., upper=...)."
-            )
-        check_count("max_iterations", self.max_iterations)
-        check_positive("tolerance", self.tolerance, "Give a positive number.")
+        if not isinstance(self.solver, Solver):
+            raise ModelError(f"solver is {self.solver!r}. Write solver=Solver({self.solver!r}).")
         loss_by_name(self.loss)
         if self.horizon is not None:
             self._check_horizon()
         if self.disturbances not in ("auto", "none") and self._white_only:
             raise ModelError(
-                f"disturbances={self.disturbances!r} goes with solver='gauss-newton' and "
+                f"disturbances={self.disturbances!r} goes with Solver('gauss-newton') and "
                 "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'."
             )
 
@@ -194,16 +173,16 @@ class MultipleShooting:
                 f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon."
             )
         squares = self.loss in ("auto", "square")
-        if self.solver != "gauss-newton" or not squares or self.interval is not None:
+        if self.solver.method != "gauss-newton" or not squares or self.interval is not None:
             raise ModelError(
-                "A horizon goes with solver='gauss-newton', loss='auto' or 'square' and "
+                "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
                 "interval=None: its windows are the intervals."
             )
 
     @property
     def _white_only(self) -> bool:
         """Whether the settings leave no room for disturbance forces."""
-        return self.solver == "ipopt" or self.loss not in ("auto", "square")
+        return self.solver.method == "ipopt" or self.loss not in ("auto", "square")
 
     @property
     def _seas(self) -> tuple[Sea, ...]:
@@ -223,7 +202,8 @@ class MultipleShooting:
         """Name and settings, for reports."""
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
         loss = "" if self.loss in ("auto", "square") else f", {self.loss} loss"
-        solver = f", IPOPT with {self.hessian} Hessian" if self.solver == "ipopt" else ""
+        ipopt = self.solver.method == "ipopt"
+        solver = f", IPOPT with {self.solver.hessian} Hessian" if ipopt else ""
         horizon = "" if self.horizon is None else f", {self.horizon:g} s ahead"
         return f"multiple shooting{interval}{loss}{solver}{horizon}"
 
@@ -333,7 +313,7 @@ class MultipleShooting:
             known_starts=known_starts,
         )
         check_enough_samples(shooting)
-        if self.solver == "ipopt":
+        if self.solver.method == "ipopt":
             shooting = shooting.with_intervals(shooting.interval_samples)
         return shooting, estimated
 
@@ -352,8 +332,8 @@ class MultipleShooting:
             self.horizon,
             estimated,
             estimator=self.name,
-            max_iterations=self.max_iterations,
-            tolerance=self.tolerance,
+            max_iterations=self.solver.max_iterations,
+            tolerance=self.solver.tolerance,
             coloured=self.coloured,
             progress=self.progress,
         )
@@ -420,7 +400,7 @@ class MultipleShooting:
         before, again, iterations = _measured(fit.dataset), fit, fit.iterations
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
-        looking = plain if self.solver == "ipopt" else replace(plain, loss="student")
+        looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
         for _ in range(SPIKE_ROUNDS):
             if not all(np.isfinite(part).all() for part in again.predictions):
                 break
@@ -534,7 +514,7 @@ class MultipleShooting:
                 starts,
                 test,
                 kernel=kernel,
-                max_iterations=self.max_iterations,
+                max_iterations=self.solver.max_iterations,
                 progress=self.progress,
             )
         except np.linalg.LinAlgError:  # equations without numbers: no way on from there
@@ -578,14 +558,14 @@ class MultipleShooting:
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""
         minimise: Minimiser = solve
-        if self.solver == "ipopt":
+        if self.solver.method == "ipopt":
             minimise = NonlinearProgram(
-                shooting, hessian=self.hessian, constraints=self.constraints
+                shooting, hessian=self.solver.hessian, constraints=self.solver.constraints
             ).solve
         return partial(
             minimise,
-            max_iterations=self.max_iterations,
-            tolerance=self.tolerance,
+            max_iterations=self.solver.max_iterations,
+            tolerance=self.solver.tolerance,
             callback=self.progress,
         )
 
@@ -593,13 +573,16 @@ class MultipleShooting:
         self, shooting: Shooting, point: Point, minimise: Minimiser
     ) -> tuple[Solution | None, int]:
         """Iterate from near, from far, or from both, and return the better end."""
-        begin = 0.0 if self.start == "near" else misfit(shooting, point)
-        far = self.start == "wide" or (self.start == "auto" and begin > FAR)
+        if self.start == "near":
+            only = minimise(shooting, point)
+            return only, only.iterations if only else 0
+        begin = misfit(shooting, point)
+        far = self.start == "wide" or begin > FAR
         first = None if far else minimise(shooting, point)
-        if self.start == "near" or (first is not None and first.reason == "interrupted"):
-            return first, first.iterations if first else 0
         # A local minimum is worth a second attempt only if the start was doubtful.
-        if first is not None and _trusted(begin, shooting, first):
+        if first is not None and (
+            first.reason == "interrupted" or _trusted(begin, shooting, first)
+        ):
             return first, first.iterations
         try:
             second = minimise(shooting, wide_start(shooting, point))
@@ -610,6 +593,13 @@ class MultipleShooting:
         if self.start == "auto" and first is None and not _explains(shooting, second):
             first = minimise(shooting, point)  # what looked far may be the better side
         return _better(first, second)
+
+
+_GONE = {
+    name: f"solver=Solver({name}=...)"
+    for name in ("max_iterations", "tolerance", "hessian", "constraints")
+}
+MultipleShooting.__init__ = respelled(ModelError, _GONE)(MultipleShooting.__init__)  # type: ignore[method-assign]
 
 
 @dataclass(frozen=True, eq=False)
@@ -792,7 +782,7 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
 
 def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
     """White levels that are clearly above the declared ones; zero where they are not."""
-    factors = {concern.signal: concern.size for concern in level_concerns(fit)}
+    factors = {concern.signal: concern.size for concern in concerns_of(fit, "noise_level")}
     sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
     return np.where(sizes > 1.0, sizes * white, 0.0)
 

@@ -27,6 +27,8 @@ SMALLEST_SHARE = 1e-9
 # Orders of differences in which white noise is looked for, and the share of one order's level
 # below which the next one's means that motion was seen, not noise.
 LOWEST_ORDER, HIGHEST_ORDER, STILL_FALLING = 3, 12, 0.85
+# Standard error of the logarithm of such a level, times the root of the number of samples.
+DIFFERENCE_ERROR = 1.5
 # White noise below this share of the signal is the last digit of a file, not a sensor; and where
 # no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
 LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3

@@ -204,6 +204,11 @@ class NoiseModel:
         """Return the same model with other levels."""
         return replace(self, white=white, colour=colour, force=force)
 
+    def at_most(self, sensors: np.ndarray) -> NoiseModel:
+        """Return the same model with sensors whose standard deviation is no larger than given."""
+        share = np.minimum(1.0, sensors / np.maximum(self.sensors, 1e-300))
+        return replace(self, white=share * self.white, colour=share * self.colour)
+
     def level(self, place: str) -> tuple[float, float]:
         """Level and time of the disturbance at one place; zero level where there is none."""
         if place not in self.places:

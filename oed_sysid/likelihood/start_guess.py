@@ -132,25 +132,15 @@ def _solve(
     equations = [e for e in equations if e[1] <= {*known, *wanted}]
     if not equations or not wanted:
         return {}
-    scales = {state.name: state.scale for state in model.states}
-    vague = np.array([VAGUE * scales[name] for name in wanted])
-    n = len(record.times)
-    values = np.zeros((n, len(wanted)))
-    matrix = np.zeros((n, len(wanted), len(wanted)))
+    scale = np.array([state.scale for state in model.states if state.name in wanted])
+    wanted = [state.name for state in model.states if state.name in wanted]
+    vague = VAGUE * scale
+    values = np.zeros((len(record.times), len(wanted)))
     with np.errstate(all="ignore"):
         for _ in range(NEWTON_STEPS):
-            matrix[:] = np.diag(vague**-2)
-            right = -values / vague**2
-            for function, _, target, error in equations:
-                here = known | dict(zip(wanted, values.T, strict=True))
-                residual = (target - function(here)) / error
-                rows = np.empty((n, len(wanted)))
-                for i, name in enumerate(wanted):
-                    h = 1e-4 * scales[name]
-                    up = function(here | {name: here[name] + h})
-                    rows[:, i] = (up - function(here | {name: here[name] - h})) / (2 * h * error)
-                matrix += rows[:, :, None] * rows[:, None, :]
-                right += rows * residual[:, None]
+            matrix, right = _normal(equations, known, dict(zip(wanted, scale, strict=True)), values)
+            matrix = matrix + np.diag(vague**-2)
+            right = right - values / vague**2
             if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
                 return {}
             values = values + np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
@@ -162,6 +152,31 @@ def _solve(
         for i, name in enumerate(wanted)
         if std[i] < 0.5 * vague[i]
     }
+
+
+def _normal(
+    equations: list[Equation],
+    known: Mapping[str, np.ndarray],
+    scales: Mapping[str, float],
+    values: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal equations of every sample, ``(n_times, n, n)`` and ``(n_times, n)``.
+
+    Derivatives by the states of ``scales`` are central differences at ``values``.
+    """
+    n, size = values.shape
+    matrix, right = np.zeros((n, size, size)), np.zeros((n, size))
+    here = {**known, **dict(zip(scales, values.T, strict=True))}
+    for function, _, target, error in equations:
+        residual = (target - function(here)) / error
+        rows = np.empty((n, size))
+        for i, (name, scale) in enumerate(scales.items()):
+            h = 1e-4 * scale
+            up = function(here | {name: here[name] + h})
+            rows[:, i] = (up - function(here | {name: here[name] - h})) / (2 * h * error)
+        matrix += rows[:, :, None] * rows[:, None, :]
+        right += rows * residual[:, None]
+    return matrix, right
 
 
 def _equations(

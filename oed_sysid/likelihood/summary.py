@@ -15,7 +15,6 @@ from oed_sysid.likelihood.covariance import (
     clear_peaks,
     shared_rows,
     tests_middle,
-    tests_stray,
     widened,
 )
 from oed_sysid.likelihood.filtered import Filtered
@@ -157,7 +156,7 @@ def summarise(
     information = reduced.information
     covariance = information.covariance
     use = coloured == "always" or (coloured == "auto" and reduced.is_coloured)
-    scattered = coloured == "always" or (coloured == "auto" and reduced.tests_stray(covariance))
+    scattered = coloured == "always" or (coloured == "auto" and reduced.told.stray(covariance))
     if ((use or scattered) and weighed) or shooting.loss is not None:
         covariance = reduced.sandwich(covariance, coloured=use, scattered=scattered)
     paths = []
@@ -279,15 +278,13 @@ def _with_stray_tests(
     covariance: np.ndarray,
 ) -> np.ndarray:
     """Covariance with what independent tests scatter beyond their declared noise."""
-    chosen = [i for i, record in enumerate(problem.records) if record.independent]
     white = information.covariance
-    if not chosen or not len(white):
+    if not any(record.independent for record in problem.records) or not len(white):
         return covariance
-    jacobians, scores = shared_rows(problem, unknowns, matrix)
-    rows = np.concatenate([jacobians[i] for i in chosen])
-    residuals = np.concatenate([scores[i] for i in chosen])
-    if not tests_stray(rows, residuals, white):
+    told = shared_rows(problem, unknowns, matrix)
+    if not told.stray(white):
         return covariance
+    rows, residuals = told.tests
     more = tests_middle(rows, residuals, white, scattered=True)
     more -= tests_middle(rows, residuals, white, scattered=False)
     seen = np.where(np.isfinite(white), white, 0.0)

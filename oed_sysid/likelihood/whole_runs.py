@@ -11,6 +11,19 @@ then turns away from the record. Of runs drawn under process noise, departing by
 undisturbed one, an estimator with derivatives ``J`` (whitened, priors ``Λ``) returns and leaves
 
 .. math:: t = (J'J + \Lambda)^{-1} J'd, \qquad r = d - J t .
+
+*Could disturbances this strong have left runs this good, or this bad?* Process noise that acts
+accumulates in a run; no constant parameters undo that. Let ``S_o`` be the sum of squares over
+:math:`\sigma_o^2` that a fit without process noise leaves of the runs of output ``o``, and
+``S_bo`` that of :math:`r_b` for runs drawn under the noise model in question,
+
+.. math::
+    z_o = \frac{\log S_o - \operatorname{median}_b \log S_{bo}}
+               {\text{half width of the middle 68 \% of } \log S_{bo} \text{ on that side}}
+
+Below -4 the process noise is too strong for the runs that were seen: it holds structure. Above 4 it
+does not explain them. Without process noise the draws are of the sensors alone, at their *declared*
+level, and the statistic is a chi-square that may be autocorrelated.
 """
 
 from __future__ import annotations
@@ -24,13 +37,29 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_batch
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
-from oed_sysid.likelihood.gauss_newton import solve
+from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.gauss_newton import Solution, solve
+from oed_sysid.likelihood.noise_levels import (
+    DIFFERENCE_ERROR,
+    given_levels,
+    signal_spread,
+    white_levels,
+)
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
+from oed_sysid.text.units import shown_unit
 
+# Runs drawn, the widths that z is in are then known to a tenth; and those at once.
+DRAWS, CHUNK = 120, 20
+# Widths beyond which runs are no chance: one in some ten thousand were they normal.
+BEYOND = 4.0
+# Whole-run error of a fit with process noise over that of one without from which its values are
+# not those of the runs that it was fitted to.
+WORSE = 1.5
 # Singular directions of whitened derivatives below this share of the largest are not answered.
 SINGULAR = 1e-10
 
@@ -100,6 +129,14 @@ class WholeRun:
         found = min((end for end in ends if end is not None), key=lambda e: e.cost, default=None)
         return cls.at(shooting, point.unknowns if found is None else found.point.unknowns)
 
+    @classmethod
+    def part(cls, shooting: Shooting, unknowns: np.ndarray, index: int) -> WholeRun:
+        """One record of a fit of several, at its unknowns."""
+        alone = Shooting(shooting.model, Dataset((shooting.records[index],)), shooting.sigma)
+        own = np.empty(alone.layout.n_unknowns)
+        own[alone.layout.record_columns(0)] = unknowns[shooting.layout.record_columns(index)]
+        return cls.at(alone, own)
+
     @property
     def record(self) -> Record:
         """The record."""
@@ -128,13 +165,16 @@ class WholeRun:
     @property
     def local(self) -> dict[str, float]:
         """Values of the parameters of the record."""
-        layout = self.shooting.layout
-        own = layout.parameters(self.unknowns, 0)
-        return {layout.free_names[i]: float(own[i]) for i in layout.local}
+        return self.shooting.layout.local_values(self.unknowns)[0]
 
     def weights(self) -> np.ndarray:
         """Inverse standard deviations ``(n_times, n_outputs)``, zero where nothing was measured."""
         return np.isfinite(self.record.outputs) / self.shooting.sigma
+
+    def whitened(self) -> np.ndarray:
+        """Residuals in standard deviations ``(n_times, n_outputs)``, zero where not measured."""
+        left = self.record.residuals(self.outputs)
+        return np.where(self.weights() > 0, left, 0.0) * self.weights()
 
     def answer(self) -> tuple[np.ndarray, np.ndarray]:
         """What a fit of :attr:`others` makes of a departure, and its covariance from white noise.
@@ -250,3 +290,389 @@ def rms(runs: Sequence[WholeRun]) -> np.ndarray:
         squares = np.where(seen, residuals, 0.0) ** 2
         found = np.sqrt(squares.sum(axis=0) / seen.sum(axis=0))
     return np.where(seen.any(axis=0) & ~np.isfinite(found), np.inf, found)
+
+
+@dataclass(frozen=True, eq=False)
+class WholeRuns:
+    """What the whole runs of a fit say of its noise model.
+
+    Attributes
+    ----------
+    outputs, units : tuple of str
+    error, without : ndarray (n_outputs,)
+        Root mean square residual of whole runs, starts fitted, of the fit and of one without
+        process noise, in the unit of the output; infinite where they diverge.
+    spread : ndarray (n_outputs,)
+        Standard deviation of the measured signals.
+    noise : ndarray (n_outputs,)
+        Standard deviation that the sensor is granted: the declared one, or that of the records'
+        high-frequency content where that is larger; what was estimated where none was declared.
+    declared : ndarray of bool (n_outputs,)
+        Whether that is not an estimate, which no run could exceed.
+    z : ndarray (n_outputs,)
+        How far the runs of the fit without process noise lie from what the noise model would have
+        left, in standard widths; NaN where that was not asked.
+    process_noise : bool
+        Whether the noise model has process noise.
+    unasked : str
+        Why ``z`` was not asked; empty where it was.
+    """
+
+    outputs: tuple[str, ...]
+    units: tuple[str, ...]
+    error: np.ndarray
+    without: np.ndarray
+    spread: np.ndarray
+    noise: np.ndarray
+    declared: np.ndarray
+    z: np.ndarray
+    process_noise: bool
+    unasked: str = ""
+
+    @property
+    def ratio(self) -> float:
+        """Whole-run error of the fit over that of one without process noise, in noise units."""
+        other = self._over_noise(self.without)
+        return self.relative / other if 0 < other < np.inf else np.nan
+
+    @property
+    def relative(self) -> float:
+        """Whole-run error over all outputs, in noise units."""
+        return self._over_noise(self.error)
+
+    def _over_noise(self, error: np.ndarray) -> float:
+        seen = ~np.isnan(error)
+        return float(np.sqrt(np.mean((error / self.noise)[seen] ** 2))) if seen.any() else np.nan
+
+    @property
+    def shares(self) -> dict[str, float]:
+        """Whole-run error of every measured output beyond its noise, as a share of its spread."""
+        excess = np.sqrt(np.maximum(self.error**2 - self.noise**2, 0.0)) / self.spread
+        return {
+            name: float(share)
+            for name, share in zip(self.outputs, excess, strict=True)
+            if not np.isnan(share)
+        }
+
+    @property
+    def diverging(self) -> tuple[str, ...]:
+        """Outputs of which a whole run diverges."""
+        return tuple(n for n, e in zip(self.outputs, self.error, strict=True) if np.isinf(e))
+
+    @property
+    def beyond(self) -> tuple[str, ...]:
+        """Outputs whose runs the noise model would not have left.
+
+        Runs of sensors alone that are too good tell a level that is declared too large. Where the
+        level of a sensor was not declared, it may be the sensor.
+        """
+        if self.process_noise:
+            outside = np.abs(self.z) > BEYOND
+        else:
+            outside = (self.z > BEYOND) & self.declared
+        return tuple(n for n, out in zip(self.outputs, outside, strict=True) if out)
+
+    @property
+    def objections(self) -> tuple[str, ...]:
+        """Why the noise model could not have left these runs, in words; empty where it could."""
+        if self.diverging:
+            return (f"whole runs diverge in {', '.join(self.diverging)}",)
+        found = []
+        sides = dict(zip(self.outputs, self.z, strict=True))
+        good = [name for name in self.beyond if sides[name] < 0]
+        bad = [name for name in self.beyond if sides[name] > 0]
+        if good:
+            found.append(
+                f"process noise this strong would not have left whole runs as good in "
+                f"{', '.join(good)}"
+            )
+        if bad:
+            what = "process noise" if self.process_noise else "noise of the sensors"
+            found.append(f"{what} would not have left whole runs as bad in {', '.join(bad)}")
+        if self.process_noise and not self.unasked and self.ratio > WORSE:
+            found.append(
+                f"with process noise a whole run is off {self.ratio:.2g} times as much as without"
+            )
+        if not self.process_noise and (away := self._absorbed()):
+            found.append(f"noise of the sensors cannot be most of {', '.join(away)}")
+        return tuple(found)
+
+    def _absorbed(self) -> list[str]:
+        """Outputs of unknown noise that would be more noise than signal."""
+        return [n for n, share in self.shares.items() if share > 0.5 and n not in self.beyond]
+
+    @property
+    def open_questions(self) -> tuple[str, ...]:
+        """What these runs could not tell, in words."""
+        found = [f"whole runs were not asked: {self.unasked}"] if self.unasked else []
+        if not self.process_noise:
+            doubtful = [
+                f"{name} ({error / noise:.2g} times its high-frequency content)"
+                for name, error, noise, z, declared in zip(
+                    self.outputs, self.error, self.noise, self.z, self.declared, strict=True
+                )
+                if z > BEYOND and not declared
+            ]
+            if doubtful:
+                found.append(
+                    f"what is left of {', '.join(doubtful)} may be its sensor or the model: "
+                    "declare its noise (noise_std)"
+                )
+        return tuple(found)
+
+    @property
+    def sizes(self) -> str:
+        """Whole-run errors in units and per cent of the signals, the largest three, in words."""
+        rows = []
+        for name, unit, error, spread in zip(
+            self.outputs, self.units, self.error, self.spread, strict=True
+        ):
+            if np.isfinite(error):
+                factor, shown = shown_unit(unit)
+                words = f"{factor * error:.2g} {shown}".rstrip()
+                rows.append((error / spread, f"{words} ({100 * error / spread:.2g} %) of {name}"))
+        return ", ".join(words for _, words in sorted(rows, reverse=True)[:3])
+
+    @property
+    def took_the_work(self) -> bool:
+        """Whether process noise has taken the work of physics."""
+        return self.process_noise and bool(self.objections)
+
+    to_dict = as_dict(
+        "ratio", "process_noise", "unasked", "objections", "open_questions",
+        outputs=lambda self: {
+            name: {
+                "error": error, "unit": unit, "without_process_noise": without, "noise": noise,
+                "share": self.shares.get(name), "z": None if np.isnan(z) else z,
+            }
+            for name, unit, error, without, noise, z in zip(
+                self.outputs, self.units, self.error.tolist(), self.without.tolist(),
+                self.noise.tolist(), self.z.tolist(), strict=True,
+            )
+        },
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class _Granted:
+    """Standard deviation that every sensor is granted.
+
+    Attributes
+    ----------
+    levels : ndarray (n_outputs,)
+        Declared, or of the records' high-frequency content where that is larger: no model and no
+        option enters. That content where nothing was declared, and what a fit estimated where the
+        records do not show it.
+    declared : ndarray of bool (n_outputs,)
+    error : ndarray (n_outputs,)
+        Standard error of the logarithm of the variance; zero where it is no estimate.
+    """
+
+    levels: np.ndarray
+    declared: np.ndarray
+    error: np.ndarray
+
+    @classmethod
+    def of(cls, dataset: Dataset, declared: np.ndarray, fitted: np.ndarray) -> _Granted:
+        """The levels of some records, where some are declared and a fit has its own."""
+        fast, seen = white_levels(dataset)
+        known = np.isfinite(declared)
+        levels = np.where(known, declared, fitted)
+        taken = seen & (~known | (fast > declared))
+        count = sum(np.isfinite(record.outputs).sum(axis=0) for record in dataset)
+        error = 2.0 * DIFFERENCE_ERROR / np.sqrt(np.maximum(count, 1))
+        return cls(np.where(taken, fast, levels), known, np.where(taken, error, 0.0))
+
+
+def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "") -> WholeRuns:
+    """Ask whether the noise model of a fit could have left the runs that were measured.
+
+    Parameters
+    ----------
+    fit : Estimate
+    other : Dataset, optional
+        Records that the fit has not seen, in place of its own: parameters then scatter by their
+        covariance, and only starts are estimated anew.
+    unasked : str
+        Why draws would say nothing (waves that the noise model does not hold); errors are told
+        all the same.
+    """
+    model, noise = fit.model, fit.noise
+    dataset = fit.dataset if other is None else other
+    declared = given_levels(model.outputs)
+    granted = _Granted.of(dataset, declared, noise.sensors)
+    own = runs = whole_runs(model, dataset, granted.levels, None if other else _starts(fit))
+    error = without = rms(own)
+    if other is None and not noise.is_white:
+        runs = without_process_noise(fit, granted.levels) or own
+        without = rms(runs)
+    z = np.full(len(declared), np.nan)
+    if dataset.only_tests:
+        unasked = unasked or "independent tests have no runs"
+    if not unasked:
+        root = None if other is None else _scatter(fit)
+        # Sensors are no noisier than they are granted, whatever a fit took for their noise; beside
+        # process noise only where that was declared.
+        taken = granted.declared | (not noise.has_forces)
+        sensors = noise.at_most(np.where(taken, granted.levels, np.inf))
+        z, unasked = _departure(runs, sensors, granted.error, root)
+        coarse = granted.declared & (z < -BEYOND)
+        if coarse.any() and not noise.has_forces:
+            # The declared noise would not have left runs as good: it is not the sensor's.
+            granted = _Granted.of(dataset, np.where(coarse, np.nan, declared), without)
+            z, unasked = _departure(runs, noise.at_most(granted.levels), granted.error, root)
+    return WholeRuns(
+        model.output_names,
+        tuple(output.unit for output in model.outputs),
+        error,
+        without,
+        signal_spread(dataset),
+        granted.levels,
+        granted.declared,
+        z,
+        noise.has_forces,
+        unasked,
+    )
+
+
+def _starts(fit: Estimate) -> list[tuple[np.ndarray, Mapping[str, float]]] | None:
+    """Start states and parameters of every record, where a fit tells them."""
+    if not len(fit.initial_states) == len(fit.local_values) == len(fit.dataset):
+        return None
+    return list(zip(fit.initial_states, fit.local_values, strict=True))
+
+
+def _scatter(fit: Estimate) -> np.ndarray:
+    """Root of the covariance of the shared parameters, ``(n_shared, n_shared)``; known ones."""
+    shared = [p.name for p in fit.model.free_parameters if not p.per_record]
+    covariance = np.zeros((len(shared), len(shared)))
+    known = [i for i, name in enumerate(shared) if name in fit.names]
+    columns = [fit.names.index(shared[i]) for i in known]
+    covariance[np.ix_(known, known)] = fit.covariance[np.ix_(columns, columns)]
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def without_process_noise(fit: Estimate, sigma: np.ndarray) -> tuple[WholeRun, ...] | None:
+    """Runs of the same model fitted to the same records with noise of sensors alone.
+
+    From the values of the fit and from those that it began at, whichever ends better; None where
+    neither runs.
+    """
+    ends: list[tuple[Shooting, Solution]] = []
+    nominal = {n: v for n, v in fit.nominal.items() if n in fit.model.values}
+    for model in (fit.model, fit.model.with_values(nominal)):
+        shooting = Shooting(model, fit.dataset, sigma)
+        end = solve(shooting, shooting.start_point())
+        if end is not None:
+            ends.append((shooting, end))
+    if not ends:
+        return None
+    shooting, end = min(ends, key=lambda pair: pair[1].cost)
+    return tuple(
+        WholeRun.part(shooting, end.point.unknowns, index) for index in range(len(fit.dataset))
+    )
+
+
+def _departure(
+    runs: Sequence[WholeRun], noise: NoiseModel, error: np.ndarray, root: np.ndarray | None
+) -> tuple[np.ndarray, str]:
+    """``z`` of every output, and why not where it cannot be told.
+
+    ``error`` is that of the logarithm of the sensors' variance. With a ``root`` of the covariance
+    of the shared parameters these are not estimated from the runs but scatter.
+    """
+    if any(run.jacobian is None for run in runs):
+        return np.full(len(noise.white), np.nan), "the model diverges without process noise"
+    estimator = _Estimator.of(runs, shared=root is None)
+    rng = np.random.default_rng(0)  # the same draws for the same fit
+    left = []
+    for _ in range(0, DRAWS, CHUNK):
+        moved = None if root is None else rng.standard_normal((CHUNK, len(root))) @ root.T
+        away = [_drawn(run, noise, moved, rng) for run in runs]
+        finite = np.all([np.isfinite(part).all(axis=(1, 2)) for part in away], axis=0)
+        if finite.any():
+            left.append(estimator.leaves([part[finite] for part in away]))
+    if sum(map(len, left)) < 0.5 * DRAWS:
+        return np.full(len(noise.white), np.nan), "most runs under this process noise diverge"
+    drawn = np.concatenate(left)
+    seen = sum((run.whitened() ** 2).sum(axis=0) for run in runs)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low, middle, high = np.quantile(np.log(drawn), [0.16, 0.5, 0.84], axis=0)
+        distance = np.log(seen) - middle
+        z = distance / np.hypot(np.where(distance > 0, high - middle, middle - low), error)
+    measured = np.any([(run.weights() > 0).any(axis=0) for run in runs], axis=0)
+    return np.where(measured, z, np.nan), ""
+
+
+def _drawn(
+    run: WholeRun, noise: NoiseModel, moved: np.ndarray | None, rng: np.random.Generator
+) -> np.ndarray:
+    """Whitened departures of some runs under a noise model, ``(n_draws, n_times, n_outputs)``."""
+    away = run.sensors(noise, CHUNK, rng)
+    if noise.has_forces:
+        away += run.drawn(noise, np.tile(run.unknowns, (CHUNK, 1)), rng) - run.outputs
+    if moved is not None:
+        assert run.jacobian is not None
+        slopes = run.shooting.layout.shared_values(run.unknowns)[1]
+        away += np.einsum("tij,kj->kti", run.jacobian[:, :, run.shared], moved / slopes)
+    return away * run.weights()
+
+
+@dataclass(frozen=True, eq=False)
+class _Estimator:
+    """Least squares of all unknowns of some runs together, to first order.
+
+    Attributes
+    ----------
+    rows : tuple of ndarray (n_times * n_outputs, n_here)
+        Whitened derivatives of each run by its unknowns.
+    columns : tuple of ndarray of int (n_here,)
+        Where these stand among all.
+    inverse : ndarray (n_all, n_all)
+    """
+
+    rows: tuple[np.ndarray, ...]
+    columns: tuple[np.ndarray, ...]
+    inverse: np.ndarray
+
+    @classmethod
+    def of(cls, runs: Sequence[WholeRun], *, shared: bool) -> _Estimator:
+        """The estimator of start states and parameters of every record, and of shared ones."""
+        begin = len(runs[0].shared)
+        size = begin + sum(len(run.others) for run in runs)
+        matrix, prior = np.zeros((size, size)), np.zeros(size)
+        rows, columns = [], []
+        for run in runs:
+            assert run.jacobian is not None
+            own = np.empty(len(run.unknowns), dtype=int)
+            own[run.shared] = run.shared
+            own[run.others] = begin + np.arange(len(run.others))
+            begin += len(run.others)
+            part = (run.jacobian * run.weights()[:, :, None]).reshape(-1, len(own))
+            matrix[np.ix_(own, own)] += part.T @ part
+            prior[own] = run.shooting.limits.prior_weight
+            rows.append(part)
+            columns.append(own)
+        matrix += np.diag(prior)
+        if not shared:
+            held = runs[0].shared
+            matrix[held], matrix[:, held] = 0.0, 0.0
+        scale = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+        scaled = matrix / scale[:, None] / scale
+        inverse = np.linalg.pinv(scaled, rcond=SINGULAR, hermitian=True) / scale[:, None] / scale
+        return cls(tuple(rows), tuple(columns), inverse)
+
+    def leaves(self, away: Sequence[np.ndarray]) -> np.ndarray:
+        """Sums of squares that are left of whitened departures, ``(n_draws, n_outputs)``."""
+        flat = [part.reshape(len(part), -1).T for part in away]
+        right = np.zeros((len(self.inverse), len(away[0])))
+        for rows, own, part in zip(self.rows, self.columns, flat, strict=True):
+            right[own] += rows.T @ part
+        answer = self.inverse @ right
+        total = np.zeros((len(away[0]), away[0].shape[2]))
+        for rows, own, part, like in zip(self.rows, self.columns, flat, away, strict=True):
+            rest = (part - rows @ answer[own]).T.reshape(like.shape)
+            total += (rest**2).sum(axis=1)
+        return total

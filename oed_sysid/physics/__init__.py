@@ -41,9 +41,12 @@ from oed_sysid.physics.forces import (
     dead_zone,
     deflection_drag,
     delayed_force,
+    end_stop,
     excess_buoyancy,
     fluid_memory,
     heel_moment,
+    hidden_lag,
+    hidden_oscillator,
     hull_asymmetry,
     hull_compressibility,
     induced_drag,
@@ -71,6 +74,7 @@ from oed_sysid.physics.signals import (
     actuator_gain_error,
     actuator_lag,
     actuator_offset,
+    actuator_start,
     backlash,
     deadband,
     maximum_rate,
@@ -84,6 +88,7 @@ from oed_sysid.physics.signals import (
     sensor_misalignment,
     sensor_scale,
     stall,
+    unknown_limit,
 )
 from oed_sysid.physics.table import (
     LIBRARY,

@@ -537,6 +537,61 @@ def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: st
     return {"k": _fixed(f"k_{name}", stiffness, stiffness_unit, "stiffness")}
 
 
+@Row(Force, {"{axis}": "-{E}*sign({position})*max(abs({position}) - {stop}, 0)"}, "{unit}", NAYFEH,
+     "an end stop of {position}", "{position} up to the stop",
+     size={"positive": True, "description": "stiffness of the stop"})
+def end_stop(name: str, axis: str, position: str, *, reach: float, unit: str = "N/m",
+             position_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> Derived:
+    r"""Stop at an unknown position, :math:`-E\,\operatorname{sgn}(x)\max(|x| - x_s, 0)`.
+
+    ``reach`` is the largest position seen: the stop is sought between a third of it and all.
+    """
+    words = "where the stop begins"
+    stop = Parameter(f"stop_{name}", 0.7 * reach, position_unit, 0.3 * reach, reach,
+                     scale=0.1 * reach, description=words)
+    return {"stop": stop}
+
+
+@Row(Force, {"{axis}": "{E}*{z}"}, "{unit}", CUMMINS,
+     "{signal} acts through a first-order hidden state", "quick and slow changes of {signal}",
+     states=(("{z}", "({signal} - {z})/{tau}", "{start}", "{signal_unit}"),))
+def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
+               start: str = "0", time_constant: float = 1.0, span: float = 10.0,
+               scale: float = 1.0, value: float = 0.0) -> Derived:
+    r"""Force of a hidden state of first order, :math:`E z`, :math:`\tau \dot z = s - z`.
+
+    What a tank, a filter or slow flow does; its pole is estimated, between ``time_constant``
+    divided by ``span`` and times it. ``start`` is the state before the record, an expression of
+    states.
+
+    >>> hidden_lag("tank", "K", "p", unit="N m s/rad").terms
+    {'K': 'E_tank*z_tank'}
+    """
+    tau = Parameter(f"tau_{name}", time_constant, "s", time_constant / span, time_constant * span,
+                    log=True, description="time constant")
+    return {"tau": tau, "z": f"z_{name}"}
+
+
+@Row(Force, {"{axis}": "{E}*{z}"}, "{unit}", FALTINSEN,
+     "{signal} drives a hidden oscillator", "{signal} near the frequency of the oscillator",
+     states=(("{z}", "{rate}", "0", "{signal_unit}"),
+             ("{rate}", "{omega}**2*({signal} - {z}) - 2*{zeta}*{omega}*{rate}", "0",
+              "{signal_unit}/s")))
+def hidden_oscillator(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
+                      frequency: float = 1.0, span: float = 5.0, damping: float = 0.2,
+                      scale: float = 1.0, value: float = 0.0) -> Derived:
+    r"""Force of a hidden state of second order, :math:`E z`.
+
+    .. math:: \ddot z = \omega^2 (s - z) - 2 \zeta \omega \dot z
+
+    What an anti-roll tank, sloshing or a flexible mast does; frequency and damping are estimated.
+    """
+    omega = Parameter(f"omega_{name}", frequency, "rad/s", frequency / span, frequency * span,
+                      log=True, description="natural frequency")
+    zeta = Parameter(f"zeta_{name}", damping, "1", 0.02, 2.0, log=True, description="damping ratio")
+    return {"omega": omega, "zeta": zeta, "z": f"z_{name}", "rate": f"y_{name}"}
+
+
 @Row(Force, {"{axis}": "-{E}*{z}"}, "{unit}", DAHL,
      "dry friction against {velocity} that remembers its direction",
      "reversals of {velocity}, small and large",

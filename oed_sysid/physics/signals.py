@@ -12,6 +12,7 @@ import math
 from collections.abc import Sequence
 
 from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import Derived, Row, channels
 
 AMERONGEN = "van Amerongen (1982), Adaptive steering of ships, TU Delft."
@@ -130,6 +131,33 @@ def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> Deriv
     """Mechanical stops at ``±limit``, a known property of a base model."""
     stop = amplitude(name, unit, value=limit, parameter=f"limit_{name}", positive=True)
     return {"stop": stop, "amplitudes": ()}
+
+
+@Row(Actuator, {"{signal}": "where(abs({signal})*{E} <= 1, {signal}, "
+                            "sign({signal})/max({E}, 1e-9))"},
+     "{per}", AMERONGEN, "{signal} goes no further than 1/{E}",
+     "commands below and beyond the limit",
+     size={"positive": True, "description": "1 / limit"})
+def unknown_limit(name: str, signal: str, unit: str = "rad", *, scale: float = 3.0,
+                  value: float = 0.0) -> Derived:
+    """Saturation at an unknown limit, by its inverse ``E`` so that zero means unlimited."""
+    return {"per": f"1/({unit})" if "/" in unit else f"1/{unit or 1}"}
+
+
+@Row(Actuator, {"{signal}": "{signal} + {E}*{fading}"}, None, FRANKLIN,
+     "{signal} was not at its command when the record began", "a record that begins in a manoeuvre")
+def actuator_start(name: str, signal: str, unit: str = "rad", *, time_constant: float = 1.0,
+                   span: float = 10.0, scale: float = 0.1) -> Derived:
+    r"""Start of an actuator beside its first command, which fades, :math:`E_i e^{-t/\tau}`.
+
+    Another size in every record; the time constant is estimated.
+    """
+    size = amplitude(name, unit, scale=scale, per_record=True)
+    tau = Parameter(f"tau_{name}", time_constant, "s", time_constant / span, time_constant * span,
+                    log=True, description="time constant")
+    return {"E": size, "tau": tau, "fading": f"fading_{name}",
+            "memory": (Memory(f"fading_{name}", f"fading_{name}*exp(-h/{tau.name})", "1"),),
+            "amplitudes": (size.name,)}
 
 
 @Row(Sensor, {"{output}": "{output} + {E}"}, "{unit}", GROVES, "constant error of {output}",

@@ -32,7 +32,8 @@ from oed_sysid.likelihood.start_guess import measured_columns, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
 from oed_sysid.prediction.laws import CourseControl, ZigzagControl
-from oed_sysid.runtime.display import align
+from oed_sysid.runtime.display import Report, Section, Table, as_text, share
+from oed_sysid.text.units import shown_unit
 
 __all__ = ["ClosedLoop", "Control", "CourseControl", "UncertainControl", "ZigzagControl"]
 __all__ += ["closed_loop"]
@@ -117,29 +118,26 @@ class ClosedLoop:
         share = [float(inside[s, i].mean()) if s.any() else math.nan for i, s in enumerate(seen.T)]
         return dict(zip(names, share, strict=True))
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return errors in and out of the loop as a table."""
         closed, opened, held = self.rms(), self.rms(open_loop=True), self.coverage()
-        rows = [("output", "in the loop", "logged input", "95 % band holds")]
+        rows = []
         for output in self.record.channels.outputs:
-            name = output.name
-            factor, unit = (
-                (math.degrees(1.0), output.unit.replace("rad", "deg"))
-                if output.unit in ("rad", "rad/s")
-                else (1.0, output.unit)
+            name, (factor, unit) = output.name, shown_unit(output.unit)
+            errors = (f"{factor * one[name]:.3g}" for one in (closed, opened))
+            inside = "" if math.isnan(held[name]) else share(held[name])
+            rows.append((f"{name} [{unit}]", *errors, inside))
+        headers = ("output", "in the loop", "logged input", "95 % band holds")
+        sections = [
+            Section(
+                "Errors", (self.caveat,) if self.caveat else (), (Table(headers, rows),), indent=2
             )
-            rows.append(
-                (
-                    f"{name} [{unit}]",
-                    f"{factor * closed[name]:.3g}",
-                    f"{factor * opened[name]:.3g}",
-                    "" if math.isnan(held[name]) else f"{100 * held[name]:.0f} %",
-                )
-            )
-        lines = [f"replay of {self.record.name}, rms error", *(f"  {line}" for line in align(rows))]
-        lines += [f"  {self.caveat}"] if self.caveat else []
-        lines += [self.law] if self.law else []
-        return "\n".join(lines)
+        ]
+        if self.law:
+            sections.append(Section("Law", listing=self.law))
+        return Report(f"replay of {self.record.name}, rms error", sections=tuple(sections))
+
+    report = as_text
 
 
 def closed_loop(

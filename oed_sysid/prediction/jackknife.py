@@ -32,7 +32,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import align
+from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, rounded
 
 Purpose = Callable[[Fit], Mapping[str, float]]
 # With two, one difference would have to tell how much differences scatter.
@@ -89,31 +89,29 @@ class Jackknife:
         half = float(stdtrit(self.freedom, 0.5 + level / 2)) * self.std_errors[name]
         return value - half, value + half
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return quantities, intervals and what moved them most, as a table."""
         lost = self.n_records - len(self.without)
-        lines = [f"jackknife over {self.n_records} records"]
+        title = f"jackknife over {self.n_records} records"
         if lost:
-            lines[0] += f"; {lost} of the fits without one record failed and are not counted"
-        rows: list[tuple[str, ...]] = [
-            ("quantity", "value", "std. error", "95 % interval", "moves most without", "to")
-        ]
-        errors = self.std_errors
+            title += f"; {lost} of the fits without one record failed and are not counted"
+        rows = []
         for column, name in enumerate(self.names):
             low, high = self.interval(name)
+            half = 0.5 * (high - low)
             moved = {record: row[column] for record, row in self.without.items()}
             worst = max(moved, key=lambda record: abs(moved[record] - self.values[column]))
-            rows.append(
-                (
-                    name,
-                    f"{self.values[column]:.6g}",
-                    f"{errors[name]:.2g}",
-                    f"{low:.4g} to {high:.4g}",
-                    worst,
-                    f"{moved[worst]:.6g}",
-                )
-            )
-        return "\n".join([*lines, *(f"  {line}" for line in align(rows))])
+            shown = (rounded(one, half) for one in (self.values[column], low, high, moved[worst]))
+            value, lower, upper, to = shown
+            error = digits(self.std_errors[name], 2)
+            rows.append((name, value, error, f"{lower} to {upper}", worst, to))
+        headers = (
+            "quantity", "value", "std. error", "95 % interval", "moves most without", "to",
+        )  # fmt: skip
+        table = Table(headers, rows, words=(4,))
+        return Report(title, sections=(Section("Quantities", tables=(table,), indent=2),))
+
+    report = as_text
 
 
 def jackknife(

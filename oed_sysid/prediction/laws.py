@@ -34,7 +34,7 @@ from numpy.typing import ArrayLike
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 from oed_sysid.prediction.helmsman import CONSTANT, fit_course_law, rudder_noise, smooth_heading
-from oed_sysid.runtime.display import align
+from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, rounded, share
 
 DEGREE = math.degrees(1.0)
 
@@ -182,34 +182,36 @@ class CourseControl:
         times = [time for time, _ in self.changes]
         return replace(new, course=courses[0], changes=tuple(zip(times, courses[1:], strict=True)))
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the law with standard errors, and what it explains, as a table."""
-        errors = self.evidence.std_errors if self.evidence else {}
-        rows = [("", "value", "std error")]
-
-        def add(name: str, value: float, error: float) -> None:
-            if math.isfinite(value):
-                rows.append((name, f"{value:.4g}", f"{error:.2g}" if error > 0 else ""))
-
-        add("gain", self.gain, errors.get("gain", 0.0))
-        add("damping [s]", self.damping, errors.get("damping", 0.0))
+        known = self.evidence.std_errors if self.evidence else {}
+        facts = [("gain", self.gain, known.get("gain", 0.0)),
+                 ("damping [s]", self.damping, known.get("damping", 0.0))]  # fmt: skip
         courses = ((0.0, self.course), *self.changes)
-        for number, ((time, course), error) in enumerate(
-            zip(courses, self._course_errors(), strict=True)
-        ):
-            since = f" from {time:.4g} s" if number else ""
-            add(f"course{since} [deg]", DEGREE * course, DEGREE * error)
-        if self.neutral or "neutral" in errors:
-            add("neutral [deg]", DEGREE * self.neutral, DEGREE * errors.get("neutral", 0.0))
-        add("rate [deg/s]", DEGREE * self.rate, DEGREE * errors.get("rate", 0.0))
-        add("limit [deg]", DEGREE * self.limit, DEGREE * errors.get("limit", 0.0))
-        lines = [f"course law of {self.input}", *(f"  {line}" for line in align(rows))]
+        for (time, course), error in zip(courses, self._course_errors(), strict=True):
+            since = f" from {time:.4g} s" if time else ""
+            facts.append((f"course{since} [deg]", DEGREE * course, DEGREE * error))
+        for name in ("neutral", "rate", "limit"):
+            unit = "deg/s" if name == "rate" else "deg"
+            value = DEGREE * getattr(self, name)
+            if name != "neutral" or self.neutral or "neutral" in known:
+                facts.append((f"{name} [{unit}]", value, DEGREE * known.get(name, 0.0)))
+        rows = [
+            (name, rounded(value, error), digits(error, 2) if error > 0 else "")
+            for name, value, error in facts
+            if math.isfinite(value)
+        ]
+        explained = []
         if self.evidence:
-            lines.append(
-                f"  explains {100 * self.evidence.explained:.0f} % of the rudder's variance, rms "
+            explained.append(
+                f"explains {share(self.evidence.explained)} of the rudder's variance, rms "
                 f"{DEGREE * self.evidence.rms:.2g} deg left"
             )
-        return "\n".join(lines)
+        table = Table(("", "value", "std error"), rows)
+        section = Section("Law", explained, (table,), indent=2)
+        return Report(f"course law of {self.input}", sections=(section,))
+
+    report = as_text
 
     def _course_errors(self) -> list[float]:
         """Standard errors of the courses, rad; zero where they were given."""
@@ -448,10 +450,10 @@ class ZigzagControl:
             execute=float(max(self.execute + known.execute * rng.standard_normal(), 0.0)),
         )
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return orders, headings of reversal and rate with standard errors as a table."""
         known = self.evidence
-        rows = [("leg", "order [deg]", "std error", "until heading [deg]", "std error")]
+        rows = []
         for leg, order in enumerate(self.orders):
             last = leg == len(self.reversals)
             rows.append(
@@ -463,15 +465,18 @@ class ZigzagControl:
                     "" if last or known is None else _error(known.reversals[leg]),
                 )
             )
-        lines = [f"zigzag of {self.input}", *(f"  {line}" for line in align(rows))]
         error = f", standard error {DEGREE * known.rate:.2g}" if known else ""
-        lines.append(f"  rate {DEGREE * self.rate:.3g} deg/s{error}; execute {self.execute:.4g} s")
+        said = [f"rate {DEGREE * self.rate:.3g} deg/s{error}; execute {self.execute:.4g} s"]
         if known is not None and np.isnan(known.orders).any():
-            lines.append(
-                "  Legs without a standard error were never held: their order is that of the "
+            said.append(
+                "Legs without a standard error were never held: their order is that of the "
                 "other legs, or the largest rudder reached."
             )
-        return "\n".join(lines)
+        headers = ("leg", "order [deg]", "std error", "until heading [deg]", "std error")
+        section = Section("Legs", said, (Table(headers, rows),), indent=2)
+        return Report(f"zigzag of {self.input}", sections=(section,))
+
+    report = as_text
 
     @classmethod
     def of(

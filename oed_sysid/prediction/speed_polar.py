@@ -19,7 +19,7 @@ from oed_sysid.experiments.simulation import equilibrium
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
-from oed_sysid.runtime.display import align, as_dict
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 
 
 @dataclass(frozen=True)
@@ -109,21 +109,33 @@ class SpeedPolar:
         """Pairs of draw and angle that have no steady state; the band is without them."""
         return int(np.count_nonzero(~np.isfinite(self.draws)))
 
-    def report(self) -> str:
-        """Return the polar as a table."""
+    def document(self) -> Report:
+        """Return the polar as a table and a picture."""
         low, high = self.interval()
-        rows = [("wind angle [deg]", "speed [m/s]", "95 % of draws", "sheet [deg]")]
-        for index, angle in enumerate(self.angles):
-            band = f"{low[index]:.3f} to {high[index]:.3f}" if len(self.draws) else ""
-            speed, sheet = self.speeds[index], math.degrees(self.sheets[index])
-            shown = f"{speed:.3f}" if math.isfinite(speed) else "none"
-            rows.append((f"{math.degrees(angle):.0f}", shown, band, f"{sheet:.0f}"))
-        lines = [f"speed polar at {self.wind_speed:g} m/s true wind, by {self.model}"]
-        lines += [f"  {line}" for line in align(rows)]
-        if self.missing:
-            lines.append(f"  {self.missing} of {self.draws.size} draws have no steady state.")
-        lines += [f"  {self.caveat}"] if self.caveat else []
-        return "\n".join(lines)
+        rows = []
+        for angle, speed, sheet, ends in zip(
+            self.angles, self.speeds, self.sheets, zip(low, high, strict=True), strict=True
+        ):
+            known = math.isfinite(speed)
+            band = f"{ends[0]:.3f} to {ends[1]:.3f}" if known and math.isfinite(sum(ends)) else ""
+            angles = (f"{math.degrees(one):.0f}" for one in (angle, sheet))
+            rows.append((next(angles), f"{speed:.3f}" if known else "none", band, next(angles)))
+        headers = ("wind angle [deg]", "speed [m/s]", "95 % of draws", "sheet [deg]")
+        missing = f"{self.missing} of {self.draws.size} draws have no steady state."
+        notes = (missing if self.missing else "", self.caveat)
+        return Report(
+            f"speed polar at {self.wind_speed:g} m/s true wind, by {self.model}",
+            sections=(
+                Section("Polar", tuple(filter(None, notes)), (Table(headers, rows),), indent=2),
+                Section(
+                    "Picture", only="page",
+                    figures=(Figure("plot_polar", self, "Speed over the angle to the true wind; "
+                                    "the band holds 95 % of the draws.", size=None),),
+                ),
+            ),
+        )  # fmt: skip
+
+    report = as_text
 
     to_dict = as_dict(
         "model", "wind_speed", "angles", "speeds", "sheets", "missing", "caveat",

@@ -39,7 +39,16 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.jackknife import Estimator, Purpose, leave_out
-from oed_sysid.runtime.display import TWO_SIDED_95, align, as_dict
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_text,
+    rounded,
+    share,
+)
 
 # Records whose strengths differ by less than this share are of one rung.
 SAME_STRENGTH = 0.05
@@ -150,43 +159,37 @@ class StructureAverage:
         half = float(ndtri(0.5 + level / 2)) * self.std[quantity]
         return self.values[quantity] - half, self.values[quantity] + half
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return weights and quantities as tables."""
         sizes = ", ".join(str(len(rung)) for rung in self.rungs)
-        lines = [
+        title = (
             f"average of {len(self.structures)} structures; {self.n_records} records, "
             f"of which the weakest {sizes} predict the stronger"
-        ]
-        rows: list[tuple[str, ...]] = [("structure", "weight", "step", "forces", "drift %", "")]
-        for one in self.structures:
-            rows.append(
-                (
-                    one.name,
-                    f"{100 * one.weight:.0f} %",
-                    f"{one.step:.3f}",
-                    f"{one.forces:.3f}",
-                    f"{100 * one.drift:.1f}",
-                    one.note,
-                )
-            )
-        lines += [f"  {line.rstrip()}" for line in align(rows)]
-        rows = [("quantity", "value", "95 % interval", "half width", "structure", "records")]
+        )
+        weights = [
+            (one.name, share(one.weight), f"{one.step:.3f}", f"{one.forces:.3f}",
+             share(one.drift), one.note)
+            for one in self.structures
+        ]  # fmt: skip
+        quantities = []
         for name, value in self.values.items():
             low, high = self.interval(name)
-            halves = (
-                0.5 * (high - low),
-                TWO_SIDED_95 * self.between[name],
-                TWO_SIDED_95 * self.within[name],
-            )
-            rows.append(
-                (
-                    name,
-                    f"{value:.4g}",
-                    f"{low:.4g} to {high:.4g}",
-                    *(f"{100 * half / abs(value):.1f} %" if value else "-" for half in halves),
-                )
-            )
-        return "\n".join([*lines, *(f"  {line}" for line in align(rows))])
+            half = 0.5 * (high - low)
+            halves = (half, *(TWO_SIDED_95 * part[name] for part in (self.between, self.within)))
+            shares = (share(one / abs(value)) if value else "-" for one in halves)
+            ends = f"{rounded(low, half)} to {rounded(high, half)}"
+            quantities.append((name, rounded(value, half), ends, *shares))
+        first = ("structure", "weight", "step", "forces", "drift", "")
+        second = ("quantity", "value", "95 % interval", "half width", "structure", "records")
+        return Report(
+            title,
+            sections=(
+                Section("Structures", tables=(Table(first, weights, words=(5,)),), indent=2),
+                Section("Quantities", tables=(Table(second, quantities),), indent=2),
+            ),
+        )
+
+    report = as_text
 
     to_dict = as_dict(
         "structures", "rungs",

@@ -21,7 +21,16 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.draws import asked, parameter_sets
-from oed_sysid.runtime.display import TWO_SIDED_95, align, as_dict
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_text,
+    interval,
+)
+from oed_sysid.text.units import shown_unit
 
 SIDES = ("starboard", "port")
 # Heading change that is simulated: a full turn, then half a turn to call steady.
@@ -105,41 +114,50 @@ class TurningPrediction:
         chosen = names or tuple(QUANTITIES)
         return {f"{q} {side}": self.value(q, side) for q in chosen for side in self.sides}
 
-    def report(self) -> str:
+    def document(self) -> Report:
         """Return the prediction as a table, in metres and in ship lengths."""
-        lines = [
-            f"turning circle, rudder {math.degrees(self.rudder):.3g} deg, {self.speed:.4g} m/s",
-            f"  predicted by {self.model}; +/- is half of a 95 % interval",
-        ]
-        if self.neutral:
-            neutral = math.degrees(self.neutral)
-            lines.append(f"  straight approach with the rudder at {neutral:.2f} deg")
-        lines += [f"  {note}" for note in self.notes]
-        scaled = [] if self.length is None else [f"{side} [L]" for side in self.sides]
-        rows = [("", *self.sides, "unit", *scaled)]
+        lengths = [] if self.length is None else list(self.sides)
+        rows = []
         for quantity, unit in QUANTITIES.items():
-            factor, shown = (math.degrees(1.0), "deg") if unit == "rad" else (1.0, unit)
+            factor, shown = shown_unit(unit)
+            scaled = lengths if quantity in LENGTHS else []
             cells = [self._cell(quantity, side, factor) for side in self.sides]
-            in_lengths = [""] * len(scaled)
-            if self.length is not None and quantity in LENGTHS:
-                in_lengths = [self._cell(quantity, side, 1 / self.length) for side in self.sides]
-            rows.append((quantity.replace("_", " "), *cells, shown, *in_lengths))
-        lines += [f"  {line}" for line in align(rows)]
-        lines += [
-            f"  {count} draws never turned by 180 degrees to {side}: the interval is too narrow."
+            cells += [
+                shown,
+                *(self._cell(quantity, side, 1 / (self.length or 1)) for side in scaled),
+            ]
+            cells += [""] * (len(lengths) - len(scaled))
+            rows.append((quantity.replace("_", " "), *cells))
+        headers = ("", *self.sides, "unit", *(f"{side} [L]" for side in lengths))
+        neutral = f"straight approach with the rudder at {math.degrees(self.neutral):.2f} deg"
+        after = [
+            f"{count} draws never turned by 180 degrees to {side}: the interval is too narrow."
             for side, count in self.unfinished.items()
             if count
         ]
-        lines += [f"  {self.caveat}"] if self.caveat else []
-        return "\n".join(lines)
+        return Report(
+            f"turning circle, rudder {math.degrees(self.rudder):.3g} deg, {self.speed:.4g} m/s",
+            answer=f"Turning circle predicted by {self.model}.",
+            sections=(
+                Section(
+                    "Assumptions",
+                    (
+                        f"predicted by {self.model}; ± is half of a 95 % interval",
+                        *([neutral] if self.neutral else []),
+                        *self.notes,
+                    ),
+                    indent=2,
+                ),
+                Section("Circle", tables=(Table(headers, rows),), indent=2),
+                Section("Caveats", (*after, *([self.caveat] if self.caveat else [])), indent=2),
+            ),
+        )
+
+    report = as_text
 
     def _cell(self, quantity: str, side: str, factor: float) -> str:
         value, std = self.value(quantity, side) * factor, self.std(quantity, side) * factor
-        if not math.isfinite(value):
-            return "not steady"
-        if not math.isfinite(std):
-            return f"{value:.3g}"
-        return f"{value:.3g} +/- {TWO_SIDED_95 * std:.2g}"
+        return interval(value, TWO_SIDED_95 * std) if math.isfinite(value) else "not steady"
 
     to_dict = as_dict(
         "model", "rudder", "speed", "length", "neutral", "unfinished", "caveat", "notes",

@@ -19,16 +19,12 @@ from oed_sysid.results.design_plots import (
     plot_tracks,
 )
 from oed_sysid.results.fit_plots import (
-    figure_fit,
     figure_whiteness,
     plot_autocorrelation,
     plot_correlation,
     plot_ellipses,
-    plot_input,
     plot_intervals,
-    plot_output,
     plot_profile,
-    plot_residual,
 )
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
@@ -42,11 +38,15 @@ from oed_sysid.results.improvement_plots import (
 from oed_sysid.results.live_plots import LiveParameters, plot_history, plot_waterfall
 from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
 from oed_sysid.results.prediction_plots import (
+    figure_fit,
     figure_predictions,
     plot_comparison,
+    plot_input,
+    plot_output,
     plot_polar,
     plot_prediction,
     plot_prediction_error,
+    plot_residual,
 )
 from oed_sysid.results.record_plots import (
     figure_check,

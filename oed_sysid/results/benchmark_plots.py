@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import NullFormatter
 
 from oed_sysid.baselines.benchmark import OURS, UNITS, Benchmark, Row
-from oed_sysid.results.style import NEUTRAL, clean, model_style, new_axes, new_figure
+from oed_sysid.results.style import NEUTRAL, clean, model_style, new_axes, panels
 
 # Errors beyond these are drawn at the edge, in per cent.
 LEAST, MOST = 1e-2, 1e4
@@ -71,20 +71,16 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
 
 def figure_benchmark(result: Benchmark) -> Figure:
     """All problems of a benchmark, one panel each; see :func:`plot_errors`."""
-    panels = [
+    groups = [
         (title, list(group))
         for title, group in groupby(result.rows, key=lambda row: (row.problem, row.sampling))
     ]
-    columns = min(2, len(panels))
-    lines = -(-len(panels) // columns)
-    figure, axes = new_figure(lines, columns, size=(5.6 * columns, 0.6 + 3.3 * lines))
-    for ax, ((problem, sampling), rows) in zip(axes.flat, panels, strict=False):
+    figure, axes = panels(len(groups), 2, (5.6, 3.4))
+    for ax, ((problem, sampling), rows) in zip(axes, groups, strict=True):
         plot_errors(rows, ax=ax)
         rare = "" if sampling == 1 else f", {sampling} times rarer samples"
         ax.set_title(problem.replace("_", " ") + rare)
-    for ax in axes.flat[len(panels) :]:
-        ax.axis("off")
-    handles, labels = axes.flat[0].get_legend_handles_labels()
+    handles, labels = axes[0].get_legend_handles_labels()
     note = Line2D([], [], marker="o", ls="", color=NEUTRAL, mfc="none")
     bound = Line2D([], [], ls=":", color=NEUTRAL)
     figure.legend(

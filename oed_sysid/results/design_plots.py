@@ -22,19 +22,21 @@ from oed_sysid.information import Bode, SensitivityRanking, Spectrum
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.style import (
     COLOURS,
-    DEGREE,
     NEUTRAL,
     TRUTH,
     between,
     clean,
     label,
+    legend_above,
     new_axes,
     new_figure,
+    row_axes,
     say,
     shown,
     spread_legend,
     symbol_of,
 )
+from oed_sysid.runtime.display import share
 from oed_sysid.text.units import shown_unit
 
 # What those on board watch, where no limit says so.
@@ -55,11 +57,11 @@ def plot_sensitivity(ranking: SensitivityRanking, *, ax: Axes | None = None) -> 
     ax : Axes, optional
         Where to draw.
     """
-    rows = ranking.rows[::-1]
-    ax = new_axes(ax, size=(6.8, 1.4 + 0.28 * len(rows)))
+    rows = ranking.rows
+    ax, places = row_axes(ax, [symbol_of(row.name) for row in rows], 6.8, tall=0.28, edge=1.4)
     finite = [r.error for r in rows if np.isfinite(r.error)]
     edge = 3 * max([*finite, 1.0])
-    for position, row in enumerate(rows):
+    for position, row in zip(places, rows, strict=True):
         right = min(row.error, edge)
         ax.plot([row.error_alone, right], [position, position], color=NEUTRAL, lw=2, zorder=1)
         ax.plot(row.error_alone, position, "o", ms=5, mfc="white", mec=TRUTH,
@@ -67,17 +69,16 @@ def plot_sensitivity(ranking: SensitivityRanking, *, ax: Axes | None = None) -> 
         ax.plot(right, position, "o" if np.isfinite(row.error) else ">", ms=6, color=COLOURS[1],
                 label="estimated together")  # fmt: skip
     ax.axvline(1.0, color=TRUTH, ls="--", lw=1)
-    ax.set(xscale="log", xlabel="standard error / value [%]", ylim=(-0.7, len(rows) - 0.3))
-    ax.set_yticks(range(len(rows)), [symbol_of(row.name) for row in rows])
+    ax.set(xscale="log", xlabel="standard error / value [%]")
     clean(ax)
     _in_percent(ax)
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
+    legend_above(ax, 2)
     known = sum(row.error < 1.0 for row in rows)
     return say(
         ax,
         f"{known} of {len(rows)} parameters have a standard error below their value; best known is "
-        f"{rows[-1].name} ({100 * rows[-1].error:.2g} %), least {rows[0].name} "
-        f"({100 * rows[0].error:.2g} %).",
+        f"{rows[0].name} ({share(rows[0].error)}), least {rows[-1].name} "
+        f"({share(rows[-1].error)}).",
     )
 
 
@@ -94,9 +95,8 @@ def plot_output_change(ranking: SensitivityRanking, *, ax: Axes | None = None) -
     ax : Axes, optional
         Where to draw.
     """
-    rows = [ranking.row(name) for name in reversed(ranking.by_output_change)]
-    ax = new_axes(ax, size=(6.4, 1.2 + 0.28 * len(rows)))
-    places = np.arange(len(rows))
+    rows = [ranking.row(name) for name in ranking.by_output_change]
+    ax, places = row_axes(ax, [symbol_of(row.name) for row in rows], 6.4, tall=0.28, edge=1.2)
     poor = [row.error >= 1.0 for row in rows]
     for flag, colour, hatch, words in (
         (False, COLOURS[1], "", "determined by these runs"),
@@ -108,14 +108,12 @@ def plot_output_change(ranking: SensitivityRanking, *, ax: Axes | None = None) -
             ax.barh(places[chosen], lengths, height=0.62, color=colour, hatch=hatch,
                     edgecolor="0.25", lw=0.6, label=words)  # fmt: skip
     ax.set(xlabel=f"change of the outputs for {100 * ranking.change:g} % of the parameter [-]")
-    ax.set_yticks(places, [symbol_of(row.name) for row in rows])
-    clean(ax)
-    ax.grid(False, axis="y")
+    clean(ax, grid="x")
     spread_legend(ax, loc="lower right")
     return say(
         ax,
-        f"{rows[-1].name} moves the outputs most ({rows[-1].output_change:.3g}), {rows[0].name} "
-        f"least ({rows[0].output_change:.3g}).",
+        f"{rows[0].name} moves the outputs most ({rows[0].output_change:.3g}), {rows[-1].name} "
+        f"least ({rows[-1].output_change:.3g}).",
     )
 
 
@@ -169,9 +167,9 @@ def draw_accuracy(
     ax : Axes, optional
         Where to draw.
     """
-    order = np.argsort(-columns[0].errors)
-    ax = new_axes(ax, size=(6.8, 1.4 + 0.28 * len(order)))
-    place = np.arange(len(order))
+    order = np.argsort(columns[0].errors)
+    named = [symbol_of(names[i]) for i in order]
+    ax, place = row_axes(ax, named, 6.8, tall=0.28, edge=1.4)
     if ranges is not None:
         ax.hlines(place, ranges[0][order], ranges[1][order], color=columns[0].colour, lw=4,
                   alpha=0.35, label="other vehicles")  # fmt: skip
@@ -179,12 +177,11 @@ def draw_accuracy(
         ax.plot(one.errors[order], place, one.marker, color=one.colour, ms=6, mew=1.3,
                 label=one.name, ls="none")  # fmt: skip
     ax.set(xscale="log", xlabel="expected standard error / value [%]")
-    ax.set_yticks(place, [symbol_of(names[i]) for i in order])
     clean(ax)
     _in_percent(ax)
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=min(len(columns) + 1, 3))
-    worst = order[0]
-    said = [f"{one.name} {100 * one.errors[worst]:.2g} %" for one in columns]
+    legend_above(ax, min(len(columns) + 1, 3))
+    worst = order[-1]
+    said = [f"{one.name} {share(one.errors[worst])}" for one in columns]
     return say(
         ax,
         f"Least certain is {names[worst]}; its expected standard error is {', '.join(said)} of "
@@ -408,7 +405,7 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
         ax.set(xlabel="to starboard [m]", ylabel="ahead [m]")
         ax.set_aspect("equal", adjustable="datalim")
     clean(ax)
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=6.5, ncols=2)
+    legend_above(ax, 2, fontsize=6.5)
     return ax
 
 
@@ -424,15 +421,13 @@ def plot_orders(design: Design, *, ax: Axes | None = None) -> Axes:
     ax = new_axes(ax, size=(5.4, 2.2))
     moved = [n for n in design.model.inputs if n.name not in design.experiment.constants]
     for index, channel in enumerate(moved):
-        column = design.model.input_names.index(channel.name)
-        angle = channel.unit == "rad"
-        values = design.trajectory.inputs[:, column] * (DEGREE if angle else 1.0)
-        unit = "deg" if angle else channel.unit
+        values = shown(channel, design.trajectory.signal(channel.name))
+        words = f"{symbol_of(channel.name)} [{shown_unit(channel.unit)[1]}]"
         ax.plot(design.trajectory.times, values, color=COLOURS[index % len(COLOURS)], lw=1.2,
-                drawstyle="steps-post", label=f"{symbol_of(channel.name)} [{unit}]")  # fmt: skip
+                drawstyle="steps-post", label=words)  # fmt: skip
     ax.set(xlabel="time $t$ [s]", ylabel="orders")
     clean(ax)
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=6.5, ncols=len(moved))
+    legend_above(ax, len(moved), fontsize=6.5)
     return ax
 
 

@@ -9,107 +9,30 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
-from oed_sysid.data.dataset import Record
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, autocorrelation, effective_sample_size
 from oed_sysid.likelihood.multistart import Profile
 from oed_sysid.results.style import (
-    DATA,
     NEUTRAL,
     TRUTH,
-    abscissa,
     clean,
-    joined,
-    label,
+    legend_above,
     model_style,
     new_axes,
-    new_figure,
-    plot_band,
+    panels,
+    row_axes,
     say,
-    shown,
     spread_legend,
     symbol_of,
+    zero,
 )
 from oed_sysid.runtime.display import TWO_SIDED_95
-from oed_sysid.text.units import shown_unit
 
 # Blue over white to vermilion; darkness says how strong in greyscale.
 _DIVERGING = LinearSegmentedColormap.from_list(
     "correlation", ["#003f66", "#8fbfdc", "white", "#f0a87f", "#8a2f00"]
 )
-
-
-def plot_output(
-    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
-) -> Axes:
-    """Plot one measured output and the model, with the band in which 95 % should lie.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    output : str
-        Which output.
-    record : str or int
-        Which of its records.
-    style : int
-        Position of the model in a comparison; sets colour and dashes.
-    ax : Axes, optional
-        Where to draw.
-    """
-    ax = new_axes(ax)
-    row, times, words = _record(fit, record)
-    column = fit.model.output_names.index(output)
-    channel = fit.model.outputs[column]
-    measured = shown(channel, fit.dataset[row].outputs[:, column])
-    predicted = shown(channel, fit.predictions[row][:, column])
-    half = TWO_SIDED_95 * shown(channel, fit.sigma[column])
-    look = model_style(style)
-    data = fit.dataset[row]
-    ax.plot(times, measured, ".", color=DATA, ms=2.5, label="measured", rasterized=True)
-    plot_band(
-        ax, data, predicted - half, predicted + half, color=look.colour, alpha=0.25, lw=0,
-        label="model ± noise (95 %)", rasterized=True,
-    )  # fmt: skip
-    ax.plot(times, predicted, color=look.colour, lw=1.5, label="model", **joined(data))
-    ax.set(xlabel=words, ylabel=label(channel))
-    return say(
-        clean(ax),
-        f"{fit.dataset[row].name}: residuals of {output} are "
-        f"{fit.rms[output] / fit.sigma[column]:.3g} times its noise.",
-    )
-
-
-def plot_residual(
-    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
-) -> Axes:
-    """Plot measured minus model of one output, with the 95 % band of its noise."""
-    ax = new_axes(ax)
-    row, times, words = _record(fit, record)
-    column = fit.model.output_names.index(output)
-    channel = fit.model.outputs[column]
-    half = TWO_SIDED_95 * float(shown(channel, fit.sigma[column]))
-    ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label="95 % of the noise")
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
-    ax.plot(
-        times, shown(channel, fit.residuals[row][:, column]), ".", ms=2.5,
-        color=model_style(style).colour, label="measured − model", rasterized=True,
-    )  # fmt: skip
-    ax.set(xlabel=words, ylabel=f"residual [{shown_unit(channel.unit)[1]}]")
-    return clean(ax)
-
-
-def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
-    """Plot one commanded signal of a record, as it acts between samples."""
-    ax = new_axes(ax, size=(6.4, 2.0))
-    channel = record.channels.inputs[record.channels.input_names.index(name)]
-    values = shown(channel, record.input(name))
-    drawstyle = "steps-post" if channel.interpolation == "hold" else "default"
-    along, words = abscissa(record)
-    ax.plot(along, values, color=TRUTH, lw=1.0, drawstyle=drawstyle, **joined(record))
-    ax.set(xlabel=words, ylabel=label(channel))
-    return clean(ax)
 
 
 def plot_autocorrelation(
@@ -151,10 +74,8 @@ def plot_autocorrelation(
         samples = max(samples, present)
         effective += effective_sample_size(series)
         total += present
-    if samples:
-        half = TWO_SIDED_95 / np.sqrt(samples)
-        ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label="95 % band of white noise")
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
+    half = TWO_SIDED_95 / np.sqrt(samples) if samples else 0.0
+    zero(ax, half, "95 % band of white noise")
     ax.set(
         xlabel="lag [s]",
         ylabel="autocorrelation [-]",
@@ -192,9 +113,8 @@ def plot_intervals(
     """
     several = [fits] if isinstance(fits, Fit) else list(fits)
     names = list(dict.fromkeys(name for fit in several for name in fit.names))
-    ax = new_axes(ax, size=(6.4, 0.8 + 0.34 * len(names)))
+    ax, rows = row_axes(ax, [symbol_of(name) for name in names], 6.4, tall=0.34, edge=0.8)
     scale = {name: _reference(several, name) for name in names}
-    rows = np.arange(len(names))[::-1]
     for index, fit in enumerate(several):
         shift = 0.22 * (index - (len(several) - 1) / 2)
         label = labels[index] if labels else f"{fit.model.name} (95 %)"
@@ -203,14 +123,13 @@ def plot_intervals(
     for name, row in zip(names, rows, strict=True):
         if truth and name in truth:
             ax.plot(truth[name] / scale[name], row, "|", color=TRUTH, ms=14, mew=2, label="truth")
-    ax.set_yticks(rows, [symbol_of(name) for name in names])
     parameters = [several[0].model.parameter(name) for name in names if name in several[0].names]
     has_prior = any(parameter.prior_mean is not None for parameter in parameters)
     what = "the prior" if has_prior else "the estimate"
-    ax.set(xlabel=f"value relative to {what} [-]", ylim=(-0.6, len(names) - 0.4))
+    ax.set(xlabel=f"value relative to {what} [-]")
     clean(ax)
     # Above: below, its distance from the axis' label would depend on the height.
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    legend_above(ax)
     return say(ax, _least_certain(several))
 
 
@@ -254,53 +173,15 @@ def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
     return say(ax, _closest(fit))
 
 
-def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
-    """Data and model on the left, residuals on the right, commands below, of one record."""
-    row, _, _ = _record(fit, record)
-    data = fit.dataset[row]
-    outputs = [name for name in fit.model.output_names if name not in data.missing_outputs]
-    inputs = [name for name in fit.model.input_names if name not in data.constant_channels]
-    rows = len(outputs) + (1 if inputs else 0)
-    figure, axes = new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
-    for line, name in zip(axes, outputs, strict=False):
-        plot_output(fit, name, record=row, style=style, ax=line[0])
-        plot_residual(fit, name, record=row, style=style, ax=line[1])
-        line[0].set_ylabel(label(fit.model.outputs[fit.model.output_names.index(name)], lines=2))
-    if inputs:
-        for ax, name in zip(axes[-1], inputs, strict=False):
-            plot_input(data, name, ax=ax)
-            ax.set_ylabel(
-                label(data.channels.inputs[data.channels.input_names.index(name)], lines=2)
-            )
-    for ax in axes[:-1].flat:
-        ax.set_xlabel("")
-    if len(inputs) == 1:
-        axes[-1, 1].axis("off")
-        axes[-2, 1].tick_params(labelbottom=True)
-        axes[-2, 1].set_xlabel("time $t$ [s]")
-    figure.align_ylabels()
-    axes[0, 1].set_title("measured − model")
-    axes[0, 0].set_title(f"{data.name}: measured and model", pad=20)
-    spread_legend(
-        axes[0, 0], loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=3, fontsize=8,
-        markerscale=3, borderaxespad=0.0,
-    )  # fmt: skip
-    return figure
-
-
 def figure_whiteness(fit: Fit, *, style: int = 0) -> Figure:
     """Autocorrelation of the residuals of all outputs."""
     outputs = fit.model.output_names
-    columns = min(3, len(outputs))
-    rows = -(-len(outputs) // columns)
-    figure, axes = new_figure(rows, columns, size=(3.7 * columns, 2.7 * rows), sharey=True)
-    for ax, name in zip(axes.flat, outputs, strict=False):
+    figure, axes = panels(len(outputs), 3, (3.7, 2.7), sharey=True)
+    for place, (ax, name) in enumerate(zip(axes, outputs, strict=True)):
         plot_autocorrelation(fit, name, style=style, ax=ax)
         ax.title.set_fontsize(10)
-    for ax in axes.flat[len(outputs) :]:
-        ax.axis("off")
-    for ax in axes[:, 1:].flat:
-        ax.set_ylabel("")
+        if place % 3:
+            ax.set_ylabel("")
     return figure
 
 
@@ -333,11 +214,6 @@ def _closest(fit: Fit) -> str:
     )
 
 
-def _record(fit: Fit, record: str | int) -> tuple[int, np.ndarray, str]:
-    row = fit.dataset.names.index(fit.dataset[record].name)
-    return row, *abscissa(fit.dataset[row])
-
-
 def _reference(fits: Sequence[Fit], name: str) -> float:
     for fit in fits:
         if name in fit.values:
@@ -358,18 +234,6 @@ def _draw_priors(
         half = TWO_SIDED_95 * parameter.prior_spread / abs(scale[name])
         ax.barh(row, 2 * half, left=centre - half, height=0.7, color=NEUTRAL, alpha=0.3,
                 lw=0, label="prior (95 %)", zorder=0.5)  # fmt: skip
-
-
-__all__ = [
-    "figure_fit",
-    "figure_whiteness",
-    "plot_autocorrelation",
-    "plot_correlation",
-    "plot_input",
-    "plot_intervals",
-    "plot_output",
-    "plot_residual",
-]
 
 
 def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
@@ -402,7 +266,7 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
         ylabel=r"rise of $-2\,\log L$ [-]",
         ylim=(min(0.0, float(profile.rises.min())) - 0.03 * top, top),
     )
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3)
+    legend_above(ax)
     return say(clean(ax), profile.report())
 
 

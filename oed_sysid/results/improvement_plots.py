@@ -29,13 +29,16 @@ from oed_sysid.results.style import (
     TRUTH,
     clean,
     label,
+    legend_above,
     model_style,
     new_axes,
     new_figure,
+    row_axes,
     say,
     shown,
     spread_legend,
     symbol_of,
+    zero,
 )
 from oed_sysid.runtime.display import TWO_SIDED_95
 
@@ -60,8 +63,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         Where to draw.
     """
     names = ranking.order[:n_shown]
-    ax = new_axes(ax, size=(7.2, 1.3 + 0.3 * len(names)))
-    rows = np.arange(len(names))[::-1]
+    ax, rows = row_axes(ax, [name.replace("_", " ") for name in names], 7.2)
     score = {one.effect.name: one.statistic for one in ranking.scores}
     gain = {refit.name: refit.gain for refit in ranking.refits}
     group = [refit.name for refit in ranking.group()]
@@ -78,12 +80,10 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         if refit.name in names:
             row, needed = rows[names.index(refit.name)], ranking.needed(refit)
             ax.plot([needed, needed], [row - 0.42, row + 0.42], color=TRUTH, lw=1.8, zorder=4)
-    ax.set_yticks(rows, [name.replace("_", " ") for name in names])
     largest = max([*gain.values(), *(score[name] for name in names), 1.0])
     _readable_scale(ax, largest)
     ax.set(xlabel="likelihood-ratio statistic [-]")
-    clean(ax)
-    ax.grid(False, axis="y")
+    clean(ax, grid="x")
     _explain_bars(ax, alike=len(group) > 1)
     if not ranking.refits:
         return say(ax, "No candidate was worth a refit.")
@@ -157,8 +157,7 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     ax.set_xticks(places, words, rotation=0 if len(places) < 4 else 20)
     ax.set_xlim(-0.4, len(steps) + 0.5)
     ax.set(ylabel="prediction error [noise]")
-    clean(ax)
-    ax.grid(False, axis="x")
+    clean(ax, grid="y")
     spread_legend(ax, loc="upper right")
     kind = "validation" if np.isfinite(test).any() else "training"
     return say(
@@ -187,8 +186,7 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
     top = max([*located.gains.values(), 0.0])
     places = [(place.name, top - located.gains[place.name]) for place in located.places]
     places = [*places[:n_shown], ("no disturbance", top)]
-    ax = new_axes(ax, size=(6.4, 1.2 + 0.3 * len(places)))
-    rows = np.arange(len(places))[::-1]
+    ax, rows = row_axes(ax, [name for name, _ in places], 6.4)
     ax.axvspan(
         0.0, GROUP_WIDTH, color=NEUTRAL, alpha=0.3, lw=0, label="cannot be told from the best"
     )
@@ -204,11 +202,9 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
             ax.annotate(words, (0.0, row), xytext=(6, 0), textcoords="offset points",
                         va="center", fontsize=8.5)  # fmt: skip
     _readable_scale(ax, max([behind for _, behind in places], default=1.0))
-    ax.set_yticks(rows, [name for name, _ in places])
     ax.set(xlabel="behind the best place: twice the log-likelihood [-]")
-    clean(ax)
-    ax.grid(False, axis="y")
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    clean(ax, grid="x")
+    legend_above(ax)
     return say(ax, located.verdict)
 
 
@@ -257,7 +253,7 @@ def plot_residual_force(
     ax = new_axes(ax, size=(7.6, 3.0))
     series = located.forces[record]
     mean, half = series.values[:, column], TWO_SIDED_95 * series.std[:, column]
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
+    zero(ax)
     ax.fill_between(series.times, mean - half, mean + half, color="0.75", alpha=0.6, lw=0)
     ax.plot(series.times, mean, color="0.25", lw=1.2, label="seen in the residuals (95 %)")
     for number, (name, parts) in enumerate(located.signatures.items(), start=1):
@@ -307,7 +303,7 @@ def plot_force_against(
     y = np.concatenate([series.values[:, column] for series in located.forces])
     seen = np.isfinite(x) & np.isfinite(y)
     x, y = x[seen], y[seen]
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
+    zero(ax)
     ax.plot(x, y, ".", color=DATA, ms=1.5, alpha=0.35, rasterized=True)
     independent = sum(effective_sample_size(s.values[:, column]) for s in located.forces)
     share = independent / sum(len(s.times) for s in located.forces)

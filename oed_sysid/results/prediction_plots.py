@@ -1,38 +1,184 @@
-"""Pictures of predictions: records that were not fitted to, and the polar of a sailing vehicle."""
+"""Pictures of what models say about records: fits and predictions, one signal or all of a record.
+
+A fit is drawn on the records that it was made from, with the band of its noise; a prediction on
+others, with the band of noise and uncertain parameters together.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import Comparison
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.prediction import Prediction
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.prediction.speed_polar import SpeedPolar
-from oed_sysid.results.fit_plots import plot_input
 from oed_sysid.results.style import (
     DATA,
-    NEUTRAL,
     TRUTH,
+    ModelStyle,
     abscissa,
+    band,
     clean,
     joined,
     label,
     model_style,
     new_axes,
     new_figure,
-    plot_band,
     say,
     shown,
     spread_legend,
+    zero,
 )
 from oed_sysid.runtime.display import TWO_SIDED_95
 
-# Best and worst record of an output, those that did not measure it left out.
-_ENDS = (np.nanmin, np.nanmax)
+Source = Fit | Prediction
+
+
+@dataclass(frozen=True)
+class Said:
+    """What one model says about one record.
+
+    Parameters
+    ----------
+    record : Record
+    mean, std, residuals : ndarray (n_times, n_outputs)
+        Outputs, their standard deviations, and measured minus said, SI.
+    sigma : ndarray (n_outputs,)
+        Levels of the noise, SI.
+    name : str
+        What it is called.
+    look : ModelStyle
+    """
+
+    record: Record
+    mean: np.ndarray
+    std: np.ndarray
+    residuals: np.ndarray
+    sigma: np.ndarray
+    name: str
+    look: ModelStyle
+
+
+def said_of(
+    models: Source | Sequence[Source],
+    record: str | int | Record,
+    labels: Sequence[str] | None = None,
+    styles: Sequence[int] | None = None,
+) -> list[Said]:
+    """Return what models say about one record.
+
+    Parameters
+    ----------
+    models : Fit, Prediction or sequence of them
+    record : str, int or Record
+        Of the first model's records, or one that all know by its name.
+    labels : sequence of str, optional
+        Names of the models.
+    styles : sequence of int, optional
+        Places of the models in a comparison, for their colours; by default their order.
+
+    Raises
+    ------
+    DataError
+        If a model knows no record of that name.
+    """
+    several = [models] if isinstance(models, Fit | Prediction) else list(models)
+    found = []
+    for number, model in enumerate(several):
+        data = record if isinstance(record, Record) else model.dataset[record]
+        if data.name not in model.dataset.names:
+            raise DataError(
+                f"A model was not fitted to record {data.name!r} and says nothing about it (it "
+                f"knows {', '.join(model.dataset.names)}). Give fit.predict(Dataset((record,))) "
+                "instead."
+            )
+        row = model.dataset.names.index(data.name)
+        mean = model.predictions[row] if isinstance(model, Fit) else model.outputs[row]
+        std = np.broadcast_to(model.sigma, mean.shape) if isinstance(model, Fit) else model.std[row]
+        name = labels[number] if labels else f"model {number + 1}"
+        look = model_style(styles[number] if styles else number)
+        found.append(Said(data, mean, std, model.residuals[row], model.sigma, name, look))
+    return found
+
+
+def _column(said: Said, output: str) -> tuple[int, Output]:
+    column = said.record.channels.output_names.index(output)
+    return column, said.record.channels.outputs[column]
+
+
+def draw_output(ax: Axes, models: Sequence[Said], output: str, band_label: str = "") -> Axes:
+    """Draw one measured output, and of each model a line with its 95 % band."""
+    data = models[0].record
+    column, channel = _column(models[0], output)
+    along, words = abscissa(data)
+    measured = shown(channel, data.outputs[:, column])
+    ax.plot(along, measured, ".", color=DATA, ms=2.5, label="measured", rasterized=True)
+    for one in models:
+        mean = shown(channel, one.mean[:, column])
+        half = TWO_SIDED_95 * shown(channel, one.std[:, column])
+        colour = one.look.colour
+        band(ax, data, mean - half, mean + half, colour, label=band_label or None)
+        line = joined(data, one.look.dashes)
+        ax.plot(along, mean, color=colour, lw=1.5, label=one.name, **line)
+    ax.set(xlabel=words, ylabel=label(channel))
+    return clean(ax)
+
+
+def draw_error(ax: Axes, models: Sequence[Said], output: str, *, scaled: bool) -> Axes:
+    """Draw measured minus said, in its unit or in units of the noise, whose 95 % band is grey."""
+    column, channel = _column(models[0], output)
+    along, words = abscissa(models[0].record)
+    level = 1.0 if scaled else float(shown(channel, models[0].sigma[column]))
+    zero(ax, TWO_SIDED_95 * level, "95 % of the noise")
+    for one in models:
+        off = one.residuals[:, column] / one.sigma[column] * level
+        mark = joined(one.record) if scaled else {"ls": "", "marker": ".", "ms": 2.5}
+        ax.plot(along, off, color=one.look.colour, lw=0.9, label=one.name, rasterized=True, **mark)
+    unit = "noise" if scaled else label(channel).rpartition("[")[2].rstrip("]")
+    ax.set(xlabel=words, ylabel=f"{'error' if scaled else 'residual'} [{unit}]")
+    return clean(ax)
+
+
+def plot_output(
+    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot one measured output and the model, with the band in which 95 % should lie.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    output : str
+        Which output.
+    record : str or int
+        Which of its records.
+    style : int
+        Position of the model in a comparison; sets its colour.
+    ax : Axes, optional
+        Where to draw.
+    """
+    (said,) = said_of(fit, record, ["model"], [style])
+    said = replace(said, look=replace(said.look, dashes="-"))
+    draw_output(ax := new_axes(ax), [said], output, "model ± noise (95 %)")
+    size = fit.rms[output] / fit.sigma[_column(said, output)[0]]
+    words = f"residuals of {output} are {size:.3g} times its noise."
+    return say(ax, f"{said.record.name}: {words}")
+
+
+def plot_residual(
+    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot measured minus model of one output, with the 95 % band of its noise."""
+    said = said_of(fit, record, ["measured − model"], [style])
+    return draw_error(new_axes(ax), said, output, scaled=False)
 
 
 def plot_prediction(
@@ -57,37 +203,13 @@ def plot_prediction(
         Which output.
     record : str or int
         Which record.
-    labels : sequence of str, optional
-        Names of the models.
-    styles : sequence of int, optional
-        Places of the models in a comparison, for their colours; by default
-        their order.
+    labels, styles
+        See :func:`said_of`.
     ax : Axes, optional
         Where to draw.
     """
-    several, row, column, styles = _chosen(predictions, output, record, styles)
-    ax = new_axes(ax)
-    data = several[0].dataset[row]
-    channel = data.channels.outputs[column]
-    along, words = abscissa(data)
-    ax.plot(
-        along, shown(channel, data.outputs[:, column]), ".", color=DATA, ms=2.5,
-        label="measured", rasterized=True,
-    )  # fmt: skip
-    for number, (place, one) in enumerate(zip(styles, several, strict=True)):
-        look = model_style(place)
-        mean = shown(channel, one.outputs[row][:, column])
-        half = TWO_SIDED_95 * shown(channel, one.std[row][:, column])
-        plot_band(
-            ax, data, mean - half, mean + half, color=look.colour, alpha=0.2, lw=0,
-            rasterized=True,
-        )  # fmt: skip
-        ax.plot(
-            along, mean, color=look.colour, lw=1.5, **joined(data, look.dashes),
-            label=labels[number] if labels else f"model {number + 1}",
-        )  # fmt: skip
-    ax.set(xlabel=words, ylabel=label(channel))
-    return say(clean(ax), " ".join(_errors(several, row, column, labels)))
+    models = said_of(predictions, record, labels, styles)
+    return say(draw_output(new_axes(ax), models, output), " ".join(_errors(models, output)))
 
 
 def plot_prediction_error(
@@ -104,21 +226,88 @@ def plot_prediction_error(
     The grey band holds 95 % of the noise. Parameters as in
     :func:`plot_prediction`.
     """
-    several, row, column, styles = _chosen(predictions, output, record, styles)
-    ax = new_axes(ax)
-    ax.axhspan(-TWO_SIDED_95, TWO_SIDED_95, color=NEUTRAL, alpha=0.3, lw=0)
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
-    for number, (place, one) in enumerate(zip(styles, several, strict=True)):
-        look = model_style(place)
-        data = one.dataset[row]
-        along, words = abscissa(data)
-        ax.plot(
-            along, one.residuals[row][:, column] / one.sigma[column],
-            color=look.colour, lw=0.9, label=labels[number] if labels else f"model {number + 1}",
-            rasterized=True, **joined(data),
-        )  # fmt: skip
-    ax.set(xlabel=words, ylabel="error [noise]")
+    models = said_of(predictions, record, labels, styles)
+    return draw_error(new_axes(ax), models, output, scaled=True)
+
+
+def _errors(models: Sequence[Said], output: str) -> Iterator[str]:
+    """Root mean square error of each model on one output, in units of the noise."""
+    for one in models:
+        column, _ = _column(one, output)
+        off = one.residuals[:, column] / one.sigma[column]
+        if np.isfinite(off).any():
+            size = float(np.sqrt(np.nanmean(off**2)))
+            yield f"{one.name} misses {output} by {size:.3g} times its noise."
+
+
+def draw_input(ax: Axes, record: Record, channel: Input) -> Axes:
+    """Draw one commanded signal of a record, as it acts between samples."""
+    along, words = abscissa(record)
+    style = "steps-post" if channel.interpolation == "hold" else "default"
+    values = shown(channel, record.input(channel.name))
+    ax.plot(along, values, color=TRUTH, lw=1.0, drawstyle=style, **joined(record))
+    ax.set(xlabel=words, ylabel=label(channel))
     return clean(ax)
+
+
+def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
+    """Plot one commanded signal of a record, as it acts between samples."""
+    channel = record.channels.inputs[record.channels.input_names.index(name)]
+    return draw_input(new_axes(ax, size=(6.4, 2.0)), record, channel)
+
+
+def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
+    """Data and model on the left, residuals on the right, commands below, of one record."""
+    models = said_of(fit, record, ["model"], [style])
+    models = [replace(one, look=replace(one.look, dashes="-")) for one in models]
+    return _side_by_side(models, ("measured and model", "measured − model"), scaled=False)
+
+
+def figure_predictions(
+    predictions: Prediction | Sequence[Prediction],
+    record: str | int = 0,
+    *,
+    labels: Sequence[str] | None = None,
+    styles: Sequence[int] | None = None,
+) -> Figure:
+    """All outputs of one record: predictions on the left, errors on the right."""
+    models = said_of(predictions, record, labels, styles)
+    titles = ("measured and predicted", "measured − predicted, in units of the noise")
+    return _side_by_side(models, titles, scaled=True)
+
+
+def _side_by_side(models: Sequence[Said], titles: tuple[str, str], *, scaled: bool) -> Figure:
+    """Outputs of a record on the left, errors on the right, commands below."""
+    data = models[0].record
+    outputs = [name for name in data.channels.output_names if name not in data.missing_outputs]
+    inputs = [one for one in data.channels.inputs if one.name not in data.constant_channels]
+    rows = len(outputs) + bool(inputs)
+    figure, axes = new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
+    for (left, right), name in zip(axes, outputs, strict=False):
+        words = "" if scaled else "model ± noise (95 %)"
+        say(draw_output(left, models, name, words), " ".join(_errors(models, name)))
+        draw_error(right, models, name, scaled=scaled)
+        left.set_ylabel(label(_column(models[0], name)[1], lines=2))
+    for ax, command in zip(axes[-1], inputs, strict=False):
+        draw_input(ax, data, command).set_ylabel(label(command, lines=2))
+    for ax in axes[:-1].flat:
+        ax.set_xlabel("")
+    if len(inputs) == 1:
+        axes[-1, 1].axis("off")
+        axes[-2, 1].tick_params(labelbottom=True)
+        axes[-2, 1].set_xlabel(abscissa(data)[1])
+    axes[0, 0].set_title(f"{data.name}: {titles[0]}", pad=20)
+    axes[0, 1].set_title(titles[1])
+    spread_legend(
+        axes[0, 0], loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=4, fontsize=8,
+        markerscale=3, borderaxespad=0.0,
+    )  # fmt: skip
+    figure.align_ylabels()
+    return figure
+
+
+# Best and worst record of an output, those that did not measure it left out.
+_ENDS = (np.nanmin, np.nanmax)
 
 
 def plot_comparison(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
@@ -155,77 +344,9 @@ def plot_comparison(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
         ax.set_yscale("log")
         ax.yaxis.set_major_formatter("{x:g}")
     ax.set(ylabel="rms error [noise]")
-    clean(ax)
-    ax.grid(False, axis="x")
+    clean(ax, grid="y")
     spread_legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
     return say(ax, comparison.verdict.splitlines()[-1])
-
-
-def figure_predictions(
-    predictions: Prediction | Sequence[Prediction],
-    record: str | int = 0,
-    *,
-    labels: Sequence[str] | None = None,
-    styles: Sequence[int] | None = None,
-) -> Figure:
-    """All outputs of one record: predictions on the left, errors on the right."""
-    first = predictions if isinstance(predictions, Prediction) else predictions[0]
-    data = first.dataset[record]
-    outputs = [n for n in data.channels.output_names if n not in data.missing_outputs]
-    inputs = [n for n in data.channels.input_names if n not in data.constant_channels]
-    rows = len(outputs) + (1 if inputs else 0)
-    figure, axes = new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
-    for line, name in zip(axes, outputs, strict=False):
-        channel = data.channels.outputs[data.channels.output_names.index(name)]
-        for draw, ax in ((plot_prediction, line[0]), (plot_prediction_error, line[1])):
-            draw(predictions, name, record=record, labels=labels, styles=styles, ax=ax)
-        line[0].set_ylabel(label(channel, lines=2))
-    for ax, name in zip(axes[-1], inputs, strict=False):
-        plot_input(data, name, ax=ax)
-        ax.set_ylabel(label(data.channels.inputs[data.channels.input_names.index(name)], lines=2))
-    for ax in axes[:-1].flat:
-        ax.set_xlabel("")
-    if len(inputs) == 1:
-        axes[-1, 1].axis("off")
-        axes[-2, 1].tick_params(labelbottom=True)
-        axes[-2, 1].set_xlabel("time $t$ [s]")
-    axes[0, 0].set_title(f"{data.name}: measured and predicted")
-    axes[0, 1].set_title("measured − predicted, in units of the noise")
-    # Room above the curves, so that the legend hides none of them.
-    low, high = axes[0, 0].get_ylim()
-    axes[0, 0].set_ylim(low, high + 0.18 * (high - low))
-    spread_legend(axes[0, 0], loc="upper right", ncols=3, fontsize=8, markerscale=3)
-    figure.align_ylabels()
-    return figure
-
-
-def _errors(
-    several: Sequence[Prediction], row: int, column: int, labels: Sequence[str] | None
-) -> list[str]:
-    """Root mean square error of each model on one output, in units of the noise."""
-    said = []
-    for number, one in enumerate(several):
-        off = one.residuals[row][:, column] / one.sigma[column]
-        name = labels[number] if labels else f"model {number + 1}"
-        output = one.dataset.channels.output_names[column]
-        if np.isfinite(off).any():
-            size = float(np.sqrt(np.nanmean(off**2)))
-            said.append(f"{name} misses {output} by {size:.3g} times its noise.")
-    return said
-
-
-def _chosen(
-    predictions: Prediction | Sequence[Prediction],
-    output: str,
-    record: str | int,
-    styles: Sequence[int] | None,
-) -> tuple[list[Prediction], int, int, Sequence[int]]:
-    """Predictions as a list, row of the record, column of the output, places in a comparison."""
-    several = [predictions] if isinstance(predictions, Prediction) else list(predictions)
-    dataset = several[0].dataset
-    row = dataset.names.index(dataset[record].name)
-    column = dataset.channels.output_names.index(output)
-    return several, row, column, styles or range(len(several))
 
 
 def plot_polar(

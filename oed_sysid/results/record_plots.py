@@ -15,6 +15,7 @@ from oed_sysid.experiments.indices import zigzag_indices
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.prediction import Prediction
 from oed_sysid.physics.channels import Input, Output
+from oed_sysid.results.prediction_plots import Said, draw_input, said_of
 from oed_sysid.results.style import (
     COLOURS,
     DATA,
@@ -22,18 +23,21 @@ from oed_sysid.results.style import (
     NEUTRAL,
     TRUTH,
     abscissa,
+    band,
     between,
     clean,
-    joined,
     label,
-    model_style,
+    legend_above,
     new_axes,
     new_figure,
+    panels,
+    row_axes,
     say,
     shown,
     span,
     spread_legend,
     symbol_of,
+    zero,
 )
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
@@ -50,28 +54,25 @@ def figure_record(record: Record) -> Figure:
     record : Record
         The record.
     """
-    along, words = abscissa(record)
     measured = [o for o in record.channels.outputs if np.isfinite(record.output(o.name)).any()]
     channels: list[Input | Output] = [*record.channels.inputs, *measured]
     columns = 1 if len(channels) < 4 else 2
-    rows = -(-len(channels) // columns)
-    figure, grid = new_figure(rows, columns, size=(5.4 * columns, 1.9 * rows), sharex=True)
-    for ax, channel in zip(grid.T.flat, channels, strict=False):
+    figure, axes = panels(len(channels), columns, (5.4, 1.9), sharex=True)
+    for place, (ax, channel) in enumerate(zip(axes, channels, strict=True)):
         if isinstance(channel, Input):
-            style = "steps-post" if channel.interpolation == "hold" else "default"
+            draw_input(ax, record, channel)
             values = shown(channel, record.input(channel.name))
-            ax.plot(along, values, color=TRUTH, lw=1.0, drawstyle=style, **joined(record))
         else:
+            along, words = abscissa(record)
             values = shown(channel, record.output(channel.name))
-            ax.plot(along, values, ".", color=DATA, ms=2.0, rasterized=True)
+            clean(ax).plot(along, values, ".", color=DATA, ms=2.0, rasterized=True)
+            ax.set_xlabel(words)
         ax.set_ylabel(label(channel, lines=2))
-        say(clean(ax), between(channel, values))
-    for ax in list(grid.T.flat)[len(channels) :]:
-        ax.set_visible(False)
-    for column in grid.T:
-        lowest = [ax for ax in column if ax.get_visible()][-1]
-        lowest.set_xlabel(words)
-        lowest.tick_params(labelbottom=True)
+        lowest = place + columns >= len(channels)
+        ax.tick_params(labelbottom=lowest)
+        if not lowest:
+            ax.set_xlabel("")
+        say(ax, between(channel, values))
     return figure
 
 
@@ -91,9 +92,7 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     ax : Axes, optional
         Where to draw.
     """
-    n = len(found.balances)
-    ax = new_axes(ax, size=(6.4, 1.3 + 0.5 * n))
-    rows = np.arange(n)[::-1]
+    ax, rows = row_axes(ax, [one.relation for one in found.balances], 6.4, tall=0.5)
     before = np.array([100.0 * one.before for one in found.balances])
     after = np.array([100.0 * one.after for one in found.balances])
     ax.hlines(rows, np.minimum(before, after), np.maximum(before, after), color=NEUTRAL, lw=2.0)
@@ -104,13 +103,9 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     low, high = min(after.min(), before.min()), max(before.max(), after.max(), 100.0)
     ax.set_xlim(low / 2.0, high * 2.0)
     ax.xaxis.set_major_formatter("{x:g}")
-    ax.set_yticks(rows, [one.relation for one in found.balances])
-    ax.set_ylim(-0.6, n - 0.4)
     ax.set_xlabel("unexplained share of the left side's changes [%]")
-    clean(ax)
-    ax.grid(False, axis="y")
-    ax.legend(frameon=False, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
-    return ax
+    legend_above(ax, 2)
+    return clean(ax, grid="x")
 
 
 def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
@@ -153,7 +148,7 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
         )  # fmt: skip
     else:
         ax.set_ylim(*span([-most, most]))
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
+    zero(ax)
     ax.set(xlabel="time from the start [s]", ylabel=f"{symbol_of(balance.target)} left [{unit}]")
     return clean(ax)
 
@@ -262,11 +257,9 @@ def _in_plane(
     right, up = (shown(c, record.output(c.name)) for c in channels)
     ax.plot(right, up, ".", color=DATA, ms=3, label="measured", rasterized=True)
     said = []
-    for index, one in enumerate(models):
-        look = model_style(index)
-        rows, _ = _said(one, record)
-        ends = [shown(c, rows[:, k]) for c, k in zip(channels, columns, strict=True)]
-        name = labels[index] if labels else f"model {index + 1}"
+    for one in said_of(models, record, labels) if models else ():
+        ends = [shown(c, one.mean[:, k]) for c, k in zip(channels, columns, strict=True)]
+        look, name = one.look, one.name
         ax.plot(*ends, color=look.colour, linestyle=look.dashes, lw=1.6, label=name)
         off = np.hypot(ends[0] - right, ends[1] - up)
         same = channels[0].unit == channels[1].unit
@@ -280,7 +273,7 @@ def _in_plane(
         ax.set_aspect("equal", adjustable="datalim")
         if names[1] == "z" and not ax.yaxis_inverted():
             ax.invert_yaxis()
-    spread_legend(ax, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, markerscale=2)
+    legend_above(ax, markerscale=2)
     return say(clean(ax), " ".join([f"{record.name}: {names[1]} over {names[0]}.", *said]))
 
 
@@ -328,66 +321,36 @@ def plot_zigzag(
         label=f"{symbol_of(heading)} measured",
     )  # fmt: skip
     column = record.channels.output_names.index(heading)
-    for index, one in enumerate(models):
-        look = model_style(index)
-        rows, std = _said(one, record)
-        model, half = rows[:, column] * DEGREE, TWO_SIDED_95 * std[:, column] * DEGREE
-        ax.fill_between(
-            record.times, model - half, model + half, color=look.colour, alpha=0.25, lw=0
-        )
+    said = said_of(models, record, labels) if models else []
+    for one in said:
+        model, half = one.mean[:, column] * DEGREE, TWO_SIDED_95 * one.std[:, column] * DEGREE
+        band(ax, record, model - half, model + half, one.look.colour)
         ax.plot(
-            record.times, model, color=look.colour, linestyle=look.dashes, lw=1.5,
-            label=labels[index] if labels else f"model {index + 1}",
+            record.times, model, color=one.look.colour, linestyle=one.look.dashes, lw=1.5,
+            label=one.name,
         )  # fmt: skip
-    ax.axhline(0.0, color=TRUTH, lw=0.8)
-    _write_overshoots(ax, record, turned, angle, models, column, labels)
+    zero(ax)
+    _write_overshoots(ax, record, heading, angle, said)
     ax.set(xlabel="time $t$ [s]", ylabel="angle [deg]", title=record.name)
     clean(ax)
     spread_legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, markerscale=3)
     return ax
 
 
-def _said(model: Fit | Prediction, record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """Outputs of a model on a record and their standard deviation, ``(n_times, n_outputs)``."""
-    if record.name not in model.dataset.names:
-        raise DataError(
-            f"A model was not fitted to record {record.name!r} and says nothing about it (it knows "
-            f"{', '.join(model.dataset.names)}). Give fit.predict(Dataset((record,))) instead."
-        )
-    row = model.dataset.names.index(record.name)
-    if isinstance(model, Fit):
-        return model.predictions[row], np.broadcast_to(model.sigma, model.predictions[row].shape)
-    return model.outputs[row], model.std[row]
-
-
 def _write_overshoots(
-    ax: Axes,
-    record: Record,
-    turned: np.ndarray,
-    angle: np.ndarray,
-    models: Sequence[Fit | Prediction],
-    column: int,
-    labels: Sequence[str] | None,
+    ax: Axes, record: Record, heading: str, angle: np.ndarray, models: Sequence[Said]
 ) -> None:
     """Mark the first two overshoots where they are, and say those of the models."""
+    column = record.channels.output_names.index(heading)
+    turned = record.output(heading)
     said = []
-    for index, (name, heading) in enumerate(
-        [
-            ("measured", turned),
-            *(
-                (labels[k] if labels else f"model {k + 1}", _said(one, record)[0][:, column])
-                for k, one in enumerate(models)
-            ),
-        ]
-    ):
-        peaks = _overshoots(record, heading, angle)
-        if not peaks:
-            continue
-        angles = " and ".join(f"{abs(past) * DEGREE:.1f}°" for _, _, past in peaks)
-        said.append(f"{name}: overshoots {angles}.")
-        if index == 0:
-            for row, reversed_at, past in peaks:
-                _mark(ax, record.times[row], reversed_at, turned[row], past)
+    for name, one in [("measured", turned), *((m.name, m.mean[:, column]) for m in models)]:
+        peaks = _overshoots(record, one, angle)
+        if peaks:
+            angles = " and ".join(f"{abs(past) * DEGREE:.1f}°" for _, _, past in peaks)
+            said.append(f"{name}: overshoots {angles}.")
+    for row, reversed_at, past in _overshoots(record, turned, angle):
+        _mark(ax, record.times[row], reversed_at, turned[row], past)
     say(ax, " ".join([f"{record.name}.", *said]))
     ax.margins(y=0.16)
 

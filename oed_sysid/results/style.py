@@ -106,17 +106,47 @@ def new_figure(
     return figure, figure.subplots(rows, columns, squeeze=False, **layout)  # type: ignore[call-overload]
 
 
-def clean(ax: Axes) -> Axes:
-    """Give axes the house style: light grid, no box, ticks that can be read."""
+def clean(ax: Axes, grid: str = "both") -> Axes:
+    """Give axes the house style: light grid along ``grid``, no box, ticks that can be read."""
     ax.spines[["top", "right"]].set_visible(False)
     ax.spines[["left", "bottom"]].set_color("0.4")
-    ax.grid(True, color="0.9", linewidth=0.7)
+    ax.grid(False)
+    ax.grid(True, axis=grid, color="0.9", linewidth=0.7)  # type: ignore[arg-type]
     ax.set_axisbelow(True)
     ax.tick_params(colors="0.25", labelsize=9)
     ax.xaxis.label.set_fontsize(10)
     ax.yaxis.label.set_fontsize(10)
     ax.title.set_fontsize(11)
     return ax
+
+
+def row_axes(
+    ax: Axes | None, names: Sequence[str], width: float, *, tall: float = 0.3, edge: float = 1.3
+) -> tuple[Axes, np.ndarray]:
+    """Return axes with one named row per name, the first on top, and the places of the rows."""
+    ax = new_axes(ax, size=(width, edge + tall * len(names)))
+    rows = np.arange(len(names))[::-1]
+    ax.set_yticks(rows, names)
+    ax.set_ylim(-0.7, len(names) - 0.3)
+    return ax, rows
+
+
+def legend_above(ax: Axes, columns: int = 3, **options: Any) -> None:
+    """Add the legend above the axes, where it hides nothing."""
+    where = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "ncols": columns}
+    spread_legend(ax, **where, **options)
+
+
+def panels(
+    count: int, columns: int, size: tuple[float, float], **layout: Any
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure of so many axes of a size (inches) in columns, row by row."""
+    columns = max(min(columns, count), 1)
+    rows = -(-count // columns)
+    figure, grid = new_figure(rows, columns, size=(size[0] * columns, size[1] * rows), **layout)
+    for ax in grid.flat[count:]:
+        ax.axis("off")
+    return figure, list(grid.flat[:count])
 
 
 def label(channel: State | Input | Output, *, lines: int = 1) -> str:
@@ -149,13 +179,23 @@ def joined(record: Record, dashes: Any = "-") -> dict[str, Any]:
     return {"ls": "", "marker": "_", "ms": 5.0} if record.independent else {"ls": dashes}
 
 
-def plot_band(ax: Axes, record: Record, low: np.ndarray, high: np.ndarray, **look: Any) -> None:
+def band(
+    ax: Axes, record: Record, low: np.ndarray, high: np.ndarray, colour: str, **look: Any
+) -> None:
     """Draw a band along a record, or a bar at each of its independent tests."""
     along, _ = abscissa(record)
+    settings = {"color": colour, "alpha": 0.25, "rasterized": True, **look}
     if record.independent:
-        ax.vlines(along, low, high, **{**look, "lw": 1.5})
+        ax.vlines(along, low, high, lw=1.5, **settings)
     else:
-        ax.fill_between(along, low, high, **look)
+        ax.fill_between(along, low, high, lw=0, **settings)
+
+
+def zero(ax: Axes, half: float = 0.0, words: str | None = None) -> None:
+    """Draw the line at zero, and a grey band around it."""
+    if half:
+        ax.axhspan(-half, half, color=NEUTRAL, alpha=0.3, lw=0, label=words)
+    ax.axhline(0.0, color=TRUTH, lw=0.8)
 
 
 def shown(channel: State | Input | Output, values: ArrayLike) -> np.ndarray:

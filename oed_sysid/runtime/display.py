@@ -122,13 +122,52 @@ def digits(value: float, count: int = 2) -> str:
     return f"{float(text):.0f}"
 
 
-def share(value: float) -> str:
-    """Return a share in per cent.
+def share(value: float, count: int = 2) -> str:
+    """Return a share in per cent; small ones are said to be small, none is 0.00 %.
 
-    >>> share(0.0312), share(25.0)
-    ('3.1 %', 'more than 1000 %')
+    >>> share(0.0312), share(25.0), share(2e-6), share(0.0), share(float("nan"))
+    ('3.1 %', 'more than 1000 %', 'below 0.01 %', '0 %', 'not known')
     """
-    return f"{100 * value:.2g} %" if value < 10 else "more than 1000 %"
+    if math.isnan(value):
+        return "not known"
+    if 0.0 < abs(value) < 1e-4:
+        return "below 0.01 %"
+    return f"{digits(100 * value, count)} %" if value < 10 else "more than 1000 %"
+
+
+def rounded(value: float, half: float = math.nan) -> str:
+    """Return a value with the digits that its uncertainty leaves; four without one.
+
+    Parameters
+    ----------
+    value : float
+        Not finite is said in words.
+    half : float
+        Half of its 95 % interval; two of its digits are shown.
+
+    Examples
+    --------
+    >>> rounded(12.3456, 0.0321), rounded(12345.6, 321.0), rounded(1.23456), rounded(math.nan)
+    ('12.346', '12350', '1.235', 'not known')
+    """
+    if not math.isfinite(value):
+        return "not known" if math.isnan(value) else "unbounded"
+    if not (math.isfinite(half) and half > 0.0):
+        return digits(value, 4)
+    places = 1 - math.floor(math.log10(half))
+    shown = round(value, places)
+    return f"{shown:.{max(places, 0)}f}" if places < 7 and abs(shown) < 1e6 else digits(value, 4)
+
+
+def interval(value: float, half: float) -> str:
+    """Return a value with half of its 95 % interval, which says how many digits are shown.
+
+    >>> interval(12.3456, 0.0321), interval(1.5, math.nan), interval(0.5, 0.0)
+    ('12.346 ± 0.032', '1.5', '0.5')
+    """
+    if not (math.isfinite(half) and half > 0.0):
+        return rounded(value)
+    return f"{rounded(value, half)} ± {digits(half, 2)}"
 
 
 def counted(count: int, noun: str) -> str:

@@ -731,7 +731,7 @@ def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -
 
 
 _HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
-_BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
+_BLANK = re.compile(rb"(?<![^,])[ \t]+(?![^,])")
 _WORDS = re.compile(
     rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
     % b"|".join(re.escape(word).encode() for word in sorted(MISSING - {""}))
@@ -766,7 +766,7 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
     end = 0
     for numbers, _ in parts:
         start, end = end, end + len(numbers)
-        values[start:end, numeric] = numbers
+        values[start:end, numeric if len(numeric) < len(headers) else slice(None)] = numbers
     table = Table(path, tuple(headers), values, np.arange(row, row + n_rows))
     for index, kind in enumerate(kinds):
         if kind == "s":
@@ -861,14 +861,14 @@ class _Lines:
         if self.delimiter != b"," and b"," in block:
             if b"." in block:
                 raise ValueError
-            return block.translate(bytes.maketrans(b"," + self.delimiter + b"\n", b".,,"))
-        return block.translate(bytes.maketrans(self.delimiter + b"\n", b",,"))
+            return block.translate(bytes.maketrans(b"\v\f," + self.delimiter + b"\n", b"  .,,"))
+        return block.translate(bytes.maketrans(b"\v\f" + self.delimiter + b"\n", b"  ,,"))
 
 
 def _floats(body: bytes) -> np.ndarray:
     """Numbers between commas; nothing, and the words for nothing, are NaN."""
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
-    if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
+    if b" " in body or b"\t" in body:
         body = _BLANK.sub(b"", body)
     if b",," in body or body.startswith(b",") or body.endswith(b","):
         body = b",%s," % body

@@ -310,7 +310,7 @@ def _unknown(part: str, unit: str) -> DataError:
     if meant is None and not part.isascii() and "°" in unit:
         meant = "deg"  # a degree sign read in the wrong encoding, such as Â°
     hint = f" Did you mean {meant!r}?" if meant else ""
-    if latin(part) in UNITS:
+    if not part.isascii() and latin(part) in UNITS:
         hint = f" It is not {latin(part)!r}: {foreign(part)}."
     return DataError(
         f"Unknown unit {part!r} in [{unit}].{hint} Accepted are {accepted}, "

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from benchmarks.other_vehicles.models.base import Nominal
-from oed_sysid import Actuator, Environment, Force, Input, Model, Output, Parameter, State
+from benchmarks.other_vehicles.models.base import Nominal, force, guess, known, zero
+from oed_sysid import Environment, Force, Input, Model, Output, Parameter, State
 from oed_sysid.physics import (
     Effect,
     Sensor,
@@ -26,28 +26,16 @@ from oed_sysid.physics import (
     thrust_speed_loss,
 )
 
-RELATIVE_PRIOR = 0.3
-
-
-def _known(name: str, value: float, unit: str, description: str) -> Parameter:
-    return Parameter(name, value, unit, fixed=True, description=description)
-
-
-def _guess(name: str, value: float, unit: str) -> Parameter:
-    spread = RELATIVE_PRIOR * abs(value)
-    return Parameter(name, value, unit, prior_mean=value, prior_std=spread)
-
-
 CONSTANTS = (
-    _known("m", 30.5, "kg", "mass"),
-    _known("I_xx", 0.8, "kg m^2", "roll inertia"),
-    _known("I_yy", 3.45, "kg m^2", "pitch and yaw inertia"),
-    _known("X_udot", -0.93, "kg", "surge added mass"),
-    _known("Y_vdot", -35.5, "kg", "sway and heave added mass"),
-    _known("K_pdot", -0.2, "kg m^2", "roll added inertia"),
-    _known("M_qdot", -4.88, "kg m^2", "pitch and yaw added inertia"),
-    _known("T_nn", 0.014, "N s^2", "thrust per n^2"),
-    _known("a_Q", 0.03, "m", "propeller torque over thrust"),
+    known("m", 30.5, "kg", "mass"),
+    known("I_xx", 0.8, "kg m^2", "roll inertia"),
+    known("I_yy", 3.45, "kg m^2", "pitch and yaw inertia"),
+    known("X_udot", -0.93, "kg", "surge added mass"),
+    known("Y_vdot", -35.5, "kg", "sway and heave added mass"),
+    known("K_pdot", -0.2, "kg m^2", "roll added inertia"),
+    known("M_qdot", -4.88, "kg m^2", "pitch and yaw added inertia"),
+    known("T_nn", 0.014, "N s^2", "thrust per n^2"),
+    known("a_Q", 0.03, "m", "propeller torque over thrust"),
 )
 RIGID = Force(
     "rigid_body",
@@ -81,15 +69,15 @@ HULL = Force(
         "N": "N_uv*u_r*v_r + N_ur*u_r*r",
     },
     (
-        _guess("X_uu", -3.9, "kg/m"),
-        _guess("Y_uv", -40.0, "kg/m"),
-        _guess("Y_ur", 9.0, "kg"),
-        _guess("Z_uw", -40.0, "kg/m"),
-        _guess("Z_uq", -9.0, "kg"),
-        _guess("M_uw", -20.6, "kg"),
-        _guess("M_uq", -9.0, "kg m"),
-        _guess("N_uv", 20.6, "kg"),
-        _guess("N_ur", -11.0, "kg m"),
+        guess("X_uu", -3.9, "kg/m"),
+        guess("Y_uv", -40.0, "kg/m"),
+        guess("Y_ur", 9.0, "kg"),
+        guess("Z_uw", -40.0, "kg/m"),
+        guess("Z_uq", -9.0, "kg"),
+        guess("M_uw", -20.6, "kg"),
+        guess("M_uq", -9.0, "kg m"),
+        guess("N_uv", 20.6, "kg"),
+        guess("N_ur", -11.0, "kg m"),
     ),
     description="drag and lift of the hull",
 )
@@ -102,10 +90,10 @@ FINS = Force(
         "N": "N_uudr*u_r**2*dr",
     },
     (
-        _guess("Y_uudr", 12.0, "kg/m"),
-        _guess("Z_uuds", -12.0, "kg/m"),
-        _guess("M_uuds", -6.15, "kg"),
-        _guess("N_uudr", -6.15, "kg"),
+        guess("Y_uudr", 12.0, "kg/m"),
+        guess("Z_uuds", -12.0, "kg/m"),
+        guess("M_uuds", -6.15, "kg"),
+        guess("N_uudr", -6.15, "kg"),
     ),
     description="lift of the fins",
 )
@@ -118,7 +106,7 @@ ROLL_DAMPING = Force(
 RESTORING = Force(
     "restoring",
     {"K": "-zgW*cos(theta)*sin(phi)", "M": "-zgW*sin(theta)"},
-    (_guess("zgW", 5.9, "N m"),),
+    (guess("zgW", 5.9, "N m"),),
     description="centre of gravity below that of buoyancy",
 )
 PROPELLER = Force("propeller", {"X": "T", "K": "-a_Q*T"}, description="thrust and torque")
@@ -140,23 +128,6 @@ CURRENT = Environment(
 )
 
 
-def _force(name: str, terms: dict[str, str], unit: str, scale: float, words: str) -> Force:
-    """A force of one amplitude, written as ``E`` in the terms."""
-    size = amplitude(name, unit, scale=scale)
-    return Force(
-        name,
-        {axis: f"{size.name}*({text})" for axis, text in terms.items()},
-        (size,),
-        description=words,
-    )
-
-
-RUDDER_ZERO = Actuator(
-    "rudder_zero",
-    {"dr": "dr + E_rudder_zero"},
-    (amplitude("rudder_zero", "rad", scale=0.02, bound=0.3, per_record=True),),
-    description="rudder zero set anew before each run",
-)
 LEVER_ARM = Sensor(
     "log_lever_arm",
     {"v": "v + E_log_lever_arm*r", "w": "w - E_log_lever_arm*q"},
@@ -215,15 +186,15 @@ def build(declared: bool, lacking: str | None) -> Model:
 _DOWN = {"X": "-sin(theta)", "Y": "cos(theta)*sin(phi)", "Z": "cos(theta)*cos(phi)"}
 CANDIDATES: tuple[Effect, ...] = (
     CURRENT,
-    _force("excess_weight", _DOWN, "N", 1.5, "weight differs from buoyancy"),
-    _force(
+    force("excess_weight", _DOWN, "N", 1.5, "weight differs from buoyancy"),
+    force(
         "cg_offset_x",
         {"M": "-cos(theta)*cos(phi)", "N": "cos(theta)*sin(phi)"},
         "N m",
         0.3,
         "centre of gravity ahead of that of buoyancy",
     ),
-    _force("heel_moment", {"K": "1"}, "N m", 0.2, "constant roll moment"),
+    force("heel_moment", {"K": "1"}, "N m", 0.2, "constant roll moment"),
     quadratic_drag("heave_crossflow", "Z", "w_r", scale=100.0),
     quadratic_drag("sway_crossflow", "Y", "v_r", scale=100.0),
     quadratic_drag("pitch_quadratic_damping", "M", "q", scale=30.0),
@@ -232,7 +203,7 @@ CANDIDATES: tuple[Effect, ...] = (
     quadratic_drag("pitch_crossflow_moment", "M", "w_r", scale=30.0),
     quadratic_drag("yaw_crossflow_moment", "N", "v_r", scale=30.0),
     crossed_drag("sway_drift_yaw", "Y", "v_r", "r", scale=30.0),
-    _force("crossflow_drag", {"X": "w_r**2 + v_r**2"}, "kg/m", 40.0, "drag due to lift"),
+    force("crossflow_drag", {"X": "w_r**2 + v_r**2"}, "kg/m", 40.0, "drag due to lift"),
     deflection_drag("stern_drag", "ds", scale=6.0),
     deflection_drag("rudder_drag", "dr", scale=6.0),
     linear_damping("surge_linear_drag", "X", "u_r", scale=1.0),
@@ -245,7 +216,7 @@ CANDIDATES: tuple[Effect, ...] = (
     added_mass_error("roll_added_inertia_error", "K", "p", scale=0.2, bound=0.8),
     actuator_offset("stern_offset", "ds", scale=0.02),
     actuator_offset("rudder_offset", "dr", scale=0.02),
-    RUDDER_ZERO,
+    zero("rudder_zero", "dr", "rad", scale=0.02, bound=0.3),
     actuator_lag("stern_lag", "ds", scale=0.2),
     actuator_lag("rudder_lag", "dr", scale=0.2),
     rate_limit("stern_rate_limit", "ds", scale=3.0),

@@ -2,11 +2,100 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
-from oed_sysid import Model
-from oed_sysid.physics import Effect
+from oed_sysid import Actuator, Force, Model, Output, Parameter, State
+from oed_sysid.physics import Effect, amplitude
+
+RELATIVE_PRIOR = 0.3
+
+
+def known(name: str, value: float, unit: str, description: str) -> Parameter:
+    """A constant."""
+    return Parameter(name, value, unit, fixed=True, description=description)
+
+
+def guess(name: str, value: float, unit: str = "1", description: str = "") -> Parameter:
+    """A parameter that is believed to within 30 per cent."""
+    spread = RELATIVE_PRIOR * abs(value)
+    return Parameter(name, value, unit, prior_mean=value, prior_std=spread, description=description)
+
+
+def force(name: str, terms: Mapping[str, str], unit: str, scale: float, words: str) -> Force:
+    """A force of one amplitude, which the terms are multiplied by."""
+    size = amplitude(name, unit, scale=scale)
+    scaled = {axis: f"{size.name}*({text})" for axis, text in terms.items()}
+    return Force(name, scaled, (size,), description=words)
+
+
+def zero(name: str, signal: str, unit: str, *, scale: float, bound: float = math.inf) -> Actuator:
+    """The zero of an actuator, set anew before each run."""
+    size = amplitude(name, unit, scale=scale, bound=bound, per_record=True)
+    words = f"zero of {signal} set anew before each run"
+    return Actuator(name, {signal: f"{signal} + {size.name}"}, (size,), description=words)
+
+
+def wind(scale: float) -> Force:
+    """A constant force from a fixed direction."""
+    return Force(
+        "wind_force",
+        {
+            "X": "E_wind_north*cos(psi) + E_wind_east*sin(psi)",
+            "Y": "E_wind_east*cos(psi) - E_wind_north*sin(psi)",
+        },
+        (amplitude("wind_north", "N", scale=scale), amplitude("wind_east", "N", scale=scale)),
+        description="constant force from a fixed direction",
+        needs="several headings",
+    )
+
+
+def horizontal_plane(
+    name: str,
+    scales: Sequence[float],
+    measured: Mapping[str, float],
+    *,
+    declared: bool,
+    signals: Mapping[str, str] | None = None,
+    **parts: Any,
+) -> Model:
+    """Surge, sway and yaw with heading and position, velocities through the water.
+
+    Parameters
+    ----------
+    name : str
+    scales : sequence of float
+        Typical sizes of u, v, r, psi, x, y.
+    measured : mapping
+        Noise level of each output.
+    declared : bool
+        Whether the levels are stated.
+    signals : mapping, optional
+        Beside the relative velocities.
+    **parts
+        What else the model has.
+    """
+    units = {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"}
+    typical = dict(zip(units, scales, strict=True))
+    return Model(
+        name,
+        states=tuple(State(n, unit, scale=typical[n]) for n, unit in units.items()),
+        outputs=tuple(
+            Output(n, units[n], noise_std=level if declared else None)
+            for n, level in measured.items()
+        ),
+        axes={"X": "u", "Y": "v", "N": "r"},
+        inertia={
+            ("X", "u"): "m - X_udot", ("Y", "v"): "m - Y_vdot", ("N", "r"): "I_zz - N_rdot",
+        },
+        kinematics={
+            "psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)",
+        },
+        signals={"u_r": "u", "v_r": "v", **(signals or {})},
+        **parts,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import math
 
-from benchmarks.other_vehicles.models.base import Nominal
-from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, State
+from benchmarks.other_vehicles.models.base import (
+    Nominal,
+    guess,
+    horizontal_plane,
+    known,
+    wind,
+    zero,
+)
+from oed_sysid import Force, Input, Model, Parameter
 from oed_sysid.physics import (
     actuator_lag,
     added_mass_error,
-    amplitude,
     backlash,
     coupling,
     crossed_drag,
@@ -31,27 +37,16 @@ from oed_sysid.physics import (
 LENGTH, DENSITY = 50.0, 1025.0
 MASS = 0.0130 * 0.5 * DENSITY * LENGTH**3
 SPIN = 0.0010 * 0.5 * DENSITY * LENGTH**5
-RELATIVE_PRIOR = 0.3
-
-
-def _known(name: str, value: float, unit: str, description: str) -> Parameter:
-    return Parameter(name, value, unit, fixed=True, description=description)
-
-
-def _guess(name: str, value: float, description: str) -> Parameter:
-    spread = RELATIVE_PRIOR * abs(value)
-    return Parameter(name, value, "1", prior_mean=value, prior_std=spread, description=description)
-
 
 CONSTANTS = (
-    _known("L", LENGTH, "m", "length between perpendiculars"),
-    _known("Q", 0.5 * DENSITY * LENGTH**2, "kg/m", "rho L^2/2"),
-    _known("m", MASS, "kg", "mass"),
-    _known("X_udot", -0.0007 * 0.5 * DENSITY * LENGTH**3, "kg", "surge added mass"),
-    _known("Y_vdot", -0.0100 * 0.5 * DENSITY * LENGTH**3, "kg", "sway added mass"),
-    _known("I_zz", 0.00081 * 0.5 * DENSITY * LENGTH**5, "kg m^2", "yaw inertia"),
-    _known("N_rdot", -0.00050 * 0.5 * DENSITY * LENGTH**5, "kg m^2", "yaw added inertia"),
-    _known("T_nn", 2400.0, "kg m", "thrust per n^2"),
+    known("L", LENGTH, "m", "length between perpendiculars"),
+    known("Q", 0.5 * DENSITY * LENGTH**2, "kg/m", "rho L^2/2"),
+    known("m", MASS, "kg", "mass"),
+    known("X_udot", -0.0007 * 0.5 * DENSITY * LENGTH**3, "kg", "surge added mass"),
+    known("Y_vdot", -0.0100 * 0.5 * DENSITY * LENGTH**3, "kg", "sway added mass"),
+    known("I_zz", 0.00081 * 0.5 * DENSITY * LENGTH**5, "kg m^2", "yaw inertia"),
+    known("N_rdot", -0.00050 * 0.5 * DENSITY * LENGTH**5, "kg m^2", "yaw added inertia"),
+    known("T_nn", 2400.0, "kg m", "thrust per n^2"),
 )
 HULL = Force(
     "hull",
@@ -61,10 +56,10 @@ HULL = Force(
         "N": "Q*L*N_v*u_r*v_r",
     },
     (
-        _guess("X_uu", -0.0012, "resistance"),
-        _guess("Y_v", -0.018, "side force of drift"),
-        _known("Y_r", 0.0035, "1", "side force of yaw rate"),
-        _guess("N_v", -0.005, "moment of drift"),
+        guess("X_uu", -0.0012, description="resistance"),
+        guess("Y_v", -0.018, "1", "side force of drift"),
+        known("Y_r", 0.0035, "1", "side force of yaw rate"),
+        guess("N_v", -0.005, "1", "moment of drift"),
     ),
     description="linear hull",
 )
@@ -77,61 +72,22 @@ YAW_DAMPING = Force(
 RUDDER = Force(
     "rudder_force",
     {"Y": "Q*Y_d*u_r**2*delta", "N": "Q*L*N_d*u_r**2*delta"},
-    (_guess("Y_d", 0.0045, "rudder force"), _guess("N_d", -0.0022, "rudder moment")),
+    (guess("Y_d", 0.0045, "1", "rudder force"), guess("N_d", -0.0022, "1", "rudder moment")),
     description="rudder",
 )
 PROPELLER = Force("propeller", {"X": "T"}, description="thrust")
-WIND = Force(
-    "wind_force",
-    {
-        "X": "E_wind_north*cos(psi) + E_wind_east*sin(psi)",
-        "Y": "E_wind_east*cos(psi) - E_wind_north*sin(psi)",
-    },
-    (amplitude("wind_north", "N", scale=5e3), amplitude("wind_east", "N", scale=5e3)),
-    description="constant force from a fixed direction",
-    needs="several headings",
-)
-RUDDER_ZERO = Actuator(
-    "rudder_zero",
-    {"delta": "delta + E_rudder_zero"},
-    (amplitude("rudder_zero", "rad", scale=0.02, bound=0.2, per_record=True),),
-    description="rudder zero set anew before each run",
-)
 
 
 def build(declared: bool, lacking: str | None) -> Model:
     """The nominal model."""
-    noise = (math.radians(0.2), 0.5, 0.5) if declared else (None, None, None)
     parts = (HULL, YAW_DAMPING, RUDDER, PROPELLER)
-    return Model(
-        name="50 m coaster",
-        states=(
-            State("u", "m/s", "surge speed"),
-            State("v", "m/s", "sway speed", scale=0.3),
-            State("r", "rad/s", "yaw rate", scale=0.02),
-            State("psi", "rad", "heading"),
-            State("x", "m", "north", scale=100.0),
-            State("y", "m", "east", scale=100.0),
-        ),
+    return horizontal_plane(
+        "50 m coaster",
+        (1.0, 0.3, 0.02, 1.0, 100.0, 100.0),
+        {"psi": math.radians(0.2), "x": 0.5, "y": 0.5},
+        declared=declared,
         inputs=(Input("n", "1/s", "propeller"), Input("rudder", "rad", "rudder angle")),
-        outputs=(
-            Output("psi", "rad", "heading", noise_std=noise[0]),
-            Output("x", "m", "north", noise_std=noise[1]),
-            Output("y", "m", "east", noise_std=noise[2]),
-        ),
-        axes={"X": "u", "Y": "v", "N": "r"},
-        inertia={
-            ("X", "u"): "m - X_udot",
-            ("Y", "v"): "m - Y_vdot",
-            ("N", "r"): "I_zz - N_rdot",
-        },
-        kinematics={
-            "psi": "r",
-            "x": "u*cos(psi) - v*sin(psi)",
-            "y": "u*sin(psi) + v*cos(psi)",
-        },
         actuators={"delta": "rudder", "T": "T_nn*n*abs(n)"},
-        signals={"u_r": "u", "v_r": "v"},
         effects=tuple(part for part in parts if part.name != lacking),
         parameters=CONSTANTS,
         step=0.25,
@@ -140,7 +96,7 @@ def build(declared: bool, lacking: str | None) -> Model:
 
 CANDIDATES = (
     current_horizontal_plane(scale=0.25),
-    WIND,
+    wind(5e3),
     cubic_damping("yaw_cubic_damping", "N", "r", scale=1.5e10),
     quadratic_drag("sway_crossflow", "Y", "v_r", scale=6e4),
     quadratic_drag("yaw_crossflow", "N", "r", scale=5e8),
@@ -154,7 +110,7 @@ CANDIDATES = (
     rudder_stall("yaw_rudder_stall", "N", scale=1e5),
     thrust_speed_loss(scale=0.05),
     rudder_neutral_angle(scale=0.02),
-    RUDDER_ZERO,
+    zero("rudder_zero", "delta", "rad", scale=0.02, bound=0.2),
     actuator_lag("rudder_lag", "delta", scale=2.0),
     rate_limit("rudder_rate_limit", "delta", scale=20.0),
     deadband("rudder_deadband", "delta", scale=0.02),

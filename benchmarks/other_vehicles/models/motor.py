@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from benchmarks.other_vehicles.models.base import Nominal
-from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, State
+from benchmarks.other_vehicles.models.base import Nominal, force, zero
+from oed_sysid import Force, Input, Model, Output, Parameter, State
 from oed_sysid.physics import (
     actuator_gain_error,
     actuator_lag,
     actuator_offset,
-    amplitude,
     backlash,
     deadband,
     rate_limit,
@@ -19,8 +18,7 @@ from oed_sysid.physics import (
 
 
 def _torque(name: str, term: str, unit: str, scale: float, words: str) -> Force:
-    size = amplitude(name, unit, scale=scale)
-    return Force(name, {"omega": f"{size.name}*{term}"}, (size,), description=words)
+    return force(name, {"omega": term}, unit, scale, words)
 
 
 VISCOUS = Force(
@@ -28,12 +26,6 @@ VISCOUS = Force(
     {"omega": "-b*omega"},
     (Parameter("b", 0.8, "1/s", -20.0, 20.0, scale=0.5, description="friction over inertia"),),
     description="viscous friction and back electromotive force",
-)
-DRIVE_ZERO = Actuator(
-    "drive_zero",
-    {"V": "V + E_drive_zero"},
-    (amplitude("drive_zero", "V", scale=0.2, per_record=True),),
-    description="zero of the amplifier, set anew before each run",
 )
 
 
@@ -73,7 +65,7 @@ CANDIDATES = (
     _torque("angle_damping", "omega*theta**2", "1/s", 0.2, "friction that grows with the angle"),
     actuator_lag("drive_lag", "V", scale=0.1),
     actuator_offset("drive_offset", "V", "V", scale=0.2),
-    DRIVE_ZERO,
+    zero("drive_zero", "V", "V", scale=0.2),
     rate_limit("drive_rate_limit", "V", "V", scale=0.1),
     deadband("drive_deadband", "V", "V", scale=0.2),
     backlash("drive_backlash", "V", "V", scale=0.2),

@@ -25,8 +25,6 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 Pilot = Callable[[float, np.ndarray], float]
-
-
 Signal = Callable[[], Pilot]  # a fresh pilot for every run
 
 
@@ -109,17 +107,9 @@ def hold_heading(
 
 
 Sizes = Mapping[str, "float | np.ndarray"]
-
-
 Rate = Callable[[np.ndarray, np.ndarray, Sizes, Sizes, np.ndarray], np.ndarray]
-
-
 Measure = Callable[[np.ndarray, Sizes, Sizes], np.ndarray]
-
-
 Settle = Callable[[np.ndarray, np.ndarray, np.ndarray, Sizes, Sizes, np.ndarray], np.ndarray]
-
-
 Derivative = Callable[[np.ndarray], np.ndarray]
 
 

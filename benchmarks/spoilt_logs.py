@@ -1,0 +1,434 @@
+"""Exam of the check of logs: faults put into simulated logs, and logs without any.
+
+    python -m benchmarks.spoilt_logs [faults clean] [--seeds N] [--first SEED] [--kind WORD]
+
+Two vehicles that share nothing with the package: a diving plane and a ship, zigzags and steps
+integrated by Runge and Kutta's fourth order at a fifth of the sampling step, with random forces.
+Three records of 900 samples at three speeds; noise is declared to nobody. Each kind of fault comes
+in sizes; ``named`` is the right kind and signal as a suspect finding (or among its alternatives),
+``first`` the strongest of them, ``suspect`` anything suspect at all. Inputs are not judged here.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, check
+from oed_sysid.errors import OedSysidError
+
+Signals = dict[str, np.ndarray]
+SAMPLES, FINER = 900, 5
+
+
+@dataclass(frozen=True)
+class Craft:
+    """A vehicle: what it logs at which noise and step, and how it moves."""
+
+    name: str
+    step: float
+    noise: dict[str, float]
+    units: dict[str, str]
+    kinematics: dict[str, str]
+    rates: Callable[[np.ndarray, float, np.ndarray, float], np.ndarray]
+    speeds: tuple[float, float, float]
+    angle: float
+    period: float
+    force: tuple[float, float, float]
+
+    @property
+    def model(self) -> Model:
+        """Kinematics, and dynamics that nobody uses here."""
+        other = {n: f"(K*fin - {n})/T" for n in self.units if n not in self.kinematics}
+        return Model(
+            self.name,
+            states=tuple(State(n, u) for n, u in self.units.items()),
+            inputs=(Input("fin", "rad"),),
+            outputs=tuple(Output(n, u) for n, u in self.units.items()),
+            kinematics=self.kinematics | other,
+            parameters=(Parameter("K", 1.0), Parameter("T", 5.0, "s")),
+        )
+
+    def run(self, number: int, rng: np.random.Generator) -> Signals:
+        """True signals of one record, ``(n,)`` each: a zigzag on command of time, and forces."""
+        h, n = self.step / FINER, (SAMPLES + 60) * FINER
+        speed = self.speeds[number]
+        x = np.zeros(len(self.units))
+        x[0] = speed
+        force = np.zeros(3)
+        rows = np.empty((n, x.size))
+        period = self.period * rng.uniform(0.8, 1.2)
+        for k in range(n):
+            rows[k] = x
+            t = k * h
+            command = self.angle * np.sign(np.sin(2.0 * np.pi * t / period))
+            force += -force * h / 4.0 + np.sqrt(2.0 * h / 4.0) * rng.standard_normal(3)
+            push = np.array(self.force) * force
+            a = self.rates(x, command, push, speed)
+            b = self.rates(x + 0.5 * h * a, command, push, speed)
+            c = self.rates(x + 0.5 * h * b, command, push, speed)
+            d = self.rates(x + h * c, command, push, speed)
+            x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+        return {name: rows[60 * FINER :, i] for i, name in enumerate(self.units)}
+
+
+def _dive(x: np.ndarray, fin: float, push: np.ndarray, speed: float) -> np.ndarray:
+    u, w, q, theta, _ = x
+    return np.array(
+        [
+            -0.3 * (u - speed) - 1.2 * q * q + push[0],
+            -0.9 * u * w + 0.35 * u * q + 0.25 * u * u * fin + push[1],
+            -1.1 * u * q - 0.4 * u * w - 0.9 * u * u * fin - 0.35 * np.sin(theta) + push[2],
+            q,
+            -u * np.sin(theta) + w * np.cos(theta),
+        ]
+    )
+
+
+def _sail(x: np.ndarray, rudder: float, push: np.ndarray, speed: float) -> np.ndarray:
+    u, v, r, psi, _, _ = x
+    return np.array(
+        [
+            -0.06 * (u - speed) + 0.5 * v * r + push[0],
+            -0.25 * v - 0.25 * u * r + 0.01 * u * u * rudder + push[1],
+            -0.08 * u * r - 0.02 * v - 0.5 * r * abs(r) + 0.004 * u * u * rudder + push[2],
+            r,
+            u * np.cos(psi) - v * np.sin(psi),
+            u * np.sin(psi) + v * np.cos(psi),
+        ]
+    )
+
+
+DIVER = Craft(
+    "diving plane", 0.1,
+    {"u": 0.02, "w": 0.02, "q": 0.004, "theta": 0.004, "z": 0.03},
+    {"u": "m/s", "w": "m/s", "q": "rad/s", "theta": "rad", "z": "m"},
+    {"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
+    _dive, (1.0, 1.5, 2.1), 0.2, 16.0, (0.02, 0.03, 0.03),
+)  # fmt: skip
+SHIP = Craft(
+    "ship", 0.5,
+    {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.3, "y": 0.3},
+    {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"},
+    {"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
+    _sail, (2.0, 3.0, 4.0), 0.35, 90.0, (0.01, 0.01, 0.0006),
+)  # fmt: skip
+CRAFT = (DIVER, SHIP)
+
+
+@dataclass(frozen=True)
+class Spoil:
+    """A fault: what may be said of it, and how it is made of the signals of record ``k``.
+
+    ``where`` is ``true`` for faults between vehicle and sensor, on the fine grid and before noise,
+    or ``log`` for those of what was written.
+    """
+
+    kind: str
+    signals: tuple[str, ...]
+    sizes: tuple[float, ...]
+    make: Callable[[Signals, np.ndarray, float, int], None]
+    where: str = "true"
+    also: tuple[str, ...] = field(default=())
+
+
+def _add(name: str, shape: Callable[[Signals, np.ndarray], np.ndarray], only: int | None = None):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        if only is None or k == only:
+            s[name] = s[name] + size * shape(s, t)
+
+    return make
+
+
+def _times(*names: str, only: int | None = None):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        for name in names:
+            if only is None or k == only:
+                s[name] = s[name] * size
+
+    return make
+
+
+def _late(*names: str, clock: bool = False):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        shift = size * (t - t[0]) if clock else size
+        for name in names:
+            early = s[name][0] + (t - shift - t[0]) * (s[name][5] - s[name][0]) / (t[5] - t[0])
+            s[name] = np.where(t - shift < t[0], early, np.interp(t - shift, t, s[name]))
+
+    return make
+
+
+def _lag(name: str):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        y, h = s[name].copy(), t[1] - t[0]
+        for i in range(1, y.size):
+            y[i] = y[i - 1] + h / size * (s[name][i - 1] - y[i - 1])
+        s[name] = y
+
+    return make
+
+
+def _swap(a: str, b: str):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        s[a], s[b] = s[b], s[a]
+
+    return make
+
+
+def _earth(a: str, b: str, angle: str, sign: float):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        c, d = np.cos(s[angle]), sign * np.sin(s[angle])
+        s[a], s[b] = c * s[a] + d * s[b], -d * s[a] + c * s[b]
+
+    return make
+
+
+def _tilt(a: str, b: str):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        s[a], s[b] = s[a] - size * s[b], s[b] + size * s[a]
+
+    return make
+
+
+def _written(name: str, change: Callable[[np.ndarray, float], np.ndarray]):  # type: ignore[no-untyped-def]
+    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
+        s[name] = change(s[name], size)
+
+    return make
+
+
+def _at(start: float, stop: float = 2.0):  # type: ignore[no-untyped-def]
+    return lambda s, t: (
+        1.0 * ((t >= t[0] + start * (t[-1] - t[0])) & (t < t[0] + stop * (t[-1] - t[0])))
+    )
+
+
+def _hit(y: np.ndarray, size: float) -> np.ndarray:
+    rows = np.random.default_rng(int(1e6 * abs(y[0]))).choice(y.size, 9, replace=False)
+    y = y.copy()
+    y[rows] += size * np.resize([1.0, -1.0], 9)
+    return y
+
+
+def _lose(y: np.ndarray, size: float) -> np.ndarray:
+    y = y.copy()
+    for first in (100, 333, 480, 700, 811):
+        y[first : first + int(size)] = 0.0
+    return y
+
+
+def _freeze(y: np.ndarray, size: float) -> np.ndarray:
+    y = y.copy()
+    y[400 : 400 + int(size)] = y[400]
+    return y
+
+
+def _hold(y: np.ndarray, size: float) -> np.ndarray:
+    return np.repeat(y[:: int(size)], int(size))[: y.size]
+
+
+def _join(y: np.ndarray, size: float) -> np.ndarray:
+    rows = np.arange(y.size)
+    return np.interp(rows, rows[:: int(size)], y[:: int(size)])
+
+
+def _clip(y: np.ndarray, size: float) -> np.ndarray:
+    low, high = np.quantile(y, [size, 1.0 - size])
+    return np.clip(y, low, high)
+
+
+def faults_of(craft: Craft) -> list[Spoil]:
+    """All kinds of faults of one vehicle, with sizes."""
+    dive = craft is DIVER
+    n, v2 = craft.noise, ("w" if dive else "v")
+    rate, angle = ("q", "theta") if dive else ("r", "psi")
+    pos, place = (("z",), "z") if dive else (("x", "y"), "x")
+    one, arm = np.ones_like, 1.0 if dive else 8.0
+    ramp = lambda s, t: (t - t[0]) / (t[-1] - t[0])  # noqa: E731
+    some = lambda name, *k: tuple(n[name] * x for x in k)  # noqa: E731
+    moving = [
+        Spoil("sign", (rate,), (-1.0,), _times(rate), also=(angle,)),
+        Spoil("sign", (angle,), (-1.0,), _times(angle), also=(rate,)),
+        Spoil("sign", (place,), (-1.0,), _times(place)),
+        Spoil("sign", (v2,), (-1.0,), _times(v2)),
+        Spoil("unit", (rate,), (57.29578,), _times(rate), also=(angle,)),
+        Spoil("unit", (angle,), (57.29578,), _times(angle), also=(rate,)),
+        Spoil("unit", ("u",), (1.943844, 3.6), _times("u")),
+        Spoil("unit", (place,), (3.28084,), _times(place)),
+        Spoil("swap", ("u", v2), (1.0,), _swap("u", v2)),
+        Spoil("frame", ("u", v2), (1.0,), _earth("u", v2, angle, 1.0 if dive else -1.0)),
+        Spoil("bias", (rate,), some(rate, 0.5, 1.0, 3.0), _add(rate, lambda s, t: one(t))),
+        Spoil("bias", (v2,), some(v2, 1.0, 2.0, 4.0), _add(v2, lambda s, t: one(t))),
+        Spoil("bias", (rate,), some(rate, 1.0, 2.0, 4.0), _add(rate, lambda s, t: one(t), 1)),
+        Spoil("scale", ("u",), (1.03, 1.06, 1.2), _times("u")),
+        Spoil("scale", (rate,), (1.03, 1.06, 1.2), _times(rate), also=(angle,)),
+        Spoil("scale", ("u",), (1.04, 1.08, 1.2), _times("u", only=2)),
+        Spoil("delay", pos, (2.0, 5.0, 15.0), _late(*pos)),
+        Spoil("delay", (angle,), (1.0, 3.0, 10.0), _late(angle), also=(rate,)),
+        Spoil("delay", (rate,), (2.0, 4.0, 8.0), _lag(rate), also=(angle,)),
+        Spoil("clock", pos, (0.003, 0.01, 0.03), _late(*pos, clock=True)),
+        Spoil("clock", (angle,), (0.003, 0.01, 0.03), _late(angle, clock=True), also=(rate,)),
+        Spoil("lever", (v2,), (0.3, 0.6, 1.5), _add(v2, lambda s, t: arm * s[rate])),
+        Spoil("misalignment", ("u", v2), (0.02, 0.05, 0.1), _tilt("u", v2)),
+        Spoil("drift", (rate,), some(rate, 1.0, 3.0, 8.0), _add(rate, ramp)),
+        Spoil("drift", (v2,), some(v2, 2.0, 4.0, 10.0), _add(v2, ramp)),
+        Spoil("drift", (angle,), some(angle, 3.0, 6.0, 15.0), _add(angle, ramp, 0)),
+        Spoil("step", (angle,), some(angle, 2.0, 5.0, 20.0), _add(angle, _at(0.4), 1)),
+        Spoil("step", (rate,), some(rate, 1.0, 3.0, 10.0), _add(rate, _at(0.6), 2)),
+        Spoil("step", ("u",), some("u", 2.0, 5.0, 15.0), _add("u", _at(0.5), 0)),
+        Spoil("step", (place,), some(place, 4.0, 8.0, 30.0), _add(place, _at(0.3), 1)),
+        Spoil("burst", (place,), some(place, 4.0, 8.0, 30.0), _add(place, _at(0.3, 0.309), 1)),
+        Spoil("burst", (rate,), some(rate, 5.0, 10.0, 40.0), _add(rate, _at(0.7, 0.709), 1)),
+    ]  # fmt: skip
+    logged = [
+        Spoil("spikes", (angle,), some(angle, 10.0, 20.0, 60.0), _written(angle, _hit), "log"),
+        Spoil("dropouts", ("u",), (1.0, 3.0, 10.0), _written("u", _lose), "log"),
+        Spoil("frozen", ("u",), (12.0, 40.0, 150.0), _written("u", _freeze), "log"),
+        Spoil("saturated", (rate,), (0.02, 0.05, 0.15), _written(rate, _clip), "log"),
+        Spoil("held", (place,), (3.0, 5.0, 10.0), _written(place, _hold), "log"),
+        Spoil("interpolated", (place,), (3.0, 5.0, 10.0), _written(place, _join), "log"),
+        Spoil("quantised", (angle,), some(angle, 2.0, 5.0, 10.0),
+              _written(angle, lambda y, d: np.round(y / d) * d), "log"),
+        Spoil("dead", (v2,), (0.0,), _written(v2, lambda y, d: 0.0 * y), "log"),
+        Spoil("copied", ("u", v2), (1.0,), lambda s, t, d, k: s.update({v2: s["u"].copy()}), "log"),
+    ]  # fmt: skip
+    return [*moving, *logged]
+
+
+_COLOURS = {"white": 0.0, "AR 0.5": 0.5, "AR 0.9": 0.9, "Student 5": 0.0, "two rates": 0.0}
+_RUNS: dict[tuple[str, int], list[Signals]] = {}
+
+
+def truth(craft: Craft, seed: int) -> list[Signals]:
+    """True signals of three records; kept, for all faults of a seed."""
+    key = (craft.name, seed)
+    if key not in _RUNS:
+        _RUNS.clear()
+        rng = np.random.default_rng((seed, len(craft.name)))
+        _RUNS[key] = [craft.run(k, rng) for k in range(3)]
+    return _RUNS[key]
+
+
+def written(
+    craft: Craft, seed: int, spoil: Spoil | None = None, size: float = 0.0, noise: str = "white"
+) -> Dataset:
+    """A log of three records, with a fault or none."""
+    rng = np.random.default_rng((seed, 77))
+    channels, colour, records = craft.model.channels, _COLOURS[noise], []
+    for k, run in enumerate(truth(craft, seed)):
+        signals = dict(run)
+        fine = np.arange(signals["u"].size) * craft.step / FINER
+        if spoil is not None and spoil.where == "true":
+            steps = size * craft.step if spoil.kind == "delay" else size
+            spoil.make(signals, fine, steps, k)
+        log = {}
+        for i, name in enumerate(craft.units):
+            e = (
+                rng.standard_t(5, SAMPLES) * 0.775
+                if noise == "Student 5"
+                else rng.standard_normal(SAMPLES)
+            )
+            for j in range(1, SAMPLES) if colour else ():
+                e[j] = colour * e[j - 1] + np.sqrt(1.0 - colour**2) * e[j]
+            log[name] = signals[name][::FINER][:SAMPLES] + craft.noise[name] * e
+            if noise == "two rates" and i % 2:
+                log[name][np.arange(SAMPLES) % 5 > 0] = np.nan
+        t = fine[::FINER][:SAMPLES]
+        if spoil is not None and spoil.where == "log":
+            spoil.make(log, t, size, k)
+        outputs = np.column_stack([log[n] for n in craft.units])
+        records.append(Record(f"run_{k}", t, np.zeros((SAMPLES, 1)), outputs, channels))
+    return Dataset(tuple(records))
+
+
+def judged(craft: Craft, data: Dataset, spoil: Spoil) -> tuple[bool, bool, bool, str]:
+    """Whether the fault comes first, is named at all, or anything is suspect; and what was said."""
+    found = check(data, craft.model, inputs=False)
+    kinds = {spoil.kind} | {"clock": {"rate"}, "burst": {"spikes"}, "drift": {"bias"}}.get(
+        spoil.kind, set()
+    )
+    names = {*spoil.signals, *spoil.also}
+
+    def hit(one) -> bool:  # type: ignore[no-untyped-def]
+        return one.kind in kinds and bool(names & set(one.signals))
+
+    listed = found.serious or found.findings
+    words = [w for one in found.serious for w in one.alternatives]
+    other = any(
+        k in w for k in kinds for w in words if any(f" {s}" in w or w.startswith(s) for s in names)
+    )
+    named = any(hit(one) for one in found.findings)
+    first = bool(listed) and hit(listed[0])
+    said = "; ".join(f"{o.name}{'@' + o.records[0] if len(o.records) == 1 else ''}" for o in listed)
+    return first, named or other, found.suspect, said[:90]
+
+
+def faults(seeds: range, only: str) -> None:
+    """One row for each kind and size."""
+    total = np.zeros(4, dtype=int)
+    began = time.process_time()
+    for craft in CRAFT:
+        rows: dict[tuple[str, tuple[str, ...], int, int], np.ndarray] = {}
+        misses: dict[tuple[str, tuple[str, ...], int, int], str] = {}
+        for seed in seeds:
+            for index, spoil in enumerate(faults_of(craft)):
+                if only and only not in spoil.kind:
+                    continue
+                for i, size in enumerate(spoil.sizes):
+                    key = (spoil.kind, spoil.signals, index, i)
+                    try:
+                        result = judged(craft, written(craft, seed, spoil, size), spoil)
+                    except OedSysidError as error:  # refused with the line to write
+                        result = (True, True, True, type(error).__name__)
+                    rows[key] = rows.get(key, np.zeros(4, dtype=int)) + np.array([1, *result[:3]])
+                    if not result[0]:
+                        misses[key] = result[3]
+        for (kind, names, index, i), counts in rows.items():
+            size = faults_of(craft)[index].sizes[i]
+            print(
+                f"{craft.name:12} {kind:12} {','.join(names):9} {size:8.3g}  first {counts[1]} "
+                f"named {counts[2]} suspect {counts[3]} of {counts[0]}  "
+                f"{misses.get((kind, names, index, i), '')}",
+                flush=True,
+            )
+            total += counts
+    print(
+        f"all: first {total[1]}, named {total[2]}, suspect {total[3]} of {total[0]}; "
+        f"{(time.process_time() - began) / max(total[0], 1):.2f} s each with the simulation"
+    )
+
+
+def clean(seeds: range, only: str) -> None:
+    """False alarms on logs without a fault."""
+    for craft in CRAFT:
+        said: dict[str, list[str]] = {noise: [] for noise in _COLOURS if only in noise}
+        for seed in seeds:
+            for noise, alarms in said.items():
+                found = check(written(craft, seed, noise=noise), craft.model, inputs=False)
+                alarms += [f"{seed}: {found.verdict[13:70]}"] * found.suspect
+        for noise, alarms in said.items():
+            print(
+                f"{craft.name:12} {noise:10} {len(alarms)} of {len(seeds)} {alarms[:4]}", flush=True
+            )
+
+
+def main() -> None:
+    """Run the parts that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("parts", nargs="*", default=["faults", "clean"])
+    parser.add_argument("--seeds", type=int, default=2, help="logs of each kind")
+    parser.add_argument("--first", type=int, default=1000, help="first seed")
+    parser.add_argument("--kind", default="", help="only kinds of fault or noise with this word")
+    options = parser.parse_args()
+    seeds = range(options.first, options.first + options.seeds)
+    for part in options.parts:
+        {"faults": faults, "clean": clean}[part](seeds, options.kind)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,535 @@
+r"""Regression in the frequency domain, while the vehicle sails and afterwards.
+
+Rows of an equation of motion over the interval from :math:`t_k` to :math:`t_{k+1}`
+(:mod:`oed_sysid.baselines.equations`), :math:`y_k = \Phi_k \theta + e_k`, are summed as they come,
+
+.. math:: Y(\omega) = \sum_k h_k\, y_k\, e^{-j \omega t_{k+1/2}}, \qquad
+          X(\omega) = \sum_k h_k\, \Phi_k\, e^{-j \omega t_{k+1/2}},
+
+at frequencies of a band. The difference :math:`(x_{k+1} - x_k)/h_k` in a row is a rate within that
+band, so that nothing has to be differentiated: noise and waves outside of it do not count, and a
+band of waves within it is left out. Then
+
+.. math:: \hat\theta = A^{-1} b, \quad A = \sum_i \frac{\Re(X_i^* X_i)}{\sigma_i^2}, \quad
+          b = \sum_i \frac{\Re(X_i^* Y_i)}{\sigma_i^2}, \quad
+          \mathrm{cov}\,\hat\theta = \max\left(1, \frac{T_0}{T}\right) A^{-1}
+
+with the error :math:`\sigma_i^2` of each equation from what is left of it. Frequencies are
+multiples of :math:`1/T_0`; before :math:`T_0` has passed they are not independent. Memory and time
+per sample do not grow.
+
+The coherence of a response with an input is that of their differences from sample to sample,
+summed over neighbouring frequencies,
+
+.. math:: \gamma^2 = \frac{|\sum Y U^*|^2}{\sum |Y|^2 \sum |U|^2}.
+
+References
+----------
+E. A. Morelli, Real-time parameter estimation in the frequency domain, AIAA 99-4043 (1999);
+*Journal of Guidance, Control, and Dynamics* 23 (2000) 812-818.
+"""
+
+from __future__ import annotations
+
+import time as clock
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from oed_sysid.baselines.equations import (
+    RegressionForm,
+    regression_form,
+    rows_from,
+    states_of,
+)
+from oed_sysid.baselines.online import read_sample
+from oed_sysid.baselines.regression import fit_from_values
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Report,
+    Section,
+    Table,
+    as_text,
+    counted,
+    digits,
+    share,
+)
+
+# Widest band: above this share of the sampling frequency a difference is no rate any more.
+SMOOTH = 0.2
+# The band reaches so far beyond the fastest motion of the nominal model.
+BEYOND = 2.0
+# Neighbouring frequencies of one value of the coherence; its bias is one over them.
+NEIGHBOURS = 5
+ROUNDS = 20
+
+Band = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class FourierRegression:
+    """Equation error in a band of frequencies.
+
+    Linear in the free parameters, every state of the equations measured. It needs no start values
+    and gives good ones: waves beyond the band of the motion do not reach it.
+
+    Parameters
+    ----------
+    band : (float, float) or None
+        Lowest and highest frequency, Hz. By default from the inverse of the record's length to
+        twice the fastest motion of the nominal model; zero is in it where a parameter is constant.
+    without : sequence of (float, float)
+        Bands left out, Hz, such as that of the waves.
+
+    Examples
+    --------
+    >>> from oed_sysid import Dataset, load_problem, simulate
+    >>> ship = load_problem("online_ship")
+    >>> model, run = ship.model, ship.experiment("zigzag_10_10")
+    >>> fit = FourierRegression().fit(model, Dataset((simulate(model, run, noise=False),)))
+    >>> worst = max(abs(fit.values[n] / model.values[n] - 1) for n in fit.names)
+    >>> worst < 0.02
+    True
+    """
+
+    band: Band | None = None
+    without: Sequence[Band] = ()
+
+    @property
+    def name(self) -> str:
+        """Name and settings, for reports."""
+        band = "" if self.band is None else f", {self.band[0]:g} to {self.band[1]:g} Hz"
+        return f"Fourier regression{band}"
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters from all records at once.
+
+        Raises
+        ------
+        ModelError
+            If the model is not linear in its free parameters or a state is not measured.
+        DataError
+            If data and model do not belong together, or nothing of the band is left.
+        """
+        began = clock.perf_counter()
+        check_channels(model, dataset)
+        form = regression_form(model)
+        total = Moments.none(form)
+        for record in dataset:
+            length = float(record.times[-1] - record.times[0])
+            period = float(np.median(np.diff(record.times)))
+            frequencies = frequencies_of(form, length, period, self.band, self.without)
+            states = states_of(form, record.outputs)
+            targets, regressors = rows_from(form, record.times, states, record.inputs, "trapezoid")
+            spectra = Spectra.none(form, frequencies)
+            spectra = spectra.plus(record.times - record.times[0], targets, regressors)
+            total = total.plus(spectra, factor=1.0)
+        estimates, covariance = total.solve(model)
+        return fit_from_values(
+            model, dataset, estimator=self.name, estimates=estimates, covariance=covariance,
+            began=began, extras={"n_frequencies": total.n_frequencies},
+        )  # fmt: skip
+
+
+def frequencies_of(
+    form: RegressionForm, length: float, period: float, band: Band | None, without: Sequence[Band]
+) -> np.ndarray:
+    """Frequencies ``(n_frequencies,)`` in Hz: multiples of one over a length, within the band.
+
+    Parameters
+    ----------
+    form : RegressionForm
+        Equations, for the default band.
+    length, period : float
+        Of a run and between its samples, s.
+    band, without
+        See :class:`FourierRegression`.
+
+    Raises
+    ------
+    DataError
+        If fewer frequencies are left than there are parameters of one equation.
+    """
+    highest = SMOOTH / period
+    low, high = band or (0.0 if _is_constant(form) else 0.5 / length, _fastest(form, highest))
+    multiples = np.arange(int(min(high, highest) * length) + 1) / length
+    kept = multiples[multiples >= low - 1e-12]
+    for lower, upper in without:
+        kept = kept[(kept < lower) | (kept > upper)]
+    if 2 * len(kept) <= len(form.names):
+        raise DataError(
+            f"{len(kept)} frequencies from {low:.3g} to {min(high, highest):.3g} Hz are left for "
+            f"{len(form.names)} parameters of {length:.3g} s. Give a longer run, a wider band, or "
+            "leave less of it out."
+        )
+    return kept
+
+
+def _is_constant(form: RegressionForm) -> bool:
+    """Whether a parameter stands in an equation without a signal, as an offset does."""
+    n = len(form.graph.state_names)
+    rng = np.random.default_rng(0)
+    signals = rng.uniform(0.5, 1.5, (2, form.graph.actuate.size1_out(0)))
+    states, rates = rng.uniform(0.5, 1.5, (2, 2, n))
+    _, regressors = form.evaluate(states, rates, signals, np.array([0.3, 1.7]))
+    constant = (regressors[0] == regressors[1]) & (regressors[0] != 0)
+    return bool(constant.any())
+
+
+def _fastest(form: RegressionForm, highest: float) -> float:
+    """Highest frequency of the default band, Hz: twice the fastest motion of the nominal model.
+
+    Eigenvalues at rest and at the scales of the states; of unmoving models the whole band.
+    """
+    graph, model = form.graph, form.model
+    rows = [graph.state_names.index(name) for name in form.needed]
+    scales = np.array([state.scale for state in model.states])
+    size = len(graph.state_names)
+    poles = [0.0]
+    for size_of_motion in (0.0, 1.0):
+        x = np.zeros(size)
+        x[: len(scales)] = size_of_motion * scales
+        jacobian = np.array(
+            graph.rates.jacobian()(
+                x, np.zeros(graph.actuate.size1_out(0)), model.value_vector, 0.0, np.zeros(size)
+            )[0]
+        )
+        block = jacobian[np.ix_(rows, rows)]
+        if np.isfinite(block).all() and len(rows):
+            poles.append(float(np.abs(np.linalg.eigvals(block)).max()))
+    found = BEYOND * max(poles) / (2 * np.pi)
+    return min(found, highest) if found > 0 else highest
+
+
+@dataclass(frozen=True, eq=False)
+class Spectra:
+    """Sums of one run over its rows.
+
+    Attributes
+    ----------
+    frequencies : ndarray (n_frequencies,)
+        Hz.
+    targets : ndarray of complex (n_frequencies, n_equations)
+    regressors : ndarray of complex (n_frequencies, n_equations, n_free)
+    length : float
+        Of what has been summed, s.
+    """
+
+    frequencies: np.ndarray
+    targets: np.ndarray
+    regressors: np.ndarray
+    length: float = 0.0
+
+    @classmethod
+    def none(cls, form: RegressionForm, frequencies: np.ndarray) -> Spectra:
+        """Nothing summed yet."""
+        shape = (len(frequencies), len(form.equations))
+        return cls(
+            frequencies, np.zeros(shape, complex), np.zeros((*shape, len(form.names)), complex)
+        )
+
+    def plus(self, times: np.ndarray, targets: np.ndarray, regressors: np.ndarray) -> Spectra:
+        """Return the sums with the rows between samples at ``times`` (n_times,); gaps count not."""
+        steps, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
+        whole = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
+        turned = steps * np.exp(-2j * np.pi * np.outer(self.frequencies, middle))
+        left = np.where(whole, targets, 0.0)
+        right = np.where(whole[:, :, None], regressors, 0.0)
+        return Spectra(
+            self.frequencies,
+            self.targets + turned @ left,
+            self.regressors + np.tensordot(turned, right, axes=1),
+            self.length + float(steps.sum()),
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Moments:
+    """Normal equations of every equation of motion, summed over runs.
+
+    Attributes
+    ----------
+    matrix : ndarray (n_equations, n_free, n_free)
+    right : ndarray (n_equations, n_free)
+    square : ndarray (n_equations,)
+        Of the targets.
+    n_frequencies : int
+        Of all runs.
+    count : ndarray (n_equations,)
+        Real numbers behind each.
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    square: np.ndarray
+    n_frequencies: int
+    count: float
+
+    @classmethod
+    def none(cls, form: RegressionForm) -> Moments:
+        """No run yet."""
+        n, m = len(form.equations), len(form.names)
+        return cls(np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n), 0, 0.0)
+
+    def plus(self, spectra: Spectra, *, factor: float) -> Moments:
+        """Return the sums with a run whose frequencies count by ``factor``, one if independent."""
+        x, y = spectra.regressors, spectra.targets
+        real = np.where(spectra.frequencies > 0, 2.0, 1.0)
+        return Moments(
+            self.matrix + factor * np.einsum("kia,kib->iab", x.conj(), x).real,
+            self.right + factor * np.einsum("kia,ki->ia", x.conj(), y).real,
+            self.square + factor * (np.abs(y) ** 2).sum(axis=0),
+            self.n_frequencies + len(spectra.frequencies),
+            self.count + factor * float(real.sum()),
+        )
+
+    def solve(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates ``(n_free,)`` and their covariance, priors of the model included."""
+        free = model.free_parameters
+        scale = np.array([p.magnitude for p in free])
+        matrix = self.matrix * scale[:, None] * scale
+        right = self.right * scale
+        prior = np.array([0.0 if p.prior_spread is None else scale[i] / p.prior_spread
+                          for i, p in enumerate(free)])  # fmt: skip
+        mean = np.array([(p.prior_mean or 0.0) / scale[i] for i, p in enumerate(free)])
+        holds = np.diagonal(matrix, axis1=1, axis2=2) > 0
+        freedom = np.maximum(self.count - holds.sum(axis=1), 1.0)
+        level = np.maximum(self.square, 1e-300) / freedom
+        for _ in range(ROUNDS):
+            weighed = np.tensordot(1 / level, matrix, axes=1) + np.diag(prior**2)
+            values = np.linalg.pinv(weighed, hermitian=True) @ (
+                np.tensordot(1 / level, right, axes=1) + prior**2 * mean
+            )
+            left = self.square - 2 * right @ values
+            left = left + np.einsum("iab,a,b->i", matrix, values, values)
+            new = np.maximum(left / freedom, 1e-20 * np.maximum(self.square, 1e-280))
+            change = np.abs(np.log(new / level)).max()
+            level = new
+            if change < 1e-6:
+                break
+        information = Information.from_matrix(
+            model.free_names, weighed / scale[:, None] / scale, scale
+        )
+        return values * scale, information.covariance
+
+
+@dataclass(eq=False)
+class FourierStream:
+    """Estimates with errors while a vehicle sails, one sample at a time.
+
+    Parameters
+    ----------
+    model : Model
+        As for :class:`FourierRegression`; actuators without memory, their signals as inputs.
+    duration : float
+        Expected length of a run, s: frequencies are multiples of its inverse.
+    period : float
+        Between samples, s.
+    band, without
+        See :class:`FourierRegression`.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem, simulate
+    >>> ship = load_problem("online_ship")
+    >>> run = ship.experiment("zigzag_10_10")
+    >>> record = simulate(ship.model, run, noise=False)
+    >>> stream = FourierStream(ship.model, duration=run.duration, period=run.sample_time)
+    >>> for k, t in enumerate(record.times):
+    ...     sample = dict(zip(ship.model.input_names, record.inputs[k]))
+    ...     stream.push(t, sample | dict(zip(ship.model.output_names, record.outputs[k])))
+    >>> worst = max(abs(stream.values[n] / ship.model.values[n] - 1) for n in stream.values)
+    >>> worst < 0.02
+    True
+    """
+
+    model: Model
+    duration: float
+    period: float
+    band: Band | None = None
+    without: Sequence[Band] = ()
+    n_samples: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        if not (self.duration > self.period > 0):
+            raise ModelError(
+                f"The run lasts {self.duration} s with a sample every {self.period} s. Give a "
+                "length of many samples."
+            )
+        self.form = regression_form(self.model)
+        if self.form.graph.n_actuator_memory:
+            raise ModelError(
+                f"Model {self.model.name!r} has actuators with memory. Feed the measured actuator "
+                "signals as inputs and leave the actuator effects out with model.without(...)."
+            )
+        self.frequencies = frequencies_of(
+            self.form, self.duration, self.period, self.band, self.without
+        )
+        self._before = Moments.none(self.form)
+        self._begin()
+
+    def _begin(self) -> None:
+        n_signals = len(self.model.input_names) + len(self.model.output_names)
+        self._spectra = Spectra.none(self.form, self.frequencies)
+        self._signals = np.zeros((len(self.frequencies), n_signals), complex)
+        self._last: tuple[float, np.ndarray, np.ndarray] | None = None
+        self._start = 0.0
+
+    def start(self) -> None:
+        """Begin a new run; what earlier ones told is kept."""
+        self._before = self._moments()
+        self._begin()
+
+    def push(self, time: float, sample: Mapping[str, float]) -> None:
+        """Take one sample.
+
+        Parameters
+        ----------
+        time : float
+            s, increasing within a run.
+        sample : mapping of str to float
+            Commands and measured outputs by name, SI units; a missing output is NaN.
+        """
+        inputs, outputs = read_sample(
+            self.model, time, sample, after=self._last[0] if self._last else None,
+            anew="Call start() for a new run.",
+        )  # fmt: skip
+        if self._last is None:
+            self._start = time
+        else:
+            before, first_inputs, first_outputs = self._last
+            times = np.array([before, time])
+            states = states_of(self.form, np.vstack([first_outputs, outputs]))
+            rows = rows_from(
+                self.form, times, states, np.vstack([first_inputs, inputs]), "trapezoid"
+            )
+            self._spectra = self._spectra.plus(times - self._start, *rows)
+            change = np.concatenate([inputs - first_inputs, outputs - first_outputs])
+            turned = np.exp(-2j * np.pi * self.frequencies * (0.5 * (before + time) - self._start))
+            self._signals += np.outer(turned, np.nan_to_num(change))
+        self._last = (time, inputs, outputs)
+        self.n_samples += 1
+
+    def _moments(self) -> Moments:
+        """Of all runs; frequencies of one that goes on count by how much of it is over."""
+        if self._spectra.length == 0.0:
+            return self._before
+        factor = min(1.0, self._spectra.length / self.duration)
+        return self._before.plus(self._spectra, factor=factor)
+
+    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
+        return self._moments().solve(self.model)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Estimates by name."""
+        return dict(zip(self.model.free_names, map(float, self.estimate()[0]), strict=True))
+
+    @property
+    def relative_errors(self) -> dict[str, float]:
+        """Standard errors as shares of the estimates; infinite where nothing is known."""
+        estimates, covariance = self.estimate()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            shares = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / np.abs(estimates)
+        shares = np.where(np.isfinite(shares), shares, np.inf)
+        return dict(zip(self.model.free_names, map(float, shares), strict=True))
+
+    def coherence(self) -> dict[tuple[str, str], float]:
+        """Coherence of every response with every input over the band, weighed by its power."""
+        n = len(self.frequencies) // NEIGHBOURS * NEIGHBOURS
+        if n == 0 or self._spectra.length == 0.0:
+            return {}
+        groups = self._signals[:n].reshape(-1, NEIGHBOURS, self._signals.shape[1])
+        power = (np.abs(groups) ** 2).sum(axis=1)
+        n_inputs, found = len(self.model.input_names), {}
+        for i, command in enumerate(self.model.input_names):
+            for j, response in enumerate(self.model.output_names, start=n_inputs):
+                cross = np.abs((groups[:, :, j] * groups[:, :, i].conj()).sum(axis=1)) ** 2
+                total = power[:, i].sum() * power[:, j].sum()
+                part = cross / np.maximum(power[:, i] * power[:, j], 1e-300)
+                weight = power[:, j] / max(power[:, j].sum(), 1e-300)
+                found[command, response] = float(part @ weight) if total > 0 else 0.0
+        return found
+
+    def document(self, *, title: str = "", goal: float = 0.1) -> Report:
+        """Return where the run stands: advice, estimates with errors, coherence.
+
+        Parameters
+        ----------
+        title : str
+            By default the name of the model.
+        goal : float
+            Relative standard error that is enough.
+        """
+        estimates, errors = self.values, self.relative_errors
+        rows = [
+            (
+                name, digits(value, 3), self.model.parameter(name).unit,
+                "unknown" if errors[name] > 10 else f"± {share(TWO_SIDED_95 * errors[name])}",
+            )
+            for name, value in estimates.items()
+        ]  # fmt: skip
+        answers = [(c, r, f"{value:.2f}") for (c, r), value in self.coherence().items()]
+        return Report(
+            title=title or self.model.name,
+            subtitle="While it sails",
+            answer=f"{self._spectra.length:.0f} s: {self.advice(goal)}",
+            sections=(
+                Section(
+                    "Estimates", (f"{len(self.frequencies)} frequencies up to "
+                    f"{self.frequencies[-1]:.3g} Hz, {counted(self.n_samples, 'sample')}.",),
+                    (Table(("parameter", "estimate", "unit", "95 %"), rows, words=(2,)),),
+                ),
+                Section(
+                    "Which response answers which command", (),
+                    (Table(("command", "response", "coherence"), answers, words=(1,)),),
+                ),
+            ),
+        )  # fmt: skip
+
+    report = as_text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data."""
+        return {
+            "seconds": self._spectra.length, "samples": self.n_samples, "values": self.values,
+            "relative_errors": self.relative_errors,
+            "coherence": [[*pair, value] for pair, value in self.coherence().items()],
+        }  # fmt: skip
+
+    def advice(self, goal: float = 0.1) -> str:
+        """What to do with the run: whether every parameter is known to within a relative error.
+
+        Parameters
+        ----------
+        goal : float
+            Relative standard error that is enough.
+        """
+        errors = self.relative_errors
+        worst = max(errors, key=lambda name: errors[name])
+        if errors[worst] <= goal:
+            return f"enough: every parameter is within {goal:.0%} ({worst} {errors[worst]:.1%})"
+        elapsed = self._spectra.length
+        if not np.isfinite(errors[worst]):
+            return f"go on: nothing is known of {worst} yet"
+        # Errors fall with the root of time where the excitation goes on as it does.
+        needed = elapsed * (errors[worst] / goal) ** 2
+        words = f"{worst} is known to {errors[worst]:.0%}"
+        if elapsed >= self.duration and needed > 2 * elapsed:
+            silent = [
+                f"{response} hardly answers {command}"
+                for (command, response), share in self.coherence().items()
+                if share < 2.0 / NEIGHBOURS
+            ]
+            why = f" ({silent[0]})" if silent else ""
+            return f"next run: {words}, this one does not excite it{why}"
+        return f"go on: {words}, about {max(needed - elapsed, 0.0):.0f} s more at this excitation"

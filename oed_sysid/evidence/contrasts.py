@@ -1,0 +1,1085 @@
+r"""What no motion can explain: faults of a log from kinematics, in one regression.
+
+Free forces of unlimited strength make every velocity possible, so that only what the signals say
+about each other is evidence. Of an equation :math:`\dot y = f(s)` between measured signals that is
+the contrast
+
+.. math:: e(t) = y(t) - c - \int^t f(s)\,dt,
+
+from which true motion falls out: the rival of every fault, *the vehicle really moved so*, has been
+projected out before any fault is asked. A fault that adds :math:`\varphi g_j(t)` to a logged
+signal :math:`j` (the table :data:`SHAPES`) adds, to first order,
+
+.. math:: \varphi \Bigl( g_y - \int^t \sum_j \frac{\partial f}{\partial s_j}\, g_j\,dt \Bigr)
+
+to the contrast: one column for each candidate, whatever it is.
+
+Noise. The contrast of block means holds the noise of :math:`y`, perhaps correlated, and the
+integrated noise of the rates. The discrete cosine transform makes white noise and a random walk
+around a free constant exactly diagonal, with variances :math:`1` and :math:`1/\lambda_k`,
+:math:`\lambda_k = 2 - 2\cos(\pi k/n)`, and stationary noise nearly so. With
+:math:`a_\rho(k) = (1-\rho)^2 / (1 - 2\rho\cos(\pi k/n) + \rho^2)` the variance of coefficient
+:math:`k` is
+
+.. math:: S_k = \sum_\rho v_\rho\, a_\rho(k) + \sum_\rho w_\rho\, a_\rho(k) / \lambda_k,
+    \qquad v, w \ge 0,
+
+of largest likelihood (Whittle 1953), all candidates of every record in the regression, so that no
+fault passes as noise; :math:`w_0` is not taken below what the fast noise of the rates makes.
+Sensors and motion share the low frequencies of it: strongly autocorrelated noise widens all
+intervals instead of making biases.
+
+Test. Of a candidate with score :math:`r` and information :math:`d`, given what is in, the
+likelihood-ratio statistic is :math:`r^2/d`. The false-alarm budget :math:`\alpha` of a log is
+divided by the number of candidates; the variance of the noise is itself estimated, with
+:math:`\nu` degrees of freedom by Satterthwaite's rule from the information of
+:math:`(v, w)`, and the limit is the square of Student's quantile at :math:`\nu`.
+
+Readings. Sign, unit, columns and axes have no size: they are other readings of the same numbers.
+Each is judged by the information that the equations give about their left sides,
+
+.. math:: I = \sum_k \ln \frac{S_{y,k}}{S_{e,k}},
+
+where :math:`S_y` is the same law fitted to :math:`y` itself. It does not depend on units, which is
+the Jacobian without which the smallest unit would win.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations, product
+
+import numpy as np
+from scipy.fft import dct, idct
+from scipy.optimize import nnls
+from scipy.special import stdtrit
+
+from oed_sysid.evidence.corrections import level_axis, pivot, undo
+from oed_sysid.evidence.relations import Relation
+from oed_sysid.evidence.result import Correction
+from oed_sysid.evidence.traces import Trace
+
+# False alarms a log, shared by all candidates; halved and doubled it moves the limit by 1.4.
+ALPHA = 0.01
+# Resolution: block means of a piece, and the fewest that tell anything.
+MOST_BLOCKS, LEAST_BLOCKS = 240, 12
+# Places a record at which a step or a burst is tried before its place is refined.
+PLACES = 60
+LOCAL = ("step", "burst")
+# Share of its information that a candidate must keep beside others.
+APART = 0.01
+# Variance of noise at one place of a record over that of the whole.
+VARYING = 1.5
+# Correlations of block means among which noise is composed.
+CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
+# Sizes that count: of the signal's noise, of its value, of a sample.
+MATERIAL, RELATIVE, SAMPLES = 0.15, 0.01, 0.3
+# A size beyond this many usual ones is none that such faults have.
+LARGEST = 4.0
+# What an equation may leave: of the changes of its left side, and of what noise makes (power).
+UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
+MOST_FAULTS, ROUNDS, SWEEPS = 6, 9, 12
+# Statistic over its limit from which on linearised scores mislead.
+STRAINED = 10.0
+# Explanations within this likelihood ratio of each other are one group.
+CLOSE = 9.0
+# Errors are that much wider than said: the law of the noise is estimated, faults are selected.
+WIDER = 1.15
+# What a linearisation leaves of a fault, as a share of its statistic.
+CURVED = 1e-3
+# Delays from which the search begins, s: the linearised score does not reach so far.
+DELAYS = (-2.4, -1.2, -0.6, -0.3, 0.3, 0.6, 1.2, 2.4)
+
+DEGREE = math.pi / 180.0
+# Factor that turns the logged number into the right one, and what it means.
+UNITS: dict[str, tuple[tuple[float, str], ...]] = {
+    "rad": ((DEGREE, "deg"), (1.0 / DEGREE, "converted from deg twice")),
+    "rad/s": (
+        (DEGREE, "deg/s"),
+        (1.0 / DEGREE, "converted from deg/s twice"),
+        (2.0 * math.pi / 60.0, "rpm"),
+    ),
+    "m": ((0.3048, "ft"), (1.0 / 0.3048, "converted from ft twice"), (1e-3, "mm"), (1e3, "km")),
+    "m/s": (
+        (1852.0 / 3600.0, "kn"),
+        (3600.0 / 1852.0, "converted from kn twice"),
+        (0.3048, "ft/s"),
+        (1.0 / 3.6, "km/h"),
+        (3.6, "converted from km/h twice"),
+        (1e-3, "mm/s"),
+    ),
+}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A fault with a size that a log may have.
+
+    Parameters
+    ----------
+    kind : str
+        A key of :data:`SHAPES`.
+    signals : tuple of str
+        Signals that it acts on.
+    unit : str
+        Of the size.
+    plausible, material : float
+        Usual size, and the least that matters.
+    other : tuple of str
+        The rate, for a lever arm.
+    record : str
+        The only record that it acts in; empty for all of them.
+    at, until : float
+        Share of the record at which a step or burst begins, and a burst ends.
+    """
+
+    kind: str
+    signals: tuple[str, ...]
+    unit: str
+    plausible: float
+    material: float
+    other: tuple[str, ...] = ()
+    record: str = ""
+    at: float = 0.0
+    until: float = 1.0
+
+    def correction(self, size: float) -> Correction:
+        """How to undo a size of it."""
+        return Correction(
+            self.kind,
+            self.signals,
+            size,
+            self.other,
+            record=self.record,
+            span=(self.at, self.until),
+        )
+
+
+class Motion:
+    """Smooth signals of one record and their rates, from which signatures are made.
+
+    A signal that an equation predicts is its prediction plus the straight line through what that
+    leaves (more of it would be noise of the contrast that a signature could then explain); its
+    rate is the right side of the equation.
+    """
+
+    def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
+        names = dict.fromkeys(n for r in relations for n in (r.target, *r.signals))
+        self.trace = trace
+        self.raw, _ = trace.filled(n for n in names if n in trace.values)
+        self.values, self.rates = dict(self.raw), dict[str, np.ndarray]()
+        self.right: dict[int, np.ndarray] = {}
+        for index, one in enumerate(relations):
+            if any(name not in self.raw for name in (one.target, *one.signals)):
+                continue
+            self.right[index] = one({n: self.raw[n] for n in one.signals}, trace.times)
+            if one.is_rate:
+                predicted = integral(trace.times, self.right[index][:, None])[:, 0]
+                self.values[one.target] = predicted + _line(
+                    trace.times, self.raw[one.target] - predicted
+                )
+                self.rates[one.target] = self.right[index]
+        for name in self.raw:
+            if name not in self.rates:
+                self.rates[name] = np.gradient(_slow(self.raw[name], 9), trace.times)
+        self.elapsed = trace.times - trace.times[0]
+        self.share = self.elapsed / max(self.elapsed[-1], 1e-300)
+
+
+def _line(times: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """Straight line of least squares, ``(n_times,)``."""
+    return np.polyval(np.polyfit(times - times[0], series, 1), times - times[0])
+
+
+def _slow(series: np.ndarray, width: int) -> np.ndarray:
+    """Series smoothed by a window of Hann."""
+    width = max(3, min(width, series.size // 2))
+    window = np.hanning(width + 2)[1:-1]
+    padded = np.pad(series, (width // 2, width - 1 - width // 2), "reflect", reflect_type="odd")
+    return np.convolve(padded, window / window.sum(), mode="valid")
+
+
+def _turned(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
+    first, second = one.signals
+    return {first: -m.values[second], second: m.values[first]}
+
+
+def _scaled(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
+    trace = m.trace
+    return {n: m.values[n] - pivot(trace.values[n], trace.units[n]) for n in one.signals}
+
+
+# What a unit of each fault adds to the logged signals of a record.
+SHAPES = {
+    "bias": lambda one, m: {n: np.ones_like(m.elapsed) for n in one.signals},
+    "scale": _scaled,
+    "delay": lambda one, m: {n: -m.rates[n] for n in one.signals},
+    "rate": lambda one, m: {n: -m.elapsed * m.rates[n] for n in one.signals},
+    "lever": lambda one, m: {one.signals[0]: m.values[one.other[0]]},
+    "misalignment": _turned,
+    "drift": lambda one, m: {one.signals[0]: m.elapsed},
+    "step": lambda one, m: {one.signals[0]: 1.0 * (m.share >= one.at)},
+    "burst": lambda one, m: {one.signals[0]: 1.0 * ((m.share >= one.at) & (m.share < one.until))},
+}
+
+
+def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Cumulative integral of cubic Hermite splines through ``(n, k)`` samples; first row zero.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 3.0, 31)
+    >>> print(round(float(integral(t, np.cos(t)[:, None])[-1, 0] / np.sin(3.0)), 6))
+    0.999996
+    """
+    steps = np.diff(times)[:, None]
+    slopes = np.gradient(columns, times, axis=0)
+    parts = 0.5 * steps * (columns[1:] + columns[:-1]) - steps**2 / 12.0 * np.diff(slopes, axis=0)
+    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
+
+
+# -- candidates ------------------------------------------------------------------------------
+
+
+def positions_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> tuple[str, ...]:
+    """Signals whose rates are velocities along fixed axes."""
+    return tuple(r.target for r in relations if r.is_rate and units[r.target] == "m")
+
+
+def velocities_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> tuple[str, ...]:
+    """Velocities that positions are the integrals of, in the order u, v, w."""
+    rates = [r for r in relations if r.is_rate and units[r.target] == "m"]
+    order = ("u", "v", "w")
+    found = dict.fromkeys(n for r in rates for n in r.signals if units[n] == "m/s")
+    return tuple(sorted(found, key=lambda n: order.index(n) if n in order else len(order)))
+
+
+def candidates(
+    traces: Sequence[Trace], relations: tuple[Relation, ...]
+) -> tuple[list[Candidate], list[Candidate], dict[str, Candidate]]:
+    """Faults of all records, those of single records, and a step of every signal."""
+    units = {n: u for trace in traces for n, u in trace.units.items()}
+    names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
+    integrated = {r.target for r in relations if r.is_rate} - {
+        n for r in relations for n in r.signals
+    }
+    size = {n: _rms(traces, n) for n in names}
+    noise = {n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in names}
+    step = float(np.median([t.step for t in traces]))
+    length = max(float(t.times[-1] - t.times[0]) for t in traces)
+    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
+    least = {n: max(MATERIAL * noise[n], 1e-3 * size[n]) for n in names}
+    constant = [n for n in names if n not in integrated]
+    common = [Candidate("bias", (n,), units[n], 0.3 * size[n], least[n]) for n in constant]
+    # Positions and depths are told by satellites and pressure: their scales are rarely wrong.
+    common += [
+        Candidate("scale", (n,), "1", 0.06 if n in integrated else 0.25, RELATIVE) for n in names
+    ]
+    groups = [*((n,) for n in names), *(g for g in (positions, velocities) if len(g) > 1)]
+    common += [Candidate("delay", g, "s", max(0.7, 3.0 * step), SAMPLES * step) for g in groups]
+    common += [Candidate("rate", g, "1", 0.05, SAMPLES * step / length) for g in groups]
+    for name, rate in product(velocities, (n for n in names if units[n] == "rad/s")):
+        if (name, rate) not in (("u", "p"), ("v", "q"), ("w", "r")):
+            arm = 0.5 * max(size[v] for v in velocities) / max(size[rate], 1e-12)
+            common.append(Candidate("lever", (name,), "m", arm, min(0.05, 0.02 * arm), (rate,)))
+    common += [
+        Candidate("misalignment", pair, "rad", 0.1, 0.4 * RELATIVE)
+        for pair in combinations(velocities, 2)
+    ]
+    rates = {
+        n: f"{units[n]}/s".replace("m/s/s", "m/s^2").replace("rad/s/s", "rad/s^2") for n in names
+    }
+    ramps = [
+        Candidate("drift", (n,), rates[n], size[n] / length, 2.0 * least[n] / length) for n in names
+    ]
+    common += [d for d in ramps if d.signals[0] not in integrated or len(positions) > 1]
+    single = [
+        replace(c, record=trace.name)
+        for trace in (traces if 1 < len(traces) <= PLACES else ())
+        for c in [*common, *ramps]
+        if c.kind in ("bias", "scale", "drift") and set(c.signals) <= set(trace.values)
+    ]
+    local = {
+        n: Candidate("step", (n,), units[n], size[n], 2.0 * noise[n] + 1e-3 * size[n])
+        for n in names
+    }
+    return common, list(dict.fromkeys(single)), local
+
+
+def _rms(traces: Sequence[Trace], name: str) -> float:
+    parts = [t.values[name] for t in traces if name in t.values]
+    whole = np.concatenate(parts) if parts else np.zeros(1)
+    whole = whole[np.isfinite(whole)]
+    return float(np.sqrt(np.mean(whole**2))) + 1e-12 if whole.size else 1e-12
+
+
+# -- contrasts -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Cosine coefficients of one equation over one uninterrupted piece of a record.
+
+    ``times`` are those of the blocks, ``residual`` and ``target`` ``(n,)``, ``columns``
+    ``(n, n_used)`` of the candidates ``used``, ``angle`` the frequencies in rad a block of length
+    ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates produces,
+    ``level`` that of the left side, ``shares`` the part of each signal in ``walk``, ``ramps`` what
+    a unit of each signal adds to the contrast, in blocks.
+    """
+
+    relation: int
+    target_name: str
+    is_rate: bool
+    record: str
+    times: np.ndarray
+    residual: np.ndarray
+    target: np.ndarray
+    columns: np.ndarray
+    used: np.ndarray
+    angle: np.ndarray
+    span: float
+    walk: float
+    level: float
+    shares: Mapping[str, float]
+    ramps: Mapping[str, np.ndarray]
+
+    @property
+    def weight(self) -> np.ndarray:
+        """Power of changes over about a second, of each coefficient's square."""
+        return 2.0 - 2.0 * np.cos(max(1, round(1.0 / self.span)) * self.angle)
+
+
+def contrasts(
+    trace: Trace,
+    relations: tuple[Relation, ...],
+    faults: Sequence[Candidate],
+    factors: Mapping[str, float],
+) -> Iterator[Piece]:
+    """Contrasts of all equations in one record, and the column of each candidate.
+
+    ``factors`` are the scales that were undone, by signal: a contrast is taken in the unit that
+    its left side was logged in, or shrinking a signal would shrink its noise.
+    """
+    motion = Motion(trace, relations)
+    here = [k for k, f in enumerate(faults) if f.record in ("", trace.name)]
+    here = [k for k in here if set((*faults[k].signals, *faults[k].other)) <= set(motion.raw)]
+    shapes = {k: SHAPES[faults[k].kind](faults[k], motion) for k in here}
+    for index, relation in enumerate(relations):
+        if index not in motion.right:
+            continue
+        related = {relation.target, *relation.signals}
+        used = [k for k in here if related & set(shapes[k])]
+        _, usable = trace.filled(relation.signals)
+        inner = {n: motion.raw[n] for n in relation.signals}
+        slopes = {n: partial(relation, inner, trace.times, n) for n in relation.signals}
+        direct = np.zeros((trace.times.size, len(used)))
+        under = np.zeros((trace.times.size, len(used) + 1))
+        under[:, 0] = motion.right[index]
+        for i, k in enumerate(used):
+            direct[:, i] = shapes[k].get(relation.target, 0.0)
+            under[:, i + 1] = sum(
+                (slopes[n] * g for n, g in shapes[k].items() if n in slopes), np.zeros(1)
+            )
+        factor = factors.get(relation.target, 1.0)
+        columns = direct, under, np.array(used, dtype=int)
+        yield from _pieces(trace, index, relation, columns, usable, slopes, factor)
+
+
+def _pieces(
+    trace: Trace,
+    index: int,
+    relation: Relation,
+    columns: tuple[np.ndarray, np.ndarray, np.ndarray],
+    usable: np.ndarray,
+    slopes: Mapping[str, np.ndarray],
+    factor: float,
+) -> Iterator[Piece]:
+    """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
+    direct, under, used = columns
+    target = trace.values[relation.target]
+    for piece in trace.pieces(usable, LEAST_BLOCKS):
+        rows = np.flatnonzero(np.isfinite(target[piece])) + piece.start
+        group = max(1, -(-rows.size // MOST_BLOCKS))
+        n = rows.size // group
+        if n < LEAST_BLOCKS:
+            continue
+        times = trace.times[piece]
+        inside = integral(times, under[piece]) if relation.is_rate else under[piece]
+        rows = rows[: n * group]
+        inside = inside[rows - piece.start]
+        left = target[rows]
+        whole = np.column_stack([left - inside[:, 0], left, direct[rows] - inside[:, 1:]])
+        means = factor * whole.reshape(n, group, -1).mean(axis=1)
+        span = float(times[-1] - times[0]) / n
+        power = {
+            name: float(np.mean(slope[piece] ** 2)) * trace.noise[name] ** 2 * _spacing(trace, name)
+            for name, slope in slopes.items()
+        }
+        total = sum(power.values())
+        every = np.column_stack([*slopes.values()])[piece]
+        sums = integral(times, every) if relation.is_rate else every
+        sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
+        waves = dct(means, axis=0, norm="ortho")[1:]
+        yield Piece(
+            relation=index,
+            target_name=relation.target,
+            is_rate=relation.is_rate,
+            record=trace.name,
+            times=trace.times[rows].reshape(n, group).mean(axis=1),
+            residual=waves[:, 0],
+            target=waves[:, 1],
+            columns=waves[:, 2:],
+            used=used,
+            angle=np.pi * np.arange(1, n) / n,
+            span=span,
+            walk=factor**2 * total * (span if relation.is_rate else 0.0),
+            level=factor * trace.noise[relation.target] / np.sqrt(group),
+            shares={name: p / total if total else 0.0 for name, p in power.items()},
+            ramps={name: -factor * sums[:, i] for i, name in enumerate(slopes)},
+        )
+
+
+def _spacing(trace: Trace, name: str) -> float:
+    """Median time between samples of a signal, s."""
+    present = trace.times[np.isfinite(trace.values[name])]
+    return float(np.median(np.diff(present)))
+
+
+def partial(
+    relation: Relation, series: Mapping[str, np.ndarray], times: np.ndarray, name: str
+) -> np.ndarray:
+    """Derivative of a right side by one signal, by central differences, ``(n_times,)``."""
+    h = 1e-4 * (float(np.std(series[name])) + 1e-3)
+    up = relation({**series, name: series[name] + h}, times)
+    return (up - relation({**series, name: series[name] - h}, times)) / (2.0 * h)
+
+
+# -- noise -----------------------------------------------------------------------------------
+
+
+def laws(angle: np.ndarray) -> np.ndarray:
+    """Variances of unit noise of each kind at some frequencies, ``(2 n_correlations, n)``."""
+    cosine = np.cos(angle)
+    still = [(1.0 - r) ** 2 / (1.0 - 2.0 * r * cosine + r * r) for r in CORRELATIONS]
+    return np.array([*still, *(one / (2.0 - 2.0 * cosine) for one in still)])
+
+
+def fitted_law(
+    power: np.ndarray, basis: np.ndarray, floor: np.ndarray, left: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Shares of each kind of noise of largest likelihood, and the variances they make.
+
+    Multiplicative steps on :math:`\sum_k \ln S_k + P_k/S_k` (Févotte & Idier 2011) come near;
+    Fisher scoring, each step a least-squares problem with non-negative unknowns, ends it.
+
+    Parameters
+    ----------
+    power : numpy.ndarray
+        Squared coefficients, ``(n,)``.
+    basis : numpy.ndarray
+        Of :func:`laws`.
+    floor : numpy.ndarray
+        Least share of each kind.
+    left : numpy.ndarray
+        Share of each coefficient that the regression has left, ``(n,)``.
+    """
+    mean = float(np.mean(power / left)) + 1e-300
+    shares = np.maximum(mean / basis.mean(axis=1) / len(basis), floor)
+    for _ in range(SWEEPS):
+        variance = shares @ basis
+        ratio = (basis @ (power / variance**2)) / (basis @ (left / variance))
+        shares = np.maximum(shares * np.sqrt(ratio), floor)
+    best = _cost(power, left, shares @ basis)
+    for _ in range(SWEEPS):
+        variance = shares @ basis
+        size = 1.0 / np.sqrt(np.sum(basis**2 * left / variance**2, axis=1))
+        scaled = basis * size[:, None] / variance
+        root = np.linalg.cholesky((scaled * left) @ scaled.T + 1e-9 * np.eye(len(basis))).T
+        aim = scaled @ ((power - left * (floor @ basis)) / variance)
+        fresh = floor + size * nnls(root, np.linalg.solve(root.T, aim))[0]
+        for part in (1.0, 0.3, 0.1):
+            trial = shares + part * (fresh - shares)
+            cost = _cost(power, left, trial @ basis)
+            if cost < best:
+                break
+        else:
+            break
+        done = best - cost < 1e-3
+        shares, best = trial, cost
+        if done:
+            break
+    return shares, shares @ basis
+
+
+def _cost(power: np.ndarray, left: np.ndarray, variance: np.ndarray) -> float:
+    """Minus twice the logarithm of Whittle's likelihood."""
+    return float(np.sum(left * np.log(variance) + power / variance))
+
+
+# -- regression ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class System:
+    """Normal equations of all candidates, whitened.
+
+    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width
+    of what noise in a regressor may have added to ``right``; ``evidence`` is the information that
+    the equations give about their left sides, ``levels`` are the variances in each piece.
+    """
+
+    gram: np.ndarray
+    right: np.ndarray
+    limits: np.ndarray
+    doubt: np.ndarray
+    evidence: float
+    levels: tuple[np.ndarray, ...]
+
+
+def assemble(
+    pieces: Sequence[Piece],
+    relations: tuple[Relation, ...],
+    faults: Sequence[Candidate],
+    nuisance: np.ndarray,
+    n_more: int,
+) -> System:
+    """Whiten all contrasts and sum their normal equations.
+
+    ``nuisance`` are the candidates that are in the regression while the noise is estimated,
+    ``n_more`` the number of those that are asked elsewhere.
+    """
+    n = len(faults)
+    gram, right, doubt = np.zeros((n, n)), np.zeros(n), np.zeros(n)
+    relative, evidence = np.zeros(n), 0.0
+    levels: dict[int, np.ndarray] = {}
+    for index in sorted({piece.relation for piece in pieces}):
+        mine = [piece for piece in pieces if piece.relation == index]
+        shares, variance, law, about = _noise(mine, faults, nuisance)
+        evidence += about
+        active = shares > 1e-6 * shares.max()
+        fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
+        begin = 0
+        for piece in mine:
+            rows = slice(begin, begin + piece.residual.size)
+            begin = rows.stop
+            levels[id(piece)] = level = variance[rows]
+            white = piece.columns / np.sqrt(level)[:, None]
+            own = white.T @ white
+            gram[np.ix_(piece.used, piece.used)] += own
+            right[piece.used] += white.T @ (piece.residual / np.sqrt(level))
+            # Relative error of the information of each candidate, by the errors of the shares.
+            slope = -(law[active][:, rows] / level) @ white**2
+            relative[piece.used] += np.einsum("ck,cd,dk->k", slope, fisher, slope)
+            walk = (shares[len(CORRELATIONS) :] @ law[len(CORRELATIONS) :, rows]) / level
+            _attenuate(piece, relations[index].target, faults, float(walk.sum()), own, right, doubt)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        freedom = 2.0 * gram.diagonal() ** 2 / relative
+    freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
+    limits = stdtrit(freedom, 1.0 - 0.5 * ALPHA / (n + n_more)) ** 2
+    # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
+    limits = limits * np.where([f.kind in LOCAL for f in faults], VARYING, 1.0)
+    return System(
+        gram, right, limits, doubt, evidence, tuple(levels[id(piece)] for piece in pieces)
+    )
+
+
+def _noise(
+    mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
+    """Shares, variances and law of one equation's noise, and its information on the left side."""
+    law = laws(np.concatenate([p.angle for p in mine]))
+    y = np.concatenate([p.residual for p in mine])
+    target = np.concatenate([p.target for p in mine])
+    used = np.intersect1d(nuisance, np.concatenate([p.used for p in mine]))
+    matrix = np.zeros((y.size, used.size))
+    begin = 0
+    for p in mine:
+        at = np.searchsorted(used, p.used)
+        inside = np.isin(p.used, used)
+        matrix[begin : begin + p.residual.size, at[inside]] = p.columns[:, inside]
+        begin += p.residual.size
+    matrix *= np.array([faults[k].plausible for k in used])
+    floor = np.zeros(len(law))
+    floor[0] = max(0.5 * float(np.mean([p.level for p in mine])), 3e-5 * float(np.std(target))) ** 2
+    floor[len(CORRELATIONS)] = 0.7 * float(np.mean([p.walk for p in mine]))
+    ones = np.ones(y.size)
+    # From the least noise there can be: under much noise the faults would be taken for it.
+    variance = floor @ law
+    for _ in range(4):
+        white = matrix / np.sqrt(variance)[:, None]
+        inner = np.linalg.inv(white.T @ white + np.eye(used.size))
+        hat = np.einsum("ij,jk,ik->i", white, inner, white)
+        size = inner @ (white.T @ (y / np.sqrt(variance)))
+        rest = y - matrix @ size
+        shares, variance = fitted_law(rest**2, law, floor, np.clip(1.0 - hat, 0.05, 1.0))
+    _, alone = fitted_law(target**2, law, floor, ones)
+    about = np.sum(np.log(alone / variance) + 1.0 - rest**2 / variance) - size @ size
+    return shares, variance, law, float(about)
+
+
+def _attenuate(
+    piece: Piece,
+    target: str,
+    faults: Sequence[Candidate],
+    walk: float,
+    own: np.ndarray,
+    right: np.ndarray,
+    doubt: np.ndarray,
+) -> None:
+    """Subtract half of what noise in the regressors of scales may have added to ``right``.
+
+    The noise of a signal stands in the contrast and in its own regressor, which biases a scale by
+    the ratio of noise to signal (errors in variables; Fuller 1987): between nothing and what it
+    would be if all of the walk came from that signal.
+    """
+    for i, k in enumerate(piece.used):
+        one = faults[k]
+        if one.kind == "scale":
+            share = -1.0 if one.signals[0] == target else piece.shares.get(one.signals[0], 0.0)
+            most = float(np.clip(walk * share, -0.5 * own[i, i], 0.5 * own[i, i]))
+            right[k] -= 0.5 * most
+            doubt[k] += 0.5 * abs(most)
+
+
+def scanned(
+    traces: Sequence[Trace],
+    pieces: Sequence[Piece],
+    system: System,
+    chosen: Sequence[int],
+    local: Mapping[str, Candidate],
+) -> list[tuple[float, Candidate]]:
+    """Statistic of the best step and burst of every signal in every record, beside what is in."""
+    a = list(chosen)
+    inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
+    places = np.arange(1, PLACES) / PLACES
+    result = []
+    for trace, (name, one) in product(traces, local.items()):
+        score, power = np.zeros((2, places.size)), np.zeros((2, places.size))
+        across = np.zeros((2, places.size, len(a)))
+        at = trace.times[0] + places * (trace.times[-1] - trace.times[0])
+        for piece, level in zip(pieces, system.levels, strict=True):
+            ramp = piece.ramps.get(name)
+            if piece.record != trace.name or (ramp is None and piece.target_name != name):
+                continue
+            row = np.searchsorted(piece.times, at)
+            ended = row + max(1, round(piece.times.size / PLACES))
+            steps = [_from(piece, name, ramp, k) for k in (row, ended)]
+            position = {k: i for i, k in enumerate(piece.used)}
+            beside = np.zeros((level.size, len(a)))
+            for i, k in enumerate(a):
+                if k in position:
+                    beside[:, i] = piece.columns[:, position[k]]
+            for i, shape in enumerate((steps[0], steps[0] - steps[1])):
+                waves = dct(shape, axis=0, norm="ortho")[1:]
+                score[i] += (piece.residual / level) @ waves
+                power[i] += np.sum(waves**2 / level[:, None], axis=0)
+                across[i] += (waves / level[:, None]).T @ beside
+        left = power - np.einsum("kpi,ij,kpj->kp", across, inner, across)
+        told = (left > 1e-4 * power) & (power > 0.0)
+        gain = np.where(told, score**2 / np.where(told, left, 1.0), 0.0)
+        for i, kind in enumerate(("step", "burst")):
+            k = int(np.argmax(gain[i]))
+            until = places[k] + 1.0 / PLACES if kind == "burst" else 1.0
+            found = replace(one, kind=kind, record=trace.name, at=places[k], until=until)
+            result.append((float(gain[i, k]), found))
+    return sorted(result, key=lambda pair: -pair[0])
+
+
+def _from(piece: Piece, name: str, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
+    """What a unit of a signal from some blocks on adds to a contrast, ``(n_blocks, n_rows)``."""
+    n = piece.times.size
+    after = np.arange(n)[:, None] >= rows
+    shape = np.zeros((n, rows.size)) + (piece.target_name == name)
+    if ramp is not None:
+        begin = ramp[np.minimum(rows, n - 1)] if piece.is_rate else 0.0
+        shape = shape + ramp[:, None] - begin
+    return np.where(after, shape, 0.0)
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Candidates that may be chosen: what each gains beside others, and whether it may."""
+
+    system: System
+    right: np.ndarray
+    faults: Sequence[Candidate]
+
+    def __post_init__(self) -> None:
+        ridge = np.array([f.plausible for f in self.faults]) ** -2.0
+        object.__setattr__(self, "ridge", ridge)
+
+    def beside(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Statistic, size and standard deviation of every candidate beside some, ``(n,)`` each."""
+        gram, a = self.system.gram, list(chosen)
+        ridge = self.ridge  # type: ignore[attr-defined]
+        inner = gram[np.ix_(a, a)] + np.diag(ridge[a])
+        across = np.linalg.solve(inner, gram[a]) if a else np.zeros((0, len(gram)))
+        left = gram.diagonal() + ridge - np.einsum("ij,ij->j", gram[a], across)
+        score = self.right - across.T @ self.right[a]
+        told = gram.diagonal() - np.einsum("ij,ij->j", gram[a], across) > APART * gram.diagonal()
+        left = np.where(told & (gram.diagonal() > 0.0), left, np.inf)
+        return score**2 / left, score / left, left**-0.5
+
+    def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
+        """Which candidates are of a size that matters and that such faults have."""
+        least = np.array([f.material for f in self.faults]) + 1.5 * std**2 * self.system.doubt
+        most = LARGEST * np.array([f.plausible for f in self.faults])
+        result = (np.abs(size) >= least) & (np.abs(size) <= most)
+        result[list(chosen)] = False
+        return result
+
+    def sizes(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Size, covariance diagonal and own statistic of each chosen candidate."""
+        a = list(chosen)
+        ridge = self.ridge  # type: ignore[attr-defined]
+        inverse = np.linalg.inv(self.system.gram[np.ix_(a, a)] + np.diag(ridge[a]))
+        size = inverse @ self.right[a]
+        # A doubt is uniform, with the variance of a third of its half-width squared.
+        unsure = ((inverse * self.system.doubt[a]) ** 2).sum(axis=1) / 3.0
+        return size, np.sqrt(inverse.diagonal() + unsure), size**2 / inverse.diagonal()
+
+    def price(self, total: float) -> np.ndarray:
+        """What each has to gain in a set that gains this much."""
+        return np.maximum(self.system.limits, CURVED * total)
+
+    def total(self, chosen: Sequence[int]) -> float:
+        """Statistic of a set."""
+        return float(self.sizes(chosen)[0] @ self.right[list(chosen)]) if len(chosen) else 0.0
+
+    def chosen(self, start: Sequence[int]) -> list[int]:
+        """Forward selection with exchange and drop."""
+        now = [k for k in start if self.system.gram[k, k] > 0.0]
+        seen: set[frozenset[int]] = set()
+        while frozenset(now) not in seen:
+            seen.add(frozenset(now))
+            now = self._dropped(self._exchanged(self._added(now)))
+        return now
+
+    def _added(self, now: list[int]) -> list[int]:
+        gain, size, std = self.beside(now)
+        pays = self.able(now, size, std) & (gain > self.price(self.total(now)))
+        best = int(np.argmax(np.where(pays, gain, -1.0)))
+        return [*now, best] if pays[best] and len(now) < MOST_FAULTS else now
+
+    def _exchanged(self, now: list[int]) -> list[int]:
+        for k in tuple(now):
+            rest = [j for j in now if j != k]
+            gain, size, std = self.beside(rest)
+            better = np.where(self.able(rest, size, std), gain, 0.0)
+            best = int(np.argmax(better))
+            if better[best] > gain[k] + 0.1 and self.faults[k].material > 0.0:
+                now = [*rest, best]
+        return now
+
+    def _dropped(self, now: list[int]) -> list[int]:
+        while now:
+            size, _, own = self.sizes(now)
+            short = own - self.price(self.total(now))[now]
+            small = [
+                short[i] < 0.0 or not f.material <= abs(size[i]) <= 1.5 * LARGEST * f.plausible
+                for i, f in enumerate(self.faults[k] for k in now)
+            ]
+            if not any(small):
+                return self._without_pairs(now)
+            now = [k for k in now if k != now[int(np.argmin(np.where(small, short, np.inf)))]]
+        return now
+
+    def _without_pairs(self, now: list[int]) -> list[int]:
+        """The set without two that only hold each other up: together they do not pay."""
+        a = list(now)
+        ridge = self.ridge  # type: ignore[attr-defined]
+        inverse = np.linalg.inv(self.system.gram[np.ix_(a, a)] + np.diag(ridge[a]))
+        size, price = inverse @ self.right[a], self.price(self.total(now))[a]
+        for pair in combinations(range(len(a)), 2):
+            both = list(pair)
+            joint = size[both] @ np.linalg.solve(inverse[np.ix_(both, both)], size[both])
+            if joint < price[both].sum():
+                return [k for i, k in enumerate(a) if i not in pair]
+        return now
+
+
+# -- search ----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Found:
+    """A fault that was accepted, its size, error, statistic, and what it cannot be told from."""
+
+    candidate: Candidate
+    size: float
+    std: float
+    gain: float
+    rivals: tuple[tuple[Candidate, float], ...]
+
+    @property
+    def correction(self) -> Correction:
+        """How to undo it."""
+        return self.candidate.correction(self.size)
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """What one equation leaves of its left side in a record, and the time of the most of it, s."""
+
+    relation: int
+    record: str
+    share: float
+    time: float
+
+
+@dataclass(frozen=True)
+class Reading:
+    """Another reading of the same numbers, its meaning, statistic and rivals."""
+
+    correction: Correction
+    meaning: str = ""
+    gain: float = 0.0
+    rivals: tuple[Reading, ...] = ()
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a search ends with: faults, the dictionary, and the least visible size of each.
+
+    ``strained`` where the signals were so far from agreeing that the linearised scores mislead.
+    """
+
+    found: tuple[Found, ...]
+    faults: tuple[Candidate, ...]
+    visible: np.ndarray
+    strained: bool = False
+
+
+def search(
+    traces: Sequence[Trace],
+    relations: tuple[Relation, ...],
+    *,
+    start: Sequence[Correction] = (),
+    single: bool = True,
+    known: Sequence[tuple[str, str, float]] = (),
+) -> Result:
+    """Find faults with a size.
+
+    ``start`` are delays to begin from, ``known`` steps that were undone by sizes which need
+    improving: signal, record and share of it.
+    """
+    common, apart, local = candidates(traces, relations)
+    faults = [*common, *(apart if single else [])]
+    n_more = 2 * PLACES * len(local) * len(traces) * single
+    keys = {(f.kind, f.signals, f.other): k for k, f in enumerate(common)}
+    active: dict[Candidate, float] = {}
+    for one in start:
+        k = keys.get((one.kind, one.signals, one.other))
+        if k is not None:
+            active[faults[k]] = one.value
+    shift = 0.5 / PLACES
+    system, bench, strained = None, None, False
+    picked = list[Candidate]()
+    for n, record, at in known:
+        if n in local:
+            active[replace(local[n], material=0.0, record=record, at=at)] = 0.0
+    for turn in range(ROUNDS):
+        undone = [undo(t, [f.correction(s) for f, s in active.items()], relations) for t in traces]
+        factors = {
+            f.signals[0]: 1.0 + s for f, s in active.items() if f.kind == "scale" and not f.record
+        }
+        moving = [f for f in active if f.kind in LOCAL and f.material > 0.0]
+        near = [_moved(f, d * shift) for f in moving for d in (-1, 1)]
+        faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
+        place = {f: k for k, f in enumerate(faults)}
+        pieces = [p for t in undone for p in contrasts(t, relations, faults, factors)]
+        if not pieces:
+            return Result((), tuple(faults), np.full(len(faults), np.inf))
+        inside = {*range(len(common)), *(place[f] for f in active)}
+        system = assemble(pieces, relations, faults, np.array(sorted(inside)), n_more)
+        now = [place[f] for f in active]
+        sizes = np.array([*active.values()])
+        bench = Selection(system, system.right + system.gram[:, now] @ sizes, faults)
+        if turn == 0:
+            strained = bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
+        found = scanned(undone, pieces, system, now, local) if single else []
+        least = VARYING * float(np.min(system.limits))
+        picked = [f for gain, f in found[:MOST_FAULTS] if gain > least and f not in place]
+        chosen = bench.chosen(now)
+        fresh = bench.sizes(chosen)
+        same = set(chosen) == set(now)
+        active = {faults[k]: float(s) for k, s in zip(chosen, fresh[0], strict=True)}
+        still = same and np.all(np.abs(fresh[0] - sizes) < 0.1 * fresh[1] + 1e-9)
+        if still and not picked and (shift < 1e-3 or not near):
+            break
+        shift *= 0.5 if near else 1.0
+    assert system is not None
+    assert bench is not None
+    std = bench.beside(chosen)[2]
+    visible = np.sqrt(system.limits) * np.where(np.isfinite(std) & (std > 0), std, np.inf)
+    return Result(_described(bench, chosen), tuple(faults), visible, strained)
+
+
+def _moved(one: Candidate, shift: float) -> Candidate:
+    """A step or burst a little earlier or later."""
+    return replace(one, at=one.at + shift, until=one.until + shift * (one.kind == "burst"))
+
+
+def diagnosed(
+    traces: Sequence[Trace],
+    relations: tuple[Relation, ...],
+    known: Sequence[tuple[str, str, float]] = (),
+) -> tuple[list[Reading], Result]:
+    """Faults that the equations show: readings first where nothing else is near, then sizes."""
+    plain = search(traces, relations, known=known)
+    if not plain.strained:
+        return [], plain
+    found, start = misread(traces, relations)
+    mended = [undo(t, [one.correction for one in found], relations) for t in traces]
+    ends = [search(mended, relations, known=known)] if found else [plain]
+    ends += [search(mended, relations, start=start, known=known)] if start else []
+
+    def worth(end: Result) -> float:
+        left = [undo(t, [one.correction for one in end.found], relations) for t in mended]
+        return float(evidence(left, relations).sum()) - CLOSE * len(end.found)
+
+    return found, max(ends, key=worth)
+
+
+def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
+    """Accepted faults with errors, statistics and rivals, the strongest first."""
+    if not chosen:
+        return ()
+    size, std, own = bench.sizes(chosen)
+    result = []
+    for i, k in enumerate(chosen):
+        rest = [j for j in chosen if j != k]
+        gain, other, error = bench.beside(rest)
+        near = bench.able(chosen, other, error) & (gain > own[i] - CLOSE)
+        told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+        for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
+            f = bench.faults[j]
+            told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
+        mine = bench.faults[k]
+        told.pop((mine.kind, mine.signals, mine.other, mine.record), None)
+        result.append(
+            Found(
+                mine, float(size[i]), WIDER * float(std[i]), float(own[i]), tuple(told.values())[:6]
+            )
+        )
+    return tuple(sorted(result, key=lambda one: -one.gain))
+
+
+def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:
+    """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
+    units = {n: u for trace in traces for n, u in trace.units.items()}
+    names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
+    pairs = [(r.target, *r.signals) for r in relations if r.is_rate and units[r.target] == "rad"]
+    for group in [*((n,) for n in names), *(p for p in pairs if len(p) == 2)]:
+        yield Reading(Correction("sign", group, -1.0))
+        if len({units[n].partition("/")[0] for n in group}) == 1:
+            for factor, meaning in UNITS.get(units[group[0]], ()):
+                yield Reading(Correction("unit", group, factor), meaning)
+    for pair in combinations(names, 2):
+        yield Reading(Correction("swap", pair))
+    velocities = velocities_of(relations, units)
+    positions = [r for r in relations if r.is_rate and units[r.target] == "m"]
+    level = (level_axis(r, traces[0].values, units, traces[0].times, velocities) for r in positions)
+    if any(level) and all(name in trace.values for trace in traces for name in velocities):
+        yield Reading(Correction("frame", velocities))
+    if len(positions) > 1:
+        shared = set.intersection(*(set(r.signals) for r in positions))
+        for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
+            turn = Correction("offset", (angle,), quarter * math.pi / 2.0)
+            yield Reading(turn, f"{90 * quarter} deg")
+
+
+def evidence(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> np.ndarray:
+    """Information that each equation gives about its left side, ``(n_relations,)``."""
+    pieces = [p for t in traces for p in contrasts(t, relations, (), {})]
+    result = np.zeros(len(relations))
+    for index in {p.relation for p in pieces}:
+        mine = [p for p in pieces if p.relation == index]
+        result[index] = _noise(mine, (), np.zeros(0, dtype=int))[3]
+    return result
+
+
+def misread(
+    traces: Sequence[Trace], relations: tuple[Relation, ...]
+) -> tuple[list[Reading], list[Correction]]:
+    """Other readings that the equations ask for, and delays to begin from.
+
+    A reading is accepted if it tells more than every fault with a size does together.
+
+    Returns
+    -------
+    found : list of Reading
+        At most three, in the order of their statistics.
+    start : list of Correction
+        Large delays that compete with readings: their sizes are for :func:`search` to find.
+    """
+    coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
+    late = [
+        Reading(Correction("delay", f.signals, d))
+        for f in candidates(coarse, relations)[0]
+        if f.kind == "delay"
+        for d in DELAYS
+        if abs(d) > 2.0 * f.material
+    ]
+    found: list[Reading] = []
+    for _ in range(3):
+        trials = [*readings(coarse, relations), *late]
+        limit = 2.0 * math.log(len(trials) / ALPHA)
+        now = evidence(coarse, relations)
+        sized = [one.correction for one in search(coarse, relations, single=False).found]
+        mended = [undo(t, sized, relations) for t in coarse]
+        least = limit + max(0.0, float(np.sum(evidence(mended, relations) - now)))
+        scored = []
+        for one in trials:
+            touched = {*one.correction.signals}
+            mine = [i for i, r in enumerate(relations) if touched & {r.target, *r.signals}]
+            some = tuple(relations[i] for i in mine)
+            changed = [undo(t, (one.correction,), relations) for t in coarse]
+            scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
+        scored.sort(key=lambda one: -one.gain)
+        if not scored:
+            break
+        best = scored[0]
+        if best.correction.kind == "delay" and best.gain > limit:
+            return found, [best.correction]
+        if best.gain < least:
+            break
+        rivals = [o for o in scored[1:] if o.gain > best.gain - CLOSE]
+        found.append(replace(best, rivals=tuple(o for o in rivals if o.correction.kind != "delay")))
+        coarse = [undo(t, (best.correction,), relations) for t in coarse]
+    return found, []
+
+
+def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:
+    r"""Equations that fail although all that was found is undone.
+
+    With :math:`\Delta` the change over about a second, an equation fails in a record where
+
+    .. math:: \sum (\Delta e)^2 > \tfrac{1}{9} \sum (\Delta y)^2 \quad\text{and}\quad
+        \sum (\Delta e)^2 > 8 \sum (\Delta\ \text{of noise and sampling})^2.
+
+    Noise may leave all of a left side that hardly changes, hence the second condition;
+    autocorrelated noise is larger than its fast part tells, but leaves less, hence the first.
+    """
+    result = []
+    for trace, (index, relation) in product(traces, enumerate(relations)):
+        halved = {n: trace.values[n].copy() for n in relation.signals if n in trace.values}
+        for name in halved.keys() - {relation.target}:
+            halved[name][1::2] = np.nan
+        slow = replace(trace, values={**trace.values, **halved})
+        twins = list(contrasts(slow, (relation,), (), {}))
+        for i, piece in enumerate(contrasts(trace, (relation,), (), {})):
+            weight = piece.weight
+            left, moved = weight @ piece.residual**2, weight @ piece.target**2
+            noise = piece.level**2 + piece.walk / (2.0 - 2.0 * np.cos(piece.angle))
+            expected = float(weight @ noise)
+            if i < len(twins) and twins[i].residual.size == piece.residual.size:
+                expected += float(weight @ (twins[i].residual - piece.residual) ** 2)
+            if left > UNEXPLAINED**2 * moved and left > LOUDER * expected:
+                changes = np.abs(np.diff(idct(np.append(0.0, piece.residual), norm="ortho")))
+                at = float(piece.times[int(np.argmax(changes))])
+                share = float(np.sqrt(left / moved))
+                result.append(Misfit(index, trace.name, share, at))
+    return result
