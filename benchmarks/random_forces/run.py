@@ -149,7 +149,8 @@ def settings_of(options: SimpleNamespace | argparse.Namespace) -> dict[str, Any]
     disturbances: str | tuple[str, ...] = options.disturbances
     if disturbances not in ("auto", "none", "all", "known"):
         disturbances = tuple(options.disturbances.split(","))
-    return {"disturbances": disturbances, "loss": options.loss}
+    told = {"disturbances": disturbances, "loss": options.loss}
+    return told | ({"predict": False} if options.fit_only else {})
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -166,6 +167,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument(
         "--disturbances", default="auto", help="auto, none, all, known (swell) or names as Z,M"
     )
+    parser.add_argument("--fit-only", action="store_true", help="no predictions: much quicker")
     parser.add_argument("--loss", default="square", help="square, huber or student")
     options = parser.parse_args(arguments)
     names = options.scenarios or list(SCENARIOS)

@@ -206,7 +206,8 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
     seconds = time.process_time() - began
     covered, by_output = {}, {}
     # A parameter of the fresh record can only be known by a fit to it.
-    for initial in ("fit",) if data.fresh.local else ("fit", "first"):
+    ways = ("fit",) if data.fresh.local else ("fit", "first")
+    for initial in ways if settings.get("predict", True) else ():
         try:
             prediction = fit.predict(dataset(scenario, model, (data.fresh,)), initial=initial)
             # An output that is not predicted at all (NaN) is not covered.

@@ -157,7 +157,6 @@ class Study:
             known=absent,
             drifting=disturbances != "none",
             seas=seas_in(disturbances),
-            any_sea=disturbances in ("auto", "all"),
         )
         effects, skipped = fitting_candidates(model, candidates)
         kernel = _kernel(model, effects, setting)
