@@ -1,10 +1,10 @@
-"""The check of logs: how often it names a fault, and how often it cries wolf.
+"""The check of logs on spoilt and on measured records; `spoilt_logs` has the exam with rates.
 
-    python -m benchmarks.compatibility [spoilt measured clean faults single speed] [--logs N]
+    python -m benchmarks.compatibility [spoilt measured]
 
-Simulated logs come from kinematics alone, integrated ten times finer than they are sampled:
-velocities and rates are sums of sines with random phases or responses to random steps, positions
-and angles their integrals. Nothing of them is shared with the package.
+The simulated logs that tests use come from kinematics alone, integrated ten times finer than they
+are sampled: velocities and rates are sums of sines with random phases, positions and angles their
+integrals. Nothing of them is shared with the package.
 """
 
 from __future__ import annotations
@@ -13,7 +13,6 @@ import argparse
 import math
 import os
 import tempfile
-import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -331,32 +330,6 @@ def log(
     return Dataset(tuple(records))
 
 
-def draw(vehicle: Vehicle, rng: np.random.Generator) -> Fault:
-    """Return a fault of a size that is worth finding: usual kinds, both signs."""
-    diving = vehicle is DIVER
-    sign = rng.choice([-1.0, 1.0])
-    kind = rng.choice(["bias", "scale", "delay", "lever"])
-    if kind == "bias":
-        names = (
-            {"q": 0.004, "w": 0.03, "u": 0.08} if diving else {"r": 0.0015, "v": 0.05, "u": 0.05}
-        )
-        name = str(rng.choice(list(names)))
-        return Fault("bias", (name,), sign * names[name] * rng.uniform(1.0, 3.0))
-    if kind == "scale":
-        names = ["u", "q", "z"] if diving else ["u", "r", "v"]
-        name = str(rng.choice(names))
-        least = {"v": 0.15, "q": 0.04, "z": 0.04}.get(name, 0.03)
-        return Fault("scale", (name,), sign * least * rng.uniform(1.0, 2.0))
-    if kind == "delay":
-        groups = [("z",), ("u", "w"), ("theta",), ("q",)] if diving else [
-            ("x", "y"), ("u", "v"), ("psi",), ("r",),
-        ]  # fmt: skip
-        return Fault("delay", groups[rng.integers(4)], rng.uniform(0.2, 1.2))
-    if diving:
-        return Fault("lever", ("w",), sign * rng.uniform(0.3, 1.0), "q")
-    return Fault("lever", ("v",), sign * rng.uniform(2.0, 6.0), "r")
-
-
 def is_named(found: LogCheck, fault: Fault) -> bool:
     """Whether a fault is among the findings, as the finding itself or in its group."""
     if match(found, fault) is not None:
@@ -373,111 +346,6 @@ def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]
         if fix is not None and fix.kind == fault.kind and set(fix.signals) == set(fault.signals):
             return one
     return None
-
-
-def clean(n_logs: int) -> None:
-    """False alarms on clean logs, white and coloured."""
-    for colour, title in ((0.0, "white"), (None, "coloured 0.4 to 0.95")):
-        for vehicle in VEHICLES:
-            alarms, kinds = 0, []
-            for seed in range(n_logs):
-                rng = np.random.default_rng((7, seed))
-                level = rng.uniform(0.4, 0.95) if colour is None else colour
-                data = log(vehicle, motions(vehicle, rng), (), level, rng)
-                found = check(data, vehicle.model, inputs=False)
-                alarms += found.suspect
-                kinds += [one.name for one in found.serious]
-            print(
-                f"clean, {title}, {vehicle.model.name}: {alarms} of {n_logs} false alarms {kinds}",
-                flush=True,
-            )
-
-
-def faults(n_logs: int) -> None:
-    """Faults named, alone and in pairs, and how often their 95 % intervals hold."""
-    for colour, title in ((0.0, "white"), (None, "coloured 0.4 to 0.95")):
-        for n_faults in (1, 2):
-            named = total = held = sized = extra = 0
-            missed: list[str] = []
-            for seed in range(n_logs):
-                rng = np.random.default_rng((11, n_faults, seed))
-                vehicle = VEHICLES[seed % 2]
-                level = rng.uniform(0.4, 0.95) if colour is None else colour
-                chosen = [draw(vehicle, rng)]
-                while len(chosen) < n_faults:
-                    another = draw(vehicle, rng)
-                    if another.signals != chosen[0].signals:
-                        chosen.append(another)
-                data = log(vehicle, motions(vehicle, rng), chosen, level, rng)
-                found = check(data, vehicle.model, inputs=False)
-                good = [is_named(found, fault) for fault in chosen]
-                named += sum(good)
-                total += n_faults
-                extra += len(found.serious) > n_faults
-                missed += [
-                    f"{f.kind} {','.join(f.signals)} {f.size:.3g}: "
-                    f"{'; '.join(one.name for one in found.serious)}"
-                    for f, ok in zip(chosen, good, strict=True)
-                    if not ok
-                ]
-                for fault in chosen:
-                    one = match(found, fault)
-                    if one is not None and one.interval is not None:
-                        sized += 1
-                        held += one.interval[0] <= fault.size <= one.interval[1]
-            print(
-                f"{n_faults} fault(s), {title}: named in the group {named} of {total} "
-                f"({100 * named / total:.1f} %), 95 % intervals hold {held} of {sized} "
-                f"({100 * held / max(sized, 1):.1f} %), more findings than faults {extra}",
-                flush=True,
-            )
-            for line in missed[:12]:
-                print("   missed:", line)
-
-
-def single(n_logs: int) -> None:
-    """A bias of two to six noise levels in one record of three, and nothing else said."""
-    for colour, title in ((0.0, "white"), (None, "coloured 0.4 to 0.95")):
-        named = sized = held = extra = 0
-        for seed in range(n_logs):
-            rng = np.random.default_rng((13, seed))
-            vehicle = VEHICLES[seed % 2]
-            level = rng.uniform(0.4, 0.95) if colour is None else colour
-            data = log(vehicle, motions(vehicle, rng), (), level, rng)
-            where, size, wrong = one_bias(data, vehicle, rng)
-            found = check(wrong, vehicle.model, inputs=False).serious
-            (signal,), (record,) = where
-            own = [one for one in found if one.kind == "bias" and one.records == (record,)]
-            hits = [one for one in own if one.signals == (signal,)]
-            also = f"bias of {signal} in {record}"
-            grouped = [one for one in own if any(also in words for words in one.alternatives)]
-            named += bool(hits or grouped)
-            sized += bool(hits)
-            held += any(one.interval is not None and _holds(one.interval, size) for one in hits)
-            extra += len(found) > 1
-        print(
-            f"a bias in one record, {title}: named in the group {named} of {n_logs}, 95 % "
-            f"intervals hold {held} of {sized}, something else said {extra}",
-            flush=True,
-        )
-
-
-def _holds(interval: tuple[float, float], size: float) -> bool:
-    return interval[0] <= size <= interval[1]
-
-
-def one_bias(
-    data: Dataset, vehicle: Vehicle, rng: np.random.Generator
-) -> tuple[tuple[tuple[str, ...], tuple[str, ...]], float, Dataset]:
-    """Signal and record, size, and the log with a rate or velocity off in that record."""
-    rates = [name for name in vehicle.noise if name in ("u", "w", "v", "q", "r")]
-    name, number = str(rng.choice(rates)), int(rng.integers(len(data)))
-    size = float(rng.choice([-1, 1]) * rng.uniform(2.0, 6.0) * vehicle.noise[name])
-    outputs = data[number].outputs.copy()
-    outputs[:, data.channels.output_names.index(name)] += size
-    records = list(data.records)
-    records[number] = data[number].with_outputs(outputs)
-    return ((name,), (data[number].name,)), size, Dataset(tuple(records))
 
 
 def spoilt() -> None:
@@ -511,44 +379,14 @@ def measured() -> None:
             print(f"     {'*' if one.suspect else ' '} {one.says}", flush=True)
 
 
-def speed() -> None:
-    """Time of a check and of a quick check."""
-    rng = np.random.default_rng(0)
-    for vehicle in VEHICLES:
-        data = log(vehicle, motions(vehicle, rng), (), 0.0, rng)
-        long = replace(vehicle, duration=10_000 / 3.0 * vehicle.step)
-        more = log(long, motions(long, rng), (), 0.0, rng)
-        for title, records in (("3 x 900", data), ("3 x 3,333", more)):
-            times = {}
-            for name, run in (
-                ("check", lambda d, m: check(d, m, inputs=False)),
-                ("quick_check", quick_check),
-            ):
-                begin = [time.process_time()]
-                for _ in range(3):
-                    run(records, vehicle.model)
-                    begin.append(time.process_time())
-                times[name] = min(np.diff(begin))
-            words = ", ".join(f"{name} {1e3 * value:.0f} ms" for name, value in times.items())
-            print(f"{vehicle.model.name}, {title} samples: {words}", flush=True)
-
-
 def main() -> None:
     """Run the parts that are asked for."""
-    parts = {"spoilt": spoilt, "measured": measured, "speed": speed}
+    parts = {"spoilt": spoilt, "measured": measured}
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument(
-        "parts", nargs="*", default=["spoilt", "measured", "clean", "faults", "single", "speed"]
-    )
-    parser.add_argument("--logs", type=int, default=100, help="simulated logs of each kind")
-    options = parser.parse_args()
-    for name in options.parts:
+    parser.add_argument("parts", nargs="*", default=list(parts))
+    for name in parser.parse_args().parts:
         print(f"\n-- {name}", flush=True)
-        many = {"clean": clean, "faults": faults, "single": single}
-        if name in many:
-            many[name](options.logs)
-        else:
-            parts[name]()
+        parts[name]()
 
 
 if __name__ == "__main__":

@@ -6,7 +6,7 @@ r"""Realised over stated errors of planned runs under disturbance forces.
 The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N, 0.06 N
 m
 and 2 s (times ``--forces``) and white sensors; each repetition is integrated by the NumPy
-equations of :mod:`benchmarks.random_forces` (no code of the package) and estimated by
+equations of `benchmarks.missing_physics` (no code of the package) and estimated by
 ``MultipleShooting(disturbances="auto")``, levels and times unknown, no priors. Stated are the
 errors of ``information_of`` before the trial, for these forces and for white noise alone.
 
@@ -22,8 +22,8 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.harness import command, ignorant, known, markdown
+from benchmarks.missing_physics.simulator import SAMPLE, Case, Truth, integrate, markov
 from benchmarks.random_forces.scenarios import MEDIUM, REMUS
-from benchmarks.random_forces.simulator import gauss_markov
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
 from oed_sysid.design import DOptimal, Knowledge, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
@@ -79,29 +79,14 @@ def repeated(
 ) -> Record:
     """One run with forces and sensor noise, integrated in NumPy at 0.01 s."""
     nominal = simulate(model, run, noise=False)
-    inputs, n = nominal.inputs, nominal.n_samples
-    steps = REMUS.substeps
-    h = REMUS.sample_time / steps
-    memory = math.exp(-h / TIME)
-    force = gauss_markov(rng.standard_normal(((n - 1) * steps + 1, 3)), noise.force, memory)
-    values = {name: np.array([value]) for name, value in REMUS.believed.items()}
-    state = np.array([[run.initial.get(name, 0.0)] for name in REMUS.states])
-    outputs = np.empty((n, len(state)))
-    for k in range(n):
-        outputs[k] = state[:, 0]
-        if k + 1 == n:
-            break
-        command = inputs[k][:, None]
-        for sub in range(k * steps, (k + 1) * steps):
-            before, after = force[sub][:, None], force[sub + 1][:, None]
-            middle = 0.5 * (before + after)
-            first = REMUS.rate(state, command, before, values)
-            second = REMUS.rate(state + h / 2 * first, command, middle, values)
-            third = REMUS.rate(state + h / 2 * second, command, middle, values)
-            fourth = REMUS.rate(state + h * third, command, after, values)
-            state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
-    outputs += rng.standard_normal(outputs.shape) * noise.white
-    return Record(f"{run.name}_{number}", nominal.times, inputs, outputs, model.channels)
+    commands = nominal.inputs[:, :, None]
+    forces = markov(math.exp(-SAMPLE / TIME), nominal.n_samples, 3, rng) * noise.force
+    truth = Truth([Case(run.name, REMUS.believed)])
+    start = np.array([run.initial["u"]]), np.array([run.initial.get("z", 0.0)])
+    states = integrate(truth, start, forces[:, :, None], lambda k, _: tuple(commands[k]))
+    clean = np.array([truth.measure(state)[:, 0] for k, state in states if k is not None])
+    outputs = clean + rng.standard_normal(clean.shape) * noise.white
+    return Record(f"{run.name}_{number}", nominal.times, nominal.inputs, outputs, model.channels)
 
 
 def realised(

@@ -47,7 +47,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import RESULTS, Row, Store, command, ignorant, tabulate
-from benchmarks.missing_physics.simulator import SAMPLE, STEP, SUBSTEPS, Case, Fin, _Truth
+from benchmarks.missing_physics.simulator import Case, Truth, integrate
 from benchmarks.random_forces.scenarios import MEDIUM
 from oed_sysid import Experiment, Limits, Model, NoiseModel, load_problem
 from oed_sysid.design import (
@@ -258,20 +258,13 @@ def inside(
     ndarray of bool (n_vehicles,)
     """
     n = len(vehicles)
-    truth = _Truth([Case("v", values) for values in vehicles])
+    truth = Truth([Case("v", values) for values in vehicles])
     commands = np.broadcast_to(commands, (*commands.shape[:2], n))
-    state = np.zeros((9, n))
-    state[0] = state[7] = start[0]
-    state[4] = state[6] = start[1]
-    fin = Fin(truth, commands[0, 0])
+    begin = np.full(n, start[0]), np.full(n, start[1])
     kept = np.ones(n, dtype=bool)
-    for k in range(len(commands) - 1):
-        fin.command(commands[k, 0])
-        for sub in range(SUBSTEPS):
-            time = k * SAMPLE + sub * STEP
-            state = truth.advance(state, time, fin.advance(sub), commands[k, 1], forces[k])
-            pitch, depth = state[3], state[4]
-            kept &= (np.abs(pitch) <= PITCH) & (depth >= LEAST) & (depth <= MOST)
+    for _, state in integrate(truth, begin, forces, lambda k, _: tuple(commands[k])):
+        pitch, depth = state[3], state[4]
+        kept &= (np.abs(pitch) <= PITCH) & (depth >= LEAST) & (depth <= MOST)
     return kept
 
 

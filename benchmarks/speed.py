@@ -34,6 +34,9 @@ long_search
 decision
     The decision to stop or to go on (`decide`) over the library that `campaign` makes, in a
     moderate sea: known is one run, the goal is half of the errors that it leaves.
+tables
+    Records of a CSV file of 2,000,000 rows and six columns, units, channels and all checks
+    included, beside the numbers alone by pandas; fresh processes, imports not counted.
 six_degrees
     Fit and search in six degrees of freedom: 12 states, 25 parameters, 36,030 samples at 20 Hz of
     the AUV of :mod:`benchmarks.other_vehicles`, simulated by that benchmark's own code.
@@ -68,7 +71,18 @@ from benchmarks.harness import (
     scaled,
     verdict,
 )
-from oed_sysid import Dataset, Model, MultipleShooting, Record, improve, load_problem
+from oed_sysid import (
+    Channels,
+    Dataset,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Record,
+    improve,
+    load_problem,
+    read_csv,
+)
 from oed_sysid.compiled import graph as graphs
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.compiled.kernels import kernel as compiled
@@ -670,11 +684,58 @@ def startup() -> None:
     print(f"message while compiling: {message.strip()}")
 
 
+def reading(call: Callable[[], Any]) -> None:
+    """Print processor time (s) and growth of the peak memory (bytes) of a call."""
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    began = time.process_time()
+    call()
+    spent = time.process_time() - began
+    print(spent, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) * 1024)
+
+
+def by_pandas(path: str) -> None:
+    """Numbers of a file by pandas."""
+    import pandas
+
+    reading(lambda: pandas.read_csv(path))
+
+
+def by_records(path: str) -> None:
+    """Records of a file."""
+    outputs = tuple(map(Output, ("theta", "q", "z", "u"), ("rad", "rad/s", "m", "m/s")))
+    channels = Channels((Input("fin", "rad"),), outputs)
+    reading(lambda: read_csv(path, channels))
+
+
+def tables(rows: int = 2_000_000) -> None:
+    """Time and memory of a large CSV file, beside pandas."""
+    rng = np.random.default_rng(0)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "long.csv"
+        with path.open("w") as stream:
+            stream.write("t [s],fin [deg],theta [deg],q [deg/s],z [m],u [m/s]\n")
+            for first in range(0, rows, 100_000):
+                n = min(100_000, rows - first)
+                part = np.cumsum(rng.normal(size=(n, 6)), axis=0) * 1e-3
+                part[:, 0] = 0.01 * (first + np.arange(n))
+                np.savetxt(stream, part, "%.6f", ",")
+        found = {}
+        for name in ("by_pandas", "by_records"):
+            code = f"import sys; from benchmarks.speed import {name}; {name}(sys.argv[1])"
+            told = [fresh(code, str(path))[1].split()[-2:] for _ in range(5)]
+            found[name] = np.array(told, dtype=float).min(axis=0)
+    (ours, memory), (theirs, least_memory) = found["by_records"], found["by_pandas"]
+    print(f"records {ours:.2f} s, {memory / 2**20:.0f} MiB; pandas {theirs:.2f} s, "
+          f"{least_memory / 2**20:.0f} MiB")  # fmt: skip
+    print(verdict("time over that of pandas", ours / theirs, 4.0))
+    print(verdict("growth of memory over that of pandas", memory / least_memory, 2.0))
+
+
 PARTS: dict[str, Callable[..., None]] = {
     part.__name__: part
     for part in (
         kernel, information, startup, score, growth, swarm, fit_speed, likelihood, long_search,
-        six_degrees, decision,
+        six_degrees, decision, tables,
     )
 }  # fmt: skip
 

@@ -71,6 +71,7 @@ _HOME = {
     "load_problem": "experiments.problem",
     "new_problem": "experiments.problem",
     "jackknife": "prediction.jackknife",
+    "replayed": "likelihood.replay",
     "turning_circle": "prediction.turning_circle",
     "speed_polar": "prediction.speed_polar",
     "AOptimal": "design",
@@ -159,6 +160,7 @@ if TYPE_CHECKING:
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.likelihood.multiple_shooting import MultipleShooting
     from oed_sysid.likelihood.noise_model import NoiseModel, Sea
+    from oed_sysid.likelihood.replay import replayed
     from oed_sysid.physics import (
         Actuator,
         Environment,

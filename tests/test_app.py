@@ -57,7 +57,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     app = done(following(app), "compare")
     assert "more than noise is left" in text_of(app)
     app = done(following(app), "improve")
-    assert "records that nothing was fitted to" in text_of(app)
+    assert "error on the validation records" in text_of(app)
     effect = problem.effects[0].name
     keep = next(w for w in app.multiselect if w.label == "Effects to keep")
     app = done(fine(keep.set_value([effect]).run()), "kept")

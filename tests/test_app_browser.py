@@ -185,7 +185,7 @@ def test_whole_loop_on_a_shipped_record(page: Any, ship: Path, tmp_path: Path) -
     no_error(page)
     go(page, "Improve")
     press(page, "Find what is missing")
-    assert "records that nothing was fitted to" in finished(page)
+    assert "error on the validation records" in finished(page)
     page.get_by_role("tab", name="Signal chain").click()
     assert page.locator(".oed-chain .place").count() >= 3
     go(page, "Report")

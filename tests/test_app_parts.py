@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 import subprocess
 import sys
 import zipfile
@@ -20,10 +21,11 @@ pytest.importorskip("plotly", reason="needs the extra 'app'")
 from oed_sysid.app import charts, mapping, pages, replay, takeaway
 from oed_sysid.app.choices import at_hand, measured_sets
 from oed_sysid.app.visit import Asked
+from oed_sysid.cli import BAD_INPUT, main
 from oed_sysid.cli.limit_words import with_limits
 from oed_sysid.cli.options import line_of
 from oed_sysid.cli.script import part_of, whole
-from oed_sysid.cli.study import Outcome, Study
+from oed_sysid.cli.study import Outcome, Study, Task, grouped, options_of
 from oed_sysid.cli.tasks import TASKS
 from oed_sysid.cli.terminal import Shown
 from oed_sysid.data.logs import LogMapping, Source
@@ -298,3 +300,36 @@ def test_residual_force_is_first_shown_against_the_signal_that_explains_it() -> 
     located = Located(places, {"force Z": 90.0}, {"force Z": 0.1}, ("Z",), (series,), {}, {}, {})
     assert charts.clearest(located, "Z", {"other": other, "speed": speed}) == 1
     assert charts.clearest(located, "Z", {"speed": speed, "other": other}) == 0
+
+
+@pytest.mark.parametrize(
+    ("task", "wish"),
+    [
+        ("improve", {"max_effects": 2}),
+        ("compare", {"added": ("a", "b+c")}),
+        ("rank", {"experiment": ("fast_rudder",)}),
+        ("design", {"like": "fast_rudder", "duration": 40.5, "limit": ("rudder=-10:10",),
+                    "discriminate": ("a", "b"), "effort": "normal", "certainty": 0.9, "seed": 3}),
+        ("programme", {"runs": 3, "hours": 1.5, "turnaround": 5.0, "criterion": "D",
+                       "sea": "calm", "after": Path("fit.json")}),
+    ],
+)  # fmt: skip
+def test_the_command_that_is_shown_asks_for_the_same(
+    task: str, wish: dict, study: Study, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The command line reads from the shown command what the page was given."""
+    asked: list[tuple[Study, dict]] = []
+
+    def work(row: Task, about: Study, show: object, options: dict) -> None:
+        asked.append((about, options))
+        raise OedSysidError("asked for")
+
+    monkeypatch.setattr(Task, "__call__", work)
+    monkeypatch.chdir(tmp_path)
+    takeaway.write_records(study, tmp_path)
+    assert main(shlex.split(line_of(TASKS[task], study, wish))[1:]) == BAD_INPUT
+    ((about, options),) = asked
+    defaults = {one.name: one.default for one in options_of(TASKS[task].run)}
+    assert grouped(TASKS[task].run, options) == grouped(TASKS[task].run, {**defaults, **wish})
+    if "files" in TASKS[task].reads:
+        assert about.training().names == study.training().names

@@ -53,7 +53,8 @@ def test_parameters_may_be_free() -> None:
     assert plain(parts).parameter("Y_vdot").unit == "kg"
 
 
-def test_quaternion_model_can_be_fitted() -> None:
+@pytest.mark.parametrize("disturbances", ["none", pytest.param("auto", marks=pytest.mark.slow)])
+def test_quaternion_model_can_be_fitted(disturbances: str) -> None:
     """From wrong values and unknown start states a fit with a quaternion finds the truth."""
     parts = rigid_body(
         6,
@@ -90,7 +91,7 @@ def test_quaternion_model_can_be_fitted() -> None:
     )
     record = simulate(model, run_, rng=np.random.default_rng(3))
     wrong = model.with_values({name: 1.1 * model.values[name] for name in model.free_names})
-    fit = MultipleShooting().fit(wrong, Dataset((record,)))
+    fit = MultipleShooting(disturbances=disturbances).fit(wrong, Dataset((record,)))
     assert fit.status.ok
     # The length of the start's quaternion moves nothing, and nothing goes after it.
     assert fit.iterations < 60

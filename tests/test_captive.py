@@ -241,10 +241,10 @@ def test_errors_of_a_wrong_hull_are_those_of_white() -> None:
 
 @pytest.mark.parametrize("noise", ["given", "estimate"])
 def test_intervals_of_captive_tests_hold_the_truth(noise: str) -> None:
-    """Of 4 times 150 intervals of a right model 95 % hold the truth."""
+    """Of 4 times 80 intervals of a right model 95 % hold the truth."""
     held = []
     tests = drift_series(quadratic=0.0)
-    for seed in range(150):
+    for seed in range(80):
         rng = np.random.default_rng(seed)
         clean = forces(tests.motions["v"], tests.inputs["delta"])
         drawn = {axis: f + 0.1 * rng.standard_normal(60) for axis, f in clean.items()}
@@ -253,9 +253,10 @@ def test_intervals_of_captive_tests_hold_the_truth(noise: str) -> None:
         for name in ("Y_v", "Y_d", "N_v", "N_d"):
             low, high = fit.interval(name)
             held.append(low <= TRUTH[name] <= high)
-    assert np.mean(held) == pytest.approx(0.95, abs=0.03)
+    assert np.mean(held) == pytest.approx(0.95, abs=0.04)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("settings", [{}, {"horizon": 10.0}])
 def test_intervals_hold_beside_records_and_with_noise_above_the_declared(settings: dict) -> None:
     """Tests that scatter up to four times as much as declared, with a zigzag, 60 times."""

@@ -504,7 +504,7 @@ def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) ->
     for record in runs:
         write_csv(record, tmp_path / f"{record.name}.csv")
     fixed = tmp_path / "fixed"
-    assert main(["check", "remus_diving_plane", str(tmp_path), "--fix", str(fixed)]) == 1
+    assert main(["check", "remus_diving_plane", str(tmp_path), "--fix", str(fixed)]) == 4
     assert "Not corrected" in capsys.readouterr().err
     logged = read_csv(tmp_path, problem.channels)
     for record in read_csv(fixed, problem.channels):

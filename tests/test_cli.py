@@ -287,7 +287,7 @@ def test_suspect_logs_exit_1_with_report_page_and_copies(logs, tmp_path, capsys)
     """A wrong sign ends with 1, names the line, and its corrected copies pass."""
     plain, page, fixed = tmp_path / "check.json", tmp_path / "check.html", tmp_path / "fixed"
     command = ["check", "remus_diving_plane", str(logs[1]), "--json", str(plain)]
-    assert main([*command, "--html", str(page), "--fix", str(fixed)]) == 1
+    assert main([*command, "--html", str(page), "--fix", str(fixed)]) == 4
     said = capsys.readouterr()
     assert 'Output("theta", "rad", sign=-1)' in said.out
     assert "Corrected in the copies" in said.err

@@ -141,9 +141,11 @@ def autopilot(
     "case",
     [
         {"rate": 0.09, "duration": 35.0, "rudder_noise": 0.005},
-        {"rate": 0.09, "duration": 120.0, "rudder_noise": 0.005},
-        {"rate": 0.09, "duration": 120.0},
-        {"rate": 1.0, "duration": 120.0, "seen": False},
+        pytest.param(
+            {"rate": 0.09, "duration": 120.0, "rudder_noise": 0.005}, marks=pytest.mark.slow
+        ),
+        pytest.param({"rate": 0.09, "duration": 120.0}, marks=pytest.mark.slow),
+        pytest.param({"rate": 1.0, "duration": 120.0, "seen": False}, marks=pytest.mark.slow),
     ],
     ids=["one course, noisy rudder", "three courses, noisy rudder", "three courses", "own sensors"],
 )

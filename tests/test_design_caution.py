@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,12 +11,13 @@ from scipy.integrate import solve_ivp
 from scipy.stats import binom
 from test_design import LIMITS, grid, quick, ship
 
-from oed_sysid import Limits
+from oed_sysid import Input, Limits, Model, Output, Parameter, State
 from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
 from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import Scenarios
+from oed_sysid.design.vehicles import Scenarios, at_least, draw_models
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.likelihood.information import Information
 
 CAUTION = Caution(0.9, 0.3, n_sets=60, n_checks=300)
 
@@ -29,15 +31,16 @@ def _careful() -> Design:
 def _reaches(commands: np.ndarray, b: float, d: float, c: float) -> tuple[float, float]:
     """Lowest and highest heading by SciPy's adaptive integrator, equations written anew."""
 
-    def rates(t: float, x: np.ndarray) -> list[float]:
-        rudder = commands[min(int(t / 0.5 + 1e-9), len(commands) - 1)]
+    def rates(_: float, x: np.ndarray, rudder: float) -> list[float]:
         return [x[1], b * rudder - d * x[1] - c * x[1] * abs(x[1])]
 
     low, high, x = 0.0, 0.0, np.zeros(2)
-    for k in range(len(commands) - 1):
-        solved = solve_ivp(rates, (0.5 * k, 0.5 * (k + 1) - 1e-9), x, rtol=1e-7, atol=1e-9)
-        x = solved.y[:, -1]
-        low, high = min(low, x[0]), max(high, x[0])
+    edges = [0, *(np.flatnonzero(np.diff(commands[:-1])) + 1), len(commands) - 1]
+    for first, last in pairwise(edges):
+        times = 0.5 * np.arange(first, last + 1)
+        span, held = (times[0], times[-1]), (commands[first],)
+        path = solve_ivp(rates, span, x, t_eval=times, args=held, rtol=1e-7, atol=1e-9).y
+        low, high, x = min(low, path[0].min()), max(high, path[0].max()), path[:, -1]
     return low, high
 
 
@@ -128,3 +131,26 @@ def test_nothing_known_and_nonsense_are_named() -> None:
         Caution(2.0)
     with pytest.raises(DesignError, match="spread 3"):
         Caution(spread=3.0)
+
+
+def test_priors_may_be_too_narrow() -> None:
+    """Of declared priors every other vehicle is drawn three times as far; a fit is believed."""
+    priors = Parameter("K", 0.2, "1/s", prior_std=0.01)
+    ship = Model(
+        "ship", (State("r", "rad/s"),), (Input("d", "rad"),), (Output("r", "rad/s"),),
+        kinematics={"r": "K*d - 0.1*r"}, parameters=(priors,),
+    )  # fmt: skip
+    rng = np.random.default_rng(0)
+    drawn = np.array([one.values["K"] for one in draw_models(ship, None, 4000, None, rng)])
+    assert np.std(drawn[::2]) == pytest.approx(0.01, rel=0.05)
+    assert np.std(drawn[1::2]) == pytest.approx(0.03, rel=0.05)
+    known = Information.from_matrix(("K",), np.array([[1e4]]), np.array([0.2]))
+    drawn = np.array([one.values["K"] for one in draw_models(ship, None, 4000, known, rng)])
+    assert np.std(drawn) == pytest.approx(0.01, rel=0.05)
+
+
+def test_the_stated_bound_is_that_of_the_binomial() -> None:
+    """At the lower end so many or more would be kept in one case of twenty."""
+    for kept, n in ((190, 200), (20, 20), (3, 200)):
+        assert binom.sf(kept - 1, n, at_least(kept, n)) == pytest.approx(0.05, rel=1e-6)
+    assert at_least(0, 50) == 0.0

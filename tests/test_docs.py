@@ -263,6 +263,8 @@ SLOW: tuple[str, ...] = (
     "cascaded_tanks",
     "esso_osaka_wind",
     "find_missing_physics",
+    "fly_the_plan",
+    "recompute_a_claim",
     "silverbox",
     "slocum_glider",
     "tanker_turning_circle",

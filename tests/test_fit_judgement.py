@@ -14,7 +14,7 @@ from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.departures import estimate_delays
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.judgement import judge
+from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge
 from oed_sysid.likelihood.noise_levels import spike_masks
 
 WHITE = MultipleShooting(noise=NOISE, disturbances="none")
@@ -294,3 +294,12 @@ def test_what_no_record_shows_and_has_left_its_scale_ran_away() -> None:
     covariance[0, 0] = np.inf
     unseen = replace(seen, covariance=covariance)
     assert [c.kind for c in judge(unseen)] == ["runaway"]
+
+
+def test_every_kind_of_concern_is_a_row_and_is_documented() -> None:
+    """Kinds of the table are those of :class:`Concern`; each says what it takes."""
+    for check in CHECKS:
+        assert f"``{check.kind}``" in Concern.__doc__
+        assert check.threshold
+    fatal = [check.kind for check in CHECKS][: len(FATAL)]
+    assert fatal == list(FATAL)

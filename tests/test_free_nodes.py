@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.windows import climb
+from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Iterate
+from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.windows import CONTROL, Windows, climb
 from oed_sysid.physics.parameters import Parameter
 
 WILD = {"K": -0.4, "T": 30.0, "alpha": -40.0}
@@ -61,3 +62,25 @@ def test_explosive_start_is_returned_unchanged() -> None:
     shooting = Shooting(yaw_model().with_values({"alpha": -1e12}), yaw_data(), NOISE)
     begin = shooting.start_unknowns()
     assert np.isfinite(climb(shooting, begin, 60)).all()
+
+
+@pytest.mark.parametrize("horizon", [2.0, 15.0])
+def test_eliminated_start_states_leave_the_slope_of_the_whole_cost(horizon: float) -> None:
+    """With start states at their best, the slope by a parameter is that of re-fitted costs."""
+    shooting = Shooting(yaw_model().with_values({"K": 0.9 * TRUE["K"]}), yaw_data(), NOISE)
+
+    def best(unknowns: np.ndarray) -> Iterate:
+        held = shooting.holding(np.arange(3), unknowns[:3])
+        problem = Windows.overlapping(held, horizon, begin)
+        point = Point(unknowns, problem.start.nodes)
+        descent = Descent(problem.at(point), Windows.at, Convergence(1e-14), CONTROL)
+        descent.run(50)
+        return descent.now
+
+    begin = shooting.start_unknowns()
+    found = best(begin)
+    for i, step in enumerate(1e-4 * np.abs(begin[:3])):
+        moved = [begin.copy(), begin.copy()]
+        moved[0][i], moved[1][i] = begin[i] + step, begin[i] - step
+        slope = (best(moved[0]).cost - best(moved[1]).cost) / (2 * step)
+        assert -found.equations.right[i] == pytest.approx(slope, rel=1e-4)

@@ -4,11 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
+from scipy.optimize import least_squares, lsq_linear
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
-from oed_sysid.likelihood.gauss_newton import Progress, bounded_step, solve
-from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.gauss_newton import (
+    Convergence,
+    Descent,
+    Equations,
+    Iterate,
+    Progress,
+    StepControl,
+    bounded_step,
+    solve,
+)
+from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.unknowns import Limits
 
 FREE = np.full(4, np.inf)
 
@@ -106,3 +116,57 @@ def test_exact_data_give_exact_parameters() -> None:
     shooting = Shooting(yaw_model().with_values({"K": 0.06, "T": 15.0, "alpha": 5.0}), data, NOISE)
     solution = solve(shooting, shooting.start_point(), tolerance=1e-12)
     assert np.allclose(solution.point.unknowns[:3], list(TRUE.values()), rtol=1e-7)
+
+
+class Valley:
+    """Rosenbrock's residuals ``10 (y - x^2), 1 - x`` within bounds, with a prior on ``y``."""
+
+    def __init__(self, upper: float = np.inf, weight: float = 0.0) -> None:
+        self.limits = Limits(
+            np.full(2, -np.inf), np.array([upper, np.inf]), np.array([0.0, 3.0]),
+            np.array([0.0, weight]), np.ones(2),
+        )  # fmt: skip
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Residuals without the prior."""
+        return np.array([10.0 * (x[1] - x[0] ** 2), 1.0 - x[0]])
+
+    def at(self, point: Point) -> Iterate:
+        """Cost and equations."""
+        x = point.unknowns
+        error, jacobian = self.residuals(x), np.array([[-20.0 * x[0], 10.0], [-1.0, 0.0]])
+        closed = 0.5 * float(error @ error)
+        equations = Equations(jacobian.T @ jacobian, -jacobian.T @ error, closed)
+        return Iterate(self, point, closed + self.limits.prior_cost(x), lambda _: equations)
+
+    def move(self, point: Point, maps, offsets, step: np.ndarray, length: float) -> Point:
+        """The point after a share of a step."""
+        return Point(point.unknowns + length * step, ())
+
+
+@pytest.mark.parametrize("control", [StepControl(), StepControl(lengths=1, damping=1e-3)])
+@pytest.mark.parametrize(("upper", "weight"), [(np.inf, 0.0), (0.5, 0.0), (np.inf, 4.0)])
+def test_descent_ends_where_another_solver_ends(
+    control: StepControl, upper: float, weight: float
+) -> None:
+    """Line search and damping alone find the minimum of SciPy's trust region, bounds and priors."""
+    valley = Valley(upper, weight)
+    descent = Descent(valley.at(Point(np.array([-1.2, 1.0]), ())), Valley.at, Convergence(1e-12),
+                      control)  # fmt: skip
+    assert descent.run(200) == "converged"
+    expected = least_squares(
+        lambda x: [*valley.residuals(x), np.sqrt(weight) * (x[1] - 3.0)],
+        [-1.2, 1.0], bounds=([-np.inf, -np.inf], [upper, np.inf]), xtol=1e-14, ftol=1e-14,
+    )  # fmt: skip
+    assert descent.now.point.unknowns == pytest.approx(expected.x, abs=2e-5)
+    assert descent.now.cost == pytest.approx(expected.cost, abs=1e-9)
+
+
+def test_a_share_of_the_cost_ends_a_descent_early() -> None:
+    """With a share, steps end once one gains less than that of the cost."""
+    begin = Valley().at(Point(np.array([-1.2, 1.0]), ()))
+    whole, early = (
+        Descent(begin, Valley.at, Convergence(1e-12, share=share)) for share in (0.0, 0.5)
+    )
+    assert whole.run(200) == early.run(200) == "converged"
+    assert 0 < early.steps < whole.steps

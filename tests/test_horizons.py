@@ -7,6 +7,7 @@ import pytest
 from turning_ship import CUBIC, GAIN, SHIP, TIME, record
 
 from oed_sysid import Dataset, Model, MultipleShooting, Parameter
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.windows import Windows
@@ -120,3 +121,19 @@ def test_settings_that_have_no_place_are_refused(zigzags: Dataset) -> None:
         MultipleShooting(horizon=0.05).fit(SHIP, zigzags)
     with pytest.raises(ModelError, match="start_states"):
         MultipleShooting(horizon=5.0).fit(SHIP, zigzags, start_states={"r": 0.0})
+
+
+def test_a_fit_ahead_is_judged_by_its_windows(zigzags: Dataset) -> None:
+    """Its trajectories do not hang on the step, though whole runs of a wrong model drift away."""
+    wrong = SHIP.with_values({"K": 0.9 * GAIN}).fix("K")
+    fit = MultipleShooting(disturbances="none", horizon=1.0).fit(wrong, zigzags)
+    assert fit.status.ok
+    assert "integration" not in {concern.kind for concern in fit.concerns}
+    assert fit.nominal == {"T": wrong.values["T"]}
+    whole = kernel(fit.model)
+    errors = []
+    for run, own in zip(zigzags, fit.initial_states, strict=True):
+        values = fit.model.value_vector
+        z0, _ = whole.start(own, run.inputs[0], values, run.times[0])
+        errors.append(run.outputs - whole.run(run.times, run.inputs, values, z0).outputs)
+    assert np.sqrt(np.mean((np.vstack(errors) / fit.sigma) ** 2)) > 3 * fit.normalised_rms

@@ -138,9 +138,50 @@ def test_limit_of_iterations() -> None:
     assert fit.status.code == "iterations"
 
 
+def test_a_path_is_kept_at_every_sample() -> None:
+    """A limit below the largest yaw rate is held everywhere, and named with where it binds."""
+    data = yaw_data(4)
+    free = MultipleShooting(noise=NOISE, solver=Solver("ipopt")).fit(yaw_model(), data)
+    most = max(float(one[:, 1].max()) for one in free.predictions)
+    limit = 0.98 * most
+    kept = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=(f"r <= {limit!r}",))
+    ).fit(yaw_model(), data)
+    assert kept.status.ok
+    assert max(float(one[:, 1].max()) for one in kept.predictions) == pytest.approx(limit, rel=1e-5)
+    assert kept.cost > free.cost
+    assert kept.binding
+    assert all(one.text.startswith("r <= ") and " s of " in one.text for one in kept.binding)
+    # To first order the optimum without the limit lies beyond it by what was cut off.
+    assert kept.binding[0].beyond == pytest.approx(most - limit, rel=0.3)
+
+
+def test_ends_are_kept() -> None:
+    """A start state that is tied has that value; an end keeps its side."""
+    data, tied = yaw_data(4), "start(r) == 0.001"
+    first = MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(tied,)))
+    fit = first.fit(yaw_model(), data)
+    assert fit.status.ok
+    assert [float(one[0, 1]) for one in fit.predictions] == pytest.approx(
+        [0.001] * len(data.records), abs=1e-7
+    )
+    end = min(float(one[-1, 0]) for one in fit.predictions) + 0.002
+    both = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=(tied, f"end(psi) >= {end!r}"))
+    ).fit(yaw_model(), data)
+    assert min(float(one[-1, 0]) for one in both.predictions) == pytest.approx(end, abs=1e-6)
+    assert any(one.text.startswith("end(psi) >= ") for one in both.binding)
+
+
 @pytest.mark.parametrize(
     ("constraint", "words"),
-    [("K + T", "one comparison"), ("K < gain", "unknown name"), ("1 < 2", "no parameter")],
+    [
+        ("start(r) < end(r)", "mixes start and end"),
+        ("start(K) < 1", "those of an output"),
+        ("K + T", "one comparison"),
+        ("K < gain", "unknown name"),
+        ("1 < 2", "no parameter"),
+    ],
 )
 def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None:
     """A constraint compares expressions of known parameters."""

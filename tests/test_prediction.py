@@ -67,6 +67,7 @@ def test_estimated_initial_state_is_the_least_squares_one(fit: Fit) -> None:
     assert "all shared parameters held" in prediction.report()
 
 
+@pytest.mark.slow
 def test_bands_are_those_of_a_monte_carlo() -> None:
     """Model bands equal the spread of predictions over many training sets."""
     target = new_record(2, noise=np.zeros(2))
@@ -494,7 +495,7 @@ def test_side_is_found_whatever_the_sign_of_the_rudder() -> None:
 
 def test_uncertainty_follows_the_covariance(fit_turning) -> None:
     """The spread of the steady diameter is that of 1/K, to first order."""
-    circle = turning_circle(fit_turning, speed=2.0, rudder=0.3, n_draws=400)
+    circle = turning_circle(fit_turning, speed=2.0, rudder=0.3, n_draws=150)
     expected = fit_turning.std_errors["K"] / abs(fit_turning.values["K"])
     diameter = circle.value("steady_diameter", "port")
     assert circle.std("steady_diameter", "port") / diameter == pytest.approx(expected, rel=0.15)

@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
+from oed_sysid import (
+    Dataset,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Record,
+    Solver,
+    State,
+    replayed,
+)
+from oed_sysid.design.knowledge import _information
+from oed_sysid.export import export
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import predict
 from oed_sysid.likelihood.whole_runs import WholeRun
@@ -108,3 +124,104 @@ def test_noise_of_sensors_has_its_level_and_memory() -> None:
     lagged = np.mean(drawn[:, 6:] * drawn[:, :-6], axis=(0, 1))  # 3 s later
     assert lagged == pytest.approx([4.0 / np.e] * 2, rel=0.15)
     assert np.var(here.sensors(noise, 300, rng, white=False) / SIGMA) == pytest.approx(4.0, rel=0.1)
+
+
+def turning(seed: int, cubic: float, level: float) -> Dataset:
+    """Two zigzags with cubic yaw damping and a slow force, five minutes each."""
+    rng = np.random.default_rng(seed)
+    found = []
+    times = np.arange(0.0, 300.0, STEP)
+    for name, period in (("one", 20.0), ("two", 30.0)):
+        rudder = 0.35 * np.sign(np.sin(2 * np.pi * times / period + 0.1))
+        psi = r = force = 0.0
+        phi = np.exp(-STEP / TIME)
+        rows = []
+        for k in range(len(times)):
+            rows.append((psi, r))
+            force = phi * force + np.sqrt(1 - phi**2) * level * rng.standard_normal()
+            for _ in range(10):
+                psi += STEP / 10 * r
+                slow = r + cubic * r**3
+                r += STEP / 10 * ((0.1 * rudder[k] - slow) / 10.0 + force)
+        seen = np.array(rows) + SIGMA * rng.standard_normal((len(times), 2))
+        found.append(Record(f"{name} {seed}", times, rudder[:, None], seen, SHIP.channels))
+    return Dataset(tuple(found))
+
+
+NOMOTO = SHIP.with_values({}).fix("zero")
+
+
+@pytest.fixture(scope="module")
+def hidden() -> Fit:
+    """Nomoto's equation under process noise, fitted to runs with strong cubic damping."""
+    return MultipleShooting().fit(NOMOTO, turning(1, cubic=8e3, level=0.0))
+
+
+def test_process_noise_that_holds_physics_is_said_first(hidden: Fit) -> None:
+    """Whole runs are as no force of that strength would leave them; the report begins with it."""
+    assert hidden.noise.has_forces
+    assert hidden.whole_runs.took_the_work
+    assert "taken the work of physics" in hidden.document().warnings[-1]
+    report = hidden.report()
+    assert "one step" in report
+    assert "whole runs" in report
+    assert hidden.to_dict()["whole_runs"]["outputs"]["psi"]["share"] > 0.01
+
+
+def test_a_true_disturbance_is_none() -> None:
+    """Of ten sets with a force that acts, at most one is taken for structure."""
+    found = [MultipleShooting().fit(NOMOTO, turning(s, 0.0, LEVEL)) for s in range(10)]
+    assert all(fit.noise.has_forces for fit in found)
+    assert sum(fit.whole_runs.took_the_work for fit in found) <= 1
+    assert replayed(found[0]) is found[0]
+
+
+def test_values_for_runs_replay_better(hidden: Fit) -> None:
+    """On other records within a tenth of the fit without process noise, and both uses warn."""
+    runs = replayed(hidden)
+    assert runs.purpose == "replay"
+    white = MultipleShooting(disturbances="none").fit(NOMOTO, hidden.dataset)
+    other = turning(2, cubic=8e3, level=0.0)
+    errors = [fit.predict(other).rms["psi"] for fit in (runs, white, hidden)]
+    assert errors[0] < 1.1 * min(errors[1:])
+    assert "lacks physics" in runs.predict(other).caveat
+    assert "replayed(fit)" in hidden.predict(other).caveat
+    with pytest.warns(UserWarning, match="errors do not hold"):
+        _information(runs)
+
+
+def test_an_export_has_the_values_for_runs(hidden: Fit, tmp_path) -> None:
+    """And says so."""
+    with pytest.warns(UserWarning, match="those for runs"):
+        (file,) = export(hidden, "latex", tmp_path / "ship.tex")
+    assert file.exists()
+
+
+def test_a_saved_fit_keeps_its_purpose(hidden: Fit, tmp_path) -> None:
+    """What a fit was made for, and the same answer of its whole runs."""
+    runs = replayed(hidden)
+    runs.save(tmp_path / "fit.json")
+    again = Fit.load(tmp_path / "fit.json")
+    assert again.purpose == "replay"
+    np.testing.assert_allclose(again.whole_runs.error, runs.whole_runs.error, rtol=1e-6)
+
+
+@pytest.mark.parametrize("way", ["bound", "constraint"])
+def test_what_binds_is_named_with_its_distance(way: str) -> None:
+    """Held a tenth too low, a time constant is as many errors off as the free fit says."""
+    data = turning(3, 0.0, 0.0)
+    free = MultipleShooting(disturbances="none").fit(NOMOTO, data)
+    limit = 0.995 * free.values["T"]
+    if way == "bound":
+        bounded = dataclasses.replace(NOMOTO.parameter("T"), upper=limit, value=0.9 * limit)
+        model, solver = NOMOTO.with_parameter(bounded), Solver()
+    else:
+        model = NOMOTO
+        solver = Solver(method="ipopt", constraints=(f"T < {limit}",))
+    fit = MultipleShooting(disturbances="none", solver=solver).fit(model, data)
+    (one,) = fit.binding
+    expected = (free.values["T"] - limit) / free.std_errors["T"]
+    assert one.distance == pytest.approx(expected, rel=0.1)
+    assert one.beyond == pytest.approx(free.values["T"] - limit, rel=0.1)
+    assert [c.kind for c in fit.concerns].count("constraint") == 1
+    assert not free.binding

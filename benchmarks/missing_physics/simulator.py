@@ -8,7 +8,7 @@ with the package that it judges. Runge-Kutta at 0.01 s, commands held for
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 from typing import Protocol
@@ -272,40 +272,77 @@ def simulate(
     streams = [np.random.default_rng([c.seed, zlib.crc32(m.name.encode())]) for c, m in rows]
     drawn = [_forces(c, len(times), r) for (c, _), r in zip(rows, streams, strict=True)]
     given = None if commands is None else commands.reshape(len(rows), len(times), 2)
-    inputs, clean = _integrated(rows, times, np.stack(drawn, 2), given)
+    inputs, clean = _integrated(rows, len(times), np.stack(drawn, 2), given)
     noise = np.stack([_noise(c, len(times), r) for (c, _), r in zip(rows, streams, strict=True)])
     n = len(cases)
     parts = [slice(i * n, (i + 1) * n) for i in range(len(manoeuvres))]
     return [Records(times, inputs[p], clean[p], clean[p] + noise[p]) for p in parts]
 
 
+def integrate(
+    truth: Truth,
+    start: tuple[np.ndarray, np.ndarray],
+    forces: np.ndarray,
+    command: Callable[[int, np.ndarray], tuple[np.ndarray, np.ndarray]],
+) -> Iterator[tuple[int | None, np.ndarray]]:
+    """States ``(9, n_cases)`` of all cases side by side, at every sample and between samples.
+
+    Parameters
+    ----------
+    truth : Truth
+    start : tuple of ndarray (n_cases,)
+        Speed, m/s, and depth, m.
+    forces : ndarray (n_times, 3, n_cases)
+        X, Z in N, M in N m, held from sample to sample.
+    command : callable
+        From sample and state to fin, rad, and thrust, N, of all cases, held likewise.
+
+    Yields
+    ------
+    sample, state
+        The sample is None between samples, every 0.01 s.
+    """
+    state = np.zeros((9, forces.shape[2]))
+    state[0] = state[7] = start[0]
+    state[4] = state[6] = start[1]
+    fin = Fin(truth, command(0, state)[0])
+    for k in range(len(forces)):
+        yield k, state
+        if k + 1 < len(forces):
+            angle, thrust = command(k, state)
+            fin.command(angle)
+            for sub in range(SUBSTEPS):
+                time = k * SAMPLE + sub * STEP
+                state = truth.advance(state, time, fin.advance(sub), thrust, forces[k])
+                yield None, state
+
+
 def _integrated(
     rows: Sequence[tuple[Case, Manoeuvre]],
-    times: np.ndarray,
+    n_times: int,
     forces: np.ndarray,
     given: np.ndarray | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Commands ``(n_rows, n_times, 2)`` and outputs without noise ``(n_rows, n_times, 5)``."""
-    truth = _Truth([case for case, _ in rows])
+    truth = Truth([case for case, _ in rows])
     thrust = np.array([manoeuvre.thrust for _, manoeuvre in rows])
-    state = np.zeros((9, len(rows)))
-    state[0] = state[7] = np.sqrt(thrust / -truth.derivatives["X_uu"])
-    state[4] = state[6] = FIRST_DEPTH
     pilot = _Pilot([manoeuvre for _, manoeuvre in rows])
-    fin = Fin(truth, np.zeros(len(rows)) if given is None else given[:, 0, 0])
-    inputs = np.zeros((len(rows), len(times), 2))
-    clean = np.zeros((len(rows), len(times), 5))
-    for k, time in enumerate(times):
+    inputs = np.zeros((len(rows), n_times, 2))
+    clean = np.zeros((len(rows), n_times, 5))
+
+    def command(k: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         if given is None:
             inputs[:, k, 0], inputs[:, k, 1] = pilot.command(k, state[3]), thrust
         else:
             inputs[:, k] = given[:, k]
-        clean[:, k] = truth.measure(state).T
-        if k + 1 < len(times):
-            fin.command(inputs[:, k, 0])
-            for sub in range(SUBSTEPS):
-                angle = fin.advance(sub)
-                state = truth.advance(state, time + sub * STEP, angle, inputs[:, k, 1], forces[k])
+        return inputs[:, k, 0], inputs[:, k, 1]
+
+    start = np.sqrt(thrust / -truth.derivatives["X_uu"]), np.full(len(rows), FIRST_DEPTH)
+    for k, state in integrate(truth, start, forces, command):
+        if k is not None:
+            clean[:, k] = truth.measure(state).T
+            last = state
+    command(n_times - 1, last)  # which acts on nothing
     return inputs, clean
 
 
@@ -336,15 +373,15 @@ def _forces(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
     """Random forces of one case, held between samples, shape ``(n_times, 3)``."""
     noise = case.noise
     memory = np.exp(-SAMPLE / noise.force_time) if noise.force_time > 0 else 0.0
-    return _markov(memory, n_times, 3, rng) * np.array(noise.force)
+    return markov(memory, n_times, 3, rng) * np.array(noise.force)
 
 
 def _noise(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
     """Sensor noise of one case, shape ``(n_times, 5)``."""
-    return _markov(case.noise.colour, n_times, 5, rng) * NOISE_STD
+    return markov(case.noise.colour, n_times, 5, rng) * NOISE_STD
 
 
-def _markov(memory: float, n_times: int, width: int, rng: np.random.Generator) -> np.ndarray:
+def markov(memory: float, n_times: int, width: int, rng: np.random.Generator) -> np.ndarray:
     """Stationary first-order sequences of unit variance."""
     drive = rng.standard_normal((n_times, width))
     drive[1:] *= np.sqrt(1 - memory**2)
@@ -353,7 +390,7 @@ def _markov(memory: float, n_times: int, width: int, rng: np.random.Generator) -
     return drive
 
 
-class _Truth:
+class Truth:
     """Equations of motion and of measurement, for all cases at once.
 
     State rows: ``u w q theta z`` over ground, memory of the fluid, lagged

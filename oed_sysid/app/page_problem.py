@@ -20,7 +20,8 @@ from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.starter import TEMPLATES
 from oed_sysid.physics.channels import Input, Output
-from oed_sysid.runtime.display import TWO_SIDED_95, Section, Table
+from oed_sysid.results.page import parameter_table
+from oed_sysid.runtime.display import Section, Table
 from oed_sysid.text.units import parse_header, shown_unit
 
 
@@ -67,7 +68,7 @@ def show() -> None:
     with equations:
         st.code(problem.model.equations(), language=None, wrap_lines=True)
     with parameters:
-        part(Section("", tables=(_parameters(problem),)))
+        part(Section("", tables=(parameter_table(problem.model),)))
     with missing:
         part(Section("", tables=(_candidates(problem),)))
     with experiments:
@@ -233,22 +234,6 @@ def _upload(problem: Problem, source: str) -> None:
     )
     words = f"Columns: t [s], {columns}. Other units in the header are converted."
     mapping.take_files(words, source, ("csv",))
-
-
-def _parameters(problem: Problem) -> Table:
-    rows = tuple(
-        (
-            one.name,
-            one.description,
-            f"{one.value:.5g}",
-            "" if one.prior_std is None else f"± {TWO_SIDED_95 * one.prior_std:.2g}",
-            "fixed" if one.fixed else "per record" if one.per_record else "estimated",
-            one.unit,
-        )
-        for one in problem.model.all_parameters
-    )
-    headers = ("parameter", "meaning", "nominal", "± (95 %)", "role", "unit")
-    return Table(headers, rows, words=(1,))
 
 
 def _candidates(problem: Problem) -> Table:

@@ -9,11 +9,13 @@ written there is not read.
 
 from __future__ import annotations
 
+import io
 import json
 import re
 import secrets
 import shutil
 import time
+import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -136,7 +138,7 @@ class Shelf:
         place = self._place(name)
         make_private(place)
         if files:
-            self._keep_files(place, left.files)
+            write_bytes(place / "files.zip", _packed(left.files))
         write_text(place / "study.json", left.text())
 
     def find(self, name: str) -> Left | None:
@@ -149,10 +151,11 @@ class Shelf:
         try:
             content = json.loads((place / "study.json").read_text(encoding="utf-8"))
             asked = {key: Asked(**one) for key, one in content["asked"].items()}
-            files = self._files(place)
+            held = place / "files.zip"
+            files = _unpacked(held.read_bytes()) if held.is_file() else {}
             when = (place / "study.json").stat().st_mtime
             return Left(content["title"], content["choices"], content["agreed"], asked, files, when)
-        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
             return None
 
     def recent(self, most: int = 20) -> dict[str, tuple[str, float]]:
@@ -181,30 +184,28 @@ class Shelf:
             raise OedSysidError(f"{name!r:.40} is no study. Open the page Problem and begin one.")
         return self.folder / name
 
-    @staticmethod
-    def _keep_files(place: Path, files: Mapping[str, Mapping[str, bytes]]) -> None:
-        """Write the files under numbers, and which number is which; remove what is not named."""
-        index: list[list[str]] = []
-        kept: set[str] = set()
-        for source, held in files.items():
-            for name, content in held.items():
-                number = f"{len(index)}.bin"
-                write_bytes(place / "files" / number, content)
-                index.append([source, name, number])
-                kept.add(number)
-        write_text(place / "files.json", json.dumps(index))
-        for file in (place / "files").glob("*.bin"):
-            if file.name not in kept:
-                file.unlink(missing_ok=True)
 
-    @staticmethod
-    def _files(place: Path) -> dict[str, dict[str, bytes]]:
-        found: dict[str, dict[str, bytes]] = {}
-        if not (place / "files.json").is_file():
-            return found
-        for source, name, number in json.loads((place / "files.json").read_text("utf-8")):
-            found.setdefault(source, {})[name] = (place / "files" / Path(number).name).read_bytes()
-        return found
+def _packed(files: Mapping[str, Mapping[str, bytes]]) -> bytes:
+    """Given files, by source and name, as a ZIP file.
+
+    >>> _unpacked(_packed({"ship": {"../a.csv": b"t"}}))
+    {'ship': {'../a.csv': b't'}}
+    """
+    target = io.BytesIO()
+    with zipfile.ZipFile(target, "w", zipfile.ZIP_DEFLATED) as packed:
+        for source, held in files.items():
+            for name, content in held.items():  # names are data: nothing is ever unpacked to disk
+                packed.writestr(json.dumps([source, name]), content)
+    return target.getvalue()
+
+
+def _unpacked(content: bytes) -> dict[str, dict[str, bytes]]:
+    found: dict[str, dict[str, bytes]] = {}
+    with zipfile.ZipFile(io.BytesIO(content)) as packed:
+        for place in packed.infolist():
+            source, name = json.loads(place.filename)
+            found.setdefault(source, {})[name] = packed.read(place)
+    return found
 
 
 def new_id() -> str:

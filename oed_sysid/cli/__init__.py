@@ -4,9 +4,10 @@
 exit code   meaning
 ==========  =============================================================
 0           done
-1           ended without a usable result (a fit did not converge, a log is suspect)
+1           ended without a usable result (a fit did not converge)
 2           the command line, a file or a problem has to be corrected
 3           an unexpected error: a fault of this program
+4           the log is suspect: whatever was made of it is not to be used
 130         interrupted
 ==========  =============================================================
 """
@@ -18,7 +19,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 
-DONE, NO_RESULT, BAD_INPUT, UNEXPECTED, INTERRUPTED = 0, 1, 2, 3, 130
+DONE, NO_RESULT, BAD_INPUT, UNEXPECTED, SUSPECT, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -17,8 +17,8 @@ from oed_sysid.cli.terminal import deliver, journal, note, progress
 
 EPILOG = (
     "Exit codes: 0 done; 1 the work ended without a usable result, such as a fit that did not "
-    "converge or a log that is suspect; 2 the command line, a file or a problem has to be "
-    "corrected; 3 an unexpected error; 130 interrupted.\n\n"
+    "converge; 2 the command line, a file or a problem has to be corrected; 3 an unexpected "
+    "error; 4 the log is suspect; 130 interrupted.\n\n"
     "The whole path in Python and on the command line: README.md."
 )
 # In the order of the work; names that are no task's are those of functions.

@@ -9,19 +9,20 @@ and, where a trial is planned, the limits of the problem that is named: ``--max-
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 import typer.main
 from typer.core import TyperCommand
 
+from oed_sysid.cli.options import declared, row_of
+from oed_sysid.cli.study import Option
+
 # Older words that are still understood: for an option, or for the files after the problem.
 OLDER = {"--test": "--validate", "--train": "", "--records": ""}
 # Keys under which a call keeps what the shared options say.
-QUIET = "oed_sysid.quiet"
-TIME_UNIT = "oed_sysid.time_unit"
-FORM = "oed_sysid.form"
+QUIET, TIME_UNIT, FORM = (f"oed_sysid.{name}" for name in ("quiet", "time_unit", "form"))
 _LIMITS = "oed_sysid.limits"
 
 
@@ -90,8 +91,9 @@ class Command(TyperCommand):
         super().__init__(*arguments, **settings)
         reads = any(param.name in ("files", "validate") for param in self.params)
         told = any(param.name == "html_file" for param in self.params)
-        shared = (_OF_RECORDS if reads else {}) | (_OF_TABLES if told else {}) | _EVERY_COMMAND
-        self.params = [*self.params, *_parameters(shared)]
+        self._shared = (*(_OF_RECORDS if reads else ()), *(_OF_TABLES if told else ()), *_EVERY)
+        made = declared(lambda **_: None, "", self._shared)
+        self.params = [*self.params, *_parameters(inspect.signature(made))]
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Options of the command, and limits of the problem that its line names."""
@@ -109,6 +111,7 @@ class Command(TyperCommand):
             taken = {word for param in self.params for word in param.opts}
             ctx.meta[_LIMITS], meant = _limits(args, taken)
         rest = super().parse_args(ctx, args)
+        _keep(ctx, self._shared)
         given = {name: ctx.params.pop(name, None) for name in meant}
         said = [f"{meant[name]}={value}" for name, value in given.items() if value is not None]
         if said:
@@ -125,77 +128,21 @@ def _is_list(param: Any) -> bool:
     return param.param_type_name == "option" and bool(param.multiple)
 
 
-def _set_quiet(ctx: typer.Context, value: bool) -> None:
-    ctx.meta[QUIET] = value
+# What the line of every command, of those that read records and of those that print tables may
+# say besides; it is kept with the call, no parameter of the command.
+_EVERY = (Option("quiet", bool, False), Option("debug", bool, False))
+_OF_RECORDS = (Option("time_unit", str | None, None),)
+_OF_TABLES = (Option("form", str, "text"),)
 
 
-def _set_time_unit(ctx: typer.Context, value: str | None) -> None:
-    if value is not None and value not in TIME_UNITS:
-        raise typer.BadParameter(f"{value!r} is none of {', '.join(TIME_UNITS)}.")
-    ctx.meta[TIME_UNIT] = value
+def _keep(ctx: Any, shared: Sequence[Option]) -> None:
+    """Keep what the shared options say with the call."""
+    for one in shared:
+        value, choices = ctx.params.pop(one.name, one.default), row_of("", one.name).choices
+        if choices and value is not None and value not in choices:
+            raise typer.BadParameter(f"{value!r} is none of {', '.join(choices)}.")
+        ctx.meta[f"oed_sysid.{one.name}"] = value
 
-
-def _set_form(ctx: typer.Context, value: str) -> None:
-    if value not in FORMS:
-        raise typer.BadParameter(f"{value!r} is none of {', '.join(FORMS)}.")
-    ctx.meta[FORM] = value
-
-
-FORMS = ("text", "latex")
-_OF_TABLES = {
-    "form": (
-        Annotated[
-            str,
-            typer.Option(
-                "--as",
-                metavar="|".join(FORMS),
-                help="Print the report as text, or its tables as LaTeX.",
-                callback=_set_form,
-                expose_value=False,
-            ),
-        ],
-        FORMS[0],
-    ),
-}
-TIME_UNITS = ("s", "ms", "us", "ns", "min", "h")
-_OF_RECORDS = {
-    "time_unit": (
-        Annotated[
-            str | None,
-            typer.Option(
-                "--time-unit",
-                metavar="|".join(TIME_UNITS),
-                help="Unit of the records' times, whatever their headers say.",
-                show_default=False,
-                callback=_set_time_unit,
-                expose_value=False,
-            ),
-        ],
-        None,
-    ),
-}
-_EVERY_COMMAND = {
-    "quiet": (
-        Annotated[
-            bool,
-            typer.Option(
-                "--quiet",
-                "-q",
-                help="Print the answer alone, in one line: no report, notes or progress.",
-                callback=_set_quiet,
-                expose_value=False,
-            ),
-        ],
-        False,
-    ),
-    "debug": (
-        Annotated[
-            bool,
-            typer.Option("--debug", help="Show the traceback of an error.", expose_value=False),
-        ],
-        False,
-    ),
-}
 
 # -- limits of a problem as options ------------------------------------------------------
 
@@ -219,15 +166,13 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
     except OedSysidError:
         return [], {}
     panel = f"Limits of {problem.name}: angles in degrees, the rest in SI units"
-    offered: dict[str, tuple[Any, Any]] = {}
+    offered: list[inspect.Parameter] = []
     meant: dict[str, str] = {}
     for side, words, says in limit_words(problem.model, problem.limits):
         for word in words:
-            name = f"limit_{len(offered)}"
             written = f"--{side}-{word}" if side else f"--{word}"
             if written in taken:
                 continue
-            meant[name] = f"{side}:{word}" if side else word
             option = typer.Option(
                 written,
                 metavar="VALUE" if side else "LOW:HIGH",
@@ -236,8 +181,11 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
                 show_default=False,
                 rich_help_panel=panel,
             )
-            offered[name] = (Annotated[str | None, option], None)
-    return _parameters(offered), meant
+            name, kind = f"limit_{len(offered)}", Annotated[str | None, option]
+            meant[name] = f"{side}:{word}" if side else word
+            keyword = inspect.Parameter.KEYWORD_ONLY
+            offered.append(inspect.Parameter(name, keyword, default=None, annotation=kind))
+    return _parameters(inspect.Signature(offered)), meant
 
 
 def _value_of(option: str, args: Sequence[str]) -> str | None:
@@ -250,20 +198,14 @@ def _value_of(option: str, args: Sequence[str]) -> str | None:
     return None
 
 
-def _parameters(offered: Mapping[str, tuple[Any, Any]]) -> list[Any]:
-    """Parameters of a command from annotations and defaults, as typer makes them."""
+def _parameters(signature: inspect.Signature) -> list[Any]:
+    """Parameters of a command, as typer makes them of a signature."""
 
-    def command() -> None:
+    def command(**_: Any) -> None:
         pass
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    listed = [
-        inspect.Parameter(name, keyword, annotation=annotation, default=default)
-        for name, (annotation, default) in offered.items()
-    ]
-    described: Callable[[], None] = command
-    described.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]
-    described.__annotations__ = {name: annotation for name, (annotation, _) in offered.items()}
+    command.__signature__ = signature  # type: ignore[attr-defined]
+    command.__annotations__ = {n: one.annotation for n, one in signature.parameters.items()}
     app = typer.Typer(add_completion=False, rich_markup_mode="rich")
-    app.command()(described)
+    app.command()(command)
     return list(typer.main.get_command(app).params)

@@ -13,7 +13,7 @@ import typer
 
 from oed_sysid.cli.reading import read_records_of
 from oed_sysid.cli.study import Study
-from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of
+from oed_sysid.cli.tasks import SUSPECT, Bounds, Weather, numbers, patterns_of
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
 from oed_sysid.errors import DataError, DesignError, OedSysidError
 from oed_sysid.runtime.display import Figure, Table, counted
@@ -172,7 +172,7 @@ def import_(
 ) -> None:
     """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
 
-    Ends with exit code 1 when the log is suspect; the records are written all the same.
+    Ends with exit code 4 when the log is suspect; the records are written all the same.
 
     [bold]Example[/bold]: oed-sysid import trial.ulg --list
 
@@ -214,7 +214,7 @@ def import_(
         records=[dataset],
     )
     if checked.suspect:
-        raise typer.Exit(1)
+        raise typer.Exit(SUSPECT)
 
 
 def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:

@@ -12,16 +12,18 @@ from __future__ import annotations
 import math
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from oed_sysid.cli.study import DEFAULT_MODEL
+
 if TYPE_CHECKING:
+    from oed_sysid.cli.study import Outcome
     from oed_sysid.data.dataset import Dataset, Record
-    from oed_sysid.evidence.compare import Comparison
     from oed_sysid.evidence.improvement import Improvement
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.physics.base import Effect
 
 OUT = Path("out") / "demo"
 AUV_TEST = ("test_steps", "test_zigzag_15_12")
@@ -59,10 +61,7 @@ def diving_plane(out: Path) -> Improvement:
     train, test = problem.data().split(test=AUV_TEST)
     _title("A small underwater vehicle, five runs, and something hidden in them")
     _introduce(problem, train, test)
-    found, comparison = _search(problem, train, test, known_noise=True)
-    _conclude(found, comparison)
-    _write(found, comparison, train, out, problem.title)
-    return found
+    return _search(problem, train, test, out, known_noise=True)
 
 
 def pond(out: Path) -> dict[str, tuple[float, float]] | None:
@@ -102,9 +101,7 @@ def pond(out: Path) -> dict[str, tuple[float, float]] | None:
         return {}
     better = estimator.fit(calm.model + effect, pieces(train, POND_FIT))
     print(f"\nMissing was {effect.name}: {effect.description}.")
-    for name in effect.amplitude_names:
-        low, high = better.interval(name)
-        print(f"    {name} = {better.values[name]:.3g} (95 % interval {low:.3g} to {high:.3g})")
+    _say_sizes(better, effect)
     errors: dict[str, tuple[float, float]] = {}
     print("\nHeading 100 s ahead from its first sample, rms error in degrees, runs nobody fitted:")
     for run in test:
@@ -147,12 +144,10 @@ def tanker(out: Path) -> Improvement | None:
     )
     _title("A real tanker's zigzags, and a model without the hull's nonlinear forces")
     _introduce(problem, train, test)
-    found, comparison = _search(problem, train, test, known_noise=False, max_effects=1)
-    _conclude(found, comparison)
-    _write(found, comparison, train, out, problem.title)
+    found = _search(problem, train, test, out, max_effects=1)
     figure, axes = new_figure(len(test), 1, size=(8.0, 4.2 * len(test)))
-    predictions = [part.prediction for part in comparison.models]
-    labels = [part.label for part in comparison.models]
+    fits = {"nominal": found.base_fit} | ({"improved": found.fit} if found.steps else {})
+    predictions, labels = [fit.predict(test) for fit in fits.values()], list(fits)
     for ax, record in zip(axes[:, 0], test, strict=True):
         # Positive rudder has its trailing edge to port here; the diagram shows it as logged.
         plot_zigzag(record, predictions, rudder="delta", labels=labels, ax=ax)
@@ -174,71 +169,65 @@ def _introduce(problem: Problem, train: Dataset, test: Dataset) -> None:
 
 
 def _search(
-    problem: Problem, train: Dataset, test: Dataset, *, known_noise: bool, max_effects: int = 4
-) -> tuple[Improvement, Comparison]:
-    """Improve the model, then judge the fits before and after on the validation records."""
-    from oed_sysid.evidence.compare import compare
-    from oed_sysid.evidence.improve import improve
+    problem: Problem, train: Dataset, test: Dataset, out: Path, **settings: Any
+) -> Improvement:
+    """Improve the model and say what was missing; write the report and its main pictures."""
+    from oed_sysid.cli.study import Study
+    from oed_sysid.cli.tasks import TASKS
+    from oed_sysid.cli.terminal import Shown
 
-    found = improve(
-        problem.model,
-        train,
-        test,
-        candidates=problem.effects,
-        known_noise=known_noise,
-        max_effects=max_effects,
-        progress=lambda text: print(f"... {text}", flush=True),
-    )
-    print()
-    print(found.report())
-    fits = {"nominal": found.base_fit} | ({"improved": found.fit} if found.steps else {})
-    return found, compare(fits, test, sigma=found.yardstick.sigma)
-
-
-def _conclude(found: Improvement, comparison: Comparison) -> None:
-    """Say what was missing, how large it is, and what the model predicts with it."""
-    print()
-    known = {score.effect.name for score in found.ranking.scores}
+    known = settings.pop("known_noise", False)
+    study = Study(problem.name, DEFAULT_MODEL, problem, train, test, known)
+    told = Shown(told=lambda text: print(f"... {text}", flush=True))
+    outcome = TASKS["improve"](study, told, settings)
+    found: Improvement = outcome.result
+    print(f"\n{found.report()}\n")
+    candidates = {score.effect.name for score in found.ranking.scores}
     for step in found.steps:
         effect = found.model.effect(step.added)
-        what = "Missing was" if step.added in known else "No known effect; a guess is"
+        what = "Missing was" if step.added in candidates else "No known effect; a guess is"
         print(f"{what} {step.added}: {effect.description}.")
-        for one in found.parameters:
-            if one["name"] in effect.amplitude_names:
-                half = 1.96 * one["std_error"]
-                unit = "" if one["unit"] in ("", "1") else f"{one['unit']} "
-                print(f"    {one['name']} = {one['value']:.4g} ± {half:.2g} {unit}(95 %)")
+        _say_sizes(found.fit, effect)
     before, after = found.base_error["test"], found.final_error["test"]
     print(
-        f"On records that nothing was fitted to, the error falls from {before:.3g} to {after:.3g}"
+        f"On records that nothing was fitted to, the error falls from {before:.3g} to {after:.3g} "
+        "times the noise."
     )
-    print(f"times the noise. {comparison.best.verdict}")
+    _draw_all(outcome, out)
+    return found
 
 
-def _write(
-    found: Improvement, comparison: Comparison, train: Dataset, out: Path, title: str
-) -> None:
+def _say_sizes(fit: Fit, effect: Effect) -> None:
+    """Say the amplitudes of an effect with their 95 % intervals."""
+    from oed_sysid.runtime.display import interval
+
+    for name in effect.amplitude_names:
+        low, high = fit.interval(name)
+        unit = fit.model.parameter(name).unit
+        said = interval(fit.values[name], 0.5 * (high - low))
+        print(f"    {name} = {said} {'' if unit in ('', '1') else unit} (95 %)")
+
+
+def _draw_all(outcome: Outcome, out: Path) -> None:
     """Write the report, and its main pictures once more as PNG files."""
-    from oed_sysid import results as report
+    from oed_sysid.results import save_figure
+    from oed_sysid.results.page import draw
+    from oed_sysid.runtime.display import Figure
 
-    page = found.document(comparison, train=train, title=title)
-    written = page.write(out / "report.html")
-    single: dict[str, tuple[Callable[..., Any], Any]] = {
-        "located": (report.plot_located, found.location),
-        "ranking": (report.plot_ranking, found.ranking),
-        "error": (report.plot_error_fall, found),
-        "outputs": (report.plot_comparison, comparison),
-    }
-    drawn: dict[str, Any] = {}
-    for name, (plot, result) in single.items():
-        drawn[name], axes = report.new_figure(1, 1, size=(8.0, 4.6))
-        plot(result, ax=axes[0, 0])
-    drawn["prediction"] = report.figure_predictions(
-        [part.prediction for part in comparison.models],
-        labels=[part.label for part in comparison.models],
-    )
-    for name, figure in drawn.items():
-        report.save_figure(figure, out / f"{name}.png", dpi=130)
+    found, comparison = outcome.result, outcome.comparison
+    assert comparison is not None
+    written = outcome.document().write(out / "report.html")
+    size = (8.0, 4.6)
+    labels = {"labels": [part.label for part in comparison.models]}
+    predictions = [part.prediction for part in comparison.models]
+    for name, figure in {
+        "located": Figure("plot_located", found.location, "", size=size),
+        "ranking": Figure("plot_ranking", found.ranking, "", size=size),
+        "error": Figure("plot_error_fall", found, "", size=size),
+        "outputs": Figure("plot_comparison", comparison, "", size=size),
+        "prediction": Figure("figure_predictions", predictions, "", options=labels),
+    }.items():
+        save_figure(draw(figure), out / f"{name}.png", dpi=130)
     print(f"\nReport    {written.resolve()}\nPictures  {out.resolve()}/*.png")
 
 

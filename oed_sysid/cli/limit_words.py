@@ -6,7 +6,7 @@ Words that people use stand for the model's channels; angles are in degrees.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from math import degrees, inf, isfinite, radians
 
@@ -89,50 +89,50 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
     >>> [words[:2] for side, words, _ in offered if side == "min" and "pitch" in words]
     [('pitch', 'theta')]
     """
-    offered = _offered_of_inputs(model, limits)
-    taken = {word for _, words, _ in offered for word in words}
-    return offered + _offered_of_signals(model, limits, taken)
-
-
-Offered = list[tuple[str, tuple[str, ...], str]]
-
-
-def _offered_of_inputs(model: Model, limits: Limits) -> Offered:
-    """Ranges and slopes of what is commanded."""
     offered: Offered = []
-    for moved in model.inputs:
-        words = _words(model, moved, sorted(set().union(*SURFACES)))
-        label = f"{moved.label or 'input'} {moved.name}"
-        both = ", both ways" if moved.unit.startswith("rad") else ""
-        now = limits.inputs.get(moved.name)
-        offered.append(("max", words, f"{label}, {_unit(moved)}{both}{_now(moved, now)}"))
-        offered.append(("min", words, f"{label}, {_unit(moved)}"))
-        rate = limits.rates.get(moved.name)
-        stands = "" if rate is None else f"; now {_shown(moved, rate)}"
-        rates = tuple(f"{word}-rate" for word in words)
-        offered.append(("max", rates, f"slope of {moved.name}, {_unit(moved)}/s{stands}"))
+    taken: set[str] = set()
+    names = sorted(set().union(*SURFACES))
+    for channel in _channels(model).values():
+        is_input = isinstance(channel, Input)
+        words = _words(model, channel, names if is_input else SIGNALS)
+        words = tuple(word for word in words if is_input or word not in taken)
+        if words:
+            offered += _offers(channel, words, limits)
+        if is_input:
+            taken |= {*words, *(f"{word}-rate" for word in words), "rate"}
     if model.inputs:
         offered.append(("max", ("rate",), "slope of every angle that is commanded, deg/s"))
     return offered
 
 
-def _offered_of_signals(model: Model, limits: Limits, taken: set[str]) -> Offered:
-    """Ranges of outputs and states, by words that are not taken."""
-    offered: Offered = []
-    signals: dict[str, State | Output] = {o.name: o for o in model.outputs}
-    signals |= {s.name: s for s in model.states}
-    for name, channel in signals.items():
-        words = tuple(w for w in _words(model, channel, SIGNALS) if w not in taken)
-        if not words:
-            continue
-        label = f"{getattr(channel, 'label', '') or 'signal'} {name}, {_unit(channel)}"
-        both = ", both ways" if channel.unit.startswith("rad") else ""
-        offered.append(("max", words, f"{label}{both}{_now(channel, limits.signals.get(name))}"))
-        offered.append(("min", words, label))
-        spoken = tuple(word for word in words if word in SIGNALS)
-        if spoken:
-            offered.append(("", spoken, f"{label}: range"))
-    return offered
+Offered = list[tuple[str, tuple[str, ...], str]]
+
+
+def _offers(
+    channel: Input | State | Output, words: tuple[str, ...], limits: Limits
+) -> Iterator[tuple[str, tuple[str, ...], str]]:
+    """What can be limited of one channel: both ends, the slope of an input, the range of others."""
+    is_input = isinstance(channel, Input)
+    kind = "input" if is_input else "signal"
+    label = f"{getattr(channel, 'label', '') or kind} {channel.name}, {_unit(channel)}"
+    both = ", both ways" if channel.unit.startswith("rad") else ""
+    now = (limits.inputs if is_input else limits.signals).get(channel.name)
+    yield "max", words, f"{label}{both}{_now(channel, now)}"
+    yield "min", words, label
+    if is_input:
+        rate = limits.rates.get(channel.name)
+        stands = "" if rate is None else f"; now {_shown(channel, rate)}"
+        rates = tuple(f"{word}-rate" for word in words)
+        yield "max", rates, f"slope of {channel.name}, {_unit(channel)}/s{stands}"
+    elif spoken := tuple(word for word in words if word in SIGNALS):
+        yield "", spoken, f"{label}: range"
+
+
+def _channels(model: Model) -> dict[str, Input | State | Output]:
+    """Channels by name: inputs, outputs, states."""
+    every: list[Input | State | Output] = [*model.inputs, *model.outputs, *model.states]
+    # A later one of a name takes the place of an earlier one.
+    return {one.name: one for one in [*every, *model.inputs]}
 
 
 def _words(model: Model, channel: Input | State | Output, common: Iterable[str]) -> tuple[str, ...]:
@@ -221,8 +221,7 @@ def _value(channel: Input | State | Output, text: str) -> float:
 def _channel(model: Model, word: str) -> Input | State | Output:
     """Channel that a word means: its name, a common word, or part of its description."""
     word = word.lower()
-    channels: dict[str, Input | State | Output] = {o.name: o for o in model.outputs}
-    channels |= {s.name: s for s in model.states} | {i.name: i for i in model.inputs}
+    channels = _channels(model)
     by_name = {name.lower(): channel for name, channel in channels.items()}
     if word.replace("-", "_") in by_name:
         return by_name[word.replace("-", "_")]

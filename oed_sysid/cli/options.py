@@ -123,7 +123,7 @@ class Row:
             known = _problems if self.metavar == "PROBLEM" else None
             return typer.Argument(**settings, autocompletion=known)
         complete = _one_of(self.choices) if default in self.choices else None
-        return typer.Option(self.written(name), **settings, autocompletion=complete)
+        return typer.Option(*self.written(name).split(), **settings, autocompletion=complete)
 
     def written(self, name: str) -> str:
         """How the option of a parameter is written."""

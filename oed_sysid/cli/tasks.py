@@ -31,8 +31,8 @@ if TYPE_CHECKING:
     from oed_sysid.physics.model import Model
 
 NOMINAL, IMPROVED = "nominal", "improved"
-# Exit codes of an outcome that cannot be used, and of work that was interrupted.
-UNUSABLE, INTERRUPTED = 1, 130
+# Exit codes of an outcome that cannot be used, of a suspect log, and of work that was interrupted.
+UNUSABLE, SUSPECT, INTERRUPTED = 1, 4, 130
 
 
 # -- groups of options -------------------------------------------------------------------
@@ -211,7 +211,7 @@ def patterns_of(problem: Problem, names: Sequence[str]) -> list[Experiment]:
 def check(study: Study, show: Shown) -> Outcome:
     """Check logs for faults before any model: signs, units, axes, bias, delay, spikes and more.
 
-    Ends with exit code 1 when the log is suspect.
+    Ends with exit code 4 when the log is suspect.
 
     [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
     """
@@ -225,7 +225,7 @@ def check(study: Study, show: Shown) -> Outcome:
         found.to_dict(),
         partial(found.document, records, title=study.problem.title),
         Figure("figure_check", found, ""),
-        status=UNUSABLE if found.suspect else 0,
+        status=SUSPECT if found.suspect else 0,
     )
 
 
@@ -242,7 +242,7 @@ def fit(study: Study, show: Shown) -> Outcome:
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
-    log = quick_check(train, model)
+    log = quick_check(train, study.problem)
     result = fits_of(study, {"": model}, show)[""]
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
@@ -257,7 +257,7 @@ def fit(study: Study, show: Shown) -> Outcome:
     return Outcome(
         result, result.document(comparison), facts, partial(result.document, comparison, log=log),
         figure, text, log.warning(), fits={NOMINAL: result}, comparison=comparison,
-        status=_status([result], suspect=log.contradictory),
+        status=_status([result], suspect=log.suspect),
     )  # fmt: skip
 
 
@@ -275,7 +275,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     models, saved = _models(study.equipped if added else study.problem, added)
     for used in (train, *(one.dataset for one in saved.values())):
         check_disjoint(used, validation)
-    log = quick_check(together(train, validation), study.problem.model).without("duplicate")
+    log = quick_check(together(train, validation), study.problem).without("duplicate")
     fits = fits_of(study, models, show) | saved
     show.say("predicting")
     result = judge(fits, validation)
@@ -295,7 +295,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
         notes=tuple(notes),
         fits=fits,
         comparison=result,
-        status=_status(list(fits.values()), suspect=log.contradictory),
+        status=_status(list(fits.values()), suspect=log.suspect),
     )
 
 
@@ -308,7 +308,7 @@ def diagnose(study: Study, show: Shown) -> Outcome:
     from oed_sysid.evidence.compare import diagnose as look
 
     problem, train = study.problem, study.training()
-    log = quick_check(train, problem.model)
+    log = quick_check(train, problem)
     show.say("looking where the model fails, and scoring all candidates")
     result = look(
         problem.model, train, candidates=problem.effects, known_noise=study.known_noise,
@@ -321,6 +321,7 @@ def diagnose(study: Study, show: Shown) -> Outcome:
         partial(result.document, train, title=problem.title),
         Figure("figure_diagnosis", result.location, "", (result.ranking,)),
         above=log.warning(),
+        status=SUSPECT if log.suspect else 0,
     )
 
 
@@ -360,7 +361,7 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool =
         Figure("plot_error_fall", result, "", size=None),
         fits=fits,
         comparison=comparison,
-        status=UNUSABLE if result.remains.kind == "log suspect" else 0,
+        status=SUSPECT if result.remains.suspect else 0,
     )
 
 
@@ -593,7 +594,9 @@ def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
     """Exit code that says whether fits can be used."""
     if any(one.status.code == "interrupted" for one in fits):
         return INTERRUPTED
-    return UNUSABLE if suspect or any(one.grave or not one.status.ok for one in fits) else 0
+    if suspect:
+        return SUSPECT
+    return UNUSABLE if any(one.grave or not one.status.ok for one in fits) else 0
 
 
 class Rounds:

@@ -134,19 +134,8 @@ class Columns:
     def _check_seconds(self, index: int, times: np.ndarray, unit: str) -> None:
         """Refuse, or note, times that are no seconds of one clock."""
         header, first = self.table.headers[index], self.table.values[0, index]
-        if unit == "s" and _clock_of_digits(self.table.values[:, index]):
-            raise DataError(
-                f"{self._where(index)} starts at {first:.14g} and goes on like a date or a clock "
-                "in digits, not like seconds. Write seconds, or ISO times such as "
-                "2024-05-31T12:00:00.5Z."
-            )
-        for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
-            if unit == "s" and EPOCH[0] < first * factor < EPOCH[1]:
-                raise DataError(
-                    f"{self._where(index)} starts at {first:.12g}, which is no "
-                    f"time in s but looks like {other} since 1970. Write the header as "
-                    f"'t [{other}]'."
-                )
+        if unit == "s":
+            self._check_count(index, first)
         step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
         for low, high, origin in DAYS:
             if unit == "s" and low < first < high and 0.0 < step < 0.01 and times[-1] < high:
@@ -171,6 +160,22 @@ class Columns:
                 f"{self._where(index)} steps by {step:.4g} s. If it is in "
                 f"milliseconds, write the header as 't [ms]'."
             )
+
+    def _check_count(self, index: int, first: float) -> None:
+        """Refuse numbers under seconds that are digits of a clock, or count from 1970."""
+        if _clock_of_digits(self.table.values[:, index]):
+            raise DataError(
+                f"{self._where(index)} starts at {first:.14g} and goes on like a date or a clock "
+                "in digits, not like seconds. Write seconds, or ISO times such as "
+                "2024-05-31T12:00:00.5Z."
+            )
+        for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
+            if EPOCH[0] < first * factor < EPOCH[1]:
+                raise DataError(
+                    f"{self._where(index)} starts at {first:.12g}, which is no "
+                    f"time in s but looks like {other} since 1970. Write the header as "
+                    f"'t [{other}]'."
+                )
 
     def _suspect_unit(self, words: str) -> None:
         self.suspicions.append(UnitWarning(words))
@@ -285,17 +290,13 @@ class Columns:
         """Column of a channel: by whole header, then by name without unit."""
         wanted = channel.column or channel.name
         bare = parse_header(channel.column)[0] if channel.column else wanted
-        for matches in (
-            [i for i, header in enumerate(self.table.headers) if header == wanted],
-            [i for i, (name, _) in enumerate(self.parsed) if name == wanted],
-            [i for i, (name, _) in enumerate(self.parsed) if name == bare],
-            # "psi_deg [deg]" says its unit twice.
-            [
-                i
-                for i, (name, unit) in enumerate(self.parsed)
-                if unit and parse_header(name)[0] == wanted
-            ],
-        ):
+        # "psi_deg [deg]" says its unit twice.
+        twice = [parse_header(name)[0] if unit else "" for name, unit in self.parsed]
+        names = [name for name, _ in self.parsed]
+        for texts, text in (
+            (self.table.headers, wanted), (names, wanted), (names, bare), (twice, wanted),
+        ):  # fmt: skip
+            matches = [index for index, one in enumerate(texts) if one == text]
             if len(matches) > 1:
                 headers = " and ".join(repr(self.table.headers[i]) for i in matches)
                 raise DataError(
@@ -332,45 +333,26 @@ class Columns:
     def _unit(self, channel: Input | Output, header: str, name: str, unit: str | None) -> str:
         """Unit of a column, which has to be one that its channel can be given in."""
         where = f"Column {header!r} of {self.path.name}"
-        given = next((self.units[k] for k in (channel.name, header, name) if k in self.units), None)
         needed = dimension(channel.unit)
         if not np.isclose(to_si(1.0, channel.unit)[0], 1.0, rtol=1e-12):
             raise DataError(
                 f"Channel {channel.name!r} is declared in [{channel.unit}]. Channels are SI: "
                 f"declare it in [{to_si(1.0, channel.unit)[1]}]; files may use any unit."
             )
-        suffix = parse_header(name)[1] if unit and name != channel.name else None
-        if given is not None:
-            unit = given
-        elif suffix and unit and not _same_unit(suffix, unit):
-            raise DataError(
-                f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are "
-                f"in, as '{channel.name} [{unit}]'."
-            )
+        given = [self.units[key] for key in (channel.name, header, name) if key in self.units]
+        if given:
+            unit = given[0]
         elif unit is None and needed.is_dimensionless and not needed.radian:
             unit = "1"
-        if unit is None:
+        elif unit is None:
             raise DataError(
                 f"{where} has no unit. Write the header as '{header} [{channel.unit}]', or "
                 f"whichever unit it is in, or, in Python, pass "
                 f"units={{{channel.name!r}: {channel.unit!r}}}."
             )
-        try:
-            found = dimension(unit)
-        except DataError as error:
-            raise DataError(f"{where}: {error}") from error
-        if found.radian and re.search("%|percent", unit):
-            raise DataError(
-                f"{where} is in [{unit}], and a part in a hundred of an angle is none. Write "
-                f"'{name} [deg]' if the numbers are degrees."
-            )
-        # Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
-        if found != needed or found.radian != needed.radian:
-            raise DataError(
-                f"{where} is in [{unit}] but channel {channel.name} needs [{channel.unit}] or a "
-                "unit that converts to it. Correct the unit in the header, as "
-                f"'{name} [{channel.unit}]', or choose another column with column=..."
-            )
+        elif name != channel.name:
+            _check_said_once(where, channel.name, name, unit)
+        _check_unit(where, channel, name, unit)
         return unit
 
     def _suspect_size(
@@ -424,6 +406,37 @@ class Columns:
                 f"units names {unused[0]!r}, which is neither a channel nor a column of "
                 f"{self.path.name}.{closest(unused[0], known)}"
             )
+
+
+def _check_said_once(where: str, channel: str, name: str, unit: str) -> None:
+    """Refuse a header whose name ends on another unit than stands in its brackets."""
+    suffix = parse_header(name)[1]
+    if suffix is not None and not _same_unit(suffix, unit):
+        raise DataError(
+            f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are in, "
+            f"as '{channel} [{unit}]'."
+        )
+
+
+def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> None:
+    """Refuse a unit in which its channel cannot be given."""
+    needed = dimension(channel.unit)
+    try:
+        found = dimension(unit)
+    except DataError as error:
+        raise DataError(f"{where}: {error}") from error
+    if found.radian and re.search("%|percent", unit):
+        raise DataError(
+            f"{where} is in [{unit}], and a part in a hundred of an angle is none. Write "
+            f"'{name} [deg]' if the numbers are degrees."
+        )
+    # Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
+    if found != needed or found.radian != needed.radian:
+        raise DataError(
+            f"{where} is in [{unit}] but channel {channel.name} needs [{channel.unit}] or a "
+            "unit that converts to it. Correct the unit in the header, as "
+            f"'{name} [{channel.unit}]', or choose another column with column=..."
+        )
 
 
 def _same_unit(one: str, other: str) -> bool:

@@ -421,6 +421,7 @@ class Format(NamedTuple):
     endings: tuple[str, ...]
     needs: str  # library of somebody else, which runs in a process of its own
     advice: str  # what to do about a damaged file
+    marks: tuple[bytes, ...] = ()  # what its first bytes hold somewhere
 
     def read(self, place: Path) -> Log:
         """Read one file, apart where the parser is somebody else's."""
@@ -453,6 +454,7 @@ FORMATS = (
     Format(
         *("NMEA 0183 sentences", read_nmea, (), (".nmea",), "pynmea2"),
         "Log whole lines, from $ to the checksum.",
+        (b"$GP", b"$GN", b"$HE", b"$II", b"$WI", b"!AI", b"$SD"),
     ),
     Format(
         *("a MATLAB file", read_matlab, (b"MATLAB ", b"\x89HDF"), (".mat",), "scipy"),
@@ -469,9 +471,6 @@ FORMATS = (
 )
 
 
-_TALKERS = (b"$GP", b"$GN", b"$HE", b"$II", b"$WI", b"!AI", b"$SD")
-
-
 def format_of(place: Path) -> Format:
     """Format of a file, by its first bytes, then by its name.
 
@@ -480,14 +479,11 @@ def format_of(place: Path) -> Format:
     DataError
         If there is no such file, or its format is not known.
     """
-    if (place / "metadata.yaml").exists():
-        return next(form for form in FORMATS if form.reader is read_bag)
-    start = _start(place)
+    # A ROS 2 bag is a folder.
+    start = b"#ROSBAG" if (place / "metadata.yaml").exists() else _start(place)
     for form in FORMATS:
-        if form.starts and start.startswith(form.starts):
+        if start.startswith(form.starts) or any(mark in start for mark in form.marks):
             return form
-    if any(mark in start for mark in _TALKERS):
-        return next(form for form in FORMATS if form.reader is read_nmea)
     named = next((form for form in FORMATS if place.suffix.lower() in form.endings), None)
     if named is None:
         read = ", ".join(form.words for form in FORMATS)

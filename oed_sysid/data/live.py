@@ -182,30 +182,39 @@ def _growing(path: Path, silence: float) -> Iterator[str]:
 def _rows(source: str, header: str, lines: Iterable[str], channels: Channels) -> Iterator[Sample]:
     """Samples of lines of CSV; a line that is torn is left out."""
     mark = max(",;\t", key=header.count)
-    wanted = {one.name: one.unit for one in channels.all}
-    found: dict[str, tuple[int, str]] = {}
-    for index, text in enumerate(header.split(mark)):
-        name, unit = parse_header(text.strip().strip('"'))
-        if name in ("t", "time") and "t" not in found:
-            found["t"] = (index, unit or "s")
-        elif name in wanted:
-            found[name] = (index, unit or wanted[name])
-    if missing := [name for name in ("t", *wanted) if name not in found]:
-        raise DataError(
-            f"The first line of {source!r} names no {', '.join(missing)}. Expected a header such "
-            f"as {mark.join(['t [s]', *(f'{n} [{u}]' for n, u in wanted.items())])!r}."
-        )
+    found = _places(source, header, mark, {one.name: one.unit for one in channels.all})
     for line in lines:
         cells = line.split(mark)
         try:
-            row = {
-                name: math.nan if not cells[i].strip() else float(to_si(float(cells[i]), unit)[0])
-                for name, (i, unit) in found.items()
-            }
+            row = {name: _number(cells[i], unit) for name, (i, unit) in found.items()}
         except (ValueError, IndexError):
             continue
         if math.isfinite(time := row.pop("t")):
             yield time, row
+
+
+def _number(cell: str, unit: str) -> float:
+    return float(to_si(float(cell), unit)[0]) if cell.strip() else math.nan
+
+
+def _places(
+    source: str, header: str, mark: str, wanted: Mapping[str, str]
+) -> dict[str, tuple[int, str]]:
+    """Column and unit of the time and of every channel."""
+    found: dict[str, tuple[int, str]] = {}
+    for index, text in enumerate(header.split(mark)):
+        name, unit = parse_header(text.strip().strip('"'))
+        if name in ("t", "time"):
+            found.setdefault("t", (index, unit or "s"))
+        elif name in wanted:
+            found[name] = (index, unit or wanted[name])
+    if missing := [name for name in ("t", *wanted) if name not in found]:
+        example = mark.join(["t [s]", *(f"{n} [{u}]" for n, u in wanted.items())])
+        raise DataError(
+            f"The first line of {source!r} names no {', '.join(missing)}. Expected a header such "
+            f"as {example!r}."
+        )
+    return found
 
 
 Message = tuple[float | None, str, Mapping[str, Any]]

@@ -44,10 +44,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy.special import betaincinv
 
 from oed_sysid.design.limits import LimitBounds, percent
-from oed_sysid.design.vehicles import draw_models, draw_structures, motion
+from oed_sysid.design.vehicles import at_least, draw_models, draw_structures, motion
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory
@@ -152,9 +151,7 @@ class Assurance:
     @property
     def at_least(self) -> float:
         """Lower end of the probability's one-sided 95 per cent interval (Clopper, Pearson)."""
-        if self.n_kept == 0:
-            return 0.0
-        return float(betaincinv(self.n_kept, self.n_checked - self.n_kept + 1, 0.05))
+        return at_least(self.n_kept, self.n_checked)
 
     @property
     def drawn(self) -> str:

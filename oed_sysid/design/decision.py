@@ -33,11 +33,12 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from oed_sysid.design.choices import UNCERTAINTY
 from oed_sysid.design.criteria import DOptimal, quick_inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.limits import LimitBounds, percent, quantity, units_of
-from oed_sysid.design.vehicles import draw_models, kept_on
+from oed_sysid.design.vehicles import at_least, draw_models, kept_on
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.information.noise import Levels
@@ -55,7 +56,7 @@ WORTH = 0.01
 IMMATERIAL = 0.1
 # Parameters that are named where records contradict one another, and standard errors from which on.
 NAMED, APART = 3, 2.0
-_VEHICLES = 20
+_VEHICLES = 200
 
 
 @runtime_checkable
@@ -280,6 +281,13 @@ class Decision:
     contradiction: Contradiction | None = None
 
     @property
+    def at_least(self) -> float | None:
+        """Lower end of the 95 % interval of ``kept``."""
+        if self.kept is None:
+            return None
+        return at_least(round(self.kept * self.n_checked), self.n_checked)
+
+    @property
     def is_check(self) -> bool:
         """Whether the next run is there only to check what is known on paper."""
         return self.action == "go on" and all(one.is_met for one in self.goals)
@@ -321,7 +329,10 @@ class Decision:
         else:
             words += "; not all goals can be planned for"
         if self.kept is not None:
-            words += f"; limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles"
+            words += (
+                f"; limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles (at least "
+                f"{self.at_least:.0%} with 95 % confidence)"
+            )
         elif run.experiment.limits.signals:
             words += "; whether other vehicles keep the limits is not known"
         else:
@@ -354,7 +365,10 @@ class Decision:
             return
         yield "next", self.next_run.name
         if self.kept is not None:
-            kept = f"kept on {self.kept:.0%} of {self.n_checked} vehicles that remain possible"
+            kept = (
+                f"kept on {self.kept:.0%} of {self.n_checked} vehicles that remain possible, "
+                f"at least {self.at_least:.0%} with 95 % confidence"
+            )
             yield "limits", kept
         left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
         yield (
@@ -370,7 +384,7 @@ class Decision:
     to_dict = as_dict(
         "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",
         next_run=lambda self: None if self.next_run is None else self.next_run.name,
-        limits_kept="kept", vehicles_checked="n_checked",
+        limits_kept="kept", limits_kept_at_least="at_least", vehicles_checked="n_checked",
     )  # fmt: skip
 
 
@@ -624,11 +638,11 @@ class _Outlook:
 
 
 def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[Model, ...]:
-    """Vehicles that remain possible; none where nothing is known."""
+    """Vehicles that remain possible; where nothing is known, of coefficients off by a third."""
     try:
         return draw_models(expected.model, None, _VEHICLES, expected.prior, rng)
     except DesignError:
-        return ()
+        return draw_models(expected.model, UNCERTAINTY, _VEHICLES, None, rng)
 
 
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:

@@ -50,7 +50,7 @@ from oed_sysid.runtime.threads import single_threaded
 # vehicles that differ.
 _ROOM = (0.75, 0.5)
 # Fresh vehicles that judge the runs chosen, and those that judge a refined command before.
-_CHECKED, _SCREENED = 100, 60
+_CHECKED, _SCREENED = 200, 60
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 

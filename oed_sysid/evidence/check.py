@@ -128,50 +128,56 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     balances: tuple[Balance, ...] = ()
     ended = None
     if equations:
-        found, ended = contrasts.diagnosed(clean, equations, [*_places(findings, clean)])
-        findings, sized = _merged(findings, ended.found, clean)
-        fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
-        mended = [undo(trace, fixes, equations) for trace in clean]
-        about = dataset.channels, equations
-        findings += [reading_finding(one, *about, dataset.names) for one in found]
-        findings += [
-            sized_finding(
-                one,
-                *about,
-                dataset.names,
-                allowed=_allowed(model, one.candidate),
-                begins={t.name: (float(t.times[0]), float(t.times[-1])) for t in clean},
-            )
-            for one in sized
-        ]
-        findings += clock_findings(mended, equations)
-        findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
-        balances = _balances(clean, mended, equations)
-    reason = ""
+        findings, balances, ended = _related(dataset, model, clean, equations, findings)
+    reason = "not asked"
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
-        judged, reason = input_findings(dataset, model, known)
+        ranges = problem.limits.inputs if isinstance(problem, Problem) else None
+        judged, reason = input_findings(dataset, model, known, ranges)
         findings += judged
-    asked = _asked(model, traces, equations, ended, findings, reason if inputs else "not asked")
     return LogCheck(
         tuple(_ordered(findings)),
         dataset.names,
         tuple(str(one) for one in equations),
         balances,
-        (*_shared(equations, traces), *((reason,) * bool(reason))),
-        asked,
+        (*_shared(equations, traces), *((reason,) * (inputs and bool(reason)))),
+        _asked(model, traces, equations, ended, findings, reason),
         perf_counter() - began,
     )
 
 
-def quick_check(dataset: Dataset, model: Model) -> LogCheck:
+def _related(
+    dataset: Dataset,
+    model: Model,
+    clean: Sequence[Trace],
+    equations: tuple[Relation, ...],
+    findings: Sequence[Finding],
+) -> tuple[list[Finding], tuple[Balance, ...], Result]:
+    """Findings with those of the equations, how well these hold, and what was searched."""
+    found, ended = contrasts.diagnosed(clean, equations, [*_places(findings, clean)])
+    known, sized = _merged(findings, ended.found, clean)
+    fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
+    mended = [undo(trace, fixes, equations) for trace in clean]
+    about = dataset.channels, equations, dataset.names
+    begins = {t.name: (float(t.times[0]), float(t.times[-1])) for t in clean}
+    known += [reading_finding(one, *about) for one in found]
+    known += [
+        sized_finding(one, *about, allowed=_allowed(model, one.candidate), begins=begins)
+        for one in sized
+    ]
+    known += clock_findings(mended, equations)
+    known += misfit_finding(contrasts.unexplained(mended, equations), equations)
+    return known, _balances(clean, mended, equations), ended
+
+
+def quick_check(dataset: Dataset, model: Problem | Model) -> LogCheck:
     """Check records before every fit: :func:`check` under its name of old.
 
     Parameters
     ----------
     dataset : Dataset
         The records.
-    model : Model
+    model : Problem or Model
         What the signals are.
     """
     return check(dataset, model)
@@ -299,31 +305,35 @@ def _asked(
     rows = []
     for name in (n for n in model.output_names if n in units):
         for kind in ("bias", "scale", "delay", "rate", "drift", "step"):
-            size, plausible = _visible(ended, kind, name)
-            if (kind, name) in found:
-                state, why = "found", ""
-            elif size <= plausible:
-                state, why = "tested", seen_from(kind, size, units[name])
-            elif name not in related:
-                state, why = "not tested", "no equation without unknown parameters relates it"
-            elif not np.isfinite(size):
-                state, why = "not tested", "nothing that was measured depends on it"
-            else:
-                state, why = (
-                    "not tested",
-                    f"the motion shows it {seen_from(kind, size, units[name])}",
-                )
-            rows.append(Judged(kind, name, state, why))
-        visible, _ = _visible(ended, "scale", name)
+            rows.append(_sized_row(kind, name, units[name], ended, name in related))
+        told = _visible(ended, "scale", name)[0] < 0.5
+        why = "" if told else "no equation in which it moves enough"
         for kind in ("sign", "unit", "swap"):
-            state = "tested" if visible < 0.5 else "not tested"
-            why = "" if visible < 0.5 else "no equation in which it moves enough"
-            rows.append(Judged(kind, name, "found" if (kind, name) in found else state, why))
-    for name in model.input_names:
-        for kind in ("sign", "unit", "scale", "delay", "limit"):
-            state = "not tested" if inputs else "tested"
-            rows.append(Judged(kind, name, "found" if (kind, name) in found else state, inputs))
-    return tuple(rows)
+            rows.append(Judged(kind, name, "tested" if told else "not tested", why))
+    state = "not tested" if inputs else "tested"
+    rows += [
+        Judged(kind, name, state, inputs)
+        for name in model.input_names
+        for kind in ("sign", "unit", "delay")
+    ]
+    return tuple(
+        replace(one, state="found", says="") if (one.fault, one.signal) in found else one
+        for one in rows
+    )
+
+
+def _sized_row(kind: str, name: str, unit: str, ended: Result | None, related: bool) -> Judged:
+    """Whether a fault with a size was tested, from which size on, or why it was not."""
+    size, plausible = _visible(ended, kind, name)
+    shown = seen_from(kind, size, unit)
+    if size <= plausible:
+        return Judged(kind, name, "tested", shown)
+    why = "nothing that was measured depends on it"
+    if not related:
+        why = "no equation without unknown parameters relates it"
+    elif np.isfinite(size):
+        why = f"the motion shows it from {shown} on only"
+    return Judged(kind, name, "not tested", why)
 
 
 def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:

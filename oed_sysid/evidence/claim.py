@@ -29,7 +29,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.study import Study, total_error
+from oed_sysid.evidence.study import Prediction, Study, total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.runtime.display import as_dict
@@ -60,7 +60,7 @@ def threshold(
     return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Claim:
     """One decision with every term of it.
 
@@ -80,6 +80,10 @@ class Claim:
         Ratio of the two that is no rise.
     bounds : tuple of str
         Amplitudes that end at a bound.
+    models : tuple of (float, Prediction)
+        What both terms are made of, before and after: minus twice the log-likelihood of the
+        training records, and the :class:`~oed_sysid.evidence.study.Prediction` of the validation
+        records (None without any).
     """
 
     name: str
@@ -90,6 +94,7 @@ class Claim:
     after: float = np.nan
     allowed: float = RISE
     bounds: tuple[str, ...] = ()
+    models: tuple[tuple[float, Prediction | None], ...] = ()
 
     @property
     def statistic(self) -> float:
@@ -149,11 +154,15 @@ def claim(
     name = " + ".join(effect.name for effect in effects)
     training = before.objective - after.objective
     bounds = at_bounds(after, effects)
+    fits = (before, after)
     if study.validation is None:
-        return Claim(name, training, np.nan, needed, bounds=bounds)
+        terms = tuple((fit.objective, None) for fit in fits)
+        return Claim(name, training, np.nan, needed, bounds=bounds, models=terms)
     validation = difference(study.validate(before), study.validate(after))
-    old, new = (own_error(study, fit, study.validation) for fit in (before, after))
-    return Claim(name, training, validation, needed, old, new, allowed_rise(after), bounds)
+    old, new = (own_error(study, fit, study.validation) for fit in fits)
+    models = tuple((fit.objective, study.predict(fit)) for fit in fits)
+    allowed = allowed_rise(after)
+    return Claim(name, training, validation, needed, old, new, allowed, bounds, models)
 
 
 def at_bounds(fit: FilteredSolution, effects: Sequence[Effect]) -> tuple[str, ...]:

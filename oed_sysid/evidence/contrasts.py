@@ -133,6 +133,8 @@ class Candidate:
         The only record that it acts in; empty for all of them.
     at, until : float
         Share of the record at which a step or burst begins, and a burst ends.
+    unit_of : str
+        For a scale: the unit of the signal.
     """
 
     kind: str
@@ -144,6 +146,7 @@ class Candidate:
     record: str = ""
     at: float = 0.0
     until: float = 1.0
+    unit_of: str = ""
 
     def correction(self, size: float) -> Correction:
         """How to undo a size of it."""
@@ -256,63 +259,112 @@ def velocities_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> 
     return tuple(sorted(found, key=lambda n: order.index(n) if n in order else len(order)))
 
 
-def candidates(
-    traces: Sequence[Trace], relations: tuple[Relation, ...]
-) -> tuple[list[Candidate], list[Candidate], dict[str, Candidate]]:
+@dataclass(frozen=True)
+class Dictionary:
     """Faults of all records, those of single records, and a step of every signal."""
-    units = {n: u for trace in traces for n, u in trace.units.items()}
-    names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
-    integrated = {r.target for r in relations if r.is_rate} - {
-        n for r in relations for n in r.signals
-    }
-    size = {n: _rms(traces, n) for n in names}
-    noise = {n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in names}
-    step = float(np.median([t.step for t in traces]))
-    length = max(float(t.times[-1] - t.times[0]) for t in traces)
-    positions, velocities = positions_of(relations, units), velocities_of(relations, units)
-    least = {n: max(MATERIAL * noise[n], 1e-3 * size[n]) for n in names}
-    constant = [n for n in names if n not in integrated]
-    common = [Candidate("bias", (n,), units[n], 0.3 * size[n], least[n]) for n in constant]
-    # Positions and depths are told by satellites and pressure: their scales are rarely wrong.
-    common += [
-        Candidate("scale", (n,), "1", 0.06 if n in integrated else 0.25, RELATIVE) for n in names
-    ]
-    groups = [*((n,) for n in names), *(g for g in (positions, velocities) if len(g) > 1)]
-    common += [Candidate("delay", g, "s", max(0.7, 3.0 * step), SAMPLES * step) for g in groups]
-    common += [Candidate("rate", g, "1", 0.05, SAMPLES * step / length) for g in groups]
-    for name, rate in product(velocities, (n for n in names if units[n] == "rad/s")):
-        if (name, rate) not in (("u", "p"), ("v", "q"), ("w", "r")):
-            arm = 0.5 * max(size[v] for v in velocities) / max(size[rate], 1e-12)
-            common.append(Candidate("lever", (name,), "m", arm, min(0.05, 0.02 * arm), (rate,)))
-    common += [
-        Candidate("misalignment", pair, "rad", 0.1, 0.4 * RELATIVE)
-        for pair in combinations(velocities, 2)
-    ]
-    rates = {
-        n: f"{units[n]}/s".replace("m/s/s", "m/s^2").replace("rad/s/s", "rad/s^2") for n in names
-    }
-    ramps = [
-        Candidate("drift", (n,), rates[n], size[n] / length, 2.0 * least[n] / length) for n in names
-    ]
-    common += [d for d in ramps if d.signals[0] not in integrated or len(positions) > 1]
+
+    common: tuple[Candidate, ...]
+    single: tuple[Candidate, ...]
+    local: Mapping[str, Candidate]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What usual sizes follow from: units, sizes and noise of signals, and who integrates whom."""
+
+    units: Mapping[str, str]
+    size: Mapping[str, float]
+    noise: Mapping[str, float]
+    step: float
+    length: float
+    integrated: frozenset[str]
+    positions: tuple[str, ...]
+    velocities: tuple[str, ...]
+
+    @classmethod
+    def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Facts:
+        """Gather them from records and the equations between their signals."""
+        units = {n: u for trace in traces for n, u in trace.units.items()}
+        inner = {n for r in relations for n in r.signals}
+        names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
+        levels = {n: [t.noise[n] for t in traces if n in t.noise] for n in names}
+        return cls(
+            units,
+            {n: _rms(traces, n) for n in names},
+            {n: float(np.median(level)) for n, level in levels.items()},
+            float(np.median([t.step for t in traces])),
+            max(float(t.times[-1] - t.times[0]) for t in traces),
+            frozenset({r.target for r in relations if r.is_rate} - inner),
+            positions_of(relations, units),
+            velocities_of(relations, units),
+        )
+
+    def least(self, name: str) -> float:
+        """Least constant error that matters."""
+        return max(MATERIAL * self.noise[name], 1e-3 * self.size[name])
+
+    def sensors(self) -> Iterator[Candidate]:
+        """Constant and relative errors."""
+        for n, size in self.size.items():
+            if n not in self.integrated:
+                yield Candidate("bias", (n,), self.units[n], 0.3 * size, self.least(n))
+        for n in self.size:
+            # Positions and depths are told by satellites and pressure: rarely of wrong scale.
+            usual = 0.06 if n in self.integrated else 0.25
+            yield Candidate("scale", (n,), "1", usual, RELATIVE, unit_of=self.units[n])
+
+    def clocks(self) -> Iterator[Candidate]:
+        """Delays and rates of clocks of each signal, of all positions and of all velocities."""
+        together = (g for g in (self.positions, self.velocities) if len(g) > 1)
+        for group in (*((n,) for n in self.size), *together):
+            yield Candidate("delay", group, "s", max(0.7, 3.0 * self.step), SAMPLES * self.step)
+            yield Candidate("rate", group, "1", 0.05, SAMPLES * self.step / self.length)
+
+    def places(self) -> Iterator[Candidate]:
+        """Lever arms and misalignments of velocities."""
+        rates = [n for n in self.size if self.units[n] == "rad/s"]
+        for name, rate in product(self.velocities, rates):
+            if (name, rate) not in (("u", "p"), ("v", "q"), ("w", "r")):
+                arm = 0.5 * max(self.size[v] for v in self.velocities) / self.size[rate]
+                yield Candidate("lever", (name,), "m", arm, min(0.05, 0.02 * arm), (rate,))
+        for pair in combinations(self.velocities, 2):
+            yield Candidate("misalignment", pair, "rad", 0.1, 0.4 * RELATIVE)
+
+    def drifts(self) -> Iterator[Candidate]:
+        """Errors that grow with time."""
+        for n, size in self.size.items():
+            unit = {"m/s": "m/s^2", "rad/s": "rad/s^2"}.get(self.units[n], f"{self.units[n]}/s")
+            least = 2.0 * self.least(n) / self.length
+            yield Candidate("drift", (n,), unit, size / self.length, least)
+
+    def step_of(self, name: str) -> Candidate:
+        """A lasting jump of a signal."""
+        least = 2.0 * self.noise[name] + 1e-3 * self.size[name]
+        return Candidate("step", (name,), self.units[name], self.size[name], least)
+
+
+def candidates(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Dictionary:
+    """Faults that these signals may have, with usual sizes."""
+    facts = Facts.of(traces, relations)
+    drifts = tuple(facts.drifts())
+    # One position alone drifts as a misaligned velocity does.
+    plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
+    common = (*facts.sensors(), *facts.clocks(), *facts.places(), *plain)
+    apart = [c for c in (*common, *drifts) if c.kind in ("bias", "scale", "drift")]
     single = [
         replace(c, record=trace.name)
         for trace in (traces if 1 < len(traces) <= PLACES else ())
-        for c in [*common, *ramps]
-        if c.kind in ("bias", "scale", "drift") and set(c.signals) <= set(trace.values)
+        for c in apart
+        if set(c.signals) <= set(trace.values)
     ]
-    local = {
-        n: Candidate("step", (n,), units[n], size[n], 2.0 * noise[n] + 1e-3 * size[n])
-        for n in names
-    }
-    return common, list(dict.fromkeys(single)), local
+    local = {n: facts.step_of(n) for n in facts.size}
+    return Dictionary(common, tuple(dict.fromkeys(single)), local)
 
 
 def _rms(traces: Sequence[Trace], name: str) -> float:
-    parts = [t.values[name] for t in traces if name in t.values]
-    whole = np.concatenate(parts) if parts else np.zeros(1)
-    whole = whole[np.isfinite(whole)]
-    return float(np.sqrt(np.mean(whole**2))) + 1e-12 if whole.size else 1e-12
+    """Root mean square of the samples of a signal."""
+    whole = np.concatenate([t.values[name] for t in traces if name in t.values])
+    return float(np.sqrt(np.nanmean(whole**2))) + 1e-12
 
 
 # -- contrasts -------------------------------------------------------------------------------
@@ -422,6 +474,8 @@ def _pieces(
         sums = integral(times, every) if relation.is_rate else every
         sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
         waves = dct(means, axis=0, norm="ortho")[1:]
+        if not waves[:, :2].any():  # a constant says nothing
+            continue
         yield Piece(
             relation=index,
             target_name=relation.target,
@@ -865,56 +919,68 @@ def search(
     ``start`` are delays to begin from, ``known`` steps that were undone by sizes which need
     improving: signal, record and share of it.
     """
-    common, apart, local = candidates(traces, relations)
-    faults = [*common, *(apart if single else [])]
-    n_more = 2 * PLACES * len(local) * len(traces) * single
-    keys = {(f.kind, f.signals, f.other): k for k, f in enumerate(common)}
-    active: dict[Candidate, float] = {}
-    for one in start:
-        k = keys.get((one.kind, one.signals, one.other))
-        if k is not None:
-            active[faults[k]] = one.value
-    shift = 0.5 / PLACES
-    system, bench, strained = None, None, False
-    picked = list[Candidate]()
-    for n, record, at in known:
-        if n in local:
-            active[replace(local[n], material=0.0, record=record, at=at)] = 0.0
+    words = candidates(traces, relations)
+    faults = [*words.common, *(words.single if single else ())]
+    n_more = 2 * PLACES * len(words.local) * len(traces) * single
+    active = _begun(words, start, known)
+    shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
     for turn in range(ROUNDS):
-        undone = [undo(t, [f.correction(s) for f, s in active.items()], relations) for t in traces]
-        factors = {
-            f.signals[0]: 1.0 + s for f, s in active.items() if f.kind == "scale" and not f.record
-        }
         moving = [f for f in active if f.kind in LOCAL and f.material > 0.0]
         near = [_moved(f, d * shift) for f in moving for d in (-1, 1)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
         place = {f: k for k, f in enumerate(faults)}
-        pieces = [p for t in undone for p in contrasts(t, relations, faults, factors)]
+        undone, pieces = _linearised(traces, relations, faults, active)
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
-        inside = {*range(len(common)), *(place[f] for f in active)}
-        system = assemble(pieces, relations, faults, np.array(sorted(inside)), n_more)
         now = [place[f] for f in active]
-        sizes = np.array([*active.values()])
-        bench = Selection(system, system.right + system.gram[:, now] @ sizes, faults)
-        if turn == 0:
-            strained = bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
-        found = scanned(undone, pieces, system, now, local) if single else []
+        inside = np.array(sorted({*range(len(words.common)), *now}))
+        system = assemble(pieces, relations, faults, inside, n_more)
+        right = system.right + system.gram[:, now] @ np.array([*active.values()])
+        bench = Selection(system, right, faults)
+        strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
+        found = scanned(undone, pieces, system, now, words.local) if single else []
         least = VARYING * float(np.min(system.limits))
         picked = [f for gain, f in found[:MOST_FAULTS] if gain > least and f not in place]
         chosen = bench.chosen(now)
-        fresh = bench.sizes(chosen)
-        same = set(chosen) == set(now)
-        active = {faults[k]: float(s) for k, s in zip(chosen, fresh[0], strict=True)}
-        still = same and np.all(np.abs(fresh[0] - sizes) < 0.1 * fresh[1] + 1e-9)
+        size, std, _ = bench.sizes(chosen)
+        before, active = active, {faults[k]: float(v) for k, v in zip(chosen, size, strict=True)}
+        moved = [abs(active[f] - before.get(f, np.inf)) for f in active]
+        still = active.keys() == before.keys() and np.all(moved < 0.1 * std + 1e-9)
         if still and not picked and (shift < 1e-3 or not near):
             break
         shift *= 0.5 if near else 1.0
-    assert system is not None
-    assert bench is not None
-    std = bench.beside(chosen)[2]
-    visible = np.sqrt(system.limits) * np.where(np.isfinite(std) & (std > 0), std, np.inf)
+    error = bench.beside(chosen)[2]
+    visible = np.sqrt(system.limits) * np.where(error > 0.0, error, np.inf)
     return Result(_described(bench, chosen), tuple(faults), visible, strained)
+
+
+def _begun(
+    words: Dictionary, start: Sequence[Correction], known: Sequence[tuple[str, str, float]]
+) -> dict[Candidate, float]:
+    """Faults that a search begins with, and their sizes."""
+    keys = {(f.kind, f.signals, f.other): f for f in words.common}
+    begun = {
+        keys[one.kind, one.signals, one.other]: one.value
+        for one in start
+        if (one.kind, one.signals, one.other) in keys
+    }
+    steps = ((words.local[n], record, at) for n, record, at in known if n in words.local)
+    return begun | {
+        replace(one, material=0.0, record=record, at=at): 0.0 for one, record, at in steps
+    }
+
+
+def _linearised(
+    traces: Sequence[Trace],
+    relations: tuple[Relation, ...],
+    faults: Sequence[Candidate],
+    active: Mapping[Candidate, float],
+) -> tuple[list[Trace], list[Piece]]:
+    """Records with the active faults undone, and their contrasts."""
+    undone = [undo(t, [f.correction(s) for f, s in active.items()], relations) for t in traces]
+    scales = ((f, s) for f, s in active.items() if f.kind == "scale" and not f.record)
+    factors = {f.signals[0]: 1.0 + s for f, s in scales}
+    return undone, [p for t in undone for p in contrasts(t, relations, faults, factors)]
 
 
 def _moved(one: Candidate, shift: float) -> Candidate:
@@ -940,7 +1006,25 @@ def diagnosed(
         left = [undo(t, [one.correction for one in end.found], relations) for t in mended]
         return float(evidence(left, relations).sum()) - CLOSE * len(end.found)
 
-    return found, max(ends, key=worth)
+    best = max(ends, key=worth)
+    units = [one for f in best.found for one in _as_units(f)]
+    if units:
+        found = [*found, *units]
+        mended = [undo(t, [one.correction for one in units], relations) for t in mended]
+        best = search(mended, relations, known=known)
+    return found, best
+
+
+def _as_units(one: Found) -> list[Reading]:
+    """A scale that is that of a unit within its error, as another reading."""
+    fault = one.candidate
+    units = UNITS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
+    near = [
+        Reading(Correction("unit", fault.signals, factor), meaning, one.gain)
+        for factor, meaning in units
+        if abs((1.0 + one.size) * factor - 1.0) < max(RELATIVE, 3.0 * one.std * factor)
+    ]
+    return near[:1]
 
 
 def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
@@ -1018,7 +1102,7 @@ def misread(
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
     late = [
         Reading(Correction("delay", f.signals, d))
-        for f in candidates(coarse, relations)[0]
+        for f in candidates(coarse, relations).common
         if f.kind == "delay"
         for d in DELAYS
         if abs(d) > 2.0 * f.material

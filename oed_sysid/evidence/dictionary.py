@@ -258,31 +258,47 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
     signals : sequence of Signal
         From :func:`signals_along`.
     """
-    products = _products([s for s in signals if s.kind == "motion"])
-    # A position on which a force depends, as a mooring's does: that may be no straight line.
-    springs = {name for effect in model.effects for name in _forces_depend_on(effect)}
-    angles = [s.name for s in signals if s.kind == "angle"]
-    found = [(factors, product_text(factors)) for factors in ((), *products)]
-    for thrust in (s.name for s in signals if s.kind == "thrust"):
-        few = [(), *(factors for factors in products if len(factors) < MOST_FACTORS)]
-        driven = [(*factors, (thrust, False)) for factors in few]
-        found += [(factors, product_text(factors)) for factors in driven]
+    products = [(), *_products([s for s in signals if s.kind == "motion"])]
+    found = [(factors, product_text(factors)) for factors in products]
     for signal in signals:
-        if signal.kind == "angle":
-            sine, cosine = f"sin({signal.name})", f"cos({signal.name})"
-            texts = (sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})")
-            found += [((), text) for text in texts]
-        elif signal.kind == "position":
-            found.append((((signal.name, False),), signal.name))
-            if signal.name in springs:
-                powers = [factors for factors in _products([signal]) if len(factors) > 1]
-                found += [(factors, product_text(factors)) for factors in powers]
-                found += [((), f"{signal.name}*sin({angle})") for angle in angles]
+        found += _of_signal(model, signal, signals, products)
     return [
         Term(equation, text or "1", factors)
         for equation in disturbed_equations(model)
         for factors, text in found
     ]
+
+
+def _of_signal(
+    model: Model, signal: Signal, signals: Sequence[Signal], products: Sequence[Factors]
+) -> list[tuple[Factors, str]]:
+    """What a command that is no angle, an angle or a position brings besides products."""
+    if signal.kind == "thrust":
+        few = [factors for factors in products if len(factors) < MOST_FACTORS]
+        driven = [(*factors, (signal.name, False)) for factors in few]
+        return [(factors, product_text(factors)) for factors in driven]
+    if signal.kind == "angle":
+        return [((), text) for text in _of_angle(signal.name)]
+    return _of_position(model, signal, signals) if signal.kind == "position" else []
+
+
+def _of_angle(name: str) -> tuple[str, ...]:
+    """What gravity and buoyancy bring."""
+    sine, cosine = f"sin({name})", f"cos({name})"
+    return sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})"
+
+
+def _of_position(
+    model: Model, signal: Signal, signals: Sequence[Signal]
+) -> list[tuple[Factors, str]]:
+    """A position, with powers where a force depends on it as a mooring's does."""
+    found: list[tuple[Factors, str]] = [(((signal.name, False),), signal.name)]
+    if any(signal.name in _forces_depend_on(effect) for effect in model.effects):
+        powers = [factors for factors in _products([signal]) if len(factors) > 1]
+        found += [(factors, product_text(factors)) for factors in powers]
+        angles = [one.name for one in signals if one.kind == "angle"]
+        found += [((), f"{signal.name}*sin({angle})") for angle in angles]
+    return found
 
 
 def _forces_depend_on(effect: Effect) -> set[str]:

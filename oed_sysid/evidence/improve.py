@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.check import LogCheck, check, quick_check
+from oed_sysid.evidence.check import LogCheck, check
 from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table
 from oed_sysid.evidence.locate import Located, likeliest, locate
@@ -48,6 +49,8 @@ from oed_sysid.runtime.threads import single_threaded
 
 # Factor of a declared noise level from which it is worth a word.
 OTHER_NOISE = 1.3
+# Prior deviations that no right log gives: one in two millions.
+FAR = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,30 +124,22 @@ def improve(
         check_disjoint(train, test)
     # Overlaps of training and validation records were refused above.
     logs = train if test is None else together(train, test)
-    # Where nobody named what may be wrong, the log itself is asked at length; tests are no log.
-    series = not logs.only_tests
-    log = quick_check(logs, model).without("duplicate") if series else None
-    asked = None if candidates or not series else check(logs, model, inputs=False)
+    # Tests at given motion are no log.
+    log = None if logs.only_tests else check(logs, model).without("duplicate")
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
-    candidates, told = settled(model, train, candidates, asked)
-    keep = opened(
-        journal,
-        "improve",
-        lambda: {
-            "model": encode(model),
-            "candidates": [encode(effect) for effect in candidates],
-            "train": [[record.name, record.content_hash] for record in train],
-            "validation": [[record.name, record.content_hash] for record in test or ()],
-            "known_noise": known_noise,
-            "disturbances": [disturbances]
-            if isinstance(disturbances, str)
-            else [str(one) for one in np.atleast_1d(np.array(disturbances, dtype=object))],
-            "max_effects": max_effects,
-            "terms": terms,
-        },
-        shared={"train": train, "validation": test},
-    )
+    candidates, told = settled(model, train, candidates, log)
+    options = {
+        "known_noise": known_noise,
+        "disturbances": [disturbances]
+        if isinstance(disturbances, str)
+        else [str(one) for one in np.atleast_1d(np.array(disturbances, dtype=object))],
+        "max_effects": max_effects,
+        "terms": terms,
+    }
+    shape = partial(_shape, model, candidates, train, test, options)
+    shared = {"train": train, "validation": test}
+    keep = opened(journal, "improve", shape, shared=shared)
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
@@ -162,6 +157,23 @@ def improve(
     acting = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
     said = (*(one.text for one in acting), *_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*said, *result.notes))
+
+
+def _shape(
+    model: Model,
+    candidates: Sequence[Effect],
+    train: Dataset,
+    test: Dataset | None,
+    options: Mapping[str, Any],
+) -> dict[str, Any]:
+    """What shapes an improvement, so that a later call finds the steps of one that did not end."""
+    return {
+        "model": encode(model),
+        "candidates": [encode(effect) for effect in candidates],
+        "train": [[record.name, record.content_hash] for record in train],
+        "validation": [[record.name, record.content_hash] for record in test or ()],
+        **options,
+    }
 
 
 @dataclass(frozen=True, eq=False)
@@ -312,7 +324,7 @@ def _result(
             end.left,
             training=fits[-1].whole_runs,
             validation=None if study.validation is None else fits[-1].runs_on(study.validation),
-            suspect=_suspect(log, steps),
+            suspect=_suspect(log, steps, fits[-1]),
         ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
@@ -363,11 +375,24 @@ def _steps(
     return tuple(found)
 
 
-def _suspect(log: LogCheck | None, steps: Sequence[Step]) -> str:
+def _suspect(log: LogCheck | None, steps: Sequence[Step], fit: Fit) -> str:
     """Why the log is not to be trusted; empty where it is, or where a sensor was put right."""
-    if log is None or not log.suspect or any(step.effect.stage == "sensor" for step in steps):
+    mended = {key for one in steps if one.effect.stage == "sensor" for key in one.effect.terms}
+    left = [] if log is None else [f for f in log.serious if not mended & set(f.signals)]
+    if log is not None and left:
+        return replace(log, findings=tuple(left)).verdict
+    far = [
+        f"{p.name} ({abs(p.value - p.prior_mean) / p.prior_std:.1f})"
+        for p in fit.model.free_parameters
+        if p.prior_std and p.prior_mean is not None
+        if abs(p.value - p.prior_mean) > FAR * p.prior_std
+    ]
+    if not far:
         return ""
-    return log.verdict
+    return (
+        f"values many prior deviations from what was declared: {', '.join(far)}. An input or a "
+        "sensor is in another unit, or the priors are wrong."
+    )
 
 
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:

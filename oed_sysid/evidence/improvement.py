@@ -12,7 +12,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.claim import RISE, Claim
 from oed_sysid.evidence.compare import Comparison
-from oed_sysid.evidence.locate import Located
+from oed_sysid.evidence.locate import LISTED, Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
@@ -33,8 +33,6 @@ from oed_sysid.runtime.display import (
     as_text,
 )
 
-# Invisible candidates that are named.
-NAMED = 6
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
 UNTOLD = 100.0
 
@@ -689,8 +687,8 @@ def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:
 
 def _several(names: Sequence[str]) -> str:
     """The first of some names, and how many more there are."""
-    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
-    return f"{', '.join(names[:NAMED])}{more}"
+    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
+    return f"{', '.join(names[:LISTED])}{more}"
 
 
 def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:

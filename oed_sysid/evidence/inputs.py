@@ -1,4 +1,4 @@
-r"""Signs and units of inputs, which kinematics cannot see, against the nominal model.
+r"""Inputs, which kinematics cannot see, against their limits and the nominal model.
 
 From the measured states at the start of each short piece of a record the nominal model predicts
 those at its end; with parameters :math:`p = p_0 + S\eta`, :math:`\eta \sim N(0, I)`, and their
@@ -7,13 +7,16 @@ sensitivities :math:`A`,
 .. math:: x_{k+1} - \hat x(x_k, h(d), p_0) = A S \eta + \varepsilon, \qquad
     \varepsilon_i \sim N(0, v_i).
 
-The evidence of a hypothesis :math:`h` about the inputs :math:`d` (another sign, another unit) is
+The evidence of a hypothesis :math:`h` about the inputs :math:`d` (another sign or unit, two
+of them swapped, logged after the answer) is
 
 .. math:: E_h = -\sum_i n_i \ln v_i - \eta^T \eta - \ln \det (I + S A^T V^{-1} A S),
 
 with the variances estimated under it, so that physics which the model lacks widens all of them
 alike. Only parameters with a declared prior say anything here: with the others free, an input of
-the other sign is a coefficient of the other sign.
+the other sign is a coefficient of the other sign. Where the nominal model diverges with the inputs
+as logged, a reading with which it does not is the finding. A scale is not asked: a prior forgives a
+quarter, and beyond that missing physics takes its place.
 
 A state whose sensor is dead or missing is taken from the kinematics where these give it at every
 sample; a record in which they do not is left out of the judgement.
@@ -21,8 +24,9 @@ sample; a record in which they do not is left out of the judgement.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -47,6 +51,8 @@ UNITS: dict[str, tuple[tuple[float, str], ...]] = {
 ACCEPTED = 20.0
 # A lag is physics of an actuator as well as a fault of a log: it only competes.
 LAGS = (0.0, 0.25, 0.5, 1.0, 2.0)
+# An input this many times beyond its limit is in another unit.
+BEYOND = 1.5
 PIECES = (5, 10, 20, 40)
 MOST_SAMPLES = 1500
 LEAST_PIECES = 30
@@ -70,10 +76,38 @@ class _Piecewise:
     states: np.ndarray
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """Another reading of inputs: what is said of it, and what it makes of them."""
+
+    kind: str
+    names: tuple[str, ...]
+    meaning: str = ""
+    factor: float = 1.0
+    lag: float = 0.0
+    swapped: tuple[int, int] | None = None
+
+    def inputs(self, record: Record) -> np.ndarray:
+        """Inputs of a record as they are then read, ``(n_samples, n_inputs)``."""
+        values = np.array(record.inputs)
+        mine = [record.channels.input_names.index(name) for name in self.names]
+        if self.swapped is not None:
+            values[:, mine] = values[:, mine[::-1]]
+        else:
+            values[:, mine] *= self.factor
+        if self.lag:
+            for k in mine:
+                values[:, k] = np.interp(record.times - self.lag, record.times, values[:, k])
+        return values
+
+
 def input_findings(
-    dataset: Dataset, model: Model, fixes: Sequence[Correction]
+    dataset: Dataset,
+    model: Model,
+    fixes: Sequence[Correction],
+    ranges: Mapping[str, tuple[float, float]] | None = None,
 ) -> tuple[list[Finding], str]:
-    """Judge signs and units of inputs.
+    """Judge inputs: limits, signs, units, delays, and whether two are swapped.
 
     Parameters
     ----------
@@ -83,20 +117,67 @@ def input_findings(
         The nominal model.
     fixes : sequence of Correction
         What was found about the outputs; undone first.
+    ranges : mapping of str to (float, float), optional
+        Declared limits of inputs, SI.
 
     Returns
     -------
     findings : list of Finding
-        Inputs that act with another sign or unit than the nominal model's priors allow.
+        Inputs beyond their limits, or that act otherwise than the nominal model's priors allow.
     reason : str
-        Why inputs could not be judged, in a sentence; empty if they were.
+        Why inputs could not be judged by the motion, in a sentence; empty if they were.
     """
     if not model.inputs:
         return [], ""
+    beyond = _beyond(dataset, model, ranges or {})
+    found, reason = _by_motion(dataset, model, fixes)
+    # What the motion says of an input holds what its range says.
+    said = {name for one in found for name in one.signals}
+    return [*found, *(one for one in beyond if not said & set(one.signals))], reason
+
+
+def _beyond(
+    dataset: Dataset, model: Model, ranges: Mapping[str, tuple[float, float]]
+) -> list[Finding]:
+    """Inputs far beyond their declared limits, and angles beyond half a turn."""
+    result = []
+    for index, channel in enumerate(model.inputs):
+        values = np.concatenate([record.inputs[:, index] for record in dataset])
+        largest = float(np.nanmax(np.abs(values)))
+        low, high = ranges.get(channel.name, (-np.inf, np.inf))
+        declared = max(abs(low), abs(high))
+        limit = BEYOND * declared if np.isfinite(declared) else np.inf
+        limit = min(limit, np.pi) if channel.unit == "rad" else limit
+        if largest <= limit:
+            continue
+        units = [m for f, m in UNITS.get(channel.unit, ()) if m and f * largest <= limit]
+        about = f", as if it were in {' or '.join(units)}" if units else ""
+        allowed = f"{declared:.3g}" if np.isfinite(declared) else "half a turn"
+        result.append(
+            Finding(
+                "limit",
+                (channel.name,),
+                dataset.names,
+                f"{channel.name} reaches {largest:.3g} {channel.unit}, far beyond its limit of "
+                f"{allowed}{about}.",
+                f"the coefficients of {channel.name} are wrong by as much",
+                "correct the unit in the header, or the limit in the problem",
+                size=largest,
+                unit=channel.unit,
+            )
+        )
+    return result
+
+
+def _by_motion(
+    dataset: Dataset, model: Model, fixes: Sequence[Correction]
+) -> tuple[list[Finding], str]:
+    """Inputs that act otherwise than the nominal model and its priors say."""
+    about = "Signs and units of inputs: "
     if all(p.prior_std is None for p in model.free_parameters):
         return [], (
-            "Signs and units of inputs: no parameter of the model has a declared prior "
-            "(prior_mean, prior_std) to hold them against."
+            f"{about}no parameter of the model has a declared prior (prior_mean, prior_std) to "
+            "hold them against."
         )
     known = [fix for fix in fixes if fix.kind in ORDER]
     try:
@@ -107,54 +188,92 @@ def input_findings(
         pieces = None
     if not pieces:
         return [], (
-            "Signs and units of inputs: not all states of the model are measured, or follow from "
-            "those that are."
+            f"{about}not all states of the model are measured, or follow from those that are."
         )
-    base = max(_evidence(run, model, pieces, None, 1.0, lag) for lag in LAGS)
-    if not np.isfinite(base):
-        return [], "Signs and units of inputs: the nominal model diverges from the measured states."
-    found: list[Finding] = []
-    for index in range(len(model.inputs)):
-        scores = [
-            (_evidence(run, model, pieces, index, factor, 0.0) - base, factor, meaning)
-            for factor, meaning in _trials(dataset, model, index)
-        ]
-        if scores and max(scores)[0] > ACCEPTED:
-            found.append(_finding(dataset, model, index, *max(scores)))
-    # Of several inputs the one that explains most; the others are judged once it is mended.
-    found.sort(key=lambda one: -(one.gain or 0.0))
-    return found[:1], ""
+    names = model.input_names
+    lagging = [_Trial("delay", names, lag=lag) for lag in LAGS]
+    base = max(_evidence(run, model, pieces, one) for one in lagging)
+    trials = [*_trials(dataset, model), *_late(dataset, model)]
+    scores = [(_evidence(run, model, pieces, one), one) for one in trials]
+    scores = [(score, one) for score, one in scores if np.isfinite(score)]
+    if not np.isfinite(base) and not scores:
+        return [], f"{about}the nominal model diverges from the measured states."
+    if not scores:
+        return [], ""
+    # Of several readings the one that explains most; the others are judged once it is mended.
+    score, best = max(scores, key=lambda pair: pair[0])
+    gain = score - base if np.isfinite(base) else np.inf
+    return ([_finding(dataset, model, best, gain)] if gain > ACCEPTED else []), ""
 
 
-def _finding(
-    dataset: Dataset, model: Model, index: int, gain: float, factor: float, meaning: str
-) -> Finding:
-    channel = model.inputs[index]
-    name = channel.name
-    if meaning == "sign":
-        says = f"{name} acts with the other sign than the nominal model and its priors say."
-        line = f'Input("{name}", "{channel.unit}", sign={-channel.sign:g})'
-        kind = "sign"
-    else:
-        header = f'write the header as "{channel.column or name} [{meaning}]"'
-        says = (
-            f"{name} acts as if it were in {meaning}, not in {channel.unit}."
-            if meaning
-            else f"{name} acts {factor:.3g} times as strongly as logged: converted twice?"
-        )
-        line = header if meaning else f"{COPY}; or correct the unit in the header"
-        kind = "unit"
+def _trials(dataset: Dataset, model: Model) -> list[_Trial]:
+    """Signs and units of each input that moves, and pairs that may be swapped."""
+    result: list[_Trial] = []
+    moving = []
+    for index, channel in enumerate(model.inputs):
+        values = np.concatenate([record.inputs[:, index] for record in dataset])
+        if not np.any(values):
+            continue
+        name = (channel.name,)
+        if np.ptp(values) > 0.0:
+            moving.append(index)
+            result.append(_Trial("sign", name, "sign", -1.0))
+        result += [_Trial("unit", name, m, f) for f, m in UNITS.get(channel.unit, ())]
+    for first, second in combinations(moving, 2):
+        if model.inputs[first].unit == model.inputs[second].unit:
+            names = (model.inputs[first].name, model.inputs[second].name)
+            result.append(_Trial("swap", names, swapped=(first, second)))
+    return result
+
+
+def _late(dataset: Dataset, model: Model) -> list[_Trial]:
+    """Inputs that were logged after the vehicle had answered them."""
+    step = max(record.sample_time for record in dataset)
+    return [_Trial("delay", model.input_names, lag=-lag) for lag in LAGS if lag > 2.0 * step]
+
+
+def _finding(dataset: Dataset, model: Model, one: _Trial, gain: float) -> Finding:
+    channel = next(c for c in model.inputs if c.name == one.names[0])
+    name, both = channel.name, " and ".join(one.names)
+    copy = f"{COPY}; or correct the unit in the header"
+    says, changes, line = {
+        "sign": (
+            f"{name} acts with the other sign than the nominal model and its priors say.",
+            f"the coefficients of {name} are fitted to their mirror image",
+            f'Input("{name}", "{channel.unit}", sign={-channel.sign:g})',
+        ),
+        "unit": (
+            f"{name} acts as if it were in {one.meaning}, not in {channel.unit}."
+            if one.meaning
+            else f"{name} acts {one.factor:.3g} times as strongly as logged: converted twice?",
+            f"the coefficients of {name} are fitted {1.0 / one.factor:.3g} times as large",
+            f'write the header as "{channel.column or name} [{one.meaning}]"'
+            if one.meaning
+            else copy,
+        ),
+        "swap": (
+            f"{both} are in each other's column.",
+            "both commands are fitted to the other one's forces",
+            "exchange the two columns in the headers",
+        ),
+        "delay": (
+            f"the vehicle answers {both} about {-one.lag:.2g} s before the log shows them.",
+            "lags of actuators and damping are wrong by as much",
+            "shift the inputs back in time, or the outputs forward, before the columns are joined",
+        ),
+    }[one.kind]
+    correction = Correction(one.kind, one.names, one.factor)
     return Finding(
-        kind,
-        (name,),
+        one.kind,
+        one.names,
         dataset.names,
         says,
-        f"the coefficients of {name} are fitted {1.0 / factor:.3g} times as large",
+        changes,
         line,
         True,
-        gain=float(gain),
+        gain=None if np.isinf(gain) else float(gain),
         alternatives=("a nominal model or priors that are wrong by as much",),
-        correction=Correction(kind, (name,), float(factor)),
+        correction=correction if one.kind in ("sign", "unit") else None,
     )
 
 
@@ -214,15 +333,6 @@ def _dynamic(model: Model) -> np.ndarray:
     return np.array([i for i, name in enumerate(names) if name in own], dtype=int)
 
 
-def _trials(dataset: Dataset, model: Model, index: int) -> list[tuple[float, str]]:
-    """Factors by which an input may be wrong, and what each means."""
-    values = np.concatenate([record.inputs[:, index] for record in dataset])
-    if not np.any(values):
-        return []
-    sign = [(-1.0, "sign")] if np.ptp(values) > 0.0 else []
-    return [*sign, *UNITS.get(model.inputs[index].unit, ())]
-
-
 def _believed(p: Parameter) -> float:
     """How far a parameter may be from its prior mean."""
     if p.prior_std is None:
@@ -230,26 +340,13 @@ def _believed(p: Parameter) -> float:
     return max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
 
 
-def _changed(record: Record, index: int | None, factor: float, lag: float) -> np.ndarray:
-    """Inputs of a record, one of them multiplied and all of them late."""
-    inputs = np.array(record.inputs)
-    if index is not None:
-        inputs[:, index] *= factor
-    if lag > 0.0:
-        late = [np.interp(record.times - lag, record.times, column) for column in inputs.T]
-        inputs = np.column_stack(late)
-    return inputs
-
-
 def _evidence(
     run: Kernel,
     model: Model,
     pieces: list[_Piecewise],
-    index: int | None,
-    factor: float,
-    lag: float,
+    trial: _Trial,
 ) -> float:
-    """Logarithm of the evidence, times two, of inputs with one of them changed."""
+    """Logarithm of the evidence, times two, of inputs in another reading."""
     columns = _dynamic(model)
     if not columns.size:
         return -np.inf
@@ -259,7 +356,7 @@ def _evidence(
     rest, jacobian, moving = [], [], []
     for piece in pieces:
         record = piece.record
-        inputs = _changed(record, index, factor, lag)
+        inputs = trial.inputs(record)
         nodes = piece.states[piece.starts]
         if run.n_full > run.n_own:  # states of effects begin where own states and inputs say
             nodes = np.array(

@@ -20,6 +20,7 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.claim import GROUP_WIDTH, threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.residual_forces import (
@@ -40,11 +41,8 @@ from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 
 # Shortest and longest correlation time of the disturbances, s: passing and lasting.
 CORRELATION_TIMES = (1.0, 20.0)
-# Gain in twice the log-likelihood below which no place is accused: chance gives more in
-# less than one of a hundred records, fourteen places looked at.
-CLEAR = 12.0
-# Places whose gain is this near the best cannot be told from it.
-GROUP_WIDTH = 6.0
+# Statistic below which no place is accused: what chance rarely gives of fourteen places.
+CLEAR = threshold(14, 1)
 # Share of its gain that a kinematic relation has to be ahead of other places: it is exact, and
 # mostly stands for two sensors that disagree.
 IDENTITY = 0.01
@@ -267,11 +265,7 @@ def locate(
     names = fit.noise.places
     chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
     forces = tuple(series.only(chosen) for series in smoother.series())
-    signatures = {
-        name: tuple(part[:, chosen] for part in smoother.signature(seen))
-        for name, rival in (rivals or {}).items()
-        if (seen := _simulated(rival)) is not None
-    }
+    signatures = _signatures(smoother, rivals or {}, chosen)
     clear = [part for part in found[:N_FIRST] if part.gain > CLEAR]
     return Located(
         places=tuple(part.place for part in found),
@@ -283,6 +277,18 @@ def locate(
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
+
+
+def _signatures(
+    smoother: ResidualForces, rivals: Mapping[str, FilteredSolution], chosen: Sequence[int]
+) -> dict[str, tuple[np.ndarray, ...]]:
+    """Residual forces that would be seen if a rival were the truth, of those that can be run."""
+    runs = {name: _simulated(rival) for name, rival in rivals.items()}
+    return {
+        name: tuple(part[:, chosen] for part in smoother.signature(run))
+        for name, run in runs.items()
+        if run is not None
+    }
 
 
 def simulated(fit: FilteredSolution, index: int) -> np.ndarray:

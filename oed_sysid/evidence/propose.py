@@ -21,7 +21,9 @@ import numpy as np
 from oed_sysid.errors import SimulationError
 from oed_sysid.evidence.claim import GROUP_WIDTH, threshold
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
+from oed_sysid.evidence.rank import ALIKE, N_REFITS
 from oed_sysid.evidence.residual_forces import derivatives, let_in
+from oed_sysid.evidence.score import ABSORBED
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -31,17 +33,8 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import align, as_dict
 from oed_sysid.text import expressions
 
-# Terms refitted, at most this alike among each other.
-N_REFITS, ALIKE = 8, 0.98
-# How much likelier a more complicated term has to be, per factor.
-SIMPLICITY = 1.0
-# Seen from the best term, a rival is refitted if it explains this share of what that one
-# does; so many of the first refits are then repeated beside it.
-RIVAL, N_KEPT = 0.8, 3
-
-
-# What is left of a term after projection, below which free parameters imitate it.
-ABSORBED = 0.01
+# Share of what the best term explains from which a rival, seen from it, is refitted.
+RIVAL = 0.8
 # Terms, of those with the largest statistics, whose likeness is looked at.
 COMPARED = 60
 
@@ -96,8 +89,8 @@ class Proposal:
 
     @property
     def evidence(self) -> float:
-        """Gain less what a more complicated term has to be worth."""
-        return self.gain - SIMPLICITY * self.term.complexity
+        """Gain less what a more complicated term has to be worth: one for every factor."""
+        return self.gain - self.term.complexity
 
 
 @dataclass(frozen=True, eq=False)
@@ -265,7 +258,7 @@ def _representatives(scored: TermScores, count: int) -> list[tuple[TermScore, li
     """The best terms that differ; of those that are alike, the simplest stands for all."""
     result = []
     for family in scored.families(count, ALIKE):
-        ordered = sorted(family, key=lambda s: SIMPLICITY * s.term.complexity - s.statistic)
+        ordered = sorted(family, key=lambda s: s.term.complexity - s.statistic)
         result.append((ordered[0], ordered[1:]))
     return result
 

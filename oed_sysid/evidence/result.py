@@ -29,7 +29,7 @@ MOST_DRAWN = 3
 # Findings with which a fit must not be used whatever its residuals say.
 CONTRADICTIONS = (
     "sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock", "step",
-    "unexplained",
+    "unexplained", "limit", "copied",
 )  # fmt: skip
 
 

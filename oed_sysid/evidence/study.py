@@ -70,6 +70,30 @@ Found = TypeVar("Found")
 
 
 @dataclass(frozen=True, eq=False)
+class Prediction:
+    r"""How likely a model makes the validation records, by Laplace's approximation.
+
+    Attributes
+    ----------
+    misfit : float
+        :math:`\min[-2 \log L_v + (\theta - \hat\theta)' \Lambda (\theta - \hat\theta)]`.
+    known, joint : ndarray (n_shared, n_shared)
+        Information :math:`\Lambda` of the training records about the shared parameters, and that
+        of both, :math:`\Lambda + H_v`, in typical sizes; start states eliminated.
+    """
+
+    misfit: float
+    known: np.ndarray
+    joint: np.ndarray
+
+    @property
+    def value(self) -> float:
+        """Minus twice the log-likelihood."""
+        (sign, both), (own_sign, own) = (np.linalg.slogdet(m) for m in (self.joint, self.known))
+        return float(self.misfit + (max(both - own, 0.0) if sign > 0 and own_sign > 0 else 0.0))
+
+
+@dataclass(frozen=True, eq=False)
 class Study:
     """Records, candidates and the noise setting of one comparison of models.
 
@@ -330,11 +354,16 @@ class Study:
         float
             Up to a constant that all models share; infinite where the model cannot be run.
         """
-        assert self.validation is not None
-        work = partial(self._validated, found, self.validation)
-        return _once("validated", self, found, self.validation, work)
+        prediction = self.predict(found)
+        return np.inf if prediction is None else prediction.value
 
-    def _validated(self, found: FilteredSolution, dataset: Dataset) -> float:
+    def predict(self, found: FilteredSolution) -> Prediction | None:
+        """What :meth:`validate` is made of; None where the model cannot be run."""
+        assert self.validation is not None
+        work = partial(self._predicted, found, self.validation)
+        return _once("predicted", self, found, self.validation, work)
+
+    def _predicted(self, found: FilteredSolution, dataset: Dataset) -> Prediction | None:
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
         rest = np.arange(len(shared), layout.n_unknowns)
@@ -351,18 +380,16 @@ class Study:
         )
         alone = self.alone(found, dataset)
         if alone is None:
-            return np.inf
+            return None
         point = problem.point(alone.initial, alone.local)
         solution = solve_filtered(problem, point, max_iterations=20, tolerance=0.01, polish=0)
         if solution is None:
-            return np.inf
+            return None
         total = solution.matrix + np.diag(problem.limits.prior_weight)
         n = problem.layout.n_unknowns
         both = eliminate(total, shared, np.arange(len(shared), n))
-        sign, value = np.linalg.slogdet(_scaled(both, limits.scale[shared]))
-        own_sign, own = np.linalg.slogdet(_scaled(known, limits.scale[shared]))
-        occam = value - own if sign > 0 and own_sign > 0 else 0.0
-        return float(solution.objective + max(occam, 0.0))
+        scale = limits.scale[shared]
+        return Prediction(solution.objective, _scaled(known, scale), _scaled(both, scale))
 
     def on_records(
         self, found: FilteredSolution, dataset: Dataset, *, same_forces: bool = False

@@ -19,6 +19,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.dictionary import HORIZONTAL, Factors, Term, cyclic, product_text
@@ -112,49 +113,66 @@ class Sizes:
 
 def sizes_of(model: Model, dataset: Dataset) -> Sizes:
     """Sizes that a model's signals have along records, their states measured or guessed."""
-    names = model.state_names
     pooled: dict[str, list[np.ndarray]] = {}
     slopes: dict[str, list[np.ndarray]] = {}
     for record in dataset:
-        seen = measured_states(model, record)
-        series = dict(seen)
-        series |= {k: guess.series for k, guess in kinematic_states(model, record, seen).items()}
-        for position, values in series.items():
-            pooled.setdefault(names[position], []).append(values)
-            slopes.setdefault(names[position], []).append(slope(record.times, values)[0])
-        known = dict(zip(model.input_names, record.inputs.T, strict=True))
-        scope = {**model.values, **known, "t": record.times, "h": record.sample_time}
-        for name, text in model.actuator_signals.items():
-            if not expressions.functions(text) & {f.name for f in model.functions}:
-                found = expressions.to_numpy(text, scope, model.tables)
-                known[name] = np.broadcast_to(found, record.times.shape)
-        known |= dict(zip(model.output_names, record.outputs.T, strict=True))
-        for name, column in known.items():
-            if name not in names:
-                pooled.setdefault(name, []).append(column[np.isfinite(column)])
-    joined = {name: np.concatenate(parts) for name, parts in pooled.items()}
-    swing = {name: float(np.std(values)) for name, values in joined.items() if values.size}
-    level = {
-        name: float(np.sqrt(np.mean(values**2))) for name, values in joined.items() if values.size
-    }
+        series = _states(model, record)
+        for name, values in series.items():
+            slopes.setdefault(name, []).append(slope(record.times, values)[0])
+        for name, values in (series | _others(model, record)).items():
+            pooled.setdefault(name, []).append(values)
+    joined = _joined(pooled)
     duration = float(np.median([record.times[-1] - record.times[0] for record in dataset]))
-    rates = {
-        name: float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) for name, parts in slopes.items()
-    }
-    for state in model.states:  # of a state that nothing tells, what its declaration says
-        swing.setdefault(state.name, state.scale)
-        level.setdefault(state.name, state.scale)
-        rates.setdefault(state.name, 10.0 * state.scale / duration)
+    declared = {state.name: state.scale for state in model.states}  # where nothing tells a state
+    slow = {name: 10.0 * scale / duration for name, scale in declared.items()}
     sample = float(np.median([record.sample_time for record in dataset]))
-    shortest = min(
-        record.sample_time / max(ceil(record.sample_time / model.step - 1e-9), 1)
-        for record in dataset
-    )
     begin = {name: float(values[0]) for name, values in joined.items()}
-    mobility = _mobility(model, dataset, begin)
-    reach = {name: float(np.max(np.abs(v), initial=0.0)) for name, v in joined.items()}
-    both = frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max())
-    return Sizes(swing, level, rates, mobility, reach, both, sample, shortest, duration)
+    return Sizes(
+        swing=declared | {name: float(np.std(values)) for name, values in joined.items()},
+        level=declared | {name: _rms(values) for name, values in joined.items()},
+        rate=slow | {name: _rms(values) for name, values in _joined(slopes).items()},
+        mobility=_mobility(model, dataset, begin),
+        reach={name: float(np.max(np.abs(values))) for name, values in joined.items()},
+        reversing=frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max()),
+        sample=sample,
+        step=min(_step(model, record) for record in dataset),
+        duration=duration,
+    )
+
+
+def _step(model: Model, record: Record) -> float:
+    """Integration step between the samples of a record, s."""
+    return record.sample_time / max(ceil(record.sample_time / model.step - 1e-9), 1)
+
+
+def _joined(parts: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+    """All records of every signal that has a sample."""
+    found = {name: np.concatenate(series) for name, series in parts.items()}
+    return {name: series for name, series in found.items() if series.size}
+
+
+def _rms(series: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(series**2)))
+
+
+def _states(model: Model, record: Record) -> dict[str, np.ndarray]:
+    """States that are measured, or follow from what is by kinematics."""
+    seen = measured_states(model, record)
+    guessed = {k: guess.series for k, guess in kinematic_states(model, record, seen).items()}
+    return {model.state_names[k]: series for k, series in {**seen, **guessed}.items()}
+
+
+def _others(model: Model, record: Record) -> dict[str, np.ndarray]:
+    """Inputs, actuator signals and outputs that are no states."""
+    known = dict(zip(model.input_names, record.inputs.T, strict=True))
+    scope = {**model.values, **known, "t": record.times, "h": record.sample_time}
+    own = {function.name for function in model.functions}
+    for name, text in model.actuator_signals.items():
+        if not expressions.functions(text) & own:
+            found = expressions.to_numpy(text, scope, model.tables)
+            known[name] = np.broadcast_to(found, record.times.shape)
+    known |= dict(zip(model.output_names, record.outputs.T, strict=True))
+    return {n: c[np.isfinite(c)] for n, c in known.items() if n not in model.state_names}
 
 
 def _mobility(model: Model, dataset: Dataset, begin: dict[str, float]) -> dict[str, float]:
@@ -416,6 +434,14 @@ def _products(
         yield f"quadratic_{signal}", (absolute, plain)
         if not model.axes or (other == state and other != "u"):
             yield f"cubic_{signal}", (plain,) * 3
+    yield from _of_commands(model, equation, forward, commands)
+
+
+def _of_commands(
+    model: Model, equation: str, forward: tuple[str, bool], commands: dict[str, str]
+) -> Iterator[tuple[str, Factors]]:
+    """Word and factors of every product with a command."""
+    surges = "u" in model.axes.values()
     for signal, unit in commands.items():
         plain = (signal, False)
         if equation == "X" and unit == "rad":
@@ -479,12 +505,16 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
         flow = (states["u"], states["w"])
         yield forces.current_forward(flow=flow, scale=TENTH * speed)
         yield forces.current_down(flow=flow, scale=0.5 * TENTH * speed)
-    if "u" in states or not model.axes:
-        return
+    if "u" not in states and model.axes:
+        yield from _drifts(model, TENTH * speed)
+
+
+def _drifts(model: Model, scale: float) -> Iterator[Effect]:
+    """A current that carries positions along, where forces do not know the flow."""
     for state in model.states:
         if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
             name = f"drift_{state.name}"
-            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=TENTH * speed)
+            size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=scale)
             yield Force(
                 name,
                 {state.name: size.name},

@@ -220,6 +220,8 @@ def seen_from(kind: str, size: float, unit: str) -> str:
     """Least size of a fault that would be seen, in people's units."""
     unit = {"scale": "1", "delay": "s", "rate": "1", "drift": f"{unit}/s"}.get(kind, unit)
     value, shown = angle_aware(size, unit)
+    if not np.isfinite(size):
+        return ""
     return f"{100.0 * size:.1g} %" if unit == "1" else f"{value:.1g} {shown}"
 
 

@@ -8,31 +8,35 @@ package's simulation, step for step.
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import warnings
+from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 
 from oed_sysid.data.record import closest
 from oed_sysid.errors import ModelError
-from oed_sysid.export.c_code import write_c, write_fmu
-from oed_sysid.export.program import Program, program_of
-from oed_sysid.export.scripts import write_casadi, write_control, write_matlab, write_python
-from oed_sysid.export.symbolic import write_latex, write_sympy
+from oed_sysid.export.c_code import example_test, header, source, write_fmu
+from oed_sysid.export.program import Program, identifier, program_of
+from oed_sysid.export.scripts import control_text, matlab_text, python_text, write_casadi
+from oed_sysid.export.symbolic import latex_text, module_text
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.replay import replayed
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import write_text
 
 __all__ = ["KINDS", "Program", "export", "program_of"]
 
-KINDS: dict[str, Callable[..., tuple[Path, ...]]] = {
-    "c": write_c,
-    "python": write_python,
-    "casadi": write_casadi,
-    "fmu": write_fmu,
-    "matlab": write_matlab,
-    "control": write_control,
-    "sympy": write_sympy,
-    "latex": write_latex,
+Text = Callable[[Program, Path], str]
+# Texts of a kind by the ends of their files' names; of C they need one another's names.
+TEXTS: dict[str, dict[str, Text]] = {
+    "c": {".h": header, ".c": source, "_test.c": example_test},
+    "python": {".py": python_text},
+    "matlab": {".m": matlab_text},
+    "control": {"_linear.py": control_text},
+    "sympy": {"_sympy.py": module_text, ".tex": latex_text},
+    "latex": {".tex": latex_text},
 }
+KINDS = ("c", "python", "casadi", "fmu", "matlab", "control", "sympy", "latex")
 
 
 def export(
@@ -44,6 +48,8 @@ def export(
     ----------
     source : Fit or Model
         A fit, as estimators and ``improve`` return it, brings the covariance of its parameters.
+        Where its process noise has taken the work of physics, the values are those of
+        :func:`~oed_sysid.likelihood.replay.replayed`, and a warning says so.
     kind : str
         ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"``, ``"matlab"``, ``"control"``,
         ``"sympy"`` or ``"latex"``.
@@ -81,17 +87,40 @@ def export(
             f"There is no export {kind!r}. Choose one of {', '.join(KINDS)}."
             + closest(str(kind), KINDS)
         )
+    if isinstance(source, Fit) and (runs := replayed(source)) is not source:
+        warnings.warn(
+            f"{source.model.name}: process noise has taken the work of physics; the exported "
+            f"values are those for runs ({runs.estimator}).",
+            UserWarning,
+            stacklevel=2,
+        )
+        source = runs
     program = program_of(source)
     place = Path(path).expanduser()
-    if kind == "control":
-        return write_control(program, place, trim)
-    if trim:
+    if trim and kind != "control":
         raise ModelError(f"A trim is for kind 'control'; {kind!r} is the whole model.")
-    written = KINDS[kind](program, place)
-    beside = {file.suffix for file in written} & {".json", ".fmu"}
-    if program.is_plain or beside:
-        return written
-    # What people called things, where code cannot carry it.
-    names = written[0].with_suffix(".json")
-    write_text(names, json.dumps(program.describe(), indent=2) + "\n")
-    return (*written, names)
+    if kind in ("casadi", "fmu"):
+        return write_casadi(program, place) if kind == "casadi" else write_fmu(program, place)
+    texts = TEXTS[kind]
+    if kind == "control":
+        texts = {"_linear.py": partial(control_text, trim=trim)}
+    written = {file: texts[tail](program, file) for tail, file in _files(program, kind, place)}
+    if not program.is_plain:  # what people called things, where code cannot carry it
+        names = next(iter(written)).with_suffix(".json")
+        written[names] = json.dumps(program.describe(), indent=2) + "\n"
+    for file, text in written.items():
+        write_text(file, text)
+    return tuple(written)
+
+
+def _files(program: Program, kind: str, place: Path) -> Iterator[tuple[str, Path]]:
+    """Files by the ends of their names: in a folder, or as a user names the first of them."""
+    first = next(iter(TEXTS[kind]))
+    for tail in TEXTS[kind]:
+        ending = tail[tail.index(".") :]
+        if kind != "c" and place.suffix == first[first.index(".") :]:
+            file = place.with_suffix(ending)
+        else:
+            file = place / f"{program.identifier}{tail}"
+        # MATLAB calls a function by the name of its file.
+        yield tail, file.with_name(f"{identifier(file.stem)}.m") if ending == ".m" else file

@@ -30,8 +30,8 @@ import numpy as np
 
 from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.errors import FileError
-from oed_sysid.export.program import IN_C, Example, Program, Routine, example, target_file
-from oed_sysid.runtime.files import whole_file, write_text
+from oed_sysid.export.program import IN_C, Example, Program, Routine, example
+from oed_sysid.runtime.files import whole_file
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.typeset import safe
 
@@ -42,33 +42,7 @@ from oed_sysid.text.typeset import safe
 TOLERANCE = 1e-9
 
 
-def write_c(program: Program, folder: Path) -> tuple[Path, ...]:
-    """Write ``NAME.h``, ``NAME.c`` and ``NAME_test.c``.
-
-    Parameters
-    ----------
-    program : Program
-        The model.
-    folder : Path
-        Where the files go.
-
-    Returns
-    -------
-    tuple of Path
-        The files.
-    """
-    name = program.identifier
-    texts = {
-        f"{name}.h": header(program),
-        f"{name}.c": source(program),
-        f"{name}_test.c": self_test(program, example(program)),
-    }
-    for file, text in texts.items():
-        write_text(folder / file, text)
-    return tuple(folder / file for file in texts)
-
-
-def header(program: Program) -> str:
+def header(program: Program, file: Path | None = None) -> str:
     """Text of the header: sizes, names, and what can be called."""
     return template("model.h").substitute(
         **_names(program),
@@ -83,7 +57,7 @@ def header(program: Program) -> str:
     )
 
 
-def source(program: Program) -> str:
+def source(program: Program, file: Path | None = None) -> str:
     """Text of the source: the model's functions, and the loop around them."""
     model = program.model
     steps = template("implicit.c" if program.implicit else "explicit.c")
@@ -109,8 +83,13 @@ def source(program: Program) -> str:
     )
 
 
+def example_test(program: Program, file: Path | None = None) -> str:
+    """Text of a program that repeats a trajectory of the package on another machine."""
+    return self_test(program, example(program))
+
+
 def self_test(program: Program, run: Example) -> str:
-    """Text of a program that repeats a trajectory of the package."""
+    """Text of a program that repeats one trajectory."""
     return template("self_test.c").substitute(
         **_names(program),
         n=len(run.times),
@@ -194,7 +173,7 @@ def write_fmu(program: Program, path: Path) -> tuple[Path, ...]:
         If the C compiler refuses the code.
     """
     name = program.identifier
-    file = target_file(program, path, ".fmu")
+    file = path if path.suffix == ".fmu" else path / f"{name}.fmu"
     code = source(program)
     guid = hashlib.sha256((code + header(program)).encode()).hexdigest()[:32]
     texts = {

@@ -26,7 +26,6 @@ import keyword
 import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import casadi as ca
 import numpy as np
@@ -366,11 +365,6 @@ def _routine(function: ca.Function) -> Routine:
         tuple(operations),
         flat.sz_w(),
     )
-
-
-def target_file(program: Program, path: Path, ending: str, tail: str = "") -> Path:
-    """A file named by its user, or ``NAME`` with a tail and an ending in a folder."""
-    return path if path.suffix == ending else path / f"{program.identifier}{tail}{ending}"
 
 
 def python_function(dialect: Dialect, routine: Routine, zero: str) -> str:

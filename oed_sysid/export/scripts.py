@@ -36,9 +36,7 @@ from oed_sysid.export.program import (
     IN_PYTHON,
     Program,
     Routine,
-    identifier,
     python_function,
-    target_file,
 )
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import whole_file, write_text
@@ -47,27 +45,7 @@ from oed_sysid.text.typeset import safe
 # -- a Python module that needs NumPy only ---------------------------------------------
 
 
-def write_python(program: Program, path: Path) -> tuple[Path, ...]:
-    """Write a module.
-
-    Parameters
-    ----------
-    program : Program
-        The model.
-    path : Path
-        ``name.py``, or a folder for ``NAME.py``.
-
-    Returns
-    -------
-    tuple of Path
-        The file.
-    """
-    file = target_file(program, path, ".py")
-    write_text(file, python_text(program))
-    return (file,)
-
-
-def python_text(program: Program) -> str:
+def python_text(program: Program, file: Path) -> str:
     """Text of the module."""
     model, names = program.model, program.names
     rows = [
@@ -103,20 +81,8 @@ def python_text(program: Program) -> str:
 # -- a MATLAB function file that runs in Octave too ------------------------------------
 
 
-def write_matlab(program: Program, path: Path) -> tuple[Path, ...]:
-    """Write a function file, named as MATLAB wants it: after its function.
-
-    Parameters
-    ----------
-    program : Program
-        The model; explicit only.
-    path : Path
-        Folder for ``NAME.m``, or ``NAME.m`` itself.
-
-    Returns
-    -------
-    tuple of Path
-        The file.
+def matlab_text(program: Program, file: Path) -> str:
+    """Text of the function file, whose function has the name of the file.
 
     Raises
     ------
@@ -128,18 +94,10 @@ def write_matlab(program: Program, path: Path) -> tuple[Path, ...]:
             f"Model {program.model.name!r} is stiff (integrator='implicit'), which is not written "
             "for MATLAB. Export it as c, python or fmu."
         )
-    name = identifier(path.stem) if path.suffix == ".m" else program.identifier
-    file = path.with_name(f"{name}.m") if path.suffix == ".m" else path / f"{name}.m"
-    write_text(file, matlab_text(program, name))
-    return (file,)
-
-
-def matlab_text(program: Program, name: str) -> str:
-    """Text of the function file."""
     model, names = program.model, program.names
     return template("model.m.txt").substitute(
         origin=program.origin,
-        name=name,
+        name=file.stem,
         states=_strings(names.states),
         inputs=_strings(names.inputs),
         input_units=_strings(names.input_units),
@@ -256,25 +214,18 @@ if __name__ == "__main__":
 ''')
 
 
-def write_control(
-    program: Program, path: Path, trim: Mapping[str, float] | None = None
-) -> tuple[Path, ...]:
-    """Write a Python file that makes a ``control.StateSpace``.
+def control_text(program: Program, file: Path, trim: Mapping[str, float] | None = None) -> str:
+    """Text of a Python file that makes a ``control.StateSpace``.
 
     Parameters
     ----------
     program : Program
         The model.
-    path : Path
-        ``name.py``, or a folder for ``NAME_linear.py``.
+    file : Path
+        The file.
     trim : mapping of str to float, optional
         Inputs and states that are given there; inputs that are left out are zero, states are
         solved for.
-
-    Returns
-    -------
-    tuple of Path
-        The file.
 
     Raises
     ------
@@ -307,32 +258,27 @@ def write_control(
         else np.zeros_like(matrices[k])
         for k in (0, 1)
     ]
-    file = target_file(program, path, ".py", "_linear")
     names, values = program.names, [float(value) for value in model.value_vector]
     a, b, c, d = (_rows(one) for one in matrices)
-    write_text(
-        file,
-        _TEXT.substitute(
-            origin=program.origin,
-            file=safe(file.name),
-            states=dict(zip(names.states, point.states.values(), strict=False)),
-            inputs=dict(zip(names.inputs, point.inputs.values(), strict=True)),
-            a=a,
-            b=b,
-            c=c,
-            d=d,
-            a_std=_rows(spread[0]),
-            b_std=_rows(spread[1]),
-            parameters=dict(zip(names.parameters, values, strict=True)),
-            estimated=names.free,
-            covariance=program.covariance.tolist(),
-            input_names=list(names.inputs),
-            output_names=list(names.outputs),
-            state_names=list(names.states),
-            name=repr(program.identifier),
-        ),
+    return _TEXT.substitute(
+        origin=program.origin,
+        file=safe(file.name),
+        states=dict(zip(names.states, point.states.values(), strict=False)),
+        inputs=dict(zip(names.inputs, point.inputs.values(), strict=True)),
+        a=a,
+        b=b,
+        c=c,
+        d=d,
+        a_std=_rows(spread[0]),
+        b_std=_rows(spread[1]),
+        parameters=dict(zip(names.parameters, values, strict=True)),
+        estimated=names.free,
+        covariance=program.covariance.tolist(),
+        input_names=list(names.inputs),
+        output_names=list(names.outputs),
+        state_names=list(names.states),
+        name=repr(program.identifier),
     )
-    return (file,)
 
 
 def _moved(model: Model, name: str, by: float) -> Model:

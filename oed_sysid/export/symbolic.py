@@ -9,9 +9,8 @@ from string import Template
 
 import numpy as np
 
-from oed_sysid.export.program import IN_SYMPY, Program, python_function, target_file
+from oed_sysid.export.program import IN_SYMPY, Program, python_function
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.files import write_text
 from oed_sysid.text import notation
 from oed_sysid.text.expressions import to_latex
 from oed_sysid.text.typeset import safe, safe_unit
@@ -74,36 +73,7 @@ $rows
 """)
 
 
-def write_sympy(program: Program, path: Path) -> tuple[Path, ...]:
-    """Write ``NAME_sympy.py`` and ``NAME.tex``.
-
-    Parameters
-    ----------
-    program : Program
-        The model.
-    path : Path
-        Folder, or ``name.py`` (``name.tex`` is written beside it).
-
-    Returns
-    -------
-    tuple of Path
-        The files.
-    """
-    module = target_file(program, path, ".py", "_sympy")
-    page = path.with_suffix(".tex") if module == path else target_file(program, path, ".tex")
-    write_text(module, module_text(program))
-    write_text(page, latex_text(program))
-    return module, page
-
-
-def write_latex(program: Program, path: Path) -> tuple[Path, ...]:
-    """Write the equations and the values as ``NAME.tex``; parameters as for :func:`write_sympy`."""
-    page = target_file(program, path, ".tex")
-    write_text(page, latex_text(program))
-    return (page,)
-
-
-def module_text(program: Program) -> str:
+def module_text(program: Program, file: Path) -> str:
     """Text of the module."""
     model = program.model
 
@@ -132,7 +102,7 @@ def module_text(program: Program) -> str:
     )
 
 
-def latex_text(program: Program) -> str:
+def latex_text(program: Program, file: Path) -> str:
     """The equations and a table of values as a LaTeX document."""
     model = program.model
     values = dict(zip(model.parameter_names, map(float, model.value_vector), strict=True))

@@ -5,7 +5,7 @@ Structural identifiability: what no manoeuvre and no accuracy could separate.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -338,21 +338,24 @@ class _Search:
         return kept
 
     def _improved(self, kept: list[int]) -> list[int]:
-        """Add one, else put two for one, else one for one that makes the columns less alike."""
+        """Take the best of the first kind of move that improves the set, while there is one."""
         while True:
-            value = float(self._of([kept])[0]) if kept else np.inf
-            outside = [i for i in self.candidates if i not in kept]
-            rests = [[j for j in kept if j != k] for k in kept]
-            added = [[*kept, i] for i in outside]
-            doubled = [[*rest, i, j] for rest in rests for i, j in combinations(outside, 2)]
-            swapped = [[*rest, i] for rest in rests for i in outside]
-            for sets, threshold in ((added, 0.0), (doubled, 0.0), (swapped, value * (1 + 1e-9))):
+            for sets, threshold in self._moves(kept):
                 values = self._of(sets) if sets else np.zeros(1)
                 if values.max() > threshold:
                     kept = sets[int(np.argmax(values))]
                     break
             else:
                 return kept
+
+    def _moves(self, kept: list[int]) -> Iterator[tuple[list[list[int]], float]]:
+        """Add one; put two for one; put one for one, which has to make the columns less alike."""
+        outside = [i for i in self.candidates if i not in kept]
+        rests = [[j for j in kept if j != k] for k in kept]
+        yield [[*kept, i] for i in outside], 0.0
+        yield [[*rest, i, j] for rest in rests for i, j in combinations(outside, 2)], 0.0
+        least = self._worth(kept)[1] * (1.0 + 1e-9)
+        yield [[*rest, i] for rest in rests for i in outside], least
 
 
 def _place(

@@ -18,14 +18,14 @@ on cheap derivatives first (sums of products; frozen gain), then on exact ones.
 module                          subject
 =============================== ===========================================================
 ``unknowns``                    layout, bounds, priors, scales
-``start_guess``, ``starts``     where to begin: measurements, kinematics, an earlier fit, and
-                                globalisation by short intervals with all starts free
+``start_guess``, ``starts``     where to begin: measurements, kinematics, an earlier fit
+``windows``                     windows with free start states: globalisation, horizons
 ``shooting``                    white sensors: nodes, condensed derivatives, losses
-``horizons``                    predictions a short time ahead, start states eliminated
+``horizons``                    predictions a short time ahead, and their errors
 ``captive``                     forces measured at given motion, in the same likelihood
 ``filtered``, ``random_forces`` process noise and autocorrelated sensors: filter, levels
 ``score_test``                  whether process noise acts at all
-``gauss_newton``                iterates with their derivatives, and the search
+``gauss_newton``                direction, step control, convergence: the one solver
 ``multiple_shooting``           from records to a fit: the estimator
 ``covariance``, ``summary``     what the end says about errors, as a :class:`~.fit.Fit`
 ``between_records``             errors from what records say apart, and whether they agree

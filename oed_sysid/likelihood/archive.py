@@ -355,7 +355,7 @@ def read_result(path: str | Path, kind: str) -> tuple[Any, dict[str, Any]]:
 def _check_head(path: str | Path, data: Mapping[str, Any], wanted: str) -> None:
     """Raise :class:`DataError` unless a result is of this format and says who made it."""
     version, made = data["format"], data.get("made", {})
-    if type(version) is not int:
+    if type(version) is not int or version < 1:
         raise DataError(f"{path} is of format {version!r:.40}, which is none. {wanted}")
     if version > FORMAT:
         by = made.get("version", "?") if isinstance(made, dict) else "?"

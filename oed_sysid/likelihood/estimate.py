@@ -88,6 +88,29 @@ class ActuatorStart:
 
 
 @dataclass(frozen=True)
+class Binding:
+    """A bound or constraint at which an estimate ends.
+
+    Attributes
+    ----------
+    text : str
+        ``"N_v <= 0"``.
+    beyond, std : float
+        How far beyond it the optimum of the records lies, and the standard error of that, to
+        first order.
+    """
+
+    text: str
+    beyond: float
+    std: float
+
+    @property
+    def distance(self) -> float:
+        """How far beyond, in standard errors."""
+        return self.beyond / self.std
+
+
+@dataclass(frozen=True)
 class ProcessNoiseTest:
     """What the fit to white noise said of process noise, and of what that would absorb.
 
@@ -206,6 +229,8 @@ class Estimate:
     n_windows: int = 0
     attempts: Attempts | None = None
     posterior: Posterior | None = None
+    purpose: str = "derivatives"
+    binding: tuple[Binding, ...] = ()
 
     def __post_init__(self) -> None:
         if self.noise is None:

@@ -50,8 +50,10 @@ class Solver:
     hessian : str
         For IPOPT: ``"gauss-newton"`` or ``"exact"``.
     constraints : sequence of str
-        For IPOPT: comparisons among parameters, such as ``"M_uq < 0"`` or
-        ``"Y_v*N_r > N_v*Y_r"``. Standard errors ignore them.
+        For IPOPT, in SI units: comparisons among parameters, ``"M_uq < 0"`` or
+        ``"Y_v*N_r > N_v*Y_r"``; of predicted outputs along every record, ``"z < 25"``, and at its
+        ends, ``"start(theta) == 0"``, ``"end(u) > 1.5"``. Those that bind are a concern of the fit;
+        standard errors ignore them.
     """
 
     method: str = "gauss-newton"

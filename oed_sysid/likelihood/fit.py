@@ -17,6 +17,7 @@ from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.estimate import (
     ActuatorStart,
     Attempts,
+    Binding,
     CaptiveErrors,
     Delay,
     Estimate,
@@ -139,6 +140,12 @@ class Fit(Estimate):
         Where all starts ended; None where there was one.
     posterior : Posterior, or None
         Draws of a sampler.
+    purpose : str
+        ``"derivatives"``, or ``"replay"`` of one that
+        :func:`~oed_sysid.likelihood.replay.replayed` has made for runs of a model that lacks
+        physics.
+    binding : tuple of Binding
+        Bounds and constraints at which it ends, the farthest exceeded first.
     extras : mapping
         What else an estimator tells of its way, such as the course of a recursion. Nothing in the
         package is decided by it.
@@ -172,7 +179,9 @@ class Fit(Estimate):
     def _unasked(self) -> str:
         """Why runs under the noise model would not be those of the sea; empty where they would."""
         waves = [one for one in self.concerns if one.kind == "swing"]
-        if not waves or not self.noise.has_forces:
+        # Where a sea was looked for, and none or one was found, what is left is no such wave.
+        asked = self.process_noise is not None or self.noise.seas
+        if not waves or asked or not self.noise.has_forces:
             return ""
         return (
             f"innovations are narrow-band about {waves[0].size:.2g} s, which the noise model "
@@ -180,14 +189,30 @@ class Fit(Estimate):
         )
 
     @property
+    def _records_differ(self) -> bool:
+        """Whether the stated errors do not hold what differs between records."""
+        return any(concern.kind == "records_differ" for concern in self.concerns)
+
+    @property
     def caveat(self) -> str:
         """What to add to every interval that follows from the standard errors; often empty."""
-        if not any(concern.kind == "records_differ" for concern in self.concerns):
-            return ""
-        return (
-            "Records of the fit differ by more than its standard errors say, so these intervals "
-            "are too narrow: predict from fit.with_record_errors()."
-        )
+        found = []
+        if self._records_differ:
+            found.append(
+                "Records of the fit differ by more than its standard errors say, so these "
+                "intervals are too narrow: predict from fit.with_record_errors()."
+            )
+        if self.purpose == "replay":
+            found.append(
+                "These values are for runs of a model that lacks physics: intervals hold about 60 "
+                "in place of 95 of 100. The scatter between records says more."
+            )
+        elif self.noise.has_forces and self.whole_runs.took_the_work:
+            found.append(
+                "Process noise has taken the work of physics, and these values are for "
+                "derivatives: runs are better with those of replayed(fit)."
+            )
+        return " ".join(found)
 
     def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
         """Predict other records; see :func:`oed_sysid.likelihood.prediction.predict`.
@@ -458,7 +483,7 @@ class Fit(Estimate):
         if not self.names:
             return [Table(("no free parameter: initial states only",), ())]
         # A column of its own where the stated errors do not hold what differs between records.
-        differ = bool(self.caveat)
+        differ = self._records_differ
         scattered = self.record_errors
         head = ("std. error", "between records") if differ else ("std. error",)
         headers = ("parameter", "value", *head, "rel. %", "unit", "")
@@ -713,6 +738,7 @@ ARCHIVED: tuple[type, ...] = (
         Fit,
         Status,
         ProcessNoiseTest,
+        Binding,
         Delay,
         ActuatorStart,
         CaptiveErrors,

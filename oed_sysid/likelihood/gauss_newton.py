@@ -44,7 +44,7 @@ What is minimised says only how a point is evaluated (:class:`Iterate`) and how 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 from typing import Any, Protocol
 
@@ -52,6 +52,7 @@ import numpy as np
 
 from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.shooting import Linearisation, Point, Shooting
@@ -549,6 +550,23 @@ class Solution:
     cost: float
     iterations: int
     reason: str
+
+    @property
+    def residuals(self) -> Sequence[np.ndarray]:
+        """Measured less model ``(n_times, n_outputs)``, per record."""
+        return self.linearisation.residuals
+
+    def levels(self, shooting: Shooting) -> np.ndarray:
+        """Noise levels that the residuals show, unknowns counted, ``(n_outputs,)``."""
+        return residual_levels(self.residuals, shooting.n_unknowns)
+
+    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        return shooting.normal_equations(self.linearisation)
+
+    def rated(self, shooting: Shooting) -> Solution:
+        """The same end, its cost that of a problem with other noise levels."""
+        return replace(self, cost=shooting.cost(self.linearisation, self.point.unknowns))
 
 
 def solve(

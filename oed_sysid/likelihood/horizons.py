@@ -22,9 +22,9 @@ of the noise and the samples per independent one. Independent tests, such as cap
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -37,11 +37,9 @@ from oed_sysid.likelihood.information import Information, effective_sample_size
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.projection import share_of
 from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.summary import Found, failed
+from oed_sysid.likelihood.summary import Found
 from oed_sysid.likelihood.windows import CONTROL, Windows
 
-# Alternations between noise levels and parameters, and the change of a level that is none.
-NOISE_ROUNDS, SETTLED = 4, 1e-2
 # Share of a record's windows over which scores are taken to be related.
 RELATED = 0.1
 # Windows per parameter that a covariance from their scores needs.
@@ -59,70 +57,119 @@ def check_horizon(shooting: Shooting, horizon: float) -> None:
         )
 
 
-def fit_horizons(
+@dataclass(frozen=True, eq=False)
+class WindowSolution:
+    """Where the iterations over windows ended; see :class:`.gauss_newton.Solution`.
+
+    ``paths`` are outputs and states of the windows, put together per record.
+    """
+
+    problem: Windows
+    horizon: float
+    now: Iterate
+    iterations: int
+    reason: str
+
+    @property
+    def point(self) -> Point:
+        """Unknowns, and start states of the windows."""
+        return self.now.point
+
+    @property
+    def cost(self) -> float:
+        """Half the sum of squares, priors included."""
+        return self.now.cost
+
+    @cached_property
+    def paths(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Outputs and states of the windows, put together per record."""
+        return list(zip(*predictions(self.problem, self.point), strict=True))
+
+    @property
+    def residuals(self) -> Sequence[np.ndarray]:
+        """Measured less predicted ``(n_times, n_outputs)``, per record."""
+        pairs = zip(self.problem.shooting.records, self.paths, strict=True)
+        return [record.outputs - outputs for record, (outputs, _) in pairs]
+
+    def levels(self, shooting: Shooting) -> np.ndarray:
+        """Noise levels that the residuals of the windows show, start states counted."""
+        own = self.problem.n_windows * min(shooting.layout.n_own, len(shooting.sigma))
+        return residual_levels(self.residuals, len(shooting.layout.shared) + own)
+
+    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Newton matrix and right-hand side, priors excluded."""
+        return self.now.equations.matrix, self.now.equations.right
+
+    def rated(self, shooting: Shooting) -> WindowSolution:
+        """The same end where the noise levels are those of another problem."""
+        problem = self.problem.rated(shooting)
+        now = problem.at(self.point)
+        return self if now is None else replace(self, problem=problem, now=now)
+
+
+def solve_windows(
     shooting: Shooting,
-    horizon: float,
-    estimated: np.ndarray,
+    point: Point,
     *,
-    estimator: str,
+    horizon: float,
     max_iterations: int,
     tolerance: float,
-    coloured: str,
-    progress: Callable[[Progress], None] | None = None,
-) -> Fit:
-    """Fit short predictions.
+    callback: Callable[[Progress], None] | None = None,
+) -> WindowSolution | None:
+    """Minimise over windows of a horizon; None where the model diverges within the first.
 
     Parameters
     ----------
     shooting : Shooting
         The problem.
+    point : Point
+        Where to begin; only its unknowns are used.
     horizon : float
         Length of a window, s.
-    estimated : ndarray of bool (n_outputs,)
-        Noise levels to estimate.
-    estimator : str
-        Name for reports.
-    max_iterations, tolerance, progress
-        As in :class:`~oed_sysid.likelihood.multiple_shooting.MultipleShooting`.
+    max_iterations, tolerance, callback
+        See :func:`oed_sysid.likelihood.gauss_newton.solve`.
+    """
+    problem = Windows.overlapping(shooting, horizon, point.unknowns)
+    begin = problem.at(problem.start)
+    if begin is None:
+        return None
+    descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
+    reason = descent.run(max_iterations, callback=callback)
+    return WindowSolution(problem, horizon, descent.now, descent.steps + 1, reason)
+
+
+def summarise_windows(
+    solution: WindowSolution,
+    estimated: np.ndarray,
+    estimator: str,
+    iterations: int,
+    began: float,
+    *,
+    coloured: str = "auto",
+) -> Fit:
+    """Build the result; its predictions and residuals are those of the windows.
+
+    Parameters
+    ----------
+    solution : WindowSolution
+    estimated, estimator, iterations, began
+        See :func:`oed_sysid.likelihood.summary.summarise`.
     coloured : str
         ``"never"`` reports the inverse information, otherwise the covariance at the head of this
         module.
-
-    Returns
-    -------
-    Fit
-        Its predictions and residuals are those of the windows.
     """
-    began = time.perf_counter()
-    check_horizon(shooting, horizon)
-    iterations = 0
-    for _ in range(1 + NOISE_ROUNDS * bool(estimated.any())):
-        problem = Windows.overlapping(shooting, horizon)
-        begin = problem.at(problem.start)
-        if begin is None:
-            return failed(shooting, estimated, estimator, iterations, began)
-        descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
-        reason = descent.run(max_iterations, callback=progress)
-        now, iterations = descent.now, iterations + descent.steps + 1
-        outputs, states = predictions(problem, now.point)
-        errors = [r.outputs - o for r, o in zip(shooting.records, outputs, strict=True)]
-        layout = shooting.layout
-        free = problem.n_windows * min(layout.n_own, len(shooting.sigma))
-        levels = residual_levels(errors, len(layout.shared) + free)
-        sigma = np.where(estimated, np.maximum(levels, 1e-12), shooting.sigma)
-        if np.max(np.abs(np.log(sigma / shooting.sigma))) < SETTLED:
-            break
-        shooting = shooting.with_sigma(sigma)
+    problem, now = solution.problem, solution.now
+    shooting = problem.shooting
     information, covariance, sources, scattered = _uncertainty(problem, now, coloured)
     found = Found(
-        estimator, estimated, began, iterations, reason, now.cost, information, covariance,
-        coloured != "never" and problem.n_windows > 0, sources,
-        list(zip(outputs, states, strict=True)),
+        estimator, estimated, began, iterations, solution.reason, solution.cost, information,
+        covariance, coloured != "never" and problem.n_windows > 0, sources, solution.paths,
     )  # fmt: skip
+    n_own = shooting.layout.n_own
     return replace(
         found.fit(shooting, now.point.unknowns, shooting.sigma),
-        initial_states=tuple(path[0, : layout.n_own].copy() for path in states),
-        horizon=horizon,
+        initial_states=tuple(states[0, :n_own].copy() for _, states in solution.paths),
+        horizon=solution.horizon,
         n_windows=problem.n_windows,
         tests_scatter=scattered,
     )

@@ -118,7 +118,8 @@ class Concern:
     kind : str
         ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
         ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
-        ``process_noise``, ``integration``, ``runaway``, ``degenerate`` or ``few_samples``.
+        ``process_noise``, ``constraint``, ``integration``, ``runaway``, ``degenerate`` or
+        ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -129,8 +130,8 @@ class Concern:
         a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the
         standard error (``records_differ``), the true input over the logged one (``other_way``),
         noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
-        the signal (``degenerate``), samples per unknown (``few_samples``), the score test's
-        2 delta ln L (``process_noise``).
+        the signal (``degenerate``), samples per unknown (``few_samples``), standard errors
+        (``constraint``), the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -391,6 +392,14 @@ def _process_noise(fit: Estimate) -> Iterator[Found]:
         yield Found(test.statistic, facts={"failed": test.failed})
 
 
+def _binding(fit: Estimate) -> Iterator[Found]:
+    """Bounds and constraints that the records would leave."""
+    for one in fit.binding:
+        name = one.text.split()[0]
+        facts = {"text": one.text, "beyond": one.beyond}
+        yield Found(one.distance, name if name in fit.names else "", facts=facts)
+
+
 def _absorbed(fit: Estimate) -> Iterator[Found]:
     """Estimated levels that hold what the model does not explain."""
     if fit.innovations is not None or not fit.sigma_estimated.any():
@@ -540,8 +549,8 @@ def _runaway(fit: Estimate) -> Iterator[Found]:
 def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     """Change of the outputs with a finer step in noise levels: the worst, its output and record.
 
-    With disturbance forces the model alone may drift away; there pieces of ``PIECE`` samples begin
-    at the states of the simulation.
+    With disturbance forces, or where windows are predicted, the model alone may drift away; there
+    pieces of ``PIECE`` samples begin at the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
     sigma = fit.sigma
@@ -555,7 +564,8 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     for index, record in enumerate(fit.dataset):
         values, before = values_of(fit, index), fit.predictions[index]
         states = fit.states[index]
-        if fit.innovations is None or states.shape[1] != coarse.n_full:
+        whole = fit.innovations is None and fit.horizon is None
+        if whole or states.shape[1] != coarse.n_full:
             own = fit.initial_states[index]
             z0, _ = fine.start(own, record.inputs[0], values, record.times[0])
             after = fine.run(record.times, record.inputs, values, z0).outputs
@@ -563,9 +573,10 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
             last = int(np.isfinite(states).all(axis=1).cumprod().sum())
             starts = np.arange(0, record.n_samples, PIECE)
             starts = starts[starts < last] if last else starts[:1]
-            after = fine.run(
-                record.times, record.inputs, values, states[starts], starts=starts
-            ).outputs
+            before, after = (
+                one.run(record.times, record.inputs, values, states[starts], starts=starts).outputs
+                for one in (coarse, fine)
+            )
         measured = np.isfinite(record.outputs).any(axis=0)
         known = np.isfinite(before).all(axis=1)
         if not known.any():
@@ -784,6 +795,12 @@ CHECKS = (
         "fit without it. Look for what is missing with improve() and for faults of the log "
         "with `oed-sysid check`, or name the disturbed equations, such as "
         "disturbances=('Z', 'M').",
+    ),
+    Check(
+        "constraint", _binding, "any bound or constraint that the optimum lies beyond",
+        "{text} binds: the optimum of the records lies {beyond:.3g} beyond ({size:.2g} standard "
+        "errors). Standard errors are of values within it; where the records are right about it, "
+        "widen it, else look for what bends them.",
     ),
     Check("other_way", _other_way, "see departures.other_way", "{text}"),
     Check(

@@ -12,6 +12,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
+from oed_sysid.likelihood.binding import binding
 from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
@@ -25,11 +26,15 @@ from oed_sysid.likelihood.estimator import (
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
-from oed_sysid.likelihood.horizons import fit_horizons
+from oed_sysid.likelihood.horizons import (
+    WindowSolution,
+    check_horizon,
+    solve_windows,
+    summarise_windows,
+)
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     credible_levels,
-    residual_levels,
     signal_spread,
     spike_masks,
     start_levels,
@@ -81,7 +86,8 @@ NOISE_ROUNDS = 12
 # Most rounds in which spikes are looked for; large ones hide small ones.
 SPIKE_ROUNDS = 4
 
-Minimiser = Callable[..., Solution | None]
+Ended = Solution | WindowSolution
+Minimiser = Callable[..., Ended | None]
 
 
 @dataclass(frozen=True)
@@ -260,8 +266,6 @@ class MultipleShooting:
     ) -> Fit:
         began = time.perf_counter()
         shooting, estimated = self._begun(model, dataset, warm, initial_states, known_starts)
-        if self.horizon is not None:
-            return self._ahead(shooting, estimated, known_starts)
         model = shooting.model
         point = _first_point(shooting, warm, guessed=initial_states is not None)
         wanted = self._wants_process_noise(model, dataset)
@@ -272,16 +276,19 @@ class MultipleShooting:
         task = _Task(model, known_starts, estimated, began, carried)
         fit = white = self._summary(task, end, weighed=not wanted)
         interrupted = fit.status.code == "interrupted"
-        if self.loss == "auto" and not interrupted:
+        if self.loss == "auto" and self.horizon is None and not interrupted:
             fit = self._without_spikes(fit, model, known_starts)
         disturbed = None
         if wanted and not interrupted:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
-            if not self._tests(model) or disturbed.status.code not in FAILED:
+            code = disturbed.status.code
+            if code not in FAILED and _only_alone(disturbed, fit):
+                code = "diverged"
+            if not self._tests(model) or code not in FAILED:
                 return disturbed
-            fit = _failed(fit, disturbed.status.code)
+            fit = _failed(fit, code)
         if wanted:
             fit, end = self._weighed(fit, white, task, end)
         fit = _judged(fit, model)
@@ -313,36 +320,22 @@ class MultipleShooting:
             known_starts=known_starts,
         )
         check_enough_samples(shooting)
+        if self.horizon is not None:
+            check_horizon(shooting, self.horizon)
+            if known_starts is not None and known_starts.of_series(dataset):
+                raise ModelError(
+                    "start_states are those of whole records; windows of a horizon begin from "
+                    "states of their own. Drop one of the two."
+                )
         if self.solver.method == "ipopt":
             shooting = shooting.with_intervals(shooting.interval_samples)
         return shooting, estimated
-
-    def _ahead(
-        self, shooting: Shooting, estimated: np.ndarray, known_starts: KnownStarts | None
-    ) -> Fit:
-        """The fit of predictions a horizon ahead."""
-        assert self.horizon is not None
-        if known_starts is not None and known_starts.of_series(shooting.dataset):
-            raise ModelError(
-                "start_states are those of whole records; windows of a horizon begin from "
-                "states of their own. Drop one of the two."
-            )
-        return fit_horizons(
-            shooting,
-            self.horizon,
-            estimated,
-            estimator=self.name,
-            max_iterations=self.solver.max_iterations,
-            tolerance=self.solver.tolerance,
-            coloured=self.coloured,
-            progress=self.progress,
-        )
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
         """Whether process noise is to be tested for or estimated."""
         asked = self.disturbances != "none" or bool(random_effects(model.effects))
         series = not all(record.independent for record in dataset)
-        return asked and series and not self._white_only
+        return asked and series and self.horizon is None and not self._white_only
 
     def _tests(self, model: Model) -> bool:
         """Whether the records decide if process noise acts, and nobody has asked for it."""
@@ -371,16 +364,19 @@ class MultipleShooting:
         return _End(shooting, solution, iterations)
 
     def _summary(self, task: _Task, end: _End, *, weighed: bool = True) -> Fit:
-        return summarise(
-            end.shooting,
-            end.solution,
-            task.estimated,
-            self.name,
-            end.iterations,
-            task.began,
-            coloured=self.coloured,
-            weighed=weighed,
-        )
+        how = (task.estimated, self.name, end.iterations, task.began)
+        if isinstance(end.solution, WindowSolution):
+            fit = summarise_windows(end.solution, *how, coloured=self.coloured)
+        else:
+            fit = summarise(
+                end.shooting, end.solution, *how, coloured=self.coloured, weighed=weighed
+            )
+        if end.solution is None:
+            return fit
+        equations = end.solution.equations(end.shooting)
+        unknowns = end.solution.point.unknowns
+        found = binding(end.shooting, unknowns, *equations, self.solver.constraints)
+        return replace(fit, binding=found)
 
     def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> tuple[Fit, _End]:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
@@ -521,7 +517,7 @@ class MultipleShooting:
             return None
         if solution is None:
             return None
-        return summarise_filtered(
+        found = summarise_filtered(
             solution,
             task.estimated,
             f"{self.name}, random forces",
@@ -529,21 +525,22 @@ class MultipleShooting:
             task.began,
             coloured=self.coloured,
         )
+        ends = solution.point.unknowns, solution.matrix, solution.right
+        return replace(found, binding=binding(solution.problem, *ends))
 
     def _estimate_noise(
         self,
         shooting: Shooting,
-        solution: Solution,
+        solution: Ended,
         estimated: np.ndarray,
         minimise: Minimiser,
-    ) -> tuple[Shooting, Solution, int]:
+    ) -> tuple[Shooting, Ended, int]:
         """Alternate between noise levels and everything else until the levels stay."""
         iterations = 0
         least = 1e-9 * signal_spread(shooting.dataset)
         for _ in range(NOISE_ROUNDS):
-            residuals = solution.linearisation.residuals
-            levels = residual_levels(residuals, shooting.n_unknowns)
-            sigma = np.where(estimated, np.maximum(levels, least), shooting.sigma)
+            levels = np.maximum(solution.levels(shooting), least)
+            sigma = np.where(estimated, levels, shooting.sigma)
             change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
             shooting = shooting.with_sigma(sigma)
             if change < 1e-3 or solution.reason == "interrupted":
@@ -552,12 +549,13 @@ class MultipleShooting:
             if again is None:
                 break
             solution, iterations = again, iterations + again.iterations
-        cost = shooting.cost(solution.linearisation, solution.point.unknowns)
-        return shooting, replace(solution, cost=cost), iterations
+        return shooting, solution.rated(shooting), iterations
 
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""
         minimise: Minimiser = solve
+        if self.horizon is not None:
+            minimise = partial(solve_windows, horizon=self.horizon)
         if self.solver.method == "ipopt":
             minimise = NonlinearProgram(
                 shooting, hessian=self.solver.hessian, constraints=self.solver.constraints
@@ -571,9 +569,9 @@ class MultipleShooting:
 
     def _solve(
         self, shooting: Shooting, point: Point, minimise: Minimiser
-    ) -> tuple[Solution | None, int]:
+    ) -> tuple[Ended | None, int]:
         """Iterate from near, from far, or from both, and return the better end."""
-        if self.start == "near":
+        if self.start == "near" or self.horizon is not None:
             only = minimise(shooting, point)
             return only, only.iterations if only else 0
         begin = misfit(shooting, point)
@@ -621,18 +619,18 @@ class _End:
     """Where the fit without process noise ended."""
 
     shooting: Shooting
-    solution: Solution | None
+    solution: Ended | None
     iterations: int
 
 
-def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
+def _trusted(begin: float, shooting: Shooting, found: Ended) -> bool:
     """Whether an end is no doubtful minimum: it began or ended near the records."""
     if found.reason not in ENDED:
         return False
     return begin < DOUBTFUL or misfit(shooting, found.point) < GOOD
 
 
-def _better(first: Solution | None, second: Solution | None) -> tuple[Solution | None, int]:
+def _better(first: Ended | None, second: Ended | None) -> tuple[Ended | None, int]:
     """The better of two ends, and the iterations of both."""
     found = [one for one in (first, second) if one is not None]
     if not found:
@@ -652,6 +650,15 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
 def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
+
+
+def _only_alone(disturbed: Fit, white: Fit) -> bool:
+    """Whether whole runs diverge with the values of the one fit and not with those of the other."""
+    own, other = (
+        all(np.isfinite(part).all() for part in fit.predictions) for fit in (disturbed, white)
+    )
+    # Those are runs from starts that the filter estimated; whole runs have their own.
+    return not own and other and bool(disturbed.whole_runs.diverging)
 
 
 def _failed(fit: Fit, code: str) -> Fit:
@@ -743,12 +750,12 @@ def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     return told
 
 
-def _explains(shooting: Shooting, solution: Solution | None) -> bool:
+def _explains(shooting: Shooting, solution: Ended | None) -> bool:
     """Whether a solution leaves less than half of the motion of every output."""
     if solution is None:
         return False
     spread = signal_spread(shooting.dataset)
-    residuals = np.vstack(solution.linearisation.residuals)
+    residuals = np.vstack(solution.residuals)
     seen = np.isfinite(residuals)
     squares = np.where(seen, residuals, 0.0) ** 2
     left = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))

@@ -2,14 +2,18 @@
 
 The same problem as :mod:`oed_sysid.likelihood.gauss_newton` solves, with every node an
 unknown and continuity an equality constraint, so that the exact Hessian can be
-used and the user may add constraints among parameters. It is slower and needs
+used and the user may add constraints. It is slower and needs
 no condensing; see Waechter & Biegler (2006) for the solver.
+
+Constraints are comparisons in SI units: among parameters, ``"M_uq < 0"``; of predicted outputs
+at every sample of every record (a path), ``"z < 25"``; at the first or last one,
+``"start(theta) == 0"``, ``"end(u) > 1.5"``.
 """
 
 from __future__ import annotations
 
 import ast
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import casadi as ca
@@ -59,7 +63,7 @@ class NonlinearProgram:
     hessian : str
         ``"exact"`` or ``"gauss-newton"``.
     constraints : sequence of str
-        Inequalities or equations among parameters, such as ``"M_uq < 0"``.
+        Inequalities or equations, see above.
     """
 
     def __init__(
@@ -79,7 +83,7 @@ class NonlinearProgram:
         unknowns = scaled * self._scale
         inverse_sigma = ca.MX.sym("inverse_sigma", len(shooting.sigma))
         residuals, jumps, extra = [], [], []
-        user = _Constraints(shooting.model, constraints)
+        user = self._user = UserConstraints(shooting.model, constraints)
         position = layout.n_unknowns
         for index in range(layout.n_records):
             columns = layout.record_columns(index)
@@ -95,10 +99,10 @@ class NonlinearProgram:
                 unknowns[position : position + n_entries], self._graph.n_full, n_nodes
             )
             position += n_entries
-            part, defects = self._record(shooting, index, own, values, nodes, inverse_sigma)
+            part, defects, seen = self._record(shooting, index, own, values, nodes, inverse_sigma)
             residuals.append(part)
             jumps.append(defects)
-            extra.append(user.function(values))
+            extra.append(user.of_record(seen, values))
         residual = ca.vertcat(*residuals)
         loss, weight = _LOSSES[shooting.loss](residual)
         weighted = np.flatnonzero(shooting.limits.prior_weight).tolist()
@@ -110,8 +114,9 @@ class NonlinearProgram:
         limits = ca.vertcat(jump, *extra)
         self._n_jumps = jump.shape[0]
         zeros = np.zeros(self._n_jumps)
-        self._lower_g = np.concatenate([zeros, np.tile(user.lower, layout.n_records)])
-        self._upper_g = np.concatenate([zeros, np.tile(user.upper, layout.n_records)])
+        counts = [user.counts(len(record.times)) for record in shooting.records]
+        self._lower_g = np.concatenate([zeros, *(np.repeat(user.lower, one) for one in counts)])
+        self._upper_g = np.concatenate([zeros, *(np.repeat(user.upper, one) for one in counts)])
         self._problem = {"x": scaled, "p": inverse_sigma, "f": cost, "g": limits}
         self._options: dict[str, Any] = {}
         if hessian == "gauss-newton":
@@ -142,15 +147,15 @@ class NonlinearProgram:
         values: ca.MX,
         nodes: ca.MX,
         inverse_sigma: ca.MX,
-    ) -> tuple[ca.MX, ca.MX]:
-        """Scaled residuals of one record and the scaled jumps at its nodes."""
+    ) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """Scaled residuals of one record, the scaled jumps at its nodes, and the outputs."""
         record = shooting.records[index]
         z0 = self._graph.start(own, record.inputs[0], values, record.times[0])
         starts = ca.horzcat(z0, nodes)
         data, steps = _samples(shooting, index)
         n, length = data.shape[1], self._length
         n_whole = n // length
-        residuals, ends = [], []
+        residuals, ends, seen = [], [], []
         uneven = bool(np.ptp(steps) > 0)
         groups = [(0, n_whole, length)]
         if n % length:
@@ -167,25 +172,28 @@ class NonlinearProgram:
             )
             ends.append(called[0])
             residuals.append(ca.vec(called[1]))
+            seen.append(ca.reshape(called[2], -1, count * size))
         residual = ca.vertcat(*residuals) * ca.repmat(inverse_sigma, n, 1)
         end = ca.horzcat(*ends)[:, : nodes.shape[1]]
         scale = ca.repmat(ca.DM(shooting.state_scale), 1, nodes.shape[1])
-        return residual, ca.vec((end - nodes) / scale)
+        return residual, ca.vec((end - nodes) / scale), ca.horzcat(*seen)
 
     def _interval(self, length: int, n_steps: int, uneven: bool) -> ca.Function:
         """One interval: ``(z, values, data) -> (z at its end, weighted residuals)``."""
         key = (length, n_steps, uneven)
         if key not in self._intervals:
-            step = _step(self._graph, n_steps, uneven)
+            step = _step(self._graph, n_steps, uneven, bool(self._user.of_outputs))
             n_data = step.size1_in(2)
             z = ca.MX.sym("z", self._graph.n_full)
             values = ca.MX.sym("values", step.size1_in(1))
             data = ca.MX.sym("data", n_data * length)
-            states, residuals = step.mapaccum(length)(
+            states, residuals, outputs = step.mapaccum(length)(
                 z, ca.repmat(values, 1, length), ca.reshape(data, n_data, length)
             )
             self._intervals[key] = ca.Function(
-                "interval", [z, values, data], [states[:, -1], ca.vec(residuals)]
+                "interval",
+                [z, values, data],
+                [states[:, -1], ca.vec(residuals), ca.vec(outputs)],
             )
         return self._intervals[key]
 
@@ -241,34 +249,149 @@ class NonlinearProgram:
         return Solution(found_point, lin, cost, int(stats["iter_count"]), reason)
 
 
-class _Constraints:
-    """The user's constraints as one function of all parameter values."""
+# Functions that choose a sample: of the first, or of the last one of a record.
+_ENDS = {"start": 0, "end": -1}
+
+
+class UserConstraints:
+    """The user's constraints: among parameters, along predicted outputs, and at their ends.
+
+    Parameters
+    ----------
+    model : Model
+        Names parameters and outputs.
+    texts : sequence of str
+        Comparisons in SI units.
+
+    Attributes
+    ----------
+    lower, upper : ndarray (n_constraints,)
+        Of left less right side.
+    of_outputs : tuple of int
+        Positions of those that hold an output.
+    """
 
     def __init__(self, model: Model, texts: Sequence[str]) -> None:
         values = ca.SX.sym("values", len(model.all_parameters))
-        scope = dict(zip(model.parameter_names, ca.vertsplit(values), strict=True))
-        differences, lower, upper = [], [], []
+        outputs = ca.SX.sym("outputs", len(model.outputs))
+        scope = dict(zip(model.output_names, ca.vertsplit(outputs), strict=True))
+        scope |= dict(zip(model.parameter_names, ca.vertsplit(values), strict=True))
+        self.texts = tuple(texts)
+        self._functions, self._places = list[ca.Function](), list[int | None]()
+        lower, upper = [], []
         for text in texts:
-            try:  # an equation is allowed here, in expressions it is not
-                tree = ast.parse(text, mode="eval").body
-            except (SyntaxError, ValueError, MemoryError, RecursionError):
-                tree = None
-            if not isinstance(tree, ast.Compare) or len(tree.ops) != 1:
-                raise ModelError(
-                    f"Constraint {text!r} is not one comparison. Write for instance 'M_uq < 0'."
-                )
-            left, right = ast.unparse(tree.left), ast.unparse(tree.comparators[0])
+            left, right, kind, place = _compared(text)
             for side in (left, right):
-                expressions.check(side, model.parameter_names, where="Constraint")
+                expressions.check(side, tuple(scope), where="Constraint")
             difference = expressions.to_casadi(left, scope) - expressions.to_casadi(right, scope)
-            differences.append(difference)
-            kind = type(tree.ops[0])
+            if not ca.depends_on(difference, ca.vertcat(values, outputs)):
+                raise ModelError(f"Constraint {text!r} holds no parameter and no output.")
+            if place is not None and not ca.depends_on(difference, outputs):
+                raise ModelError(f"Constraint {text!r}: start and end are those of an output.")
+            self._functions.append(ca.Function("constraint", [outputs, values], [difference]))
+            self._places.append(place)
             lower.append(-np.inf if kind in (ast.Lt, ast.LtE) else 0.0)
             upper.append(np.inf if kind in (ast.Gt, ast.GtE) else 0.0)
-            if not ca.depends_on(difference, values):
-                raise ModelError(f"Constraint {text!r} holds no parameter.")
         self.lower, self.upper = np.array(lower), np.array(upper)
-        self.function = ca.Function("constraints", [values], [ca.vertcat(*differences)])
+        self.of_outputs = tuple(
+            i for i, one in enumerate(self._functions) if one.jac_sparsity(0, 0).nnz() > 0
+        )
+
+    def counts(self, n_times: int) -> list[int]:
+        """Rows of every constraint on a record of so many samples."""
+        return [
+            n_times if i in self.of_outputs and place is None else 1
+            for i, place in enumerate(self._places)
+        ]
+
+    def of_record(self, outputs: ca.MX, values: ca.MX) -> ca.MX:
+        """Left less right sides of a record, ``(n_rows,)``, in the order of the constraints.
+
+        Parameters
+        ----------
+        outputs : casadi.MX or DM (n_outputs, n_times)
+            Predicted; without columns where no constraint holds one.
+        values : casadi.MX or DM (n_parameters,)
+        """
+        rows = []
+        for i, (function, place) in enumerate(zip(self._functions, self._places, strict=True)):
+            if i not in self.of_outputs:
+                rows.append(function(np.zeros(function.size1_in(0)), values))
+            elif place is None:
+                n = outputs.shape[1]
+                rows.append(function.map(n)(outputs, ca.repmat(values, 1, n)).T)
+            else:
+                rows.append(function(outputs[:, place], values))
+        return ca.vertcat(*rows)
+
+    def tightest(
+        self, outputs: np.ndarray, values: np.ndarray
+    ) -> Iterator[tuple[str, int | None, float, np.ndarray, np.ndarray]]:
+        """Where each constraint of a record is nearest to being broken.
+
+        Parameters
+        ----------
+        outputs : ndarray (n_times, n_outputs)
+            Predicted.
+        values : ndarray (n_parameters,)
+
+        Yields
+        ------
+        text : str
+        sample : int or None
+            None where it holds no output.
+        excess : float
+            Left less right side, with the sign in which it breaks the constraint.
+        by_outputs, by_values : ndarray (n_outputs,), (n_parameters,)
+            Derivatives of the excess.
+        """
+        for i, (text, function, place) in enumerate(
+            zip(self.texts, self._functions, self._places, strict=True)
+        ):
+            of_outputs = i in self.of_outputs
+            rows = outputs if of_outputs else np.zeros((1, outputs.shape[1]))
+            level = np.array([float(function(row, values)) for row in rows])
+            level = level if self.lower[i] == -np.inf else -level
+            sample = int(np.nanargmax(level)) if place is None else place % len(rows)
+            sign = 1.0 if self.lower[i] == -np.inf else -1.0
+            slopes = function.jacobian()(rows[sample], values, 0.0)
+            by_outputs, by_values = (sign * np.array(ca.DM(one)).ravel() for one in slopes)
+            found = sample if of_outputs else None
+            yield text, found, float(level[sample]), by_outputs, by_values
+
+
+def _compared(text: str) -> tuple[str, str, type, int | None]:
+    """Left and right side, kind of comparison, and the sample that start() or end() chooses."""
+    try:  # an equation is allowed here, in expressions it is not
+        tree = ast.parse(text, mode="eval").body
+    except (SyntaxError, ValueError, MemoryError, RecursionError):
+        tree = None
+    if not isinstance(tree, ast.Compare) or len(tree.ops) != 1:
+        raise ModelError(
+            f"Constraint {text!r} is not one comparison. Write for instance 'M_uq < 0'."
+        )
+    chosen = _Chosen()
+    tree = chosen.visit(tree)
+    if len(chosen.places) > 1:
+        raise ModelError(f"Constraint {text!r} mixes start and end. Write one constraint for each.")
+    place = next(iter(chosen.places), None)
+    return ast.unparse(tree.left), ast.unparse(tree.comparators[0]), type(tree.ops[0]), place
+
+
+class _Chosen(ast.NodeTransformer):
+    """Takes start() and end() away, and remembers them."""
+
+    def __init__(self) -> None:
+        self.places: set[int] = set()
+
+    def visit_Call(self, node: ast.Call) -> ast.AST:
+        """Return what stands in the brackets."""
+        self.generic_visit(node)
+        name = getattr(node.func, "id", "")
+        if name in _ENDS and len(node.args) == 1 and not node.keywords:
+            self.places.add(_ENDS[name])
+            return node.args[0]
+        return node
 
 
 class _Watcher(ca.Callback):
@@ -308,8 +431,8 @@ class _Watcher(ca.Callback):
         return [0]
 
 
-def _step(graph: Graph, n_steps: int, uneven: bool) -> ca.Function:
-    """From one sample to the next: ``(z, values, data) -> (next z, weighted residuals)``.
+def _step(graph: Graph, n_steps: int, uneven: bool, seen: bool) -> ca.Function:
+    """From one sample to the next: ``(z, values, data) -> (next z, weighted residuals, outputs)``.
 
     ``data`` stacks the inputs at the start and end, time, duration, number of
     integration steps, time since the previous sample, measurement and weight.
@@ -327,8 +450,9 @@ def _step(graph: Graph, n_steps: int, uneven: bool) -> ca.Function:
             state, begin + i * slope, begin + (i + 1) * slope, values, time + i * h, h
         )
         state = ca.if_else(i < count, after, state) if uneven and i else after
+    kept = outputs if seen else ca.SX(0, 1)
     return ca.Function(
-        "step", [z, values, ca.vertcat(*symbols)], [state, weight * (measured - outputs)]
+        "step", [z, values, ca.vertcat(*symbols)], [state, weight * (measured - outputs), kept]
     )
 
 

@@ -21,6 +21,7 @@ that is nearly linear in the parameters; its solution starts the real one (:func
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -103,7 +104,9 @@ class Windows:
         return cls(shooting, parts, weight, unknowns)
 
     @classmethod
-    def overlapping(cls, shooting: Shooting, horizon: float) -> Windows:
+    def overlapping(
+        cls, shooting: Shooting, horizon: float, unknowns: np.ndarray | None = None
+    ) -> Windows:
         """Windows of a horizon, s, that overlap by one sample; own states are free.
 
         Every transition from a sample to the next belongs to exactly one.
@@ -111,7 +114,13 @@ class Windows:
         parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
         weight = (VAGUE * shooting.state_scale) ** -2.0
         weight[shooting.layout.n_own :] = HELD
-        return cls(shooting, parts, np.tile(weight, (len(shooting.records), 1)))
+        return cls(shooting, parts, np.tile(weight, (len(shooting.records), 1)), unknowns)
+
+    def rated(self, shooting: Shooting) -> Windows:
+        """The same windows where the noise levels are those of another problem."""
+        other = copy.copy(self)
+        other.shooting = shooting
+        return other
 
     @property
     def limits(self) -> Limits:

@@ -117,24 +117,46 @@ def plot_output_change(ranking: SensitivityRanking, *, ax: Axes | None = None) -
     )
 
 
-def plot_accuracy(design: Design, *, ax: Axes | None = None) -> Axes:
+def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes:
     """Plot expected relative errors: before, after the design, after standard manoeuvres.
+
+    Bars of a programme are the range over other vehicles that are possible.
 
     Parameters
     ----------
-    design : Design
-        From :func:`~oed_sysid.design.design_experiment`.
+    design : Design or Programme
+        From :func:`~oed_sysid.design.design_experiment` or
+        :func:`~oed_sysid.design.design_programme`.
     ax : Axes, optional
         Where to draw.
     """
-    columns = [Column("designed", design.relative_errors, COLOURS[1], "o")]
-    for index, reference in enumerate(design.references):
-        errors = reference.information.std_errors / design.sizes
-        colour, marker = COLOURS[(2 * index) % len(COLOURS)], _MARKERS[1 + index % 3]
-        columns.append(Column(reference.name, errors, colour, marker))
-    if np.isfinite(design.prior_errors).any():
-        columns.append(Column("before", design.prior_errors, NEUTRAL, "|"))
-    return draw_accuracy(design.names, columns, ax=ax)
+    ranges, before = None, None
+    if isinstance(design, Design):
+        cases = [("designed", design.relative_errors)]
+        cases += [(r.name, r.information.std_errors / design.sizes) for r in design.references]
+        before = design.prior_errors
+    else:
+        cases = [("programme", design.relative_errors)]
+        if (standard := design.standard) is not None:
+            theirs = np.array([standard.errors[name] for name in design.names])
+            cases.append(("standard trials, equal time", theirs))
+        if design.prior is not None:
+            before = design.prior.std_errors / design.sizes
+        if design.spread is not None:
+            ranges = (design.spread.lowest, design.spread.highest)
+    looks = [(COLOURS[1], "o"), *((COLOURS[(2 * i) % 6], _MARKERS[1 + i % 3]) for i in range(9))]
+    columns = [Column(*case, *look) for case, look in zip(cases, looks, strict=False)]
+    if before is not None and np.isfinite(before).any():
+        columns.append(Column("before", before, NEUTRAL, "|"))
+    return draw_accuracy(design.names, columns, ranges=ranges, ax=ax)
+
+
+def _beside(figure: Figure, grid: np.ndarray, design: Design | Programme) -> None:
+    """Draw the accuracy in the last column of a grid."""
+    spec = grid[0, -1].get_gridspec()
+    for ax in grid[:, -1]:
+        ax.remove()
+    plot_accuracy(design, ax=figure.add_subplot(spec[:, -1]))
 
 
 @dataclass(frozen=True)
@@ -246,10 +268,7 @@ def figure_design(design: Design) -> Figure:
         ax.tick_params(labelbottom=ax is grid[-1, 0])
     grid[-1, 0].set_xlabel("time [s]")
     grid[0, 0].set_title("commands and predicted motion; dashed: limits")
-    spec = grid[0, 1].get_gridspec()
-    for ax in grid[:, 1]:
-        ax.remove()
-    plot_accuracy(design, ax=figure.add_subplot(spec[:, 1]))
+    _beside(figure, grid, design)
     return figure
 
 
@@ -294,30 +313,6 @@ def _in_percent(ax: Axes) -> None:
 _TELLING_OF_RUNS = ("theta", "psi", "phi", "r", "q", "z", "u")
 
 
-def plot_programme_accuracy(programme: Programme, *, ax: Axes | None = None) -> Axes:
-    """Plot expected relative errors: before, after the programme, after standard trials.
-
-    Bars are the range over other vehicles that are possible.
-
-    Parameters
-    ----------
-    programme : Programme
-        From :func:`~oed_sysid.design.design_programme`.
-    ax : Axes, optional
-        Where to draw.
-    """
-    columns = [Column("programme", programme.relative_errors, COLOURS[1], "o")]
-    if programme.standard is not None:
-        theirs = np.array([programme.standard.errors[name] for name in programme.names])
-        columns.append(Column("standard trials, equal time", theirs, COLOURS[0], "s"))
-    if programme.prior is not None:
-        before = programme.prior.std_errors / programme.sizes
-        columns.append(Column("before", before, NEUTRAL, "|"))
-    spread = programme.spread
-    ranges = None if spread is None else (spread.lowest, spread.highest)
-    return draw_accuracy(programme.names, columns, ranges=ranges, ax=ax)
-
-
 def figure_programme(programme: Programme) -> Figure:
     """Draw command and motion of every run, and the accuracy after all of them.
 
@@ -332,10 +327,7 @@ def figure_programme(programme: Programme) -> Figure:
         _draw_run(programme, run, grid[row, 0], grid[row, 1])
     for column in (0, 1):
         grid[-1, column].set_xlabel("time [s]")
-    spec = grid[0, 2].get_gridspec()
-    for ax in grid[:, 2]:
-        ax.remove()
-    plot_programme_accuracy(programme, ax=figure.add_subplot(spec[:, 2]))
+    _beside(figure, grid, programme)
     return figure
 
 

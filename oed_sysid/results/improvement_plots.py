@@ -17,8 +17,9 @@ from matplotlib.ticker import LogLocator, NullFormatter
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError
+from oed_sysid.evidence.claim import GROUP_WIDTH
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.evidence.locate import GROUP_WIDTH, Located
+from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.physics.channels import Input, Output

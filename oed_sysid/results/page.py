@@ -30,7 +30,7 @@ from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.results.style import finding, new_figure
 from oed_sysid.runtime import files
-from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table
+from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table, interval
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
 
@@ -252,7 +252,7 @@ def notebook(thing: object) -> str:
     if isinstance(thing, Model):
         equations = escape(r" \\ ".join(thing.latex().splitlines()), quote=False)
         before = f"<div>$$\\begin{{aligned}}{equations}\\end{{aligned}}$$</div>"
-        tables = [_parameters(thing)]
+        tables = [parameter_table(thing)]
     elif isinstance(thing, Record | Dataset):
         tables = [_records([thing] if isinstance(thing, Record) else list(thing))]
     elif hasattr(thing, "document"):
@@ -272,16 +272,17 @@ def _shortened(table: Table) -> Table:
     return replace(table, rows=table.rows[:_MOST_ROWS], caption=said)
 
 
-def _parameters(model: Model) -> Table:
+def parameter_table(model: Model) -> Table:
+    """Return the parameters of a model: value, unit, role, what is known before, meaning."""
     rows = []
-    for name in model.parameter_names:
-        one = model.parameter(name)
-        kind = "fixed" if one.fixed else "per record" if one.per_record else "free"
-        prior = ""
+    for one in model.all_parameters:
+        role = "fixed" if one.fixed else "per record" if one.per_record else "estimated"
+        known = ""
         if one.prior_mean is not None and one.prior_spread is not None:
-            prior = f"{one.prior_mean:.4g} ± {TWO_SIDED_95 * one.prior_spread:.2g}"
-        rows.append((name, f"{one.value:.5g}", one.unit, kind, prior))
-    return Table(("parameter", "value", "unit", "", "prior (95 %)"), rows)
+            known = interval(one.prior_mean, TWO_SIDED_95 * one.prior_spread)
+        rows.append((one.name, f"{one.value:.5g}", one.unit, role, known, one.description))
+    headers = ("parameter", "value", "unit", "role", "prior (95 %)", "meaning")
+    return Table(headers, rows, words=(5,))
 
 
 def _records(records: list[Record]) -> Table:

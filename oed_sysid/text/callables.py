@@ -177,6 +177,25 @@ def elements(
     results : sequence of str
         Names of the elements of the result.
     """
+    columns = _columns(function, symbols, results)
+    try:
+        flat = function.expand()
+    except RuntimeError:
+        flat = function
+    found = ca.densify(ca.vec(flat.call([ca.vertcat(*one) for one in columns])[0]))
+    scalars = [one for column in columns for one in column]
+    title, elements = function.name(), {}
+    for key, result in zip(results, ca.vertsplit(found), strict=True):
+        needed = [one for one in scalars if ca.depends_on(result, one)] or scalars[:1]
+        definition = ca.Function("f", needed, [result], {"allow_free": True})
+        elements[key] = Function(f"{title}_{key}", definition, tuple(one.name() for one in needed))
+    return elements
+
+
+def _columns(
+    function: ca.Function, symbols: Mapping[str, Sequence[str]], results: Sequence[str]
+) -> list[list[ca.SX]]:
+    """Symbols of every argument, checked against what the function takes and returns."""
     title, given = function.name(), function.name_in()
     order = given if set(given) <= set(symbols) else list(symbols)[: len(given)]
     columns = [[ca.SX.sym(name) for name in symbols[key]] for key in order]
@@ -192,18 +211,7 @@ def elements(
             f"CasADi's function {title!r} returns {function.numel_out(0)} numbers; expected "
             f"{len(results)}, one for each of {', '.join(results)}."
         )
-    try:
-        flat = function.expand()
-    except RuntimeError:
-        flat = function
-    found = ca.densify(ca.vec(flat.call([ca.vertcat(*one) for one in columns])[0]))
-    scalars = [one for column in columns for one in column]
-    elements = {}
-    for key, result in zip(results, ca.vertsplit(found), strict=True):
-        needed = [one for one in scalars if ca.depends_on(result, one)] or scalars[:1]
-        definition = ca.Function("f", needed, [result], {"allow_free": True})
-        elements[key] = Function(f"{title}_{key}", definition, tuple(one.name() for one in needed))
-    return elements
+    return columns
 
 
 def call_text(function: Function) -> str:

@@ -731,7 +731,7 @@ def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -
 
 
 _HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
-_BLANK = re.compile(rb"(?<![^,])[ \t]+(?![^,])")
+_BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
 _WORDS = re.compile(
     rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
     % b"|".join(re.escape(word).encode() for word in sorted(MISSING - {""}))
@@ -746,38 +746,49 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
     """
     try:
         with path.open("rb") as stream:
-            head = stream.read(_HEAD)
-            head = head[: head.rfind(b"\n") + 1]
-            if b"\r" in head.replace(b"\r\n", b""):
+            lines, row, start = _first_row(path, stream)
+            if "t" in lines.kinds and not columns_of_text:
                 return None
-            headers, delimiter, closed, rows = _layout(path, _decoded(path, head))
-            row, cells = rows[0][0], _cells(rows[0][1], delimiter)
-            kinds = [_kind(cell, delimiter) for cell in cells[: len(headers)]]
-            if len(cells) != len(headers) + closed or ("t" in kinds and not columns_of_text):
-                return None
-            body = sum(len(line) + 1 for line in head.split(b"\n")[: row - 1])
-            lines = _Lines(delimiter.encode(), kinds, closed)
-            parts = [lines.parsed(block) for block in _blocks(stream, body)]
+            parts = [lines.parsed(block) for block in _blocks(stream, start)]
     except (DataError, OSError, ValueError, DeprecationWarning):
         return None
-    numeric = [index for index, kind in enumerate(kinds) if kind == "n"]
     n_rows = sum(len(numbers) for numbers, _ in parts)
-    values = np.full((len(headers), n_rows), np.nan).T  # every column in one piece of memory
+    # Every column in one piece of memory, as they are read one by one.
+    values = np.empty((len(lines.kinds), n_rows)).T
+    numeric = [index for index, kind in enumerate(lines.kinds) if kind == "n"]
+    where = slice(None) if len(numeric) == len(lines.kinds) else numeric
     end = 0
     for numbers, _ in parts:
-        start, end = end, end + len(numbers)
-        values[start:end, numeric if len(numeric) < len(headers) else slice(None)] = numbers
-    table = Table(path, tuple(headers), values, np.arange(row, row + n_rows))
-    for index, kind in enumerate(kinds):
+        begin, end = end, end + len(numbers)
+        values[begin:end, where] = numbers
+    table = Table(path, lines.headers, values, np.arange(row, row + n_rows))
+    for index, (kind, cell) in enumerate(zip(lines.kinds, lines.cells, strict=True)):
         if kind == "s":
             seconds = np.concatenate([times[index] for _, times in parts])
             values[:, index] = np.round(seconds - seconds[0], 6)
-            table.stamps[index] = cells[index].strip()
+            table.stamps[index] = cell.strip()
         elif kind == "t":
+            values[:, index] = np.nan
             table.faults[index] = (
-                f"Row {row} of {path.name}, column {headers[index]!r}: {complaint(cells[index])}"
+                f"Row {row} of {path.name}, column {lines.headers[index]!r}: {complaint(cell)}"
             )
     return table
+
+
+def _first_row(path: Path, stream: BinaryIO) -> tuple[_Lines, int, int]:
+    """How the rows of a file are laid out, the number of the first, and where it begins, bytes."""
+    head = stream.read(_HEAD)
+    head = head[: head.rfind(b"\n") + 1]
+    if b"\r" in head.replace(b"\r\n", b""):
+        raise ValueError
+    headers, delimiter, closed, rows = _layout(path, _decoded(path, head))
+    row, cells = rows[0][0], _cells(rows[0][1], delimiter)
+    if len(cells) != len(headers) + closed:
+        raise ValueError
+    cells = cells[: len(headers)]
+    kinds = [_kind(cell, delimiter) for cell in cells]
+    start = sum(len(line) + 1 for line in head.split(b"\n")[: row - 1])
+    return _Lines(delimiter.encode(), tuple(headers), cells, kinds, closed), row, start
 
 
 def _kind(cell: str, delimiter: str) -> str:
@@ -808,6 +819,8 @@ class _Lines:
     """How the lines of a good file are laid out: delimiter, and what each column holds."""
 
     delimiter: bytes
+    headers: tuple[str, ...]
+    cells: Sequence[str]  # of the first row
     kinds: Sequence[str]  # n numbers, s times, t text
     closed: bool  # with a delimiter behind the last cell
 
@@ -858,17 +871,19 @@ class _Lines:
 
     def _plain(self, block: bytes) -> bytes:
         """All numbers with commas between them and decimal points."""
-        if self.delimiter != b"," and b"," in block:
-            if b"." in block:
-                raise ValueError
-            return block.translate(bytes.maketrans(b"\v\f," + self.delimiter + b"\n", b"  .,,"))
-        return block.translate(bytes.maketrans(b"\v\f" + self.delimiter + b"\n", b"  ,,"))
+        if self.delimiter == b",":
+            return block.replace(b"\n", b",")
+        if b"," not in block:
+            return block.translate(bytes.maketrans(self.delimiter + b"\n", b",,"))
+        if b"." in block:
+            raise ValueError
+        return block.translate(bytes.maketrans(b"," + self.delimiter + b"\n", b".,,"))
 
 
 def _floats(body: bytes) -> np.ndarray:
     """Numbers between commas; nothing, and the words for nothing, are NaN."""
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
-    if b" " in body or b"\t" in body:
+    if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
         body = _BLANK.sub(b"", body)
     if b",," in body or body.startswith(b",") or body.endswith(b","):
         body = b",%s," % body

@@ -9,15 +9,21 @@ from __future__ import annotations
 import ast
 import re
 from abc import ABC, abstractmethod
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 from oed_sysid.text import notation
 from oed_sysid.text.units import SPELLINGS
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_COMPARE_TEXT = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}
-_COMPARE_LATEX = {ast.Lt: "<", ast.LtE: r"\le", ast.Gt: ">", ast.GtE: r"\ge"}
 _LATEX_FUNCTIONS = frozenset(("sin", "cos", "tan", "sinh", "cosh", "tanh", "exp", "min", "max"))
+_LATEX_FORMS = {
+    "abs": r"\left|{0}\right|",
+    "floor": r"\left\lfloor {0} \right\rfloor",
+    "sqrt": r"\sqrt{{{0}}}",
+    "where": r"\begin{{cases}} {1} & {0} \\ {2} & \text{{otherwise}} \end{{cases}}",
+}
 _LATEX_NAMES = {
     "asin": r"\arcsin",
     "acos": r"\arccos",
@@ -75,10 +81,10 @@ class Printer(ABC):
         if isinstance(node, ast.Compare):
             return self.comparison(node)
         if isinstance(node, ast.BoolOp):
-            word = self.word("and" if isinstance(node.op, ast.And) else "or")
+            word = self.words["and" if isinstance(node.op, ast.And) else "or"]
             return word.join(self.condition(value) for value in node.values)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
-            return f"{self.word('not').lstrip()}{self.condition(node.operand)}"
+            return f"{self.words['not'].lstrip()}{self.condition(node.operand)}"
         text = ""
         for product in terms(node):
             if text:
@@ -111,21 +117,49 @@ class Printer(ABC):
         simple = isinstance(node, ast.Name | ast.Constant | ast.Call)
         return self.factor(node) if simple else self.parentheses(self.sum(node))
 
-    @abstractmethod
     def product(self, product: Product) -> str:
-        """Write a product without its sign."""
+        """Write a product without its sign: factors side by side, a mark between two numbers."""
+        above = [
+            self.sum(node) if self.stands_alone(node, product) else self.factor(node)
+            for node in product.above
+        ]
+        text = self.joined(above) or "1"
+        return self.quotient(text, product.below) if product.below else text
 
-    @abstractmethod
+    def joined(self, pieces: list[str]) -> str:
+        """Factors with what stands between them."""
+        text = ""
+        for piece in pieces:
+            text += self.gaps[piece[0].isdigit()] if text else ""
+            text += piece
+        return text
+
     def comparison(self, node: ast.Compare) -> str:
-        """Write a condition."""
+        """Write a condition, as ``a ≤ b``."""
+        symbol = self.comparisons[type(node.ops[0])]
+        return f"{self.sum(node.left)} {symbol} {self.sum(node.comparators[0])}"
+
+    def parentheses(self, text: str) -> str:
+        """Put parentheses around a sum."""
+        return f"{self.brackets[0]}{text}{self.brackets[1]}"
+
+    # Between factors, between a factor and a number; what opens and closes; words of logic.
+    gaps: ClassVar[tuple[str, str]]
+    brackets: ClassVar[tuple[str, str]]
+    comparisons: ClassVar[Mapping[type[ast.cmpop], str]]
+    words: ClassVar[Mapping[str, str]]
 
     @abstractmethod
-    def word(self, word: str) -> str:
-        """Write ``and``, ``or`` or ``not`` with the space around it."""
+    def stands_alone(self, node: ast.expr, product: Product) -> bool:
+        """Whether a factor needs no parentheses, being the only one."""
+
+    @abstractmethod
+    def quotient(self, above: str, below: list[ast.expr]) -> str:
+        """Write a fraction."""
 
     @abstractmethod
     def number(self, value: float) -> str:
-        """Write a number."""
+        """Write a number, to six significant digits."""
 
     @abstractmethod
     def name(self, name: str) -> str:
@@ -139,46 +173,25 @@ class Printer(ABC):
     def power(self, base: ast.expr, exponent: ast.expr) -> str:
         """Write a power."""
 
-    @abstractmethod
-    def parentheses(self, text: str) -> str:
-        """Put parentheses around a sum."""
-
 
 class TextPrinter(Printer):
     """``Z_absww w |w| - m g sin(theta)²``."""
 
-    def product(self, product: Product) -> str:
-        """Factors side by side; a dot keeps two numbers apart."""
-        single = len(product.above) == 1 and not product.below
-        pieces = [
-            self.sum(node) if single and isinstance(node, ast.Compare) else self.factor(node)
-            for node in product.above
-        ]
-        text = self._joined(pieces) or "1"
-        if not product.below:
-            return text
-        below = self._joined([self.factor(node) for node in product.below])
-        return f"{text}/{below}" if len(product.below) == 1 else f"{text}/({below})"
+    gaps, brackets = (" ", " · "), ("(", ")")
+    comparisons: ClassVar = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}
+    words: ClassVar = {word: f" {word} " for word in ("and", "or", "not")}
 
-    @staticmethod
-    def _joined(pieces: list[str]) -> str:
-        text = ""
-        for piece in pieces:
-            text += (" · " if piece[0].isdigit() else " ") if text else ""
-            text += piece
-        return text
+    def stands_alone(self, node: ast.expr, product: Product) -> bool:
+        """A condition that is all of its term."""
+        return len(product.above) == 1 and not product.below and isinstance(node, ast.Compare)
 
-    def comparison(self, node: ast.Compare) -> str:
-        """Write ``a ≤ b``."""
-        symbol = _COMPARE_TEXT[type(node.ops[0])]
-        return f"{self.sum(node.left)} {symbol} {self.sum(node.comparators[0])}"
-
-    def word(self, word: str) -> str:
-        """`` and ``."""
-        return f" {word} "
+    def quotient(self, above: str, below: list[ast.expr]) -> str:
+        """``a/b``."""
+        text = self.joined([self.factor(node) for node in below])
+        return f"{above}/{text}" if len(below) == 1 else f"{above}/({text})"
 
     def number(self, value: float) -> str:
-        """Six significant digits."""
+        """As Python writes it."""
         return f"{value:g}"
 
     def name(self, name: str) -> str:
@@ -198,44 +211,26 @@ class TextPrinter(Printer):
         simple = isinstance(exponent, ast.Name | ast.Constant)
         return f"{self.base(base)}^{text if simple else self.parentheses(text)}"
 
-    def parentheses(self, text: str) -> str:
-        """``(text)``."""
-        return f"({text})"
-
 
 class LatexPrinter(Printer):
     r"""``Z_{w|w|} w \left|w\right| - m g \sin^{2}\theta``, without dollar signs."""
 
-    def product(self, product: Product) -> str:
-        """Thin juxtaposition, and a fraction where something is below the line."""
-        alone = len(product.above) == 1
-        pieces = [self.sum(n) if alone and product.below else self.factor(n) for n in product.above]
-        text = self._joined(pieces) or "1"
-        if not product.below:
-            return text
-        below = self.sum(product.below[0]) if len(product.below) == 1 else None
-        below = below or self._joined([self.factor(node) for node in product.below])
-        return f"\\frac{{{text}}}{{{below}}}"
+    gaps, brackets = (r" \, ", r" \cdot "), (r"\left(", r"\right)")
+    comparisons: ClassVar = {ast.Lt: "<", ast.LtE: r"\le", ast.Gt: ">", ast.GtE: r"\ge"}
+    words: ClassVar = {"and": r" \land ", "or": r" \lor ", "not": r" \lnot "}
 
-    @staticmethod
-    def _joined(pieces: list[str]) -> str:
-        text = ""
-        for piece in pieces:
-            text += (r" \cdot " if piece[0].isdigit() else r" \, ") if text else ""
-            text += piece
-        return text
+    def stands_alone(self, node: ast.expr, product: Product) -> bool:
+        """All that is above a line."""
+        return len(product.above) == 1 and bool(product.below)
 
-    def comparison(self, node: ast.Compare) -> str:
-        r"""Write ``a \le b``."""
-        symbol = _COMPARE_LATEX[type(node.ops[0])]
-        return f"{self.sum(node.left)} {symbol} {self.sum(node.comparators[0])}"
-
-    def word(self, word: str) -> str:
-        r"""``\land``, ``\lor`` or ``\lnot``."""
-        return {"and": r" \land ", "or": r" \lor ", "not": r" \lnot "}[word]
+    def quotient(self, above: str, below: list[ast.expr]) -> str:
+        r"""``\frac{a}{b}``."""
+        alone = len(below) == 1
+        text = self.sum(below[0]) if alone else self.joined([self.factor(node) for node in below])
+        return f"\\frac{{{above}}}{{{text}}}"
 
     def number(self, value: float) -> str:
-        """Six significant digits, powers of ten written out."""
+        """Powers of ten written out."""
         mantissa, _, exponent = f"{value:g}".partition("e")
         if not exponent:
             return mantissa
@@ -258,31 +253,15 @@ class LatexPrinter(Printer):
     def call(self, function: str, arguments: list[ast.expr]) -> str:
         """Bars, roots and cases have their own form."""
         inner = [self.sum(argument) for argument in arguments]
-        if function == "abs":
-            return rf"\left|{inner[0]}\right|"
-        if function == "floor":
-            return rf"\left\lfloor {inner[0]} \right\rfloor"
-        if function == "sqrt":
-            return rf"\sqrt{{{inner[0]}}}"
-        if function == "where":
-            rows = rf"{inner[1]} & {inner[0]} \\ {inner[2]} & \text{{otherwise}}"
-            return rf"\begin{{cases}} {rows} \end{{cases}}"
-        return self._function(function) + self.parentheses(", ".join(inner))
-
-    @staticmethod
-    def _function(name: str) -> str:
-        if name in _LATEX_FUNCTIONS:
-            return f"\\{name}"
-        spelled = name.replace("_", r"\_")
-        return _LATEX_NAMES.get(name, rf"\operatorname{{{spelled}}}")
+        if function in _LATEX_FORMS:
+            return _LATEX_FORMS[function].format(*inner)
+        spelled = function.replace("_", r"\_")
+        known = f"\\{function}" if function in _LATEX_FUNCTIONS else rf"\operatorname{{{spelled}}}"
+        return _LATEX_NAMES.get(function, known) + self.parentheses(", ".join(inner))
 
     def power(self, base: ast.expr, exponent: ast.expr) -> str:
         """Exponents in braces."""
         return f"{self.base(base)}^{{{self.sum(exponent)}}}"
-
-    def parentheses(self, text: str) -> str:
-        r"""``\left(text\right)``."""
-        return rf"\left({text}\right)"
 
 
 # -- words of people in generated code --------------------------------------------------

@@ -1,0 +1,114 @@
+r"""Values for runs: replay, simulation and export of a model that lacks physics.
+
+Where process noise holds structure, the fit ``F`` with it tells the derivatives best, and one
+without, ``W``, the runs that were measured. In between lies ``B``: the process noise of ``F`` held
+at a small share of its level, sensors white as they are granted. Chosen is
+
+====================================================== ==========================================
+``F``                                                  where whole runs are as its noise model
+                                                       would have left them
+``B``                                                  else, where its whole-run error is within
+                                                       twice that of ``W``
+``W``                                                  else
+====================================================== ==========================================
+
+and never what is off further than ``F`` over the records that were fitted.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import solve_filtered
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.summary import summarise_filtered
+
+# Share of the level of process noise that is left to it, and whole-run error over that of a fit
+# without from which none is. Both were chosen on cases with physics hidden: a share of 0.1 or 0.01
+# costs a third in whole-run error there, a limit of 1.5 or 3 a tenth.
+WEAK, TWICE = 0.03, 2.0
+
+
+def replayed(fit: Fit) -> Fit:
+    """The fit whose values are for runs: replay on records, simulation, export.
+
+    Parameters
+    ----------
+    fit : Fit
+
+    Returns
+    -------
+    Fit
+        The same where it has no process noise or whole runs are as that would have left them; else
+        one whose :attr:`~oed_sysid.likelihood.fit.Fit.purpose` is ``"replay"``: derivatives, errors
+        and the search for what is missing keep ``fit``.
+    """
+    if not fit.whole_runs.took_the_work:
+        return fit
+    own = _error(fit, fit)
+    white = _white(fit)
+    if white is None or not _error(white, fit) < own:
+        return fit
+    weak, chosen = _weak(fit, white), white
+    if weak is not None and _error(weak, fit) < min(TWICE * _error(white, fit), own):
+        chosen = weak
+    return replace(chosen, purpose="replay")
+
+
+def _error(fit: Fit, like: Fit) -> float:
+    """Whole-run error in the noise of a fit to the same records; infinite where it diverges."""
+    error = fit.whole_runs.error / like.whole_runs.noise
+    seen = ~np.isnan(error)
+    return float(np.sqrt(np.mean(error[seen] ** 2))) if seen.any() else np.inf
+
+
+def _white(fit: Fit) -> Fit | None:
+    """The same model fitted without process noise, from its values and from those of before."""
+    estimator = MultipleShooting(disturbances="none")
+    begun = fit.model.with_values({n: v for n, v in fit.nominal.items() if n in fit.model.values})
+    found = [
+        estimator.fit(fit.model, fit.dataset, warm=fit),
+        estimator.fit(begun, fit.dataset),
+    ]
+    sound = [one for one in found if one.status.ok]
+    return min(sound, key=lambda one: _error(one, fit), default=None)
+
+
+def _weak(fit: Fit, white: Fit) -> Fit | None:
+    """The fit with process noise held at a small share of its level; None where it fails."""
+    began, noise = time.perf_counter(), fit.noise
+    weak = NoiseModel(
+        white=fit.whole_runs.noise,
+        colour=np.zeros(len(noise.white)),
+        force=WEAK * noise.force,
+        force_time=noise.force_time,
+        outputs=noise.outputs,
+        places=noise.places,
+        seas=tuple(sea.with_levels(WEAK * np.asarray(sea.level)) for sea in noise.seas),
+    )
+    nothing = np.zeros(len(noise.white), dtype=bool)
+    levels = Levels.of(
+        weak,
+        weak,
+        tuple(f"disturbance_{place.replace(' ', '_', 1)}" for place in noise.places),
+        white=nothing,
+        colour=nothing,
+        force=np.zeros(len(noise.force), dtype=bool),
+    )
+    problem = Filtered(white.model, fit.dataset, levels)
+    try:
+        found = solve_filtered(problem, problem.point(white.initial_states, white.local_values))
+        if found is None:
+            return None
+        label = f"{fit.estimator}, for replay"
+        result = summarise_filtered(found, nothing, label, found.iterations, began)
+    except np.linalg.LinAlgError:
+        return None
+    return replace(result, nominal=fit.nominal)
