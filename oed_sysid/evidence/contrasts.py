@@ -135,6 +135,8 @@ class Candidate:
         Share of the record at which a step or burst begins, and a burst ends.
     unit_of : str
         For a scale: the unit of the signal.
+    rare : float
+        Twice the logarithm of the odds by which it is rarer than its rivals.
     """
 
     kind: str
@@ -147,6 +149,7 @@ class Candidate:
     at: float = 0.0
     until: float = 1.0
     unit_of: str = ""
+    rare: float = 0.0
 
     def correction(self, size: float) -> Correction:
         """How to undo a size of it."""
@@ -310,8 +313,8 @@ class Facts:
                 yield Candidate("bias", (n,), self.units[n], 0.3 * size, self.least(n))
         for n in self.size:
             # Positions and depths are told by satellites and pressure: rarely of wrong scale.
-            usual = 0.06 if n in self.integrated else 0.25
-            yield Candidate("scale", (n,), "1", usual, RELATIVE, unit_of=self.units[n])
+            rare = 4.0 * (n in self.integrated)
+            yield Candidate("scale", (n,), "1", 0.25, RELATIVE, unit_of=self.units[n], rare=rare)
 
     def clocks(self) -> Iterator[Candidate]:
         """Delays and rates of clocks of each signal, of all positions and of all velocities."""
@@ -811,19 +814,23 @@ class Selection:
             now = self._dropped(self._exchanged(self._added(now)))
         return now
 
+    def _rare(self) -> np.ndarray:
+        return np.array([f.rare for f in self.faults])
+
     def _added(self, now: list[int]) -> list[int]:
         gain, size, std = self.beside(now)
         pays = self.able(now, size, std) & (gain > self.price(self.total(now)))
-        best = int(np.argmax(np.where(pays, gain, -1.0)))
+        best = int(np.argmax(np.where(pays, gain - self._rare(), -np.inf)))
         return [*now, best] if pays[best] and len(now) < MOST_FAULTS else now
 
     def _exchanged(self, now: list[int]) -> list[int]:
         for k in tuple(now):
             rest = [j for j in now if j != k]
             gain, size, std = self.beside(rest)
-            better = np.where(self.able(rest, size, std), gain, 0.0)
+            worth = gain - self._rare()
+            better = np.where(self.able(rest, size, std), worth, -np.inf)
             best = int(np.argmax(better))
-            if better[best] > gain[k] + 0.1 and self.faults[k].material > 0.0:
+            if better[best] > worth[k] + 0.1 and self.faults[k].material > 0.0:
                 now = [*rest, best]
         return now
 
