@@ -283,10 +283,8 @@ class MultipleShooting:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
-            code = disturbed.status.code
-            if code not in FAILED and _only_alone(disturbed, fit):
-                code = "diverged"
-            if not self._tests(model) or code not in FAILED:
+            code = _fault(disturbed, fit)
+            if not code or not self._tests(model):
                 return disturbed
             fit = _failed(fit, code)
         if wanted:
@@ -650,6 +648,13 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
 def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
+
+
+def _fault(disturbed: Fit, white: Fit) -> str:
+    """How a fit with process noise failed; empty where its values are to be returned."""
+    if disturbed.status.code in FAILED:
+        return disturbed.status.code
+    return "diverged" if _only_alone(disturbed, white) else ""
 
 
 def _only_alone(disturbed: Fit, white: Fit) -> bool:
