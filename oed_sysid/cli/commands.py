@@ -367,8 +367,7 @@ def watch(
     anew with every line that is printed and loads itself again. What is known at the end are start
     values of a fit.
 
-    [bold]Example[/bold]: oed-sysid watch online_ship --source udp://127.0.0.1:5005 --waves
-    0.09:0.16
+    [bold]Example[/bold]: oed-sysid watch remus_diving_plane --source dive_1.csv --silence 0.5
     """
     from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.data.live import Place, samples
