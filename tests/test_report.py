@@ -336,3 +336,17 @@ def test_a_fit_says_nothing_of_records_it_has_not_seen(fit: Fit, data: Dataset) 
     """The message names the records that it knows and the way to a prediction."""
     with pytest.raises(DataError, match=r"not fitted to record 'stranger'.*fit\.predict"):
         report.plot_track(replace(data["circle"], name="stranger"), [fit])
+
+
+def test_unmeasured_output_is_a_dash_in_every_rendering(data: Dataset) -> None:
+    """An output without a sample is a dash in text, LaTeX and page: no row says nan."""
+    records = []
+    for record in data:
+        outputs = record.outputs.copy()
+        outputs[:, 3] = np.nan
+        records.append(record.with_outputs(outputs))
+    document = MultipleShooting(disturbances="none").fit(SHIP, Dataset(tuple(records))).document()
+    page = document.html()
+    for said in (document.text(), document.latex(), page[page.index("<main>") :]):
+        assert not re.search(r"\bnan\b|[0-9]e\+0[2-5]\b", re.sub(r'src="[^"]*"', "", said))
+        assert "–" in said

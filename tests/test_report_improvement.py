@@ -17,6 +17,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import Comparison, compare
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.runtime.display import told
 
 HIDDEN = "yaw_quadratic_damping"
 
@@ -153,5 +154,5 @@ def test_comparison_report_says_where_models_fail(story) -> None:
     """The verdict of every model is on the page, with a table each."""
     comparison = story[1]
     page = report.comparison_page(comparison)
-    assert set(comparison.verdict.splitlines()) <= set(page.verdict)
+    assert set(map(told, comparison.verdict.splitlines())) <= set(page.verdict)
     assert [len(one.tables) for one in page.sections[:2]] == [1, 1]

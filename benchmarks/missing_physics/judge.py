@@ -13,12 +13,23 @@ import numpy as np
 
 from benchmarks.missing_physics.cases import Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
-from oed_sysid import Dataset, Force, Parameter, Problem, Record, load_problem
+from oed_sysid import (
+    Dataset,
+    Force,
+    Model,
+    MultipleShooting,
+    Parameter,
+    Problem,
+    Record,
+    load_problem,
+    replayed,
+)
 from oed_sysid.evidence.improve import improve, relative
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import threshold
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
 
 # The hidden terms that no vocabulary holds, as a user would write them.
@@ -175,7 +186,7 @@ def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:
             "seconds": time.perf_counter() - began,
             "processor_seconds": time.process_time() - processor,
         }
-        entry |= _found(found)
+        entry |= _found(found) | {"nominal": nominal_runs(problem.model, train, test)}
         truth = true_structure(problem, train, test, case, found)
     except Exception as error:  # a case that breaks is a result too
         return entry | {"error": f"{type(error).__name__}: {error}"}
@@ -189,11 +200,36 @@ def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:
     }
 
 
+def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
+    """What whole runs say of the nominal model, fitted as by default, and which values replay best.
+
+    ``replay`` is the whole-run error on the test records with the values for runs, over that of the
+    better of two fits: with process noise and without.
+    """
+    fit = MultipleShooting().fit(model, train)
+    calm = MultipleShooting(disturbances="none").fit(model, train)
+    levels = np.array([output.noise_std for output in model.outputs])
+    errors = [
+        float(np.sqrt(np.nanmean((rms(whole_runs(one.model, test, levels)) / levels) ** 2)))
+        for one in (fit, calm, replayed(fit))
+    ]
+    best = min(errors[:2])
+    return {
+        "process_noise": fit.noise.has_forces,
+        "said": bool(fit.whole_runs.objections),
+        "unasked": fit.whole_runs.unasked,
+        "z": [None if np.isnan(z) else float(z) for z in fit.whole_runs.z],
+        "errors": [float(np.nan_to_num(error, posinf=1e9)) for error in errors],
+        "replay": errors[2] / best if np.isfinite(best) else None,
+    }
+
+
 def _found(found: Improvement) -> dict[str, Any]:
     plain = found.to_dict()
     gains = {refit.name: round(refit.gain, 2) for refit in found.ranking.refits}
     return {
         "verdict": found.verdict,
+        "kind": found.remains.kind,
         "steps": [
             {
                 "added": step.added,

@@ -40,6 +40,8 @@ from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
+from oed_sysid.likelihood.noise_levels import signal_spread
+from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -48,6 +50,8 @@ from oed_sysid.runtime.threads import single_threaded
 
 # Factor of a declared noise level from which it is worth a word.
 OTHER_NOISE = 1.3
+# Share of a signal that whole runs must miss before a search is worth making again.
+MUCH = 0.1
 # Prior deviations that no right log gives: one in two millions.
 FAR = 5.0
 
@@ -72,7 +76,7 @@ def improve(
     *,
     candidates: Sequence[Effect] | None = None,
     known_noise: bool = False,
-    disturbances: str | Sequence[str] = "auto",
+    disturbances: Disturbances = "auto",
     max_effects: int = 4,
     terms: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -130,7 +134,9 @@ def improve(
     candidates, told = settled(model, train, candidates, log)
     options = {
         "known_noise": known_noise,
-        "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+        "disturbances": [disturbances]
+        if isinstance(disturbances, str)
+        else [str(one) for one in np.atleast_1d(np.array(disturbances, dtype=object))],
         "max_effects": max_effects,
         "terms": terms,
     }
@@ -143,7 +149,7 @@ def improve(
     notes = [*ready.notes, *told]
     run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
     end = run.whole(study, base)
-    if disturbances == "auto" and not end.left.is_noise and end.left.random:
+    if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without random forces")
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
@@ -241,6 +247,17 @@ class _Run:
         state = replace(calm, study=study, fit=fit, path=path, decisions=decisions)
         state = asked_again(rebuilt(state))
         return _Ended(state, base, first, last, self._left(state), None)
+
+
+def _hidden_by_forces(end: _Ended) -> bool:
+    """Whether disturbance forces may hide what is missing: whole runs are far off under them."""
+    if end.left.is_noise:
+        return False
+    study, fit = end.state.study, end.state.fit
+    if overgrown(study, fit):
+        return True
+    missed = study.rms(fit, study.train) / signal_spread(study.train)
+    return bool(end.left.structured) and bool(np.nanmax(missed) > MUCH)
 
 
 def _bought(end: _Ended) -> list[str]:

@@ -38,7 +38,7 @@ from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_batch
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.gauss_newton import Solution, solve
+from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     given_levels,
@@ -508,7 +508,7 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
     own = runs = whole_runs(model, dataset, granted.levels, None if other else _starts(fit))
     error = without = rms(own)
     if other is None and not noise.is_white:
-        runs = without_process_noise(fit, granted.levels) or own
+        runs = without_process_noise(fit, granted.levels, own) or own
         without = rms(runs)
     z, usual = np.full(len(declared), np.nan), np.inf
     if dataset.only_tests:
@@ -580,25 +580,43 @@ def _scatter(fit: Estimate) -> np.ndarray:
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
-def without_process_noise(fit: Estimate, sigma: np.ndarray) -> tuple[WholeRun, ...] | None:
+def without_process_noise(
+    fit: Estimate, sigma: np.ndarray, own: Sequence[WholeRun]
+) -> tuple[WholeRun, ...] | None:
     """Runs of the same model fitted to the same records with noise of sensors alone.
 
-    From the values of the fit and from those that it began at, whichever ends better; None where
-    neither runs.
+    Parameters
+    ----------
+    fit : Estimate
+    sigma : ndarray (n_outputs,)
+    own : sequence of WholeRun
+        Whole runs of the fit: one search begins there, in one piece, and only goes down; others at
+        measured states with the values of the fit and with those that it began at. The best end.
     """
-    ends: list[tuple[Shooting, Solution]] = []
     nominal = {n: v for n, v in fit.nominal.items() if n in fit.model.values}
-    for model in (fit.model, fit.model.with_values(nominal)):
-        shooting = Shooting(model, fit.dataset, sigma)
-        end = solve(shooting, shooting.start_point())
-        if end is not None:
-            ends.append((shooting, end))
-    if not ends:
-        return None
-    shooting, end = min(ends, key=lambda pair: pair[1].cost)
-    return tuple(
-        WholeRun.part(shooting, end.point.unknowns, index) for index in range(len(fit.dataset))
-    )
+    shooting = Shooting(fit.model, fit.dataset, sigma)
+    points = [shooting.start_point()]
+    if nominal:
+        points.append(Shooting(fit.model.with_values(nominal), fit.dataset, sigma).start_point())
+    if all(run.jacobian is not None for run in own):
+        begin = shooting.start_unknowns()
+        for index, run in enumerate(own):
+            columns = shooting.layout.record_columns(index)
+            begin[columns] = run.unknowns[run.shooting.layout.record_columns(0)]
+        points.append(shooting.continuous(begin))
+    ends = [end for end in (solve(shooting, point) for point in points) if end is not None]
+    found = [
+        tuple(WholeRun.part(shooting, end.point.unknowns, i) for i in range(len(fit.dataset)))
+        for end in ends
+    ]
+    # By whole runs: where iterations stall, the pieces of a trajectory need not meet.
+    return min(found, key=_square, default=None)
+
+
+def _square(runs: Sequence[WholeRun]) -> float:
+    """Sum of squares of whole runs in noise units; infinite where one diverges."""
+    total = sum(float(np.sum(run.whitened() ** 2)) for run in runs)
+    return total if np.isfinite(total) else np.inf
 
 
 def _departure(

@@ -14,6 +14,7 @@ is needed.
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, is_dataclass
 from enum import Enum
@@ -170,6 +171,24 @@ def interval(value: float, half: float) -> str:
     return f"{rounded(value, half)} ± {digits(half, 2)}"
 
 
+# Numbers as Python writes them and people do not: none at all, and ordinary ones with an exponent.
+_NO_NUMBER = re.compile(r"(?<![\w.])nan(?![\w.])(?: ?%)?")
+_EXPONENT = re.compile(r"(?<![\w.])-?\d(?:\.\d+)?e\+0[2-5](?!\d)")
+
+
+def told(text: str) -> str:
+    """Return a sentence or a cell with its numbers as people write them.
+
+    Documents apply it to all that they say, so that no row of a table reads ``nan m/s``.
+
+    Examples
+    --------
+    >>> told("1.5e+02 x noise"), told("nan %"), told("2e-07 N"), told("Z_nan = 1e+09")
+    ('150 x noise', '–', '2e-07 N', 'Z_nan = 1e+09')
+    """
+    return _EXPONENT.sub(lambda found: f"{float(found[0]):.0f}", _NO_NUMBER.sub("–", text))
+
+
 def counted(count: int, noun: str) -> str:
     """Return a number with its noun.
 
@@ -231,6 +250,9 @@ class Table:
     caption: str = ""
     words: tuple[int, ...] = ()
     marked: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "rows", tuple(tuple(map(told, row)) for row in self.rows))
 
     def lines(self) -> list[str]:
         """Return the table as aligned lines of text."""
@@ -313,6 +335,9 @@ class Section:
     indent: int = 0
     only: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "paragraphs", tuple(map(told, self.paragraphs)))
+
     @property
     def is_empty(self) -> bool:
         """Whether there is nothing below the heading."""
@@ -374,6 +399,14 @@ class Report:
     warnings: Sequence[str] = ()
     headline: str = ""
     head: Sequence[tuple[str, str]] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "answer", told(self.answer))
+        for name in ("verdict", "warnings"):
+            object.__setattr__(self, name, tuple(map(told, getattr(self, name))))
+        for name in ("numbers", "head"):
+            pairs = getattr(self, name)
+            object.__setattr__(self, name, tuple((what, told(value)) for what, value in pairs))
 
     @property
     def first(self) -> tuple[str, ...]:
