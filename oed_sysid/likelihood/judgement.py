@@ -348,7 +348,15 @@ def _peaks(fit: Estimate) -> list[Peak]:
 
 
 def _swings(fit: Estimate) -> Iterator[Found]:
+    """Peaks that are no sea of the fit.
+
+    Within an octave of one it is the shape of the spectrum that is not quite the assumed one, which
+    standard errors hold.
+    """
+    periods = [float(sea.period or 0.0) for sea in fit.noise.seas]
     for peak in _peaks(fit):
+        if any(0.5 < peak.period / period < 2.0 for period in periods):
+            continue
         yield Found(peak.period, peak.output, facts={"ratio": peak.ratio})
 
 

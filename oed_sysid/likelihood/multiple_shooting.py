@@ -40,7 +40,7 @@ from oed_sysid.likelihood.noise_levels import (
     start_levels,
     without_spikes,
 )
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -146,7 +146,7 @@ class MultipleShooting:
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
     solver: Solver = Solver()  # noqa: RUF009 (frozen)
-    disturbances: str | Sea | Sequence[str | Sea] = "auto"
+    disturbances: Disturbances = "auto"
     horizon: float | None = None
 
     def __post_init__(self) -> None:
@@ -193,8 +193,7 @@ class MultipleShooting:
     @property
     def _seas(self) -> tuple[Sea, ...]:
         """Seas that are declared."""
-        given = (self.disturbances,) if isinstance(self.disturbances, Sea) else self.disturbances
-        return tuple(one for one in given if isinstance(one, Sea))
+        return seas_in(self.disturbances)
 
     @property
     def _named(self) -> str | tuple[str, ...]:
