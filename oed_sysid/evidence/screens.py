@@ -274,7 +274,7 @@ def _repeated(
     cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
     if cut.any():
         yield "saturated", runs.rows(np.flatnonzero(cut)), float(runs.value[cut][0])
-    still = long & ~cut & (runs.length >= 4) & _sudden(series, runs)
+    still = long & ~cut & (runs.length >= 8) & _sudden(series, runs)
     if still.any():
         chosen = np.flatnonzero(still)
         yield "frozen", runs.rows(chosen, after=1), float(runs.length[chosen].sum())
