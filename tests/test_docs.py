@@ -152,7 +152,7 @@ def test_tutorial_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, 
 def test_own_vehicle_page_runs(capsys) -> None:
     """The problem of the page takes at most 25 lines, and its code runs and prints an equation."""
     page = ROOT / "docs" / "own_vehicle.md"
-    first, second = blocks(page, "python")
+    first, second, third = blocks(page, "python")
     lines = [line for line in first.splitlines() if line.strip()]
     assert len(lines) <= 25
     assert max(map(len, lines)) <= 100
@@ -162,6 +162,8 @@ def test_own_vehicle_page_runs(capsys) -> None:
     assert names["problem"].experiments
     exec(second, names)
     assert "blade(u_r, T, E_blade)" in capsys.readouterr().out
+    exec(third, names)
+    assert names["yaw"].functions[-1].arguments == ("r", "delta", "K", "T")
 
 
 def test_export_page_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:

@@ -27,6 +27,7 @@ from oed_sysid.compiled.filtering import (
     filter_kernel,
 )
 from oed_sysid.likelihood.filtered import active_components, disturbed_model
+from oed_sysid.likelihood.smoother import Path
 from oed_sysid.physics.model import Model
 
 SHIP_FORCES = ("disturbance_force_r", "disturbance_actuator_delta")
@@ -272,7 +273,14 @@ def remembered(noise: Disturbed, j: int, age: np.ndarray) -> np.ndarray:
 
 
 def dense(noise: Disturbed) -> tuple[float, float]:
-    """Log determinant and weighted square of all measurements, from their joint covariance.
+    """Log determinant and weighted square of all measurements, from their joint covariance."""
+    covariance, residual, _ = joint(noise)
+    determinant = float(np.linalg.slogdet(covariance)[1])
+    return determinant, float(residual @ np.linalg.solve(covariance, residual))
+
+
+def joint(noise: Disturbed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Covariance of all measurements, their residuals, covariance of the disturbances with them.
 
     Disturbances are held over steps of at most 0.2 s; their covariance, and that of the coloured
     errors, is written down from the definition, the response to them is a matrix exponential.
@@ -302,9 +310,12 @@ def dense(noise: Disturbed) -> tuple[float, float]:
     full = np.array([responses[i] for i in ends]).reshape(len(times) * 2, len(starts), 2)
     age = np.abs(np.subtract.outer(starts, starts))
     covariance = np.zeros((len(full), len(full)))
+    across = np.zeros((len(times) - 1, len(noise.disturbances), len(full)))
     for j, name in enumerate(noise.disturbances):
         column = full[:, :, SHIP_FORCES.index(name)]
-        covariance += column @ (noise.variance[j] * remembered(noise, j, age)) @ column.T
+        memory = noise.variance[j] * remembered(noise, j, age)
+        covariance += column @ memory @ column.T
+        across[:, j] = (memory @ column.T)[ends[:-1]]
     between = np.abs(np.subtract.outer(times, times))
     for i, output in enumerate(noise.coloured):
         coloured = noise.colour_variance[i] * np.exp(-between / noise.colour_time[i])
@@ -312,9 +323,7 @@ def dense(noise: Disturbed) -> tuple[float, float]:
     covariance += np.diag(np.tile(noise.white, len(times)))
     residual = (measured - expected).ravel()
     seen = np.isfinite(residual)
-    covariance, residual = covariance[np.ix_(seen, seen)], residual[seen]
-    determinant = float(np.linalg.slogdet(covariance)[1])
-    return determinant, float(residual @ np.linalg.solve(covariance, residual))
+    return covariance[np.ix_(seen, seen)], residual[seen], across[..., seen]
 
 
 @pytest.mark.parametrize("time", [0.0, 0.3, 30.0])
@@ -348,6 +357,20 @@ def test_likelihood_of_seas_is_that_of_the_joint_normal_distribution(turn: int) 
     determinant, square = dense(ship_sea(turn))
     assert found.log_variance == pytest.approx(determinant, rel=1e-8)
     assert found.square == pytest.approx(square, rel=1e-8)
+
+
+@pytest.mark.parametrize("turn", [-1, 1], ids=["velocity", "displacement"])
+def test_smoothed_seas_are_those_of_the_joint_normal_distribution(turn: int) -> None:
+    """Expectation and standard error of every disturbance equal those of conditioning at once."""
+    noise = ship_sea(turn)
+    found = linear_pass(noise, gains=True, moves=True)
+    path = Path.of(found, len(noise.coloured), noise.n_second)
+    covariance, residual, across = joint(noise)
+    expected = across @ np.linalg.solve(covariance, residual)
+    smoothed = path.disturbances(found.innovations[:, :, None])[:-1, :, 0]
+    np.testing.assert_allclose(smoothed, expected, atol=1e-7 * np.abs(expected).max())
+    told = np.einsum("kjs,st,kjt->kj", across, np.linalg.inv(covariance), across)
+    np.testing.assert_allclose(path.std[:-1], np.sqrt(noise.variance - told), rtol=1e-6)
 
 
 def test_filter_with_a_sea_is_a_textbook_kalman_filter() -> None:

@@ -83,6 +83,11 @@ def measure(
             for kind in ("fit", "first")
             if any(kind in o.covered for o in outcomes)
         },
+        "bias": {
+            name: float(np.mean(np.clip(z[:, i], -LARGEST, LARGEST)))
+            for i, name in enumerate(names)
+        },
+        "sea": _sea(scenario, outcomes),
         "forces": _forces(scenario, [o.force for o in outcomes if o.force is not None]),
     }
     both = [i for i, o in enumerate(outcomes) if o.number in known]
@@ -195,6 +200,43 @@ def _forces(scenario: Scenario, told: Sequence[Forces]) -> dict[str, Any] | None
     return found
 
 
+def _sea(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """How often a sea is claimed, and its period and levels within 10 and 25 % where one acts."""
+    found = [o.sea for o in outcomes if o.sea is not None]
+    told: dict[str, Any] = {"claimed": float(100 * len(found) / max(len(outcomes), 1))}
+    if scenario.swell is None or not found:
+        return told
+    periods = np.array([sea["period"] for sea in found]) / scenario.swell
+    true = np.array(scenario.force)
+    levels = np.array([[*sea["levels"].values()] for sea in found]) / true
+    told["period"] = [float(v) for v in np.percentile(periods, [50, 5, 95])]
+    told["period_within"] = float(100 * np.mean(np.abs(periods - 1) <= 0.1))
+    told["level"] = [float(v) for v in np.median(levels, axis=0)]
+    told["level_within"] = float(100 * np.mean(np.abs(levels - 1) <= 0.25))
+    return told
+
+
+def _sea_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    lines = [
+        "| scenario | sea claimed, % | period / true (5 to 95 %) | within 10 %, % "
+        "| levels / true, medians | within 25 %, % | worst coverage, % | largest bias |",
+        "|---|---|---|---|---|---|---|---|",
+    ]
+    for r in results:
+        sea = r["sea"]
+        worst = min(part["coverage"] for part in r["by_parameter"].values())
+        bias = max(r["bias"].values(), key=abs)
+        told = "– | – | – | –"
+        if "period" in sea:
+            levels = ", ".join(f"{v:.2f}" for v in sea["level"])
+            told = f"{_range(sea['period'])} | {sea['period_within']:.0f} | {levels} "
+            told += f"| {sea['level_within']:.0f}"
+        lines.append(
+            f"| {r['scenario']} | {sea['claimed']:.0f} | {told} | {worst:.0f} | {bias:+.2f} |"
+        )
+    return lines
+
+
 def table(results: Sequence[Mapping[str, Any]]) -> str:
     """Markdown: one row a scenario, then levels of forces, then errors by parameter."""
     lines = [
@@ -214,7 +256,16 @@ def table(results: Sequence[Mapping[str, Any]]) -> str:
             f"| {r['flagged']:.0f} | {_band(r, 'fit')} | {_band(r, 'first')} | {own} "
             f"| {r['seconds']:.3f} | {', '.join(r['missed']) or 'all met'} |"
         )
-    lines += ["", *_force_table(results), "", *_parameter_table(results), "", *_concerns(results)]
+    lines += [
+        "",
+        *_sea_table(results),
+        "",
+        *_force_table(results),
+        "",
+        *_parameter_table(results),
+        "",
+        *_concerns(results),
+    ]
     return "\n".join(lines)
 
 

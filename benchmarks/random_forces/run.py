@@ -42,7 +42,8 @@ def run(
     settings : mapping
         Of ``MultipleShooting``.
     json_file : Path, optional
-        Written after every scenario: all measures and every single fit.
+        Written after every set: all measures and every single fit. Sets that it holds already,
+        of the same seed and settings, are not fitted again.
 
     Returns
     -------
@@ -50,28 +51,52 @@ def run(
         See :func:`~benchmarks.random_forces.measures.measure`.
     """
     entries = cache.load()
-    results, single = [], {}
+    told = {k: repr(v) for k, v in (settings or {}).items()}
+    results, single = [], _kept(json_file, seed, told)
     for name in names:
         scenario = SCENARIOS[name]
         began = time.perf_counter()
         data = simulate(scenario, seed, range(sets))
-        outcomes = [outcome(scenario, one, settings or {}) for one in data]
+        kept = {one["number"]: Outcome(**one) for one in single.get(name, ())}
+        for one in data:
+            if one.number not in kept:
+                kept[one.number] = outcome(scenario, one, settings or {})
+                single[name] = [asdict(each) for each in kept.values()]
+                _write(json_file, seed, told, results, single)
+        outcomes = [kept[one.number] for one in data]
         results.append(measure(scenario, outcomes, cache.known(entries, scenario, seed, data)))
-        single[name] = [asdict(one) for one in outcomes]
         last = results[-1]
         tell(
             f"{name}: coverage {last['coverage']:.1f} %, z {last['z']:.2f}, flagged "
             f"{last['flagged']:.0f} % ({time.perf_counter() - began:.0f} s)"
         )
-        if json_file is not None:
-            content = {
-                "seed": seed,
-                "settings": {k: repr(v) for k, v in (settings or {}).items()},
-                "scenarios": results,
-                "fits": single,
-            }
-            json_file.write_text(json.dumps(content, indent=1), encoding="utf-8")
+        _write(json_file, seed, told, results, single)
     return results
+
+
+def _kept(json_file: Path | None, seed: int, settings: Mapping[str, str]) -> dict[str, Any]:
+    """Fits of an earlier run of the same seed and settings."""
+    if json_file is None or not json_file.exists():
+        return {}
+    earlier = json.loads(json_file.read_text(encoding="utf-8"))
+    same = earlier["seed"] == seed and earlier["settings"] == settings
+    return dict(earlier["fits"]) if same else {}
+
+
+def _write(
+    json_file: Path | None,
+    seed: int,
+    settings: Mapping[str, str],
+    results: Sequence[Mapping[str, Any]],
+    fits: Mapping[str, Any],
+) -> None:
+    """Write what is there so far, whole or not at all."""
+    if json_file is None:
+        return
+    content = {"seed": seed, "settings": settings, "scenarios": results, "fits": fits}
+    partial = json_file.with_suffix(".part")
+    partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
+    partial.replace(json_file)
 
 
 def tell(text: str) -> None:
@@ -122,9 +147,10 @@ def reference_row(
 def settings_of(options: SimpleNamespace | argparse.Namespace) -> dict[str, Any]:
     """Settings of the estimator from the command line."""
     disturbances: str | tuple[str, ...] = options.disturbances
-    if disturbances not in ("auto", "none", "all"):
+    if disturbances not in ("auto", "none", "all", "known"):
         disturbances = tuple(options.disturbances.split(","))
-    return {"disturbances": disturbances, "loss": options.loss}
+    told = {"disturbances": disturbances, "loss": options.loss}
+    return told | ({"predict": False} if options.fit_only else {})
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -139,8 +165,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--json", type=Path, help="write measures and every fit there")
     parser.add_argument("--reference", action="store_true", help="compute the reference instead")
     parser.add_argument(
-        "--disturbances", default="auto", help="auto, none, all or names as Z,M (if known)"
+        "--disturbances", default="auto", help="auto, none, all, known (swell) or names as Z,M"
     )
+    parser.add_argument("--fit-only", action="store_true", help="no predictions: much quicker")
     parser.add_argument("--loss", default="square", help="square, huber or student")
     options = parser.parse_args(arguments)
     names = options.scenarios or list(SCENARIOS)

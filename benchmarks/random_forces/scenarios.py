@@ -1,4 +1,4 @@
-r"""The two vehicles of the benchmark: equations of motion in plain NumPy.
+r"""The vehicles of the benchmark: equations of motion in plain NumPy.
 
 Diving plane of a REMUS-like AUV, from Prestero (2001):
 
@@ -18,8 +18,12 @@ Yaw of a ship per unit of inertia, with a rudder zero of each record:
 .. math:: \dot\psi = r, \qquad
     \dot r = N_r r + N_{|r|r} |r| r + N_\delta (\delta + \delta_0) + w_N
 
+A ship of 160 m in four degrees of freedom and a sailing drone of 2 m, per unit of inertia
+(:func:`ship_rate`, :func:`drone_rate`); the drone's satellite receiver is ten times slower than
+its gyro.
+
 The disturbance forces :math:`w` are first-order Gauss-Markov processes of standard
-deviation :math:`\sigma` and time :math:`\tau`.
+deviation :math:`\sigma` and time :math:`\tau`, or a swell of a JONSWAP spectrum.
 """
 
 from __future__ import annotations
@@ -73,6 +77,10 @@ class Vehicle:
         Sign of the command that lowers this angle.
     rate : callable
         Time derivative of the state.
+    cruise : float
+        First state at the beginning.
+    every : tuple of int
+        Samples between two measurements of each output; one where it is left out.
     """
 
     name: str
@@ -90,6 +98,8 @@ class Vehicle:
     rate_output: int
     sense: float
     rate: Rate
+    cruise: float = 0.0
+    every: tuple[int, ...] = ()
 
 
 def remus_rate(
@@ -176,7 +186,107 @@ YAW = Vehicle(
 )
 
 
-VEHICLES = {vehicle.name: vehicle for vehicle in (REMUS, YAW)}
+def ship_rate(
+    state: np.ndarray, inputs: np.ndarray, force: np.ndarray, values: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Derivatives of ``u v r p phi psi``; the input is the rudder angle."""
+    u, v, r, p, phi, _ = state
+    helm = u * u * inputs[0]
+    return np.stack(
+        [
+            values["X_uu"] * u * abs(u) + SHIP_THRUST + v * r + force[0],
+            values["Y_uv"] * u * v + values["Y_ur"] * u * r + values["Y_d"] * helm + force[1],
+            values["N_uv"] * u * v + values["N_ur"] * u * r + values["N_d"] * helm + force[2],
+            values["K_phi"] * phi + values["K_p"] * p + values["K_ur"] * u * r
+            + values["K_d"] * helm + force[3],
+            p,
+            r,
+        ]
+    )  # fmt: skip
+
+
+def drone_rate(
+    state: np.ndarray, inputs: np.ndarray, force: np.ndarray, values: Mapping[str, np.ndarray]
+) -> np.ndarray:
+    """Derivatives of ``u v r psi``; the input is the rudder angle."""
+    u, v, r, _ = state
+    helm = u * u * inputs[0]
+    return np.stack(
+        [
+            values["X_uu"] * u * abs(u) + DRONE_THRUST + 1.5 * v * r + force[0],
+            values["Y_uv"] * u * v + values["Y_ur"] * u * r + values["Y_d"] * helm + force[1],
+            values["N_uv"] * u * v + values["N_ur"] * u * r + values["N_d"] * helm + force[2],
+            r,
+        ]
+    )
+
+
+# Accelerations of both by their propellers, m/s^2.
+SHIP_THRUST, DRONE_THRUST = 0.015, 0.4
+
+
+SHIP = Vehicle(
+    name="ship",
+    believed={
+        "X_uu": -2.5e-4,
+        "Y_uv": -6.5e-3,
+        "Y_ur": -0.4,
+        "Y_d": -4e-4,
+        "N_uv": -1e-4,
+        "N_ur": -1.05e-2,
+        "N_d": 7.7e-5,
+        "K_phi": -0.2,
+        "K_p": -0.06,
+        "K_ur": 0.13,
+        "K_d": -3e-4,
+    },
+    local={},
+    states=("u", "v", "r", "p", "phi", "psi"),
+    inputs=("rudder",),
+    forces=("u", "v", "r", "p"),
+    noise_std=(0.02, 0.03, 5e-4, 2e-3, 3e-3, 3e-3),
+    sample_time=1.0,
+    substeps=10,
+    begin=10.0,
+    duration=300.0,
+    steered=5,
+    rate_output=2,
+    sense=-1.0,
+    rate=ship_rate,
+    cruise=7.7,
+)
+
+
+DRONE = Vehicle(
+    name="drone",
+    believed={
+        "X_uu": -0.1,
+        "Y_uv": -0.35,
+        "Y_ur": -0.4,
+        "Y_d": -0.05,
+        "N_uv": -0.1,
+        "N_ur": -0.6,
+        "N_d": 0.12,
+    },
+    local={},
+    states=("u", "v", "r", "psi"),
+    inputs=("rudder",),
+    forces=("u", "v", "r"),
+    noise_std=(0.05, 0.05, 5e-3, 0.01),
+    sample_time=0.1,
+    substeps=4,
+    begin=2.0,
+    duration=90.0,
+    steered=3,
+    rate_output=2,
+    sense=-1.0,
+    rate=drone_rate,
+    cruise=2.0,
+    every=(10, 10, 1, 2),
+)
+
+
+VEHICLES = {vehicle.name: vehicle for vehicle in (REMUS, YAW, SHIP, DRONE)}
 
 
 def pitch_pole(values: Mapping[str, float], speed: float) -> float:
@@ -339,6 +449,28 @@ _YAW = Scenario(
 )
 
 
+# Accelerations by waves: a sway of 0.08 m/s and a roll of 0.2 degrees, as much as its sensor.
+_SHIP = Scenario(
+    "ship_swell",
+    "ship, zigzags on the measured heading, swell of 8 s",
+    vehicle="ship",
+    records=RUDDER,
+    fresh=Manoeuvre("zigzag_12_15", 12.0, 15.0),
+    force=(0.02, 0.06, 4e-4, 1.5e-3),
+    swell=8.0,
+)
+_DRONE = Scenario(
+    "drone_swell",
+    "drone with slow sensors, 10 % missing, swell of 8 s",
+    vehicle="drone",
+    records=RUDDER,
+    fresh=Manoeuvre("zigzag_12_15", 12.0, 15.0),
+    force=(0.05, 0.1, 0.06),
+    swell=8.0,
+    missing=0.1,
+)
+
+
 SCENARIOS = {
     scenario.name: scenario
     for scenario in (
@@ -397,6 +529,27 @@ SCENARIOS = {
         ),
         replace(
             _YAW, name="yaw_zero_force", title="rudder zeros and a random moment", force=(3e-4,)
+        ),
+        _SHIP,
+        replace(
+            _SHIP,
+            name="ship_designed",
+            title="ship, rudder by the clock, swell of 8 s",
+            records=tuple(
+                replace(zigzag, name=f"clocked_{hold:g}", hold=hold)
+                for zigzag, hold in zip(RUDDER, (9.0, 17.0, 31.0), strict=True)
+            ),
+        ),
+        replace(_SHIP, name="ship_gusts", title="ship, first-order forces", swell=None),
+        replace(_SHIP, name="ship_white", title="ship, no forces", force=(0.0,) * 4, swell=None),
+        _DRONE,
+        replace(_DRONE, name="drone_gusts", title="drone, first-order forces", swell=None),
+        replace(_DRONE, name="drone_white", title="drone, no forces", force=(0.0,) * 3, swell=None),
+        Scenario(
+            "remus_swell",
+            "medium, JONSWAP with peak at 8 s",
+            force=_times(1.0),
+            swell=8.0,
         ),
     )
 }

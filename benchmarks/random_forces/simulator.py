@@ -181,6 +181,8 @@ class _Column:
         self.absent = gaps.random(white.shape) < scenario.missing
         self.absent |= gaps.random((self.n, 1)) < scenario.dropped
         self.absent[0] = False
+        for column, stride in enumerate(vehicle.every):
+            self.absent[:, column] |= np.arange(self.n) % stride != 0
         self.fin_noise = fin.standard_normal(self.n) * np.radians(scenario.fin_noise)
         zeros = zero.standard_normal(len(vehicle.local))
         self.local = {
@@ -210,6 +212,7 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     hold = np.array([c.manoeuvre.hold for c in columns])
     thrust = np.array([c.manoeuvre.thrust for c in columns])
     state = np.zeros((len(vehicle.states), width))
+    state[0] = vehicle.cruise
     if vehicle.name == "remus":
         state[0] = np.sqrt(thrust / -values["X_uu"])
         state[4] = FIRST_DEPTH

@@ -12,7 +12,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import ignorant
-from benchmarks.random_forces.scenarios import VEHICLES, Scenario
+from benchmarks.random_forces.scenarios import (
+    DRONE_THRUST,
+    SHIP_THRUST,
+    VEHICLES,
+    Scenario,
+    Vehicle,
+)
 from benchmarks.random_forces.simulator import Run, Set, believed
 from oed_sysid import (
     Dataset,
@@ -22,6 +28,7 @@ from oed_sysid import (
     MultipleShooting,
     Output,
     Parameter,
+    Sea,
     State,
     load_problem,
 )
@@ -63,6 +70,8 @@ class Outcome:
         Root mean square residual in units of the declared noise.
     local : float
         Root mean square error of per-record parameters over their spread.
+    sea : dict or None
+        What :func:`sea_of` tells.
     """
 
     number: int
@@ -77,13 +86,20 @@ class Outcome:
     by_output: dict[str, float] = field(default_factory=dict)
     misfit: float = np.nan
     local: float = np.nan
+    sea: dict[str, Any] | None = None
 
 
-@lru_cache(maxsize=2)
+# Width of a JONSWAP spectrum at half its power.
+JONSWAP_WIDTH = 0.2
+
+
+@lru_cache(maxsize=4)
 def _model(vehicle: str) -> Model:
     """The nominal model without priors."""
     if vehicle == "remus":
         return ignorant(load_problem("remus_diving_plane").model)
+    if vehicle in RATES:
+        return _manoeuvring(VEHICLES[vehicle])
     yaw = VEHICLES["yaw"]
     hull = Force(
         "hull",
@@ -112,6 +128,40 @@ def _model(vehicle: str) -> Model:
     )
 
 
+# Equations of the ship and of the drone as a user writes them.
+_SWAY = {
+    "v": "Y_uv*u*v + Y_ur*u*r + Y_d*u*u*rudder",
+    "r": "N_uv*u*v + N_ur*u*r + N_d*u*u*rudder",
+    "psi": "r",
+}
+RATES = {
+    "ship": {
+        "u": f"X_uu*u*abs(u) + {SHIP_THRUST} + v*r",
+        "p": "K_phi*phi + K_p*p + K_ur*u*r + K_d*u*u*rudder",
+        "phi": "p",
+        **_SWAY,
+    },
+    "drone": {"u": f"X_uu*u*abs(u) + {DRONE_THRUST} + 1.5*v*r", **_SWAY},
+}
+UNITS = {"u": "m/s", "v": "m/s", "r": "rad/s", "p": "rad/s", "phi": "rad", "psi": "rad"}
+
+
+def _manoeuvring(vehicle: Vehicle) -> Model:
+    """A vehicle of which every state is measured."""
+    states = zip(vehicle.states, vehicle.noise_std, strict=True)
+    return Model(
+        name=vehicle.name,
+        states=tuple(State(name, UNITS[name]) for name in vehicle.states),
+        inputs=(Input("rudder", "rad"),),
+        outputs=tuple(Output(name, UNITS[name], noise_std=std) for name, std in states),
+        kinematics={name: RATES[vehicle.name][name] for name in vehicle.states},
+        parameters=tuple(
+            Parameter(name, value, scale=abs(value)) for name, value in vehicle.believed.items()
+        ),
+        step=min(vehicle.sample_time, 0.5),
+    )
+
+
 def dataset(scenario: Scenario, model: Model, runs: Sequence[Run]) -> Dataset:
     """Records of the package; rows that were dropped are not in them."""
     records = []
@@ -124,9 +174,18 @@ def dataset(scenario: Scenario, model: Model, runs: Sequence[Run]) -> Dataset:
     return Dataset(tuple(records))
 
 
-def estimator(settings: Mapping[str, Any]) -> MultipleShooting:
+def true_sea(scenario: Scenario) -> Sea:
+    """The resonator nearest to the swell of a scenario: its levels, its peak and its width."""
+    names = VEHICLES[scenario.vehicle].forces
+    levels = dict(zip(names, scenario.force, strict=True))
+    return Sea(period=scenario.swell, bandwidth=JONSWAP_WIDTH, levels=levels)
+
+
+def estimator(scenario: Scenario, settings: Mapping[str, Any]) -> MultipleShooting:
     """Multiple shooting; settings that it does not know yet are left out."""
     known = {field.name for field in fields(MultipleShooting)}
+    if settings.get("disturbances") == "known":
+        settings = {**settings, "disturbances": true_sea(scenario)}
     return MultipleShooting(**{name: v for name, v in settings.items() if name in known})
 
 
@@ -138,7 +197,7 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
     names = tuple(VEHICLES[scenario.vehicle].believed)
     began = time.process_time()
     try:
-        fit = estimator(settings).fit(model, dataset(scenario, model, data.runs))
+        fit = estimator(scenario, settings).fit(model, dataset(scenario, model, data.runs))
     except Exception as error:  # a benchmark counts failures, it does not stop at them
         empty = dict.fromkeys(names, float("nan"))
         kind = f"raised {type(error).__name__}: {error}"
@@ -147,7 +206,8 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
     seconds = time.process_time() - began
     covered, by_output = {}, {}
     # A parameter of the fresh record can only be known by a fit to it.
-    for initial in ("fit",) if data.fresh.local else ("fit", "first"):
+    ways = ("fit",) if data.fresh.local else ("fit", "first")
+    for initial in ways if settings.get("predict", True) else ():
         try:
             prediction = fit.predict(dataset(scenario, model, (data.fresh,)), initial=initial)
             # An output that is not predicted at all (NaN) is not covered.
@@ -176,7 +236,20 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
         by_output=by_output,
         misfit=float(fit.normalised_rms),
         local=float(np.sqrt(np.mean(np.square(local)))) / spread if local else np.nan,
+        sea=sea_of(fit, scenario.vehicle),
     )
+
+
+def sea_of(fit: Any, vehicle: str) -> dict[str, Any] | None:
+    """Period, width, shape and levels of the sea that a fit claims."""
+    seas = getattr(getattr(fit, "noise", None), "seas", ())
+    if not seas:
+        return None
+    levels = {place.removeprefix("force "): v for place, v in seas[0].levels.items()}
+    return {
+        "period": seas[0].period, "bandwidth": seas[0].bandwidth, "shape": seas[0].shape,
+        "levels": {name: float(levels.get(name, 0.0)) for name in VEHICLES[vehicle].forces},
+    }  # fmt: skip
 
 
 def concerns(fit: Any) -> tuple[str, ...]:

@@ -23,7 +23,7 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
@@ -543,7 +543,7 @@ def diagnose(
     *,
     candidates: Sequence[Effect] | None = None,
     known_noise: bool = False,
-    disturbances: str | Sequence[str] = "auto",
+    disturbances: Disturbances = "auto",
 ) -> Diagnosis:
     """Locate where a model fails and rank what may be missing, adding nothing.
 

@@ -41,6 +41,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.noise_levels import signal_spread
+from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -75,7 +76,7 @@ def improve(
     *,
     candidates: Sequence[Effect] | None = None,
     known_noise: bool = False,
-    disturbances: str | Sequence[str] = "auto",
+    disturbances: Disturbances = "auto",
     max_effects: int = 4,
     terms: bool = True,
     progress: Callable[[str], None] | None = None,
@@ -133,7 +134,9 @@ def improve(
     candidates, told = settled(model, train, candidates, log)
     options = {
         "known_noise": known_noise,
-        "disturbances": [disturbances] if isinstance(disturbances, str) else [*disturbances],
+        "disturbances": [disturbances]
+        if isinstance(disturbances, str)
+        else [str(one) for one in np.atleast_1d(np.array(disturbances, dtype=object))],
         "max_effects": max_effects,
         "terms": terms,
     }

@@ -384,7 +384,7 @@ def term_scores(
     cross, along_residual = np.zeros((len(right), n_terms)), np.zeros(n_terms)
     full, kept_rows = np.zeros(n_terms), []
     for index, (part, scope) in enumerate(zip(passes, signals.values, strict=True)):
-        path = Path.of(part, problem.levels.n_coloured)
+        path = Path.of(part, problem.levels.n_coloured, problem.levels.n_second)
         white = np.nan_to_num(part.innovations / np.sqrt(part.variances)).ravel()
         own = derivatives(problem, unknowns, index, part.rows).reshape(len(white), -1)
         drive = _driven(problem, path, dictionary, scope)

@@ -98,6 +98,13 @@ def let_in(
     """
     old, noise = fit.problem, fit.noise if noise is None else noise
     known = dict(zip(unit.places, unit.force, strict=True))
+    more = [place for place in unit.places if place not in noise.places] if noise.seas else []
+    noise = replace(  # a sea stands in the place of forces
+        noise,
+        force=np.append(noise.force, np.zeros(len(more))),
+        force_time=np.append(noise.force_time, [unit.level(place)[1] for place in more]),
+        places=(*noise.places, *more),
+    )
     least = np.array([LEAST_FORCE * known.get(place, 0.0) for place in noise.places])
     noise = replace(
         noise,
@@ -110,7 +117,7 @@ def let_in(
     problem = Filtered(
         model,
         old.dataset,
-        old.levels.held().starting(noise),
+        replace(old.levels.held().starting(noise), disturbances=noise.disturbed().disturbances),
         kernel=old.kernel,
         known_starts=old.known_starts,
         knowledge=old.knowledge,
@@ -152,7 +159,9 @@ class ResidualForces:
                 "equation. Cut the record, or bound the parameters."
             )
         matrix, right = problem.gathered(unknowns, passes)
-        paths = tuple(Path.of(part, problem.levels.n_coloured) for part in passes)
+        paths = tuple(
+            Path.of(part, problem.levels.n_coloured, problem.levels.n_second) for part in passes
+        )
         columns = []
         for index, (part, path) in enumerate(zip(passes, paths, strict=True)):
             rows = derivatives(problem, unknowns, index, part.rows)

@@ -41,7 +41,7 @@ from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -139,7 +139,7 @@ class Study:
         candidates: Sequence[Effect],
         *,
         known_noise: bool,
-        disturbances: str | Sequence[str] = "auto",
+        disturbances: Disturbances = "auto",
     ) -> tuple[Study, FilteredSolution]:
         """Join model and candidates, and fit the nominal model.
 
@@ -180,6 +180,7 @@ class Study:
             inputs=inputs,
             known=absent,
             drifting=disturbances != "none",
+            seas=seas_in(disturbances),
         )
         effects, skipped = fitting_candidates(model, candidates)
         kernel = _kernel(model, effects, setting)
@@ -468,7 +469,7 @@ def total_error(rms: np.ndarray) -> float:
 
 
 def _disturbed_places(
-    model: Model, disturbances: str | Sequence[str]
+    model: Model, disturbances: Disturbances
 ) -> tuple[tuple[Place, ...], list[str]]:
     """Places where disturbance forces may act or physics may be missing; the latter alone."""
     try:
@@ -482,7 +483,9 @@ def _disturbed_places(
     if disturbances == "none":
         acting = ()
     elif disturbances not in ("auto", "all"):
-        acting = chosen_places(model, disturbances)
+        given = (disturbances,) if isinstance(disturbances, str | Sea) else disturbances
+        names = [one for one in given if isinstance(one, str)]
+        acting = chosen_places(model, names) if names else places
     absent = [place.name for place in places if place not in acting]
     return tuple(dict.fromkeys((*places, *acting))), absent
 

@@ -64,6 +64,7 @@ from oed_sysid.likelihood.departures import (
     values_of,
 )
 from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.information import Whiteness
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     signal_spread,
@@ -347,7 +348,15 @@ def _peaks(fit: Estimate) -> list[Peak]:
 
 
 def _swings(fit: Estimate) -> Iterator[Found]:
+    """Peaks that are no sea of the fit.
+
+    Within an octave of one it is the shape of the spectrum that is not quite the assumed one, which
+    standard errors hold.
+    """
+    periods = [float(sea.period or 0.0) for sea in fit.noise.seas]
     for peak in _peaks(fit):
+        if any(0.5 < peak.period / period < 2.0 for period in periods):
+            continue
         yield Found(peak.period, peak.output, facts={"ratio": peak.ratio})
 
 
@@ -366,15 +375,20 @@ def _colours(fit: Estimate) -> Iterator[Found]:
         if not n:
             continue
         effective = sum(test.effective_samples for test in tests)
-        lag_one = sum(test.lag_one * test.n_samples for test in tests) / n
-        clear = min(test.p_value for test in tests) < COLOUR_CHANCE / len(tests)
-        if (clear or abs(lag_one) * np.sqrt(n) > CLEAR) and effective <= COLOUR_SHARE * n:
+        if effective <= COLOUR_SHARE * n and _remember(tests, n):
             found[name] = Found(effective / n, name, facts={
                 "what": "Innovations" if fit.innovations is not None else "Residuals",
                 "n": n, "effective": effective, "todo": todo,
             })  # fmt: skip
     swinging = {peak.output for peak in _peaks(fit)} if found else set()
     yield from (one for name, one in found.items() if name not in swinging)
+
+
+def _remember(tests: Sequence[Whiteness], n: int) -> bool:
+    """Whether chance seldom makes errors of ``n`` samples so correlated."""
+    lag_one = sum(test.lag_one * test.n_samples for test in tests) / n
+    clear = min(test.p_value for test in tests) < COLOUR_CHANCE / len(tests)
+    return bool(clear or abs(lag_one) * np.sqrt(n) > CLEAR)
 
 
 def _process_noise(fit: Estimate) -> Iterator[Found]:

@@ -40,7 +40,7 @@ from oed_sysid.likelihood.noise_levels import (
     start_levels,
     without_spikes,
 )
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
 from oed_sysid.likelihood.random_forces import (
     Start,
@@ -146,7 +146,7 @@ class MultipleShooting:
     coloured: str = "auto"
     progress: Callable[[Progress], None] | None = None
     solver: Solver = Solver()  # noqa: RUF009 (frozen)
-    disturbances: str | Sea | Sequence[str | Sea] = "auto"
+    disturbances: Disturbances = "auto"
     horizon: float | None = None
 
     def __post_init__(self) -> None:
@@ -193,8 +193,7 @@ class MultipleShooting:
     @property
     def _seas(self) -> tuple[Sea, ...]:
         """Seas that are declared."""
-        given = (self.disturbances,) if isinstance(self.disturbances, Sea) else self.disturbances
-        return tuple(one for one in given if isinstance(one, Sea))
+        return seas_in(self.disturbances)
 
     @property
     def _named(self) -> str | tuple[str, ...]:
@@ -284,10 +283,8 @@ class MultipleShooting:
             fit, disturbed = self._disturbed(fit, task)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
-            code = disturbed.status.code
-            if code not in FAILED and _only_alone(disturbed, fit):
-                code = "diverged"
-            if not self._tests(model) or code not in FAILED:
+            code = _fault(disturbed, fit)
+            if not code or not self._tests(model):
                 return disturbed
             fit = _failed(fit, code)
         if wanted:
@@ -651,6 +648,13 @@ def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Poin
 def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
+
+
+def _fault(disturbed: Fit, white: Fit) -> str:
+    """How a fit with process noise failed; empty where its values are to be returned."""
+    if disturbed.status.code in FAILED:
+        return disturbed.status.code
+    return "diverged" if _only_alone(disturbed, white) else ""
 
 
 def _only_alone(disturbed: Fit, white: Fit) -> bool:

@@ -268,6 +268,16 @@ class NoiseModel:
         }
 
 
+# "auto", "all", "none", places, or a sea that is declared, or several of these.
+Disturbances = str | Sea | Sequence[str | Sea]
+
+
+def seas_in(disturbances: Disturbances) -> tuple[Sea, ...]:
+    """Seas that are declared among disturbances."""
+    given = (disturbances,) if isinstance(disturbances, str | Sea) else disturbances
+    return tuple(one for one in given if isinstance(one, Sea))
+
+
 def disturbance_names(at_places: Sequence[str]) -> tuple[str, ...]:
     """Parameters of the filtered model through which disturbances act at places."""
     return tuple(f"{DISTURBANCE}{place.replace(' ', '_', 1)}" for place in at_places)

@@ -43,10 +43,11 @@ class Path:
         What each innovation sees of the prediction; zero where nothing was measured.
     drive : ndarray (n_times, n, n_disturbances)
         Effect of each disturbance, held over the step, on the next prediction, itself left out.
-    memory : ndarray (n_times, n_disturbances)
-        Share of each disturbance that is left at the next sample.
-    gain : ndarray (n_times, n_outputs, n_disturbances)
-        Of the innovations on the disturbances.
+    memory : ndarray (n_times, n_random, n_random)
+        Transition of the disturbances, and of the second states of those that are narrow-band,
+        towards the next sample.
+    gain : ndarray (n_times, n_outputs, n_random)
+        Of the innovations on these.
     spread : ndarray (n_times, n_disturbances, n)
         Predicted covariance of the disturbances with everything.
     variances : ndarray (n_times, n_outputs)
@@ -65,14 +66,18 @@ class Path:
     first: int
 
     @classmethod
-    def of(cls, part: FilterPass, n_coloured: int = 0) -> Path:
-        """Fold the measurements of a pass that kept its gains and moves into its transitions."""
+    def of(cls, part: FilterPass, n_coloured: int = 0, n_second: int = 0) -> Path:
+        """Fold the measurements of a pass that kept its gains and moves into its transitions.
+
+        Behind the disturbances stand ``n_coloured`` colours, then ``n_second`` second states.
+        """
         assert part.gains is not None
         assert part.moves is not None
         _, n_outputs, _, size = part.gains.shape
         n_random = part.moves.shape[1] - size
-        first = size - n_coloured - n_random
+        first = size - n_second - n_coloured - n_random
         random = slice(first, first + n_random)
+        wide = np.r_[first : first + n_random, size - n_second : size]
         transition, spread = part.moves[:, :size], part.moves[:, size:]
         through = np.broadcast_to(np.eye(size), transition.shape).copy()
         seen = np.empty((len(part.gains), n_outputs, size))
@@ -81,9 +86,9 @@ class Path:
             seen[:, output] = np.einsum("ki,kij->kj", row, through)
             through -= gain[:, :, None] * seen[:, output, None, :]
         drive = transition[:, :, random].copy()
-        drive[:, random] = 0.0
-        memory = np.diagonal(transition[:, random, random], axis1=1, axis2=2)
-        gain = part.gains[:, :, 1, random]
+        drive[:, wide] = 0.0
+        memory = transition[:, wide[:, None], wide]
+        gain = part.gains[:, :, 1, wide]
         closed = transition @ through
         return cls(closed, seen, drive, memory, gain, spread, part.variances, first)
 
@@ -123,11 +128,12 @@ class Path:
         pushes = np.swapaxes(self.gain, 1, 2) @ columns
         told = np.swapaxes(self.seen, 1, 2) @ (columns / self.variances[:, :, None])
         n, size = self.seen.shape[0], self.seen.shape[2]
-        result = np.empty(pushes.shape)
+        count = self.drive.shape[2]
+        result = np.empty((n, count, columns.shape[2]))
         mean = np.zeros(pushes.shape[1:])
         for k in range(n):
-            result[k] = mean
-            mean = self.memory[k][:, None] * (mean + pushes[k])
+            result[k] = mean[:count]
+            mean = self.memory[k] @ (mean + pushes[k])
         later = np.zeros((size, columns.shape[2]))
         for k in range(n - 1, -1, -1):
             later = told[k] + self.closed[k].T @ later

@@ -126,19 +126,15 @@ def _solve(
     wanted: list[str],
 ) -> dict[str, Guess]:
     """Gauss-Newton at every sample at once, on all wanted states that occur."""
-    equations = _equations(model, record, known, slopes)
-    equations = [e for e in equations if e[1] & set(wanted)]
-    wanted = [name for name in wanted if any(name in e[1] for e in equations)]
-    equations = [e for e in equations if e[1] <= {*known, *wanted}]
+    equations, wanted = _telling(_equations(model, record, known, slopes), known, wanted)
     if not equations or not wanted:
         return {}
-    scale = np.array([state.scale for state in model.states if state.name in wanted])
-    wanted = [state.name for state in model.states if state.name in wanted]
-    vague = VAGUE * scale
+    scales = {state.name: state.scale for state in model.states if state.name in wanted}
+    vague = VAGUE * np.array([scales[name] for name in wanted])
     values = np.zeros((len(record.times), len(wanted)))
     with np.errstate(all="ignore"):
         for _ in range(NEWTON_STEPS):
-            matrix, right = _normal(equations, known, dict(zip(wanted, scale, strict=True)), values)
+            matrix, right = _normal(equations, known, scales, values)
             matrix = matrix + np.diag(vague**-2)
             right = right - values / vague**2
             if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
@@ -152,6 +148,15 @@ def _solve(
         for i, name in enumerate(wanted)
         if std[i] < 0.5 * vague[i]
     }
+
+
+def _telling(
+    equations: list[Equation], known: Mapping[str, np.ndarray], wanted: list[str]
+) -> tuple[list[Equation], list[str]]:
+    """Equations that hold nothing but what is known or wanted, and what of it they hold."""
+    equations = [e for e in equations if e[1] & set(wanted)]
+    told = [name for name in wanted if any(name in e[1] for e in equations)]
+    return [e for e in equations if e[1] <= {*known, *told}], told
 
 
 def _normal(
