@@ -557,7 +557,7 @@ def test_earth_fixed_velocities_of_the_towing_tank_are_named_unaided() -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(not (DATA / "esso_osaka").is_dir(), reason="data is not here")
 def test_lag_of_the_esso_osaka_files_is_found_in_all_twelve() -> None:
-    """Velocities and heading come 0.7 to 1.0 s after the positions; headings wrap in six."""
+    """Velocities and heading come 0.7 to 1.1 s after the positions; headings wrap in six."""
     model = free_running(ESSO, "delta_rudder", wrap=True)
     lags, wraps = [], 0
     for path in sorted((DATA / "esso_osaka").glob("*.csv")):
@@ -572,7 +572,7 @@ def test_lag_of_the_esso_osaka_files_is_found_in_all_twelve() -> None:
     assert wraps == 6
     assert len(lags) == 12
     assert min(lags) > 0.7
-    assert max(lags) < 1.0
+    assert max(lags) < 1.1
 
 
 @pytest.fixture(scope="module")

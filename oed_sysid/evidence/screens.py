@@ -266,7 +266,7 @@ def _repeated(
     recurs = np.bincount(place, weights=fallen)[place] * (not coarse)
     extreme = (runs.value == values[0]) | (runs.value == values[-1])
     lost = far | (fallen & (recurs >= 4) & (recurs > 0.8 * times[place]))
-    lost |= fallen & (runs.length >= max(3.0, least)) & ((recurs > 1) | extreme)
+    lost |= fallen & (runs.length >= (least if coarse else 3)) & ((recurs > 1) | extreme)
     if lost.any():
         yield "dropouts", runs.rows(np.flatnonzero(lost)), float(runs.value[lost][0])
     long = (runs.length >= least) & ~lost
@@ -274,7 +274,7 @@ def _repeated(
     cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
     if cut.any():
         yield "saturated", runs.rows(np.flatnonzero(cut)), float(runs.value[cut][0])
-    still = long & ~cut & (runs.length >= 4) & _sudden(series, runs)
+    still = long & ~cut & (runs.length >= 8) & _sudden(series, runs)
     if still.any():
         chosen = np.flatnonzero(still)
         yield "frozen", runs.rows(chosen, after=1), float(runs.length[chosen].sum())
