@@ -8,7 +8,7 @@ from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.compiled.normal_equations import eliminate, gather
+from oed_sysid.compiled.normal_equations import _eliminate_numpy, eliminate, gather
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.physics.model import Model
 
@@ -122,3 +122,17 @@ def test_elimination_solves_the_whole_problem(compiled: bool) -> None:
     assert np.allclose(found.moves(step).ravel(), expected[:size], rtol=1e-9)
     # Twice the drop of the quadratic: right-hand side times solution.
     assert found.gain + found.right @ step == pytest.approx(right @ expected, rel=1e-9)
+
+
+def test_start_states_that_look_alike_do_not_stop_the_step() -> None:
+    """Blocks that are singular give a finite step, and the exact one elsewhere."""
+    column = np.array([1e12, -1e12, 0.5, 1.0])
+    alike = np.outer(column, column)
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((6, 4))
+    gram, away, weight = np.stack([alike, rows.T @ rows]), np.zeros((2, 2)), np.full(2, 1e-12)
+    found = _eliminate_numpy(gram, away, weight, 0.0)
+    assert np.isfinite(found.solved).all()
+    block = rows.T @ rows
+    exact = np.linalg.solve(block[:2, :2] + np.diag(weight), block[:2, 2:])
+    np.testing.assert_allclose(found.solved[1], exact, rtol=1e-10)

@@ -186,7 +186,11 @@ def _eliminate_numpy(
     damped[:, diagonal, diagonal] *= 1.0 + damping
     both = gram[:, :n_full, n_full:].copy()
     both[:, :, -1] -= weight * away
-    solved = np.linalg.solve(damped, both)
+    # Equilibrated, and raised by rounding: what two start states share must not stop the step.
+    scale = 1.0 / np.sqrt(np.maximum(damped[:, diagonal, diagonal], np.finfo(float).tiny))
+    damped *= scale[:, :, None] * scale[:, None, :]
+    damped[:, diagonal, diagonal] += n_full * np.finfo(float).eps
+    solved = scale[:, :, None] * np.linalg.solve(damped, scale[:, :, None] * both)
     # By axes: reshaping cannot infer sizes where no parameter is free.
     reduced = gram[:, n_full:-1, n_full:].sum(axis=0) - np.tensordot(
         both[:, :, :-1], solved, axes=([0, 1], [0, 1])
