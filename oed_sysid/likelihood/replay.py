@@ -101,7 +101,8 @@ def _weak(fit: Fit, white: Fit) -> Fit | None:
         white=nothing,
         colour=nothing,
         force=np.zeros(len(noise.force), dtype=bool),
-    )
+        seas=weak.seas,
+    ).held()
     problem = Filtered(white.model, fit.dataset, levels)
     try:
         found = solve_filtered(problem, problem.point(white.initial_states, white.local_values))
