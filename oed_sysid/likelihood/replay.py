@@ -31,8 +31,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.summary import summarise_filtered
 
 # Share of the level of process noise that is left to it, and whole-run error over that of a fit
-# without from which none is. Both were chosen on cases with physics hidden: a share of 0.1 or 0.01
-# costs a third in whole-run error there, a limit of 1.5 or 3 a tenth.
+# without from which none is. Both were chosen on cases with physics hidden, no more than that.
 WEAK, TWICE = 0.03, 2.0
 
 
