@@ -316,9 +316,15 @@ def test_same_fit_same_picture(fit: Fit) -> None:
     assert first == second
 
 
-def test_verdict_tells_misfit_from_noise(fit: Fit, better: Fit) -> None:
-    """The wrong model is said to lack something; the right one is not."""
-    assert "lacks something" in fit.document().answer
+def test_verdict_tells_misfit_from_noise(fit: Fit, better: Fit, data: Dataset) -> None:
+    """The wrong model is said to lack something; the right one is not.
+
+    Process noise may take what is missing: whole runs are then stated, several times worse.
+    """
+    white = MultipleShooting(disturbances="none").fit(SHIP, data)
+    assert "lacks something" in white.document().answer
+    assert "whole runs are off" in fit.document().answer
+    assert fit.whole_runs.ratio > 2.0
     assert "lacks something" not in better.document().answer
 
 

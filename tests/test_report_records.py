@@ -7,6 +7,7 @@ import numpy as np
 from oed_sysid import load_problem, rank_parameters
 from oed_sysid.data.dataset import Record
 from oed_sysid.results import figure_record, ranking_page, style_sheet
+from oed_sysid.runtime.display import share
 
 
 def test_record_is_drawn_in_degrees_without_what_was_not_measured() -> None:
@@ -33,8 +34,8 @@ def test_ranking_page_states_the_worst_parameter() -> None:
     ranking = rank_parameters(problem.model, runs)
     page = ranking_page(ranking)
     worst = ranking.rows[-1]
-    assert (f"std. error, worst: {worst.name}", f"{worst.error:.2%}") in page.numbers
-    assert f"{worst.error:.2%}" in page.summary_html()
+    assert (f"std. error, worst: {worst.name}", share(worst.error)) in page.numbers
+    assert share(worst.error) in page.summary_html()
     assert worst.name in page.sections[0].html()
     assert page.drawn().sections[0].html().strip() in page.html()
     assert ".verdict" in style_sheet()
