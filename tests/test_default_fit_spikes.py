@@ -13,6 +13,7 @@ from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood import multiple_shooting
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.runtime.display import told
 
 NOISE = np.array([0.02, 0.003, 0.002])
 TRUE = {"K": 0.09, "T": 9.0, "a": 0.012, "drag": 0.03}
@@ -145,7 +146,7 @@ def test_a_failed_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPat
         assert fit.values == pytest.approx(white.values, rel=1e-6)
         (concern,) = [one for one in fit.concerns if one.kind == "process_noise"]
         assert "these values are from the fit without it" in concern.text
-        assert concern.text in fit.report()
+        assert told(concern.text) in fit.report()
 
 
 def test_a_stalled_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from oed_sysid import Fit, MultipleShooting, load_problem, read_csv, write_csv
 from oed_sysid.cli import main
+from oed_sysid.cli.tasks import SUSPECT
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate
@@ -103,17 +104,17 @@ def test_command_line_ends_with_exit_code_one(
 def test_suspect_log_stands_above_the_fit(
     zigzag: Record, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """`fit` and `compare` name swapped columns above their result, and return 1."""
+    """`fit` and `compare` name swapped columns above their result, and return 4."""
     swapped = replace(noisy(zigzag), outputs=noisy(zigzag).outputs[:, ::-1])
     write_csv(swapped, tmp_path / "swapped.csv")
     other = replace(noisy(zigzag, 2), outputs=noisy(zigzag, 2).outputs[:, ::-1])
     write_csv(other, tmp_path / "other.csv")
     read = read_csv(tmp_path / "swapped.csv", PROBLEM.channels)
     assert read[0].n_samples == len(zigzag.times)
-    assert main(["fit", "kvlcc2", str(tmp_path / "swapped.csv")]) == 1
+    assert main(["fit", "kvlcc2", str(tmp_path / "swapped.csv")]) == SUSPECT
     out = capsys.readouterr().out
     assert out.startswith("Log suspect: ")
     assert "swap" in out.splitlines()[0]
     train, test = str(tmp_path / "swapped.csv"), str(tmp_path / "other.csv")
-    assert main(["compare", "kvlcc2", "--train", train, "--test", test]) == 1
+    assert main(["compare", "kvlcc2", "--train", train, "--test", test]) == SUSPECT
     assert capsys.readouterr().out.startswith("Log suspect: ")

@@ -31,6 +31,7 @@ LINES = {
     "design": "design ship --duration 30",
     "programme": f"programme ship --runs 2 --hours 1 {PLAN} --max-rudder 15 --rounds 0",
     "campaign": f"campaign trial --problem ship --goal all=3 --hours 5 {PLAN}",
+    "watch": "watch online_ship --source tanker/zigzag_10_10.csv --silence 0.2",
     "import list": "import trial.ulg --list",
     "import": "import trial.ulg --map ship.toml --problem my_ship --out sea",
     "benchmark estimators": "benchmark estimators --problems online_ship --noise 1 --seeds 1"
@@ -46,6 +47,8 @@ def _place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     new_problem(folder / "ship")
     new_problem(folder / "my_ship", template="ship")
     write_log("ship", folder)
+    line = ["simulate", "online_ship", "--out", str(folder / "tanker")]
+    assert main([*line, "--experiment", "zigzag_10_10"]) == 0
     (folder / "ship.toml").write_text(mapping_of("ship"))
     return folder
 

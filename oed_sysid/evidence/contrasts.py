@@ -1107,6 +1107,8 @@ def misread(
         Large delays that compete with readings: their sizes are for :func:`search` to find.
     """
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
+    if np.any((evidence(coarse, relations) == 0.0) & (evidence(traces, relations) != 0.0)):
+        coarse = list(traces)  # motion too fast for fewer samples
     late = [
         Reading(Correction("delay", f.signals, d))
         for f in candidates(coarse, relations).common
