@@ -1062,12 +1062,7 @@ def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterat
     """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
     units = {n: u for trace in traces for n, u in trace.units.items()}
     names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
-    pairs = [(r.target, *r.signals) for r in relations if r.is_rate and units[r.target] == "rad"]
-    for group in [*((n,) for n in names), *(p for p in pairs if len(p) == 2)]:
-        yield Reading(Correction("sign", group, -1.0))
-        if len({units[n].partition("/")[0] for n in group}) == 1:
-            for factor, meaning in UNITS.get(units[group[0]], ()):
-                yield Reading(Correction("unit", group, factor), meaning)
+    yield from _signs_and_units(relations, names, units)
     for pair in combinations(names, 2):
         yield Reading(Correction("swap", pair))
     velocities = velocities_of(relations, units)
@@ -1080,6 +1075,18 @@ def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterat
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
             turn = Correction("offset", (angle,), quarter * math.pi / 2.0)
             yield Reading(turn, f"{90 * quarter} deg")
+
+
+def _signs_and_units(
+    relations: tuple[Relation, ...], names: Sequence[str], units: Mapping[str, str]
+) -> Iterator[Reading]:
+    """Of every signal, and of an angle together with its rate."""
+    pairs = [(r.target, *r.signals) for r in relations if r.is_rate and units[r.target] == "rad"]
+    for group in [*((n,) for n in names), *(p for p in pairs if len(p) == 2)]:
+        yield Reading(Correction("sign", group, -1.0))
+        if len({units[n].partition("/")[0] for n in group}) == 1:
+            for factor, meaning in UNITS.get(units[group[0]], ()):
+                yield Reading(Correction("unit", group, factor), meaning)
 
 
 def evidence(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> np.ndarray:
@@ -1118,24 +1125,11 @@ def misread(
     ]
     found: list[Reading] = []
     for _ in range(3):
-        trials = [*readings(coarse, relations), *late]
-        limit = 2.0 * math.log(len(trials) / ALPHA)
-        now = evidence(coarse, relations)
-        sized = [one.correction for one in search(coarse, relations, single=False).found]
-        mended = [undo(t, sized, relations) for t in coarse]
-        least = limit + max(0.0, float(np.sum(evidence(mended, relations) - now)))
-        scored = []
-        for one in trials:
-            touched = {*one.correction.signals}
-            mine = [i for i, r in enumerate(relations) if touched & {r.target, *r.signals}]
-            some = tuple(relations[i] for i in mine)
-            changed = [undo(t, (one.correction,), relations) for t in coarse]
-            scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
-        scored.sort(key=lambda one: -one.gain)
+        least, scored = _scored(coarse, relations, late)
         if not scored:
             break
         best = scored[0]
-        if best.correction.kind == "delay" and best.gain > limit:
+        if best.correction.kind == "delay" and best.gain > _limit(scored):
             return found, [best.correction]
         if best.gain < least:
             break
@@ -1143,6 +1137,32 @@ def misread(
         found.append(replace(best, rivals=tuple(o for o in rivals if o.correction.kind != "delay")))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
+
+
+def _limit(trials: Sequence[Reading]) -> float:
+    """What chance exceeds rarely, however many readings are tried."""
+    return 2.0 * math.log(len(trials) / ALPHA)
+
+
+def _scored(
+    coarse: Sequence[Trace], relations: tuple[Relation, ...], late: Sequence[Reading]
+) -> tuple[float, list[Reading]]:
+    """What a reading has to tell at least, and all readings, those that tell most first."""
+    trials = [*readings(coarse, relations), *late]
+    now = evidence(coarse, relations)
+    sized = [one.correction for one in search(coarse, relations, single=False).found]
+    mended = [undo(t, sized, relations) for t in coarse]
+    told = float(np.sum(evidence(mended, relations) - now))
+    scored = []
+    for one in trials:
+        touched = {*one.correction.signals}
+        mine = [i for i, r in enumerate(relations) if touched & {r.target, *r.signals}]
+        some = tuple(relations[i] for i in mine)
+        changed = [undo(t, (one.correction,), relations) for t in coarse]
+        scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
+    if not scored:
+        return np.inf, []
+    return _limit(trials) + max(0.0, told), sorted(scored, key=lambda one: -one.gain)
 
 
 def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:
