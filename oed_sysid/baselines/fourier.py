@@ -44,7 +44,7 @@ from oed_sysid.baselines.equations import (
     rows_from,
     states_of,
 )
-from oed_sysid.baselines.online import read_sample
+from oed_sysid.baselines.online import read_sample, streamed_form
 from oed_sysid.baselines.regression import fit_from_values
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
@@ -263,8 +263,8 @@ class Moments:
         Of the targets.
     n_frequencies : int
         Of all runs.
-    count : ndarray (n_equations,)
-        Real numbers behind each.
+    count : float
+        Real numbers behind each equation.
     """
 
     matrix: np.ndarray
@@ -364,12 +364,7 @@ class FourierStream:
                 f"The run lasts {self.duration} s with a sample every {self.period} s. Give a "
                 "length of many samples."
             )
-        self.form = regression_form(self.model)
-        if self.form.graph.n_actuator_memory:
-            raise ModelError(
-                f"Model {self.model.name!r} has actuators with memory. Feed the measured actuator "
-                "signals as inputs and leave the actuator effects out with model.without(...)."
-            )
+        self.form = streamed_form(self.model)
         self.frequencies = frequencies_of(
             self.form, self.duration, self.period, self.band, self.without
         )

@@ -20,6 +20,7 @@ import numpy as np
 
 from oed_sysid.baselines.equations import (
     SPANS,
+    RegressionForm,
     check_rule,
     regression_form,
     rows_from,
@@ -87,6 +88,23 @@ def read_sample(
     return inputs, np.array([sample.get(name, np.nan) for name in model.output_names])
 
 
+def streamed_form(model: Model) -> RegressionForm:
+    """Targets and regressors of a model whose actuators keep no memory between samples.
+
+    Raises
+    ------
+    ModelError
+        If the equations are not linear in the free parameters, or an actuator has memory.
+    """
+    form = regression_form(model)
+    if form.graph.n_actuator_memory:
+        raise ModelError(
+            f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
+            "signals as inputs and leave the actuator effects out with model.without(...)."
+        )
+    return form
+
+
 @dataclass(frozen=True, eq=False)
 class StreamRow:
     """One row of one equation: ``target = features @ parameters``."""
@@ -136,12 +154,7 @@ class EquationStream:
         if rule not in SPANS:
             raise ModelError(f"rule is {rule!r}. A stream knows {', '.join(SPANS)}.")
         self.model, self.rule = model, rule
-        self.form = regression_form(model)
-        if self.form.graph.n_actuator_memory:
-            raise ModelError(
-                f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
-                "signals as inputs and leave the actuator effects out with model.without(...)."
-            )
+        self.form = streamed_form(model)
         self._owners = self._find_owners()
         self._samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)
 
