@@ -174,15 +174,14 @@ def score_gain(found: FilteredSolution, names: Sequence[str]) -> tuple[float, np
     found : FilteredSolution
         With its equations at a point where these levels are unknown.
     names : sequence of str
-        Of these levels, as :meth:`~oed_sysid.likelihood.levels.Levels.name_of` has them.
+        Of these levels, as :attr:`~oed_sysid.likelihood.levels.Levels.names` has them.
     """
     problem = found.problem
     limits, unknowns = problem.limits, found.point.unknowns
     matrix = found.matrix + np.diag(limits.prior_weight)
     right = found.right + limits.prior_weight * (limits.prior_mean - unknowns)
     lower, upper = limits.lower - unknowns, limits.upper - unknowns
-    told = [problem.levels.name_of(kind, index) for kind, index in problem.levels.entries]
-    new = problem.layout.levels.start + np.flatnonzero(np.isin(told, names))
+    new = problem.layout.levels.start + np.flatnonzero(np.isin(problem.levels.names, names))
     gains, step = [], np.zeros_like(right)
     for held in (new, new[:0]):
         most = upper.copy()
