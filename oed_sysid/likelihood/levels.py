@@ -166,7 +166,10 @@ class Levels:
                 *disturbances[: len(noise.force)],
                 *disturbance_names([place for sea in noise.seas for place in sea.places]),
             ),
-            *table.T,
+            table[:, 0],
+            table[:, 1],
+            table[:, 2],
+            table[:, 3],
             np.where(np.isin(kinds, LOGARITHMS), VAGUE_TIME**-2.0, 0.0),
         )
 
