@@ -115,7 +115,7 @@ class Term:
         if self.derivative is not None:
             return notation.term_text(self.derivative)
         written = self.expression.replace("**", "^").replace("*", " ")
-        return f"{self.symbol} {ABSOLUTE.sub(r'|\1|', written)}"
+        return self.symbol + " " + ABSOLUTE.sub(r"|\1|", written)
 
     def effect(self, model: Model, units: Mapping[str, str], scale: float) -> Force:
         """The term as an effect, absent, its coefficient named and given a unit."""
