@@ -53,11 +53,12 @@ from scipy.special import ndtri
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Noise below this is none: rad, and rad per sample.
 LEAST_NOISE = 1e-7
-# Headings that can be smoothed.
-LEAST_HEADINGS = 10
+# Headings that can be smoothed, samples that a law needs and that a course is held at least.
+LEAST_SAMPLES = 16
 # Bounds of the logarithms of three levels of noise, and of alpha, kappa, gamma and lambda, per
 # step: noise that is not nothing, and a ship that does not explode.
 BOUNDS = np.array(
@@ -192,7 +193,7 @@ def smooth_heading(
     Raises
     ------
     DataError
-        If fewer than ten headings were measured.
+        If fewer than 16 headings were measured.
 
     Examples
     --------
@@ -207,10 +208,10 @@ def smooth_heading(
     2.0 mrad/s instead of 5
     """
     times, psi = record.times, record.output(heading)
-    if np.isfinite(psi).sum() < LEAST_HEADINGS:
+    if np.isfinite(psi).sum() < LEAST_SAMPLES:
         raise DataError(
             f"Record {record.name!r} has {np.isfinite(psi).sum()} samples of {heading!r}; a law of "
-            f"steering needs {LEAST_HEADINGS}. Give the law."
+            f"steering needs {LEAST_SAMPLES}. Give the law."
         )
     known = yaw_rate in record.channels.output_names
     step = float(np.median(np.diff(times)))
@@ -358,13 +359,8 @@ def correlation(residuals: np.ndarray) -> float:
 LEAST_EXPLAINED = 0.5
 # Share of the variance that changes alone have to leave; a zigzag's rudder is all changes.
 LEAST_LEFT = 0.1
-# Standard errors from which on a sign is one.
-SIGNIFICANT = 2.0
 # Share of the largest rate from which on a start value counts a sample as limited.
 AT_RATE = 0.75
-# Samples that a course is held at least, and that a law needs.
-LEAST_HELD = 16
-LEAST_SAMPLES = 20
 # A change of course has to lower the sum of squares by this share, and by this of the rudder's.
 LEAST_GAIN = 0.25
 LEAST_OF_RUDDER = 1e-3
@@ -465,14 +461,14 @@ def _check(followed: Followed, side: float, where: str) -> None:
     gain, damping = side * followed.law[:2]
     errors = np.sqrt(np.diag(followed.covariance)[:2])
     said = f"The gain {where} is {followed.law[0]:.3g} with a standard error of {errors[0]:.2g}:"
-    if abs(gain) < SIGNIFICANT * errors[0]:
+    if abs(gain) < TWO_SIDED_95 * errors[0]:
         raise DataError(
             f"{said} the record does not determine it. Take one in which the course is changed, or "
             "give the law."
         )
     if gain <= 0:
         raise DataError(f"{said} this rudder does not turn the ship back to a course. {ADVICE}")
-    if damping < -SIGNIFICANT * errors[1]:
+    if damping < -TWO_SIDED_95 * errors[1]:
         raise DataError(
             f"The damping {where} is {followed.law[1]:.3g} s with a standard error of "
             f"{errors[1]:.2g} s, of the sign that drives the turn: no helmsman held a course "
@@ -617,11 +613,11 @@ class _Machine:
     def seek_changes(self, off: np.ndarray, most: int) -> tuple[int, ...]:
         """Find changes of the level one by one, each where it lowers the sum of squares most."""
         n, rudder = len(self.rudder), self.rudder[off]
-        times = np.arange(LEAST_HELD // 2, n - LEAST_HELD // 2, max(n // MOST_TIMES, 1))
+        times = np.arange(LEAST_SAMPLES // 2, n - LEAST_SAMPLES // 2, max(n // MOST_TIMES, 1))
         steps = (np.arange(n)[off][:, None] >= times).astype(float)
         changes: tuple[int, ...] = ()
         while len(changes) < most:
-            allowed = np.all([np.abs(times - c) >= LEAST_HELD for c in changes], axis=0)
+            allowed = np.all([np.abs(times - c) >= LEAST_SAMPLES for c in changes], axis=0)
             base, _ = np.linalg.qr(self.table(changes)[off])
             left = rudder - base @ (base.T @ rudder)
             across = steps - base @ (base.T @ steps)
@@ -641,7 +637,7 @@ class _Machine:
                 squares = []
                 for shift in (0, *reach, *(-s for s in reach)):
                     moved[i] = now + shift
-                    if shift and min(np.diff([0, *moved, len(self.times)])) < LEAST_HELD // 2:
+                    if shift and min(np.diff([0, *moved, len(self.times)])) < LEAST_SAMPLES // 2:
                         continue
                     orders = self.table(tuple(moved)) @ best.law
                     rudder, *_ = follow(orders, self.times, best.first, best.rate, math.inf)

@@ -45,9 +45,6 @@ from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, r
 DEGREE = math.degrees(1.0)
 
 
-MOST_CHANGES = 8
-
-
 @dataclass(frozen=True, eq=False)
 class CourseEvidence:
     """What a record says of a course law.
@@ -212,7 +209,7 @@ class CourseControl:
         heading: str = "psi",
         yaw_rate: str = "r",
         courses: ArrayLike | str | None = None,
-        most_changes: int = MOST_CHANGES,
+        most_changes: int = 8,
     ) -> CourseControl:
         """Identify the law from a record; equations in :mod:`oed_sysid.prediction.helmsman`.
 
