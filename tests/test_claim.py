@@ -37,25 +37,29 @@ def test_threshold_is_the_quantile_for_all_that_was_tried(
 
 
 @pytest.mark.parametrize(
-    ("training", "validation", "after", "bounds", "decision"),
+    ("training", "validation", "after", "beyond", "decision"),
     [
-        (18.1, 1.1, 1.0, (), "stands"),  # validation runs that hardly move need not gain
-        (18.1, np.nan, np.nan, (), "stands"),
-        (12.0, 1.0, 1.0, (), "T below threshold"),
-        (20.0, -9.0, 1.0, (), "T below threshold"),
-        (90.0, 80.0, 1.03, (), "whole runs get worse"),
-        (90.0, 80.0, np.inf, (), "whole runs get worse"),
-        (90.0, 80.0, 0.5, ("E_x",), "at its bound (E_x)"),
+        (18.1, 1.1, 1.0, None, "stands"),  # validation runs that hardly move need not gain
+        (18.1, np.nan, np.nan, None, "stands"),
+        (12.0, 1.0, 1.0, None, "T below threshold"),
+        (20.0, -9.0, 1.0, None, "T below threshold"),
+        (90.0, 80.0, 1.03, None, "whole runs get worse"),
+        (90.0, 80.0, np.inf, None, "whole runs get worse"),
+        (90.0, 80.0, 0.5, 13.5, "at its bound (E_x), 13.5 likelier beyond"),
+        (90.0, 80.0, 0.5, 13.3, "stands, at its bound (E_x)"),
     ],
 )
 def test_decision_needs_all_three_conditions(
-    training: float, validation: float, after: float, bounds: tuple[str, ...], decision: str
+    training: float, validation: float, after: float, beyond: float | None, decision: str
 ) -> None:
-    """The total statistic, whole runs that do not rise, and a size inside its bounds."""
+    """The total statistic, whole runs that do not rise, and little beyond the size's bounds."""
     before = np.nan if np.isnan(after) else 1.0
-    one = Claim("x", training, validation, threshold(40, 1), before, after, RISE, bounds)
+    bounds = () if beyond is None else ("E_x",)
+    one = Claim(
+        "x", training, validation, threshold(40, 1), before, after, RISE, bounds, beyond or 0.0
+    )
     assert one.decision == decision
-    assert one.stands == (decision == "stands")
+    assert one.stands == decision.startswith("stands")
 
 
 def test_statistic_of_a_search_is_that_of_its_fits() -> None:
@@ -86,7 +90,7 @@ def test_prediction_of_validation_records_is_laplaces_approximation() -> None:
     assert not one.stands
 
 
-def test_size_at_a_bound_is_no_claim_and_one_without_declared_bound_goes_on() -> None:
+def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound_goes_on() -> None:
     """A declared bound holds and is named; twenty typical sizes are no bound of the vehicle."""
     train, test = dataset(11, -15.0), dataset(12, -15.0)
     narrow = CUBIC.parameters[0].name
@@ -102,7 +106,12 @@ def test_size_at_a_bound_is_no_claim_and_one_without_declared_bound_goes_on() ->
     )
     held = improve(SHIP, train, test, candidates=[declared], terms=False)
     assert not held.steps
-    assert any(one.decision == f"at its bound ({narrow})" for one in held.decisions)
+    told = f"at its bound ({narrow})"
+    assert any(one.decision.startswith(told) and one.held for one in held.decisions)
+    by_chance = replace(declared, parameters=(replace(declared.parameters[0], lower=-14.9),))
+    rests = improve(SHIP, train, test, candidates=[by_chance], terms=False)
+    assert rests.decisions[0].decision == f"stands, {told}"
+    assert f"{narrow} = -14.9 s/rad^2, at its bound" in rests.report()
     freed = improve(SHIP, train, test, candidates=[by_size], terms=False)
     assert [step.added for step in freed.steps] == ["cubic_damping"]
     value, error = freed.fit.values[narrow], freed.fit.std_errors[narrow]

@@ -2,7 +2,8 @@ r"""After data: where a model fails, which effect it lacks, and what is left.
 
 One rule claims (:mod:`oed_sysid.evidence.claim`): the likelihood-ratio statistic of the training
 records plus that of the prediction of the validation records exceeds one threshold, whole
-validation runs are no worse, and no size is at a bound. What remains has a kind and a size: noise
+validation runs are no worse, and no size is held
+back by a bound. What remains has a kind and a size: noise
 of the sensors, disturbance forces, or structure.
 
 =============================== ===========================================================

@@ -13,7 +13,9 @@ is the prior of the validation records (:mod:`oed_sysid.evidence.study`). It is 
 1. :math:`T > \chi^{2,-1}_k(1 - \alpha / m)`, with :math:`k` freedoms and :math:`m` candidates left
    (Bonferroni; a periodic force counts the frequencies that the records tell apart);
 2. the error of the model on its own over whole validation records is finite and does not rise;
-3. no amplitude ends at a bound.
+3. no amplitude ends at a bound beyond which the training records are likelier by more than the
+   same threshold, everything estimated again without that bound: else the effect stands for another
+   one. With less beyond it, the value rests at its bound.
 
 Of several the largest excess :math:`T - \chi^{2,-1}` leads, and those within the error of their
 difference are one group. What is in the model is asked the same question the other way round: what
@@ -23,7 +25,7 @@ costs less than its threshold to leave out goes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtri
@@ -32,6 +34,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.study import Prediction, Study, total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
+from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.display import as_dict
 
 # Probability that a search over records without missing physics claims something (alpha).
@@ -80,6 +83,8 @@ class Claim:
         Ratio of the two that is no rise.
     bounds : tuple of str
         Amplitudes that end at a bound.
+    beyond : float
+        What the training statistic would rise by without these bounds.
     models : tuple of (float, Prediction)
         What both terms are made of, before and after: minus twice the log-likelihood of the
         training records, and the :class:`~oed_sysid.evidence.study.Prediction` of the validation
@@ -94,6 +99,7 @@ class Claim:
     after: float = np.nan
     allowed: float = RISE
     bounds: tuple[str, ...] = ()
+    beyond: float = 0.0
     models: tuple[tuple[float, Prediction | None], ...] = ()
 
     @property
@@ -114,18 +120,26 @@ class Claim:
         return not self.after <= self.allowed * self.before
 
     @property
+    def held(self) -> bool:
+        """Whether bounds keep the records from being clearly likelier."""
+        return self.beyond > self.needed
+
+    @property
     def stands(self) -> bool:
         """Whether it is claimed."""
-        return self.excess > 0.0 and not self.rises and not self.bounds
+        return self.excess > 0.0 and not self.held and not self.rises
 
     @property
     def decision(self) -> str:
         """The decision in words."""
         if not self.excess > 0.0:
             return "T below threshold"
-        if self.bounds:
-            return f"at its bound ({', '.join(self.bounds)})"
-        return "whole runs get worse" if self.rises else "stands"
+        at = f"at its bound ({', '.join(self.bounds)})"
+        if self.held:
+            return f"{at}, {self.beyond:.1f} likelier beyond"
+        if self.rises:
+            return "whole runs get worse"
+        return f"stands, {at}" if self.bounds else "stands"
 
     to_dict = as_dict(
         "name", "training", "validation", "statistic", "needed", "before", "after", "decision"
@@ -153,34 +167,57 @@ def claim(
     """
     name = " + ".join(effect.name for effect in effects)
     training = before.objective - after.objective
-    bounds = at_bounds(after, effects)
     fits = (before, after)
     if study.validation is None:
         terms = tuple((fit.objective, None) for fit in fits)
-        return Claim(name, training, np.nan, needed, bounds=bounds, models=terms)
-    validation = difference(study.validate(before), study.validate(after))
-    old, new = (own_error(study, fit, study.validation) for fit in fits)
-    models = tuple((fit.objective, study.predict(fit)) for fit in fits)
-    allowed = allowed_rise(after)
-    return Claim(name, training, validation, needed, old, new, allowed, bounds, models)
+        found = Claim(name, training, np.nan, needed, models=terms)
+    else:
+        validation = difference(study.validate(before), study.validate(after))
+        old, new = (own_error(study, fit, study.validation) for fit in fits)
+        models = tuple((fit.objective, study.predict(fit)) for fit in fits)
+        allowed = allowed_rise(after)
+        found = Claim(name, training, validation, needed, old, new, allowed, models=models)
+    bounds = at_bounds(after, effects) if found.excess > 0.0 else ()
+    return replace(found, bounds=bounds, beyond=_beyond(study, after, bounds)) if bounds else found
+
+
+def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float:
+    """What the training statistic rises by where amplitudes are not held at their bounds."""
+    wide = [
+        with_parameters(
+            effect,
+            tuple(
+                replace(p, lower=-np.inf if p.lower < 0.0 else p.lower, upper=np.inf)
+                if p.name in bounds
+                else p
+                for p in effect.parameters
+            ),
+        )
+        for effect in study.effects_of(fit)
+    ]
+    free = study.estimate(wide, fit.values, fit, max_iterations=25)
+    return 0.0 if free is None else max(fit.objective - free.objective, 0.0)
 
 
 def at_bounds(fit: FilteredSolution, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Amplitudes that end at a bound other than nothing."""
-    found, own = [], {name for effect in effects for name in effect.amplitude_names}
-    for parameter in fit.problem.model.free_parameters:
-        if parameter.name not in own:
-            continue
-        values = [fit.values[parameter.name], *(part.get(parameter.name) for part in fit.local)]
-        bounds = [b for b in (parameter.lower, parameter.upper) if b and np.isfinite(b)]
-        if any(
-            abs(value - bound) <= AT_BOUND * abs(bound)
-            for bound in bounds
-            for value in values
-            if value is not None
-        ):
-            found.append(parameter.name)
-    return tuple(found)
+    own = {name for effect in effects for name in effect.amplitude_names}
+    return tuple(
+        parameter.name
+        for parameter in fit.problem.model.free_parameters
+        if parameter.name in own
+        and any(
+            rests(parameter, part[parameter.name])
+            for part in (fit.values, *fit.local)
+            if parameter.name in part
+        )
+    )
+
+
+def rests(parameter: Parameter, value: float) -> bool:
+    """Whether a value is at a bound of its parameter other than nothing."""
+    bounds = [b for b in (parameter.lower, parameter.upper) if b and np.isfinite(b)]
+    return any(abs(value - bound) <= AT_BOUND * abs(bound) for bound in bounds)
 
 
 def difference(before: float, after: float) -> float:

@@ -8,6 +8,7 @@ what reaches the forces.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
@@ -28,6 +29,8 @@ from oed_sysid.text.units import Dimension, dimension
 MOST_FACTORS = 3
 # With more signals than this a product of three has at most two different ones.
 MANY_SIGNALS = 6
+# An absolute value, of a function too.
+ABSOLUTE = re.compile(r"abs\(((?:[^()]|\([^()]*\))*)\)")
 # Positions on which no force in homogeneous water depends.
 HORIZONTAL = ("x", "y", "xi", "eta")
 
@@ -112,11 +115,7 @@ class Term:
         if self.derivative is not None:
             return notation.term_text(self.derivative)
         written = self.expression.replace("**", "^").replace("*", " ")
-        while "abs(" in written:
-            head, _, tail = written.partition("abs(")
-            inner, _, rest = tail.partition(")")
-            written = f"{head}|{inner}|{rest}"
-        return f"{self.symbol} {written}"
+        return self.symbol + " " + ABSOLUTE.sub(r"|\1|", written)
 
     def effect(self, model: Model, units: Mapping[str, str], scale: float) -> Force:
         """The term as an effect, absent, its coefficient named and given a unit."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.check import LogCheck
-from oed_sysid.evidence.claim import RISE, Claim
+from oed_sysid.evidence.claim import RISE, Claim, rests
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import LISTED, Located
 from oed_sysid.evidence.propose import Proposals
@@ -133,11 +133,11 @@ class Term:
     @classmethod
     def of(cls, proposals: Proposals, step: Step, replaces: Sequence[str]) -> Term:
         """The term of the last step, and the known effects whose place it takes."""
-        best = proposals[0]
+        best = proposals.proposals[0]
         parameter = step.effect.parameters[0]
         return cls(
             {
-                "term": best.text,
+                "term": best.term.text,
                 "name": step.effect.name,
                 "equation": best.term.equation,
                 "expression": best.term.expression,
@@ -716,6 +716,8 @@ def _clear(row: Mapping[str, Any]) -> bool:
 
 def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
     unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+    if rests(parameter, row["value"]):
+        return f"{row['name']} = {row['value']:.3g}{unit}, at its bound"
     if not _is_told(row, parameter):
         return f"{row['name']} about {row['value']:.3g}{unit}"
     half = TWO_SIDED_95 * row["std_error"]

@@ -171,13 +171,13 @@ class Study:
         places, absent = _disturbed_places(model, disturbances)
         # Without disturbance forces, what is slow and far above a sensor's high-frequency content
         # is structure.
-        setting = Setting.of(
+        setting = Setting(
             train,
             places,
             white,
             free,
             colour=not known_noise and not tests,
-            inputs=inputs,
+            logged=inputs,
             known=absent,
             drifting=disturbances != "none",
             seas=seas_in(disturbances),
@@ -203,7 +203,7 @@ class Study:
             kernel=kernel,
             estimated=~np.isfinite(levels),
         )
-        best = fit_disturbed(model, train, setting, starts, test, kernel=kernel, polish=0)
+        best = fit_disturbed(model, setting, starts, test, kernel=kernel, polish=0)
         if best is None:
             raise SimulationError(
                 f"Model {model.name!r} diverges on the training records from every start that was "

@@ -216,6 +216,11 @@ class Filtered:
         block = self.layout.levels
         return (self.levels.following(matrix[block, block], point.unknowns[block]),)
 
+    def with_levels(self, levels: Levels) -> Filtered:
+        """Return the same problem with other levels of the noise unknown."""
+        starts = self.known_starts
+        return Filtered(self.model, self.dataset, levels, kernel=self.kernel, known_starts=starts)
+
     def holding(self, positions: np.ndarray, values: np.ndarray) -> Filtered:
         """Return the same problem with some unknowns held at given values."""
         lower, upper = self.limits.lower.copy(), self.limits.upper.copy()

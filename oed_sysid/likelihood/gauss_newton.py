@@ -54,7 +54,7 @@ from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step
+from oed_sysid.likelihood.projection import bounded_step, gain_within
 from oed_sysid.likelihood.shooting import Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import Limits, node_maps
 
@@ -646,8 +646,8 @@ class FilteredSolution:
         """Fall of the cost that the last equations promise."""
         limits, unknowns = self.problem.limits, self.point.unknowns
         matrix, right = limits.with_priors(self.matrix, self.right, unknowns)
-        step = bounded_step(matrix, right, limits.lower - unknowns, limits.upper - unknowns, 0.0)
-        return float(right @ step - 0.5 * step @ matrix @ step)
+        lower, upper = limits.lower - unknowns, limits.upper - unknowns
+        return 0.5 * gain_within(matrix, right, lower, upper)[1]
 
     @property
     def noise(self) -> NoiseModel:

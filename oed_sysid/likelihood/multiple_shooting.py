@@ -129,8 +129,8 @@ class MultipleShooting:
         else; ``"none"`` takes residuals for sensor noise; ``"all"`` lets a force into
         every equation; or the equations, states or places that are disturbed, such as
         ``("Z", "M")`` or ``("actuator fin",)``. Where forces act, narrow-band ones are tested
-        for and taken in their place (:mod:`oed_sysid.likelihood.sea`); ``Sea(period=8.0)``
-        declares one, of which what is left out is estimated. See
+        for and taken in their place (:mod:`oed_sysid.likelihood.random_forces`);
+        ``Sea(period=8.0)`` declares one, of which what is left out is estimated. See
         :mod:`oed_sysid.likelihood.noise_model`.
     horizon : float or None
         How far ahead the fit has to be right, s: records are predicted in windows of this
@@ -478,16 +478,17 @@ class MultipleShooting:
         floor, _ = credible_levels(fit.dataset)
         chosen = self.disturbances not in ("auto", "all")
         inputs = [place for place in every_place(task.model) if place.stage == "actuator"]
-        return Setting.of(
+        return Setting(
             fit.dataset,
             places,
             np.where(task.estimated, np.minimum(fit.sigma, floor), fit.sigma),
             task.estimated,
-            inputs=() if chosen else inputs,
+            logged=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
             known_starts=task.known_starts,
             seas=self._seas,
             any_sea=not self._seas,
+            max_iterations=self.solver.max_iterations,
         )
 
     def _estimated(
@@ -503,12 +504,10 @@ class MultipleShooting:
         try:
             solution = fit_disturbed(
                 task.model,
-                fit.dataset,
                 setting,
                 starts,
                 test,
                 kernel=kernel,
-                max_iterations=self.solver.max_iterations,
                 progress=self.progress,
             )
         except np.linalg.LinAlgError:  # equations without numbers: no way on from there

@@ -200,6 +200,26 @@ class NoiseModel:
         """Standard deviation of one measurement of each output, white and coloured together."""
         return np.hypot(self.white, self.colour)
 
+    def with_places(self, places: Sequence[str], time: float) -> NoiseModel:
+        """Return the same model with disturbances of level zero at more places."""
+        nothing = np.zeros(len(places))
+        return replace(
+            self,
+            force=np.append(self.force, nothing),
+            force_time=np.append(self.force_time, nothing + time),
+            places=(*self.places, *places),
+        )
+
+    def only(self, kept: Sequence[bool] | np.ndarray) -> NoiseModel:
+        """Return the same model with the disturbances of some of its places."""
+        chosen = np.asarray(kept, dtype=bool)
+        return replace(
+            self,
+            force=self.force[chosen],
+            force_time=self.force_time[chosen],
+            places=tuple(place for place, one in zip(self.places, chosen, strict=True) if one),
+        )
+
     def with_levels(self, white: np.ndarray, colour: np.ndarray, force: np.ndarray) -> NoiseModel:
         """Return the same model with other levels."""
         return replace(self, white=white, colour=colour, force=force)

@@ -73,6 +73,14 @@ def bounded_step(
     return np.clip(step, lower, upper)
 
 
+def gain_within(
+    matrix: np.ndarray, right: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The best step within bounds, and twice what it gains, ``2 right' x - x' matrix x``."""
+    step = bounded_step(matrix, right, lower, upper, 0.0)
+    return step, float(2.0 * right @ step - step @ matrix @ step)
+
+
 def share_of(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
     """:math:`A_{ko} A_{oo}^+`, shape ``(n_kept, n_others)``: what others explain of the kept.
 

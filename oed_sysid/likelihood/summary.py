@@ -378,11 +378,9 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
     inner = np.linalg.pinv(reduced[np.ix_(open_, open_)] / size[:, None] / size, hermitian=True)
     errors[open_] = np.sqrt(np.maximum(np.diag(inner), 0.0)) / size
     found = {}
-    for (kind, index), value, error in zip(levels.entries, unknowns[block], errors, strict=True):
-        name = levels.name_of(kind, index)
+    for name, value, error in zip(levels.names, unknowns[block], errors, strict=True):
         if name.endswith("level"):
             # Of a variance: twice the relative error of its root.
-            found[name] = float(0.5 * error / value) if value > 0 else np.inf
-        else:
-            found[name] = float(error)
+            error = 0.5 * error / value if value > 0 else np.inf
+        found[name] = float(error)
     return found
