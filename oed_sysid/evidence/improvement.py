@@ -133,11 +133,11 @@ class Term:
     @classmethod
     def of(cls, proposals: Proposals, step: Step, replaces: Sequence[str]) -> Term:
         """The term of the last step, and the known effects whose place it takes."""
-        best = proposals[0]
+        best = proposals.proposals[0]
         parameter = step.effect.parameters[0]
         return cls(
             {
-                "term": best.text,
+                "term": best.term.text,
                 "name": step.effect.name,
                 "equation": best.term.equation,
                 "expression": best.term.expression,
