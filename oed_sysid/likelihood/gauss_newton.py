@@ -54,7 +54,7 @@ from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step, gain_within
+from oed_sysid.likelihood.projection import bounded_step, gain_within, inverse_of
 from oed_sysid.likelihood.shooting import Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import Limits, node_maps
 
@@ -81,8 +81,6 @@ LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
 # smaller than with steps so many times longer, it is rounding as well.
 AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
-# Share of the largest eigenvalue below which nothing is known.
-NOTHING = 1e-12
 
 
 # -- points ------------------------------------------------------------------------
@@ -329,11 +327,8 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
 
 def _shared_std(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
     """Standard deviations of the shared parameters, everything else unknown."""
-    matrix = matrix + np.diag(problem.limits.prior_weight)
-    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-    inverse = np.linalg.pinv(matrix / size / size[:, None], rcond=NOTHING, hermitian=True)
-    shared = len(problem.layout.shared)
-    return np.asarray(np.sqrt(np.maximum(np.diag(inverse)[:shared], 0.0)) / size[:shared])
+    inverse = inverse_of(matrix + np.diag(problem.limits.prior_weight))
+    return np.sqrt(np.maximum(np.diag(inverse)[: len(problem.layout.shared)], 0.0))
 
 
 # -- iterations --------------------------------------------------------------------
