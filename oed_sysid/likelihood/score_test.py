@@ -134,6 +134,12 @@ class Setting:
         return tuple(place for place in self.logged if self.most_input[place.name] > 0)
 
     @property
+    def at_sea(self) -> tuple[str, ...]:
+        """Places at which waves may act: forces whose level is not known."""
+        names = [place.name for place in self.places if place.stage == "force"]
+        return tuple(name for name in names if name not in self.known)
+
+    @property
     def disturbances(self) -> tuple[str, ...]:
         """Parameters of the filtered model that may be disturbances."""
         own = (place for place in self.inputs if place not in self.places)
