@@ -18,7 +18,13 @@ from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check
 from oed_sysid.evidence.claim import claim, own_error
-from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table
+from oed_sysid.evidence.improvement import (
+    Improvement,
+    Step,
+    Yardstick,
+    parameter_table,
+    proposed_term,
+)
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
@@ -322,7 +328,7 @@ def _result(
     rms = [_rms(study, fit) for fit in path]
     steps = _steps(state, fits, rms, sigma)
     yardstick = Yardstick.of(study.train, sigma)
-    term = None if end.proposals is None else Term.of(end.proposals, steps[-1], state.replaced)
+    terms = [] if end.proposals is None else [end.proposals]
     claimed = {step.added for step in steps}
     refused = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
     return Improvement(
@@ -344,7 +350,7 @@ def _result(
         base_rms=rms[0],
         yardstick=yardstick,
         rejected=tuple(name for name in dict.fromkeys(refused) if name not in claimed),
-        proposed=() if term is None else (term.to_dict(),),
+        proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
         notes=tuple(notes),
         log=log,
         skipped=study.skipped,
