@@ -52,7 +52,7 @@ from oed_sysid.likelihood.random_forces import (
 )
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.summary import summarise_filtered
+from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 from oed_sysid.likelihood.whole_runs import WholeRun, rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -333,7 +333,8 @@ class Study:
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""
-        fit = summarise_filtered(found, self.estimated, label, found.iterations, perf_counter())
+        how = Procedure(label, self.estimated, found.iterations, perf_counter())
+        fit = summarise_filtered(found, how)
         return replace(fit, seconds=0.0)
 
     # -- validation ------------------------------------------------------------------
