@@ -160,7 +160,7 @@ def test_intervals_follow_the_sample_times() -> None:
     """Intervals are about as long as asked for, also with irregular samples."""
     data = yaw_data(4, irregular=True)
     shooting = Shooting(yaw_model(), data, NOISE, interval=10.0)
-    for record, starts in zip(data, shooting._starts, strict=True):
+    for record, starts in zip(data, shooting.starts, strict=True):
         lengths = np.diff(record.times[starts])
         assert starts[0] == 0
         assert 5.0 < np.median(lengths) < 15.0

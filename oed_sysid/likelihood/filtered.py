@@ -136,6 +136,10 @@ class Filtered:
         """Noise model at a point."""
         return self.levels.at(unknowns[self.layout.levels])
 
+    def white(self, unknowns: np.ndarray) -> np.ndarray:
+        """Levels of the white noise of the sensors at a point, ``(n_outputs,)``."""
+        return self.noise(unknowns).white
+
     def point(
         self,
         initial: Sequence[np.ndarray],

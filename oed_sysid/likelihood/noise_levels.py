@@ -193,15 +193,12 @@ def _check_positive(names: Sequence[str], levels: np.ndarray) -> None:
             )
 
 
-def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int) -> np.ndarray:
+def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.ndarray:
     """Root mean square of residuals, corrected for the unknowns fitted, by output."""
     stacked = np.vstack(residuals)
-    present = np.isfinite(stacked)
-    count = present.sum(axis=0)
-    total = max(int(count.sum()), 1)
-    share = count * (1.0 - min(n_unknowns / total, 0.9))
-    squares = (np.where(present, stacked, 0.0) ** 2).sum(axis=0)
-    return np.sqrt(squares / np.maximum(share, 1e-9))
+    count = np.isfinite(stacked).sum(axis=0)
+    share = count * (1.0 - min(n_unknowns / max(int(count.sum()), 1), 0.9))
+    return np.sqrt(np.nansum(stacked**2, axis=0) / np.maximum(share, 1e-9))
 
 
 # Spikes that normal noise shows in one data set of so many.

@@ -111,14 +111,7 @@ def misfit(shooting: Shooting, point: Point) -> float:
     """Mean square residual in units of noise; infinite where the model diverges."""
     squares, count = 2.0 * shooting.prior_cost(point.unknowns), 0
     for index, record in enumerate(shooting.records):
-        z0, _ = shooting.full_start(point.unknowns, index)
-        run = shooting.kernel.run(
-            record.times,
-            record.inputs,
-            shooting.values(point.unknowns, index),
-            np.vstack([z0[None], point.nodes[index]]),
-            starts=shooting.starts[index],
-        )
+        run = shooting.run(point.unknowns, index, point.nodes[index])
         present = np.isfinite(record.outputs)
         scaled = ((record.outputs - run.outputs) / shooting.sigma)[present]
         if not run.ok or not np.isfinite(scaled).all():

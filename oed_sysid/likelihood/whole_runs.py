@@ -88,7 +88,7 @@ class WholeRun:
     @classmethod
     def at(cls, shooting: Shooting, unknowns: np.ndarray) -> WholeRun:
         """The run at given unknowns."""
-        outputs = _simulated(shooting, unknowns)
+        outputs = shooting.run(unknowns, 0).outputs
         found = shooting.linearise(shooting.continuous(unknowns))
         if found is None:
             return cls(shooting, unknowns, outputs, None)
@@ -194,7 +194,7 @@ class WholeRun:
 
     def simulated(self, unknowns: np.ndarray) -> np.ndarray:
         """Outputs at other unknowns, ``(n_times, n_outputs)``."""
-        return _simulated(self.shooting, unknowns)
+        return self.shooting.run(unknowns, 0).outputs
 
     def drawn(
         self, noise: NoiseModel, unknowns: np.ndarray, rng: np.random.Generator
@@ -243,12 +243,6 @@ class WholeRun:
                     noise.colour[column], noise.colour_time[column], times, rng
                 )
         return found
-
-
-def _simulated(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:
-    record, values = shooting.records[0], shooting.values(unknowns, 0)
-    z0, _ = shooting.full_start(unknowns, 0)
-    return shooting.kernel.run(record.times, record.inputs, values, z0).outputs
 
 
 def _begun(
