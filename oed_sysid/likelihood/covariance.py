@@ -47,7 +47,7 @@ from scipy.stats import chi2
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.data.record import sampled_alike
-from oed_sysid.likelihood.between_records import Sources, sources_of
+from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -55,17 +55,14 @@ from oed_sysid.likelihood.information import (
     coloured_score_covariance,
     effective_sample_size,
 )
-from oed_sysid.likelihood.projection import share_of
+from oed_sysid.likelihood.noise_levels import RARE
+from oed_sysid.likelihood.projection import BLIND, share_of
 from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
 
-# A combination of initial states seen less than this share of the best is not projected out.
-BLIND = 1e-10
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
 # With so few independent samples that more is lost, no correction helps.
 MOST_LOST = 2.0
-# Chance of a sum of squares of independent tests below which their own residuals tell the errors.
-STRAY_CHANCE = 1e-3
 
 
 def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -299,7 +296,7 @@ def tests_stray(rows: np.ndarray, scores: np.ndarray, white: np.ndarray) -> bool
     freedom, squares, _ = _leverage(rows, scores, white)
     told = freedom > 0.5
     chances = gammaincc(0.5 * freedom[told], 0.5 * squares[told])
-    return bool((chances * np.sum(told) < STRAY_CHANCE).any())
+    return bool((chances * np.sum(told) < RARE).any())
 
 
 def tests_middle(
@@ -386,10 +383,8 @@ def _project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
     return outer - basis @ (basis.T @ outer)
 
 
-# Chance in white innovations, all frequencies and outputs together, below which a peak is one.
-PEAK_CHANCE = 1e-2
 # Periods that are searched: at least so many samples, and so many of them in a block.
-FEWEST_SAMPLES, FEWEST_PERIODS = 4, 4
+FEWEST = 4
 # Longest block, in samples, and neighbouring frequencies that are taken together on either side.
 BLOCK, NEIGHBOURS = 4096, (1, 3, 9)
 # Shares of a record that must be measured, and by which intervals may differ.
@@ -449,7 +444,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
     best = Peak(output, np.inf, 1.0, 1.0)
     usable = [one for one in series if np.mean(np.isfinite(one)) > PRESENT]
     length = min([BLOCK, *(len(one) for one in usable)])
-    if not usable or length < 2 * FEWEST_SAMPLES * FEWEST_PERIODS:
+    if not usable or length < 2 * FEWEST * FEWEST:
         return best
     power, count = np.zeros(length // 2 + 1), 0
     for one in usable:
@@ -459,7 +454,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
             if size > 0.0:
                 power += np.abs(np.fft.rfft(block)) ** 2 / size
                 count += 1
-    first, last = FEWEST_PERIODS, length // FEWEST_SAMPLES
+    first, last = FEWEST, length // FEWEST
     widths = [width for width in NEIGHBOURS if 2 * width + 1 <= (last - first) // 2]
     tries = max((last - first) * len(widths), 1)
     for width in widths:
@@ -497,7 +492,7 @@ def clear_peaks(
             if not series:
                 continue
             peak = spectral_peak(series, time * records[regular[0]].sample_time, name)
-            if peak.chance * len(outputs) < PEAK_CHANCE and (
+            if peak.chance * len(outputs) < CHANCE and (
                 name not in found or peak.chance < found[name].chance
             ):
                 found[name] = peak

@@ -39,12 +39,12 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import both_cores
 
-# Step of differences of whole filters, in standard deviations of the unknown, others known: a
-# smaller one says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
-DIFFERENCE = 1.0
-# Most that a variance clear of zero by so many standard deviations, a time, or the period of a sea
-# grows or shrinks in one step.
-FARTHEST, CLEAR_OF_ZERO, LONGER, WIDER = 10.0, 1.0, 3.0, 1.4
+# Most that a variance clear of zero by so many standard deviations, or a time, grows or shrinks in
+# one step.
+FARTHEST, CLEAR_OF_ZERO, LONGER = 10.0, 1.0, 3.0
+# Ratio of periods of a sea that are tried, and most that one changes in a step: a wave of bandwidth
+# 0.3 is half as strong at the next one.
+NEXT_PERIOD = 1.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +187,7 @@ class Filtered:
         lower, upper = lower.copy(), upper.copy()
         least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
         most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)
-        longer = [WIDER if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
+        longer = [NEXT_PERIOD if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
         least = np.where(variance, least, -np.log(longer))
         most = np.where(variance, most, np.log(longer))
         lower[block] = np.maximum(lower[block], least)
@@ -387,7 +387,7 @@ class Filtered:
         base : sequence of FilterPass
             Passes there, with the derivatives of every innovation.
         std : ndarray (n_unknowns,)
-            Sizes of the differences, in hundreds.
+            Sizes of the differences.
         """
         n, layout = self.layout.n_unknowns, self.layout
         n_own, n_levels = layout.n_own, len(self.levels)
@@ -407,7 +407,7 @@ class Filtered:
             spread = np.zeros_like(slope)
             spread[:, width:] = rows[:, width + n_levels :] * self.levels.scale
             for position, column in enumerate(columns[n_own:], start=n_own):
-                other, length = moved[column][index], DIFFERENCE * std[column]
+                other, length = moved[column][index], std[column]
                 slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
                     root * length
                 )
@@ -418,7 +418,11 @@ class Filtered:
         return matrix, right
 
     def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[int, dict[int, FilterPass]]:
-        """Passes with each parameter moved, by unknown and record."""
+        """Passes with each parameter moved, by unknown and record.
+
+        By one standard deviation, others known: a smaller step says no more of a smooth model, and
+        drowns in rounding that an unstable one amplifies.
+        """
         noise = self.levels.disturbed(self.noise(unknowns))
         jobs = [
             (int(column), index)
@@ -429,7 +433,7 @@ class Filtered:
         def one(job: tuple[int, int]) -> FilterPass:
             column, index = job
             shifted = unknowns.copy()
-            shifted[column] += DIFFERENCE * std[column]
+            shifted[column] += std[column]
             record = self.records[index]
             return self.kernel.filter(
                 record.times,

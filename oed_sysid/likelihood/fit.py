@@ -13,6 +13,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
 from oed_sysid.likelihood.between_records import RecordScatter, Sources
+from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.estimate import (
     ActuatorStart,
@@ -53,8 +54,6 @@ from oed_sysid.text.units import shown_unit
 
 # Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
 SMOOTHED = 100.0
-# Prior standard deviations beyond which an estimate contradicts the prior.
-SURPRISING = 3.0
 # Correlation of two estimates from which on they can hardly be told apart.
 ALIKE = 0.95
 # Records that a page draws, and correlated pairs that are named.
@@ -672,11 +671,11 @@ def _off_priors(fit: Fit) -> Iterator[str]:
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
         mean, spread = parameter.prior_mean, parameter.prior_spread
-        if mean is not None and spread is not None and abs(value - mean) > SURPRISING * spread:
+        if mean is not None and spread is not None and abs(value - mean) > CLEARLY * spread:
             far.append(name)
     if far:
         yield (
-            f"Further than {SURPRISING:g} standard deviations from the prior: "
+            f"Further than {CLEARLY:g} standard deviations from the prior: "
             f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
         )
 

@@ -173,8 +173,7 @@ def _goal(fit: Fit) -> float:
 
 
 # Doublings of the step before a side is declared open, and refinements of an end.
-MAXIMUM_DOUBLINGS = 12
-REFINEMENTS = 12
+MOST_STEPS = 12
 # An end is known well enough when the misfit is within this share of its quantile.
 CLOSE = 2e-3
 
@@ -335,7 +334,7 @@ class _Walker:
         bound = float((limits.lower if direction < 0 else limits.upper)[self.position])
         inner, inner_rise, solution = self.estimate, 0.0, self.best
         step = self.step
-        for _ in range(MAXIMUM_DOUBLINGS):
+        for _ in range(MOST_STEPS):
             value = inner + direction * step
             at_bound = (value - bound) * direction >= 0
             value = bound if at_bound else value
@@ -364,7 +363,7 @@ class _Walker:
         """Find the crossing between two values, secant steps on the root of the rise."""
         root = np.sqrt(threshold)
         value = outer[0]
-        for _ in range(REFINEMENTS):
+        for _ in range(MOST_STEPS):
             low, high = np.sqrt(max(inner[1], 0.0)), np.sqrt(outer[1])
             share = np.clip((root - low) / max(high - low, 1e-12), 0.05, 0.95)
             value = inner[0] + share * (outer[0] - inner[0])
