@@ -10,8 +10,8 @@ from oed_sysid.baselines.equations import Rates, Rows, check_rule
 from oed_sysid.baselines.regression import CONVERGED, Regression, regress
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.estimate import Posterior
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Posterior, Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.physics.model import Model
 

@@ -19,7 +19,8 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 
 FORMS = ("primal", "dual")

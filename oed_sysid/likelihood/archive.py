@@ -69,6 +69,25 @@ _WRITTEN: dict[Any, Callable[[Any], Any]] = {
 }
 
 
+def dataclasses_of(kind: type) -> tuple[type, ...]:
+    """A dataclass, all that its fields are declared to hold, and what these are the base of.
+
+    >>> from oed_sysid.likelihood.noise_model import NoiseModel
+    >>> [one.__name__ for one in dataclasses_of(NoiseModel)]
+    ['NoiseModel', 'Sea']
+    """
+    found: list[type] = []
+    waiting: list[Any] = [kind]
+    while waiting:
+        one = waiting.pop(0)
+        if not (isinstance(one, type) and is_dataclass(one)):
+            waiting += get_args(one)
+        elif one not in found:
+            found.append(one)
+            waiting += [*get_type_hints(one).values(), *one.__subclasses__()]
+    return tuple(found)
+
+
 def decode(data: Any, classes: Iterable[type]) -> Any:
     """Rebuild a value from :func:`encode`.
 

@@ -365,10 +365,9 @@ class Filtered:
         matrix, right = np.zeros((n, n)), np.zeros(n)
         scale = self.levels.scale
         tail = np.arange(levels.start, levels.stop)
-        for columns, part in zip(self._columns, found, strict=True):
+        for index, (columns, part) in enumerate(zip(self._columns, found, strict=True)):
             where = np.concatenate([columns, tail])
-            slopes = self.layout.slopes(unknowns[columns[self.layout.n_own :]])
-            size = np.concatenate([np.ones(self.layout.n_own), slopes, scale])
+            size = np.concatenate([self.layout.record_slopes(unknowns, index), scale])
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale

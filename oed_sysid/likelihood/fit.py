@@ -10,33 +10,30 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
-from oed_sysid.likelihood.between_records import RecordScatter, Sources
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.likelihood.archive import (
+    check_fit,
+    dataclasses_of,
+    decode_result,
+    encode,
+    made_by,
+    write_result,
+)
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.estimate import (
     ActuatorStart,
     Attempts,
-    Binding,
     CaptiveErrors,
     Delay,
     Estimate,
     Posterior,
     ProcessNoiseTest,
-    Status,
     checked_scatter,
 )
-from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
-from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
-from oed_sysid.physics.base import RandomProcess
-from oed_sysid.physics.channels import Channels, Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -49,7 +46,6 @@ from oed_sysid.runtime.display import (
     counted,
     share,
 )
-from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
 # Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
@@ -728,29 +724,4 @@ def _typed(content: dict[str, Any]) -> dict[str, Any]:
 
 
 # Everything that a saved fit is made of.
-ARCHIVED: tuple[type, ...] = (
-    *(
-        Fit,
-        Status,
-        ProcessNoiseTest,
-        Binding,
-        Delay,
-        ActuatorStart,
-        CaptiveErrors,
-        Attempts,
-        Posterior,
-        Information,
-        NoiseModel,
-        Sea,
-        RecordScatter,
-        Sources,
-        Model,
-        Function,
-        Parameter,
-        Dataset,
-        Record,
-        Channels,
-    ),
-    *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
-    RandomProcess,
-)
+ARCHIVED = dataclasses_of(Fit)

@@ -70,8 +70,8 @@ NEARLY_CLOSED, ROUNDING_SHARE = 1e-6, 1e-8
 # exact one.
 FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
 # Change of the cost that is none near the end: the rise that the frozen gradient may cause, the
-# gain below which the last exact step was enough, and its equations serve where it led, and the promised
-# gain below which a search without a way on has arrived.
+# gain below which the last exact step was enough, and its equations serve where it led, and the
+# promised gain below which a search without a way on has arrived.
 NEAR = 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING = 10.0

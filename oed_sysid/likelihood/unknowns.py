@@ -113,6 +113,11 @@ class Layout:
             return np.ones(len(free))
         return np.where(self.logged, self.natural(free), 1.0)
 
+    def record_slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Derivatives of own states and free parameters of a record by their unknowns."""
+        free = unknowns[self.record_columns(record)[self.n_own :]]
+        return np.concatenate([np.ones(self.n_own), self.slopes(free)])
+
     def parameters(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """Values of the free parameters in one record, shape ``(n_free,)``."""
         return self.natural(unknowns[self.record_columns(record)[self.n_own :]])
