@@ -10,8 +10,8 @@ import numpy as np
 
 from oed_sysid.likelihood.between_records import Sources, scatter_of
 from oed_sysid.likelihood.covariance import ReducedFilter, ReducedProblem
-from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
