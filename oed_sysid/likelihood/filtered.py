@@ -206,11 +206,6 @@ class Filtered(Posed):
         held[self.layout.levels] = False
         return first + np.flatnonzero(~held[first:])
 
-    @property
-    def state_scale(self) -> np.ndarray:
-        """Typical magnitudes of the own states."""
-        return np.array([state.scale for state in self.model.states])
-
     # -- evaluation ----------------------------------------------------------------
 
     def passes(
