@@ -220,12 +220,7 @@ def candidate_runs(
     if not listed or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     found: list[Candidate] = []
-    speeds: list[Experiment] = []
-    for pattern in listed:
-        if all(
-            (one.constants, one.initial) != (pattern.constants, pattern.initial) for one in speeds
-        ):
-            speeds.append(pattern)
+    speeds = _distinct(listed)
     for number, pattern in enumerate(speeds):
         for length in durations or (float(pattern.duration or 0.0),):
             bench = _Bench.of(model, limits, pattern, float(length), vehicles, kept)
@@ -240,6 +235,15 @@ def candidate_runs(
             "limits, shorten the runs, or begin with a gentle run and plan from its fit."
         )
     return tuple(found)
+
+
+def _distinct(patterns: Sequence[Experiment]) -> list[Experiment]:
+    """Patterns that differ in constants or start."""
+    kept: list[Experiment] = []
+    for one in patterns:
+        if (one.constants, one.initial) not in [(two.constants, two.initial) for two in kept]:
+            kept.append(one)
+    return kept
 
 
 def _label(model: Model, pattern: Experiment, number: int) -> str:

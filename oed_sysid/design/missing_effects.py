@@ -332,11 +332,13 @@ class Detect:
         found = []
         for group in shifts.groups:
             gain = self.needed(group.freedom)
-            values = [noncentrality(gram, group)[0] for gram in grams]
-            chances = [float(np.exp(log_power(v, group.freedom, gain)[0])) for v in values]
-            least = float(np.sqrt(_for_power(group.freedom, gain) / max(values[1], 1e-300)))
-            (before, after), sizes = values, dict(group.sizes)
-            found.append(Detection(group.name, sizes, before, after, *chances[:2], least=least))
+            first, last = (noncentrality(gram, group)[0] for gram in grams)
+            least = float(np.sqrt(_for_power(group.freedom, gain) / max(last, 1e-300)))
+            rare, sure = (
+                float(np.exp(log_power(v, group.freedom, gain)[0])) for v in (first, last)
+            )
+            sizes = dict(group.sizes)
+            found.append(Detection(group.name, sizes, first, last, rare, sure, least))
         return tuple(found)
 
 
