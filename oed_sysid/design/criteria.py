@@ -177,11 +177,12 @@ class Criterion(Protocol):
         ...
 
 
-def _mean_variance(target: np.ndarray) -> Measure:
-    """Minus log of ``trace(C target)``, and its derivative."""
+def _mean_variance(weight: np.ndarray | None = None) -> Measure:
+    """Minus log of ``trace(C W)``, and its derivative; by default of the mean of the diagonal."""
 
     def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
         bound = inverse(matrix)
+        target = np.eye(len(matrix)) / len(matrix) if weight is None else weight
         variance = float(np.sum(bound * target))
         return -np.log(variance), bound @ target @ bound / variance
 
@@ -217,7 +218,7 @@ class AOptimal:
 
     def bind(self, setting: Setting) -> Measure:
         """Return ``-log(trace(C)/n)`` and its derivative."""
-        return _mean_variance(np.eye(len(setting.names)) / len(setting.names))
+        return _mean_variance()
 
 
 @dataclass(frozen=True)
