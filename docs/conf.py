@@ -16,6 +16,9 @@ from typing import Any
 
 HERE = Path(__file__).resolve().parent
 sys.path.insert(0, str(HERE.parent))
+sys.path.insert(0, str(HERE))
+
+import constants  # noqa: E402
 
 from oed_sysid.runtime.version import __version__  # noqa: E402
 
@@ -122,6 +125,8 @@ def write_reference() -> None:
         lines += [f"   {prefix}{name}" for name in named[package]]
         _write(folder / f"{pages[-1]}.rst", [*lines, ""])
     pages.insert(1, write_effects(folder))
+    pages.append("constants")
+    _write(folder / "constants.rst", constants.page())
     words = (
         "Every public name: its arguments with shapes and units, what it raises, and an example."
     )

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-
 import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
@@ -80,8 +78,8 @@ def test_scores_are_those_of_the_wider_model() -> None:
     effect = term.effect(PROBLEM.model, UNITS, 1.0)
     study, fit = Study.begin(PROBLEM.model, train, None, (), known_noise=True)
     problem, unknowns = let_in(fit, study.unit)
-    found, _ = term_scores(problem, unknowns)
-    score = next(s for s in found.scores if s.term == term)
+    found = term_scores(problem, unknowns).scores
+    score = next(s for s in found if s.term == term)
     model = problem.model + effect
     wide = Filtered(model, train, problem.levels)
     point = wide.point(fit.initial).unknowns
@@ -105,12 +103,8 @@ def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     assert found.best is not None
     assert found.best.term.equation == "M"
     assert "M_qqq q^3" in found.group
-    assert next(iter(found.equations)) == "M"
-    assert found.best.text in found.verdict
-    assert "gain" in found.report()
-    assert json.loads(json.dumps(found.to_dict()))["terms"][0]["equation"] == "M"
-    cubic = next(p for p in found.proposals if p.text == "M_qqq q^3")
-    assert cubic.value == pytest.approx(-250.0, rel=0.15)
+    cubic = next(p for p in found.proposals if p.term.text == "M_qqq q^3")
+    assert cubic.effect.parameters[0].value == pytest.approx(-250.0, rel=0.15)
     assert PROBLEM.model + found.best.effect
 
 
@@ -121,7 +115,6 @@ def test_nothing_is_proposed_where_nothing_is_missing() -> None:
     found = propose(study, fit, n_refits=3)
     assert found.best is None
     assert found.group == ()
-    assert "chance" in found.verdict
 
 
 def test_models_without_axes_have_a_dictionary() -> None:

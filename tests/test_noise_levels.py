@@ -40,7 +40,7 @@ def test_a_step_in_time_alone_keeps_to_the_curve(own_times: bool, power: float) 
     levels = _levels(own_times=own_times)
     start = levels.vector()
     step = np.zeros(len(levels))
-    names = [levels.name_of(*entry) for entry in levels.entries]
+    names = list(levels.names)
     longer = [i for i, name in enumerate(names) if name.endswith("time")]
     step[longer] = 0.7
     # The straight part of that curve, d(sigma^2) = a sigma^2 d(ln tau), is part of the step.
@@ -85,7 +85,7 @@ def test_levels_follow_their_time_as_the_information_says(slope: float, power: f
     """Of records that tell only ``sigma^2 tau^-a``, the power is ``a``, within its bounds."""
     levels = _levels(own_times=True)
     start = levels.vector()
-    names = [levels.name_of(*entry) for entry in levels.entries]
+    names = list(levels.names)
     level, time = names.index("force Z level"), names.index("force Z time")
     row = np.zeros(len(levels))
     row[level], row[time] = 1.0 / start[level], -slope

@@ -23,7 +23,7 @@ def score_of(data: Dataset, model: Model = SHIP, *, colour: bool = True) -> Scor
     fit = WHITE.fit(model, data)
     places = chosen_places(model, "all")
     declared = np.zeros(len(fit.sigma), dtype=bool)
-    setting = Setting.of(data, places, fit.sigma, declared, colour=colour)
+    setting = Setting(data, places, fit.sigma, declared, colour=colour)
     return score_test(fit.model, data, setting, fit.initial_states, fit.local_values)
 
 

@@ -21,8 +21,8 @@ from oed_sysid import (
     State,
 )
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
-from oed_sysid.likelihood.sea import threshold
 
 TRUE = {"K": 0.1, "T": 8.0}
 WHITE = np.array([5e-3, 2e-3])

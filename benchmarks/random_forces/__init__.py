@@ -15,7 +15,7 @@ rudder zero of each record, known to the fitted model or not.
 :data:`~benchmarks.random_forces.scenarios.SCENARIOS` lists all.
 
 **Fit** (:mod:`~benchmarks.random_forces.trial`). All eight derivatives are free, without priors,
-and start at the believed values. A setting that the estimator does not have is not passed.
+and start at the believed values.
 
 **Reference** (:mod:`~benchmarks.random_forces.reference`). It knows which kinds of noise act and
 starts at the truth; derivatives, start states, levels and times are estimated together by Fisher
@@ -34,9 +34,7 @@ error / reference
     Root mean square over all parameters of the errors, each divided by the root mean square error
     of the reference for that parameter on the same data sets.
 flagged
-    Share of fits that warn: not converged, or anything in ``fit.concerns`` (where there is no such
-    attribute, the sentences of ``fit.report()`` that :data:`~benchmarks.random_forces.trial.WORDS`
-    knows).
+    Share of fits that warn: not converged, or anything in ``fit.concerns``.
 prediction, from first
     Share of a fresh record of 60 s within the 95 % band of ``fit.predict``, with start states
     estimated on that record and from its first measurements.

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import markdown
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES, Scenario
 from benchmarks.random_forces.trial import Outcome
 
@@ -204,7 +205,7 @@ def _sea(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """How often a sea is claimed, and its period and levels within 10 and 25 % where one acts."""
     found = [o.sea for o in outcomes if o.sea is not None]
     told: dict[str, Any] = {"claimed": float(100 * len(found) / max(len(outcomes), 1))}
-    if scenario.swell is None or not found:
+    if not scenario.swell or not found:
         return told
     periods = np.array([sea["period"] for sea in found]) / scenario.swell
     true = np.array(scenario.force)
@@ -216,94 +217,43 @@ def _sea(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     return told
 
 
-def _sea_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = [
-        "| scenario | sea claimed, % | period / true (5 to 95 %) | within 10 %, % "
-        "| levels / true, medians | within 25 %, % | worst coverage, % | largest bias |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    for r in results:
-        sea = r["sea"]
-        worst = min(part["coverage"] for part in r["by_parameter"].values())
-        bias = max(r["bias"].values(), key=abs)
-        told = "– | – | – | –"
-        if "period" in sea:
-            levels = ", ".join(f"{v:.2f}" for v in sea["level"])
-            told = f"{_range(sea['period'])} | {sea['period_within']:.0f} | {levels} "
-            told += f"| {sea['level_within']:.0f}"
-        lines.append(
-            f"| {r['scenario']} | {sea['claimed']:.0f} | {told} | {worst:.0f} | {bias:+.2f} |"
-        )
-    return lines
-
-
 def table(results: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown: one row a scenario, then levels of forces, then errors by parameter."""
-    lines = [
-        "| scenario | sets | coverage, % | z | error / reference | flagged, % | prediction, % "
-        "| from first, % | reference: coverage, z | CPU, s | targets missed |",
-        "|---|---|---|---|---|---|---|---|---|---|---|",
-    ]
-    for r in results:
-        known = r.get("reference")
-        ratio = own = "–"
-        if known:
-            ratio = f"{known['error_ratio']:.2f}"
-            own = f"{_pair(known['coverage'], known['coverage_error'])}, {known['z']:.2f}"
-        lines.append(
-            f"| {r['scenario']}: {r['title']} | {r['sets']} "
-            f"| {_pair(r['coverage'], r['coverage_error'])} | {r['z']:.2f} | {ratio} "
-            f"| {r['flagged']:.0f} | {_band(r, 'fit')} | {_band(r, 'first')} | {own} "
-            f"| {r['seconds']:.3f} | {', '.join(r['missed']) or 'all met'} |"
-        )
-    lines += [
-        "",
-        *_sea_table(results),
-        "",
-        *_force_table(results),
-        "",
-        *_parameter_table(results),
-        "",
-        *_concerns(results),
-    ]
-    return "\n".join(lines)
+    """Markdown: one row a scenario, then seas and levels of forces, then errors by parameter."""
+    head = (
+        "scenario", "sets", "coverage, %", "z", "error / reference", "flagged, %",
+        "prediction, %", "from first, %", "reference: coverage, z", "CPU, s", "targets missed",
+    )  # fmt: skip
+    parts = (
+        markdown(head, map(_cells, results)),
+        markdown(SEA, map(_sea_cells, results)),
+        _force_table(results),
+        _parameter_table(results),
+        map(_concerns, results),
+    )
+    return "\n\n".join("\n".join(part) for part in parts)
+
+
+def _cells(r: Mapping[str, Any]) -> tuple[object, ...]:
+    """One scenario in the first table."""
+    known = r.get("reference")
+    ratio = own = "–"
+    if known:
+        ratio = f"{known['error_ratio']:.2f}"
+        own = f"{_pair(known['coverage'], known['coverage_error'])}, {known['z']:.2f}"
+    bands = (
+        _pair(*r["prediction"][kind]) if kind in r["prediction"] else "–"
+        for kind in ("fit", "first")
+    )
+    coverage = _pair(r["coverage"], r["coverage_error"])
+    return (
+        f"{r['scenario']}: {r['title']}", r["sets"], coverage, f"{r['z']:.2f}", ratio,
+        f"{r['flagged']:.0f}", *bands, own, f"{r['seconds']:.3f}",
+        ", ".join(r["missed"]) or "all met",
+    )  # fmt: skip
 
 
 def _pair(value: float, error: float) -> str:
     return f"{value:.1f} ± {error:.1f}"
-
-
-def _band(result: Mapping[str, Any], kind: str) -> str:
-    return _pair(*result["prediction"][kind]) if kind in result["prediction"] else "–"
-
-
-def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    rows = []
-    for r in results:
-        if r["forces"] is None:
-            continue
-        often = f"{r['forces']['found']:.0f}"
-        named = [name for name in r["forces"] if name != "found"]
-        if not named:
-            rows.append(f"| {r['scenario']} | none | – | – | – | {often} | – |")
-        for name in named:
-            f = r["forces"][name]
-            known = r.get("reference", {}).get("forces")
-            own = "–"
-            if known:
-                own = f"{known[name]['level'][0]:.2f}, {known[name]['time'][0]:.2f}; "
-                own += f"{known[name]['within']:.0f}"
-            rows.append(
-                f"| {r['scenario']} | {name} | {_range(f['level'])} | {_range(f['time'])} "
-                f"| {f['within']:.0f} | {often} | {own} |"
-            )
-    if not rows:
-        return ["The fits tell no levels of disturbance forces."]
-    head = (
-        "| scenario | force | level / true: median (5 to 95 %) | time / true | both within 20 %, % "
-        "| any force found, % | reference: level, time; within |"
-    )
-    return [head, "|---|---|---|---|---|---|---|", *rows]
 
 
 def _range(numbers: Sequence[float]) -> str:
@@ -311,42 +261,75 @@ def _range(numbers: Sequence[float]) -> str:
     return f"{middle:.2f} ({low:.2f} to {high:.2f})"
 
 
+SEA = (
+    "scenario", "sea claimed, %", "period / true (5 to 95 %)", "within 10 %, %",
+    "levels / true, medians", "within 25 %, %", "worst coverage, %", "largest bias",
+)  # fmt: skip
+
+
+def _sea_cells(r: Mapping[str, Any]) -> tuple[object, ...]:
+    """One scenario in the table of seas."""
+    sea, told = r["sea"], ["–"] * 4
+    if "period" in sea:
+        levels = ", ".join(f"{v:.2f}" for v in sea["level"])
+        within = (f"{sea[f'{what}_within']:.0f}" for what in ("period", "level"))
+        told = [_range(sea["period"]), next(within), levels, next(within)]
+    worst = min(part["coverage"] for part in r["by_parameter"].values())
+    bias = max(r["bias"].values(), key=abs)
+    return r["scenario"], f"{sea['claimed']:.0f}", *told, f"{worst:.0f}", f"{bias:+.2f}"
+
+
+def _force_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
+    rows = []
+    for r in results:
+        if r["forces"] is None:
+            continue
+        told = dict(r["forces"])
+        often = f"{told.pop('found'):.0f}"
+        if not told:
+            rows.append((r["scenario"], "none", "–", "–", "–", often, "–"))
+        known = r.get("reference", {}).get("forces")
+        for name, f in told.items():
+            own = "–"
+            if known:
+                level, time = (known[name][what][0] for what in ("level", "time"))
+                own = f"{level:.2f}, {time:.2f}; {known[name]['within']:.0f}"
+            ranges = _range(f["level"]), _range(f["time"])
+            rows.append((r["scenario"], name, *ranges, f"{f['within']:.0f}", often, own))
+    head = (
+        "scenario", "force", "level / true: median (5 to 95 %)", "time / true",
+        "both within 20 %, %", "any force found, %", "reference: level, time; within",
+    )  # fmt: skip
+    return markdown(head, rows) if rows else ["The fits tell no levels of disturbance forces."]
+
+
 def _parameter_table(results: Sequence[Mapping[str, Any]]) -> list[str]:
     """Relative rms errors in per cent, those of the reference in brackets; one table a vehicle."""
     lines: list[str] = []
     for vehicle in VEHICLES.values():
         own = [r for r in results if SCENARIOS[r["scenario"]].vehicle == vehicle.name]
-        if not own:
-            continue
-        names = list(vehicle.believed)
-        lines += [
-            "Relative rms errors in per cent (reference); coverage.",
-            "",
-            "| scenario | " + " | ".join(names) + " |",
-            "|---" * (1 + len(names)) + "|",
-        ]
-        for r in own:
-            cells = []
-            for name in names:
-                part = r["by_parameter"][name]
-                known = r.get("reference")
-                beside = f" ({known['relative_rms'][name]:.2g})" if known else ""
-                cells.append(f"{part['relative_rms']:.2g}{beside}; {part['coverage']:.0f}")
-            lines.append(f"| {r['scenario']} | " + " | ".join(cells) + " |")
-        lines.append("")
+        rows = [(r["scenario"], *(_parameter(r, name) for name in vehicle.believed)) for r in own]
+        if rows:
+            words = "Relative rms errors in per cent (reference); coverage."
+            lines += [words, "", *markdown(("scenario", *vehicle.believed), rows), ""]
     return lines
 
 
-def _concerns(results: Sequence[Mapping[str, Any]]) -> list[str]:
-    lines = []
-    for r in results:
-        kinds = ", ".join(f"{kind} ({count})" for kind, count in r["concerns"].items()) or "nothing"
-        states = ", ".join(f"{kind} ({count})" for kind, count in r["status"].items())
-        text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
-        if np.isfinite(r["local"]):
-            text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
-        if r["by_output"]:
-            bands = ", ".join(f"{name} {value:.0f}" for name, value in r["by_output"].items())
-            text += f"prediction by output {bands} %; "
-        lines.append(f"{text}status {states}.")
-    return lines
+def _parameter(r: Mapping[str, Any], name: str) -> str:
+    """Error and coverage of one parameter."""
+    part, known = r["by_parameter"][name], r.get("reference")
+    beside = f" ({known['relative_rms'][name]:.2g})" if known else ""
+    return f"{part['relative_rms']:.2g}{beside}; {part['coverage']:.0f}"
+
+
+def _concerns(r: Mapping[str, Any]) -> str:
+    """What the fits of one scenario warn of, in a sentence."""
+    kinds = ", ".join(f"{kind} ({count})" for kind, count in r["concerns"].items()) or "nothing"
+    states = ", ".join(f"{kind} ({count})" for kind, count in r["status"].items())
+    text = f"- {r['scenario']}: misfit {r['misfit']:.3f} x noise; warned of {kinds}; "
+    if np.isfinite(r["local"]):
+        text += f"parameters of records to {100 * r['local']:.1f} % of their spread; "
+    if r["by_output"]:
+        bands = ", ".join(f"{name} {value:.0f}" for name, value in r["by_output"].items())
+        text += f"prediction by output {bands} %; "
+    return f"{text}status {states}."

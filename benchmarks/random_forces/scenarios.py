@@ -29,23 +29,19 @@ deviation :math:`\sigma` and time :math:`\tau`, or a swell of a JONSWAP spectrum
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 MASS, INERTIA = 30.48, 3.45
-
-
 X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
-
-
 SURGE, HEAVE, PITCH = MASS - X_UDOT, MASS - Z_WDOT, INERTIA - M_QDOT
-
-
 DETERMINANT = HEAVE * PITCH - Z_QDOT * M_WDOT
-
-
+DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 # state, input, force: (n_..., n_runs); parameters by name: (n_runs,)
 Rate = Callable[[np.ndarray, np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
 
@@ -60,8 +56,6 @@ class Vehicle:
         Also the name of its equations in ``filter.c``.
     believed : dict
         Parameters that all records share.
-    local : dict
-        Standard deviation of the parameters that differ from record to record.
     states, inputs, forces : tuple of str
     noise_std : tuple of float
         Declared standard deviation of each output.
@@ -77,6 +71,8 @@ class Vehicle:
         Sign of the command that lowers this angle.
     rate : callable
         Time derivative of the state.
+    local : dict
+        Standard deviation of the parameters that differ from record to record.
     cruise : float
         First state at the beginning.
     every : tuple of int
@@ -85,7 +81,6 @@ class Vehicle:
 
     name: str
     believed: dict[str, float]
-    local: dict[str, float]
     states: tuple[str, ...]
     inputs: tuple[str, ...]
     forces: tuple[str, ...]
@@ -98,6 +93,7 @@ class Vehicle:
     rate_output: int
     sense: float
     rate: Rate
+    local: dict[str, float] = field(default_factory=dict)
     cruise: float = 0.0
     every: tuple[int, ...] = ()
 
@@ -139,51 +135,16 @@ def yaw_rate(
     return np.stack([r, turn + values["N_delta"] * (inputs[0] + values["rudder_zero"]) + force[0]])
 
 
-REMUS = Vehicle(
-    name="remus",
-    believed={
-        "X_uu": -3.9,
-        "Z_uw": -40.0,
-        "Z_uq": -9.0,
-        "M_uw": 14.0,
-        "M_uq": -9.0,
-        "Z_uuds": -12.0,
-        "M_uuds": -6.15,
-        "zgW": 5.9,
-    },
-    local={},
-    states=("u", "w", "q", "theta", "z"),
-    inputs=("fin_command", "thrust"),
-    forces=("X", "Z", "M"),
-    noise_std=(0.02, 0.02, 0.004, 0.004, 0.03),
-    sample_time=0.1,
-    substeps=10,
-    begin=2.0,
-    duration=60.0,
-    steered=3,
-    rate_output=2,
-    sense=1.0,
-    rate=remus_rate,
-)
-
-
-YAW = Vehicle(
-    name="yaw",
-    believed={"N_r": -0.125, "N_absrr": -1.0, "N_delta": 0.015},
-    local={"rudder_zero": 0.03},
-    states=("psi", "r"),
-    inputs=("rudder",),
-    forces=("N",),
-    noise_std=(0.004, 0.0015),
-    sample_time=0.5,
-    substeps=5,
-    begin=5.0,
-    duration=300.0,
-    steered=0,
-    rate_output=1,
-    sense=-1.0,
-    rate=yaw_rate,
-)
+def _hull(
+    state: np.ndarray, rudder: np.ndarray, force: np.ndarray, values: Mapping[str, np.ndarray]
+) -> list[np.ndarray]:
+    """Accelerations in sway and yaw of both surface vessels."""
+    u, v, r = state[:3]
+    return [
+        values[f"{axis}_uv"] * u * v + values[f"{axis}_ur"] * u * r
+        + values[f"{axis}_d"] * u * u * rudder + push
+        for axis, push in zip("YN", force[1:3], strict=True)
+    ]  # fmt: skip
 
 
 def ship_rate(
@@ -191,18 +152,10 @@ def ship_rate(
 ) -> np.ndarray:
     """Derivatives of ``u v r p phi psi``; the input is the rudder angle."""
     u, v, r, p, phi, _ = state
-    helm = u * u * inputs[0]
-    return np.stack(
-        [
-            values["X_uu"] * u * abs(u) + SHIP_THRUST + v * r + force[0],
-            values["Y_uv"] * u * v + values["Y_ur"] * u * r + values["Y_d"] * helm + force[1],
-            values["N_uv"] * u * v + values["N_ur"] * u * r + values["N_d"] * helm + force[2],
-            values["K_phi"] * phi + values["K_p"] * p + values["K_ur"] * u * r
-            + values["K_d"] * helm + force[3],
-            p,
-            r,
-        ]
-    )  # fmt: skip
+    surge = values["X_uu"] * u * abs(u) + SHIP_THRUST + v * r + force[0]
+    roll = values["K_phi"] * phi + values["K_p"] * p + values["K_ur"] * u * r
+    roll = roll + values["K_d"] * (u * u * inputs[0]) + force[3]
+    return np.stack([surge, *_hull(state, inputs[0], force, values), roll, p, r])
 
 
 def drone_rate(
@@ -210,83 +163,22 @@ def drone_rate(
 ) -> np.ndarray:
     """Derivatives of ``u v r psi``; the input is the rudder angle."""
     u, v, r, _ = state
-    helm = u * u * inputs[0]
-    return np.stack(
-        [
-            values["X_uu"] * u * abs(u) + DRONE_THRUST + 1.5 * v * r + force[0],
-            values["Y_uv"] * u * v + values["Y_ur"] * u * r + values["Y_d"] * helm + force[1],
-            values["N_uv"] * u * v + values["N_ur"] * u * r + values["N_d"] * helm + force[2],
-            r,
-        ]
-    )
+    surge = values["X_uu"] * u * abs(u) + DRONE_THRUST + 1.5 * v * r + force[0]
+    return np.stack([surge, *_hull(state, inputs[0], force, values), r])
 
 
 # Accelerations of both by their propellers, m/s^2.
 SHIP_THRUST, DRONE_THRUST = 0.015, 0.4
 
 
-SHIP = Vehicle(
-    name="ship",
-    believed={
-        "X_uu": -2.5e-4,
-        "Y_uv": -6.5e-3,
-        "Y_ur": -0.4,
-        "Y_d": -4e-4,
-        "N_uv": -1e-4,
-        "N_ur": -1.05e-2,
-        "N_d": 7.7e-5,
-        "K_phi": -0.2,
-        "K_p": -0.06,
-        "K_ur": 0.13,
-        "K_d": -3e-4,
-    },
-    local={},
-    states=("u", "v", "r", "p", "phi", "psi"),
-    inputs=("rudder",),
-    forces=("u", "v", "r", "p"),
-    noise_std=(0.02, 0.03, 5e-4, 2e-3, 3e-3, 3e-3),
-    sample_time=1.0,
-    substeps=10,
-    begin=10.0,
-    duration=300.0,
-    steered=5,
-    rate_output=2,
-    sense=-1.0,
-    rate=ship_rate,
-    cruise=7.7,
-)
+def _frozen(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of data, its lists as tuples."""
+    return {k: tuple(v) if isinstance(v, list) else v for k, v in row.items()}
 
 
-DRONE = Vehicle(
-    name="drone",
-    believed={
-        "X_uu": -0.1,
-        "Y_uv": -0.35,
-        "Y_ur": -0.4,
-        "Y_d": -0.05,
-        "N_uv": -0.1,
-        "N_ur": -0.6,
-        "N_d": 0.12,
-    },
-    local={},
-    states=("u", "v", "r", "psi"),
-    inputs=("rudder",),
-    forces=("u", "v", "r"),
-    noise_std=(0.05, 0.05, 5e-3, 0.01),
-    sample_time=0.1,
-    substeps=4,
-    begin=2.0,
-    duration=90.0,
-    steered=3,
-    rate_output=2,
-    sense=-1.0,
-    rate=drone_rate,
-    cruise=2.0,
-    every=(10, 10, 1, 2),
-)
-
-
-VEHICLES = {vehicle.name: vehicle for vehicle in (REMUS, YAW, SHIP, DRONE)}
+RATES = {"remus": remus_rate, "yaw": yaw_rate, "ship": ship_rate, "drone": drone_rate}
+VEHICLES = {n: Vehicle(n, rate=RATES[n], **_frozen(row)) for n, row in DATA["vehicles"].items()}
+REMUS, YAW = VEHICLES["remus"], VEHICLES["yaw"]
 
 
 def pitch_pole(values: Mapping[str, float], speed: float) -> float:
@@ -334,40 +226,7 @@ class Manoeuvre:
     hold: float = math.inf
 
 
-ZIGZAGS = (
-    Manoeuvre("zigzag_5_5", 5.0, 5.0, 5.0),
-    Manoeuvre("zigzag_10_10", 10.0, 10.0, 9.0),
-    Manoeuvre("zigzag_15_12", 15.0, 12.0, 10.0),
-)
-
-
-CLOCKED = tuple(
-    replace(zigzag, name=f"clocked_{i}", hold=hold)
-    for i, (zigzag, hold) in enumerate(zip(ZIGZAGS, (3.5, 3.4, 3.3), strict=True))
-)
-
-
-CALM = tuple(Manoeuvre(f"calm_{i}", 1.0, 1.0, thrust) for i, thrust in enumerate((5.0, 9.0, 10.0)))
-
-
-FRESH = Manoeuvre("zigzag_12_8", 12.0, 8.0, 8.0)
-
-
-# An unstable vehicle turns before its pitch angle can no longer be caught.
-STEADIED = tuple(
-    Manoeuvre(f"steadied_{switch:g}", 15.0, switch, thrust, lead=2.0)
-    for switch, thrust in ((28.0, 7.0), (34.0, 8.5), (40.0, 10.0), (34.0, 9.0))
-)
-
-
-GENTLE = (Manoeuvre("gentle", 2.0, 3.0, 9.0, 30.0),)
-
-
-RUDDER = (
-    Manoeuvre("zigzag_10_10", 10.0, 10.0),
-    Manoeuvre("zigzag_20_20", 20.0, 20.0),
-    Manoeuvre("zigzag_15_30", 15.0, 30.0),
-)
+RECORDS = {kind: tuple(Manoeuvre(**row) for row in rows) for kind, rows in DATA["records"].items()}
 
 
 @dataclass(frozen=True)
@@ -386,8 +245,8 @@ class Scenario:
         Standard deviation of each disturbance force.
     force_time : float
         Their time, s.
-    swell : float or None
-        The forces have a JONSWAP spectrum with this peak period instead, s.
+    swell : float
+        The forces have a JONSWAP spectrum with this peak period instead, s; 0 for none.
     pole : float or None
         The vehicle is made unstable in pitch with this pole, 1/s.
     level : float
@@ -415,11 +274,11 @@ class Scenario:
     name: str
     title: str
     vehicle: str = "remus"
-    records: tuple[Manoeuvre, ...] = ZIGZAGS
-    fresh: Manoeuvre = FRESH
+    records: tuple[Manoeuvre, ...] = RECORDS["zigzags"]
+    fresh: Manoeuvre = RECORDS["fresh"][0]
     force: tuple[float, ...] = (0.0, 0.0, 0.0)
     force_time: float = 2.0
-    swell: float | None = None
+    swell: float = 0.0
     pole: float | None = None
     level: float = 1.0
     colour: float = 0.0
@@ -434,122 +293,21 @@ class Scenario:
     may_flag: bool = False
 
 
-def _times(factor: float) -> tuple[float, ...]:
-    return tuple(factor * level for level in MEDIUM)
+def _scenarios() -> dict[str, Scenario]:
+    """Scenarios by name."""
+    found: dict[str, Scenario] = {}
+    for name, row in DATA["scenarios"].items():
+        said = _frozen(row)
+        base = found.get(said.pop("like", ""), Scenario(name, ""))
+        if "medium" in said:
+            factor = said.pop("medium")
+            said["force"] = tuple(factor * level for level in MEDIUM)
+        if "records" in said:
+            said["records"] = RECORDS[said["records"]]
+        if "fresh" in said:
+            (said["fresh"],) = RECORDS[said["fresh"]]
+        found[name] = replace(base, name=name, **said)
+    return found
 
 
-_YAW = Scenario(
-    "yaw_zero",
-    "yaw model, a rudder zero of each record",
-    vehicle="yaw",
-    records=RUDDER,
-    fresh=Manoeuvre("zigzag_12_15", 12.0, 15.0),
-    force=(0.0,),
-    force_time=10.0,
-)
-
-
-# Accelerations by waves: a sway of 0.08 m/s and a roll of 0.2 degrees, as much as its sensor.
-_SHIP = Scenario(
-    "ship_swell",
-    "ship, zigzags on the measured heading, swell of 8 s",
-    vehicle="ship",
-    records=RUDDER,
-    fresh=Manoeuvre("zigzag_12_15", 12.0, 15.0),
-    force=(0.02, 0.06, 4e-4, 1.5e-3),
-    swell=8.0,
-)
-_DRONE = Scenario(
-    "drone_swell",
-    "drone with slow sensors, 10 % missing, swell of 8 s",
-    vehicle="drone",
-    records=RUDDER,
-    fresh=Manoeuvre("zigzag_12_15", 12.0, 15.0),
-    force=(0.05, 0.1, 0.06),
-    swell=8.0,
-    missing=0.1,
-)
-
-
-SCENARIOS = {
-    scenario.name: scenario
-    for scenario in (
-        Scenario("white", "white noise as declared"),
-        Scenario("tiny", "random forces, 0.1 x medium", force=_times(0.1)),
-        Scenario("small", "random forces, 0.3 x medium", force=_times(0.3)),
-        Scenario("medium", "random forces 0.1 N, 0.3 N, 0.06 N m, 2 s", force=_times(1.0)),
-        Scenario("medium_5s", "the same, 5 s", force=_times(1.0), force_time=5.0),
-        Scenario(
-            "medium_clock",
-            "medium, fin reversed by the clock",
-            records=CLOCKED,
-            fresh=replace(FRESH, hold=3.4),
-            force=_times(1.0),
-        ),
-        Scenario("large", "random forces, 3 x medium", force=_times(3.0)),
-        Scenario("large_calm", "3 x medium, fin within 1 deg", force=_times(3.0), records=CALM),
-        Scenario(
-            "unstable",
-            "medium, pitch pole +0.5 1/s",
-            records=STEADIED[:3],
-            fresh=STEADIED[3],
-            force=_times(1.0),
-            pole=0.5,
-        ),
-        *(
-            Scenario(
-                f"swell_{period:g}",
-                f"medium, JONSWAP with peak at {period:g} s",
-                force=_times(1.0),
-                swell=period,
-                may_flag=True,
-            )
-            for period in (3.0, 6.0, 12.0)
-        ),
-        Scenario("missing", "medium, half of the samples missing", force=_times(1.0), missing=0.5),
-        Scenario("irregular", "medium, 60 % of the rows missing", force=_times(1.0), dropped=0.6),
-        Scenario("colour_0.6", "noise of theta: AR(1), 0.6", colour=0.6, may_flag=True),
-        Scenario("colour_0.8", "noise of theta: AR(1), 0.8", colour=0.8, may_flag=True),
-        Scenario("noise_2x", "noise 2 x declared", level=2.0, may_flag=True),
-        Scenario("spikes", "2 % spikes of 10 sigma", spikes=0.02, may_flag=True),
-        Scenario("spikes_up", "2 % spikes, one-sided", spikes=0.02, one_sided=True, may_flag=True),
-        Scenario("fin_0.1", "logged fin with 0.1 deg noise", fin_noise=0.1, may_flag=True),
-        Scenario("fin_0.5", "logged fin with 0.5 deg noise", fin_noise=0.5, may_flag=True),
-        Scenario("weak", "weak trial: 30 s, fin within 2 deg", records=GENTLE),
-        Scenario(
-            "weak_small", "weak trial, 0.3 x medium forces", records=GENTLE, force=_times(0.3)
-        ),
-        _YAW,
-        replace(
-            _YAW,
-            name="yaw_zero_hidden",
-            title="the same, the model knows no zero",
-            hidden=True,
-            may_flag=True,
-        ),
-        replace(
-            _YAW, name="yaw_zero_force", title="rudder zeros and a random moment", force=(3e-4,)
-        ),
-        _SHIP,
-        replace(
-            _SHIP,
-            name="ship_designed",
-            title="ship, rudder by the clock, swell of 8 s",
-            records=tuple(
-                replace(zigzag, name=f"clocked_{hold:g}", hold=hold)
-                for zigzag, hold in zip(RUDDER, (9.0, 17.0, 31.0), strict=True)
-            ),
-        ),
-        replace(_SHIP, name="ship_gusts", title="ship, first-order forces", swell=None),
-        replace(_SHIP, name="ship_white", title="ship, no forces", force=(0.0,) * 4, swell=None),
-        _DRONE,
-        replace(_DRONE, name="drone_gusts", title="drone, first-order forces", swell=None),
-        replace(_DRONE, name="drone_white", title="drone, no forces", force=(0.0,) * 3, swell=None),
-        Scenario(
-            "remus_swell",
-            "medium, JONSWAP with peak at 8 s",
-            force=_times(1.0),
-            swell=8.0,
-        ),
-    )
-}
+SCENARIOS = _scenarios()

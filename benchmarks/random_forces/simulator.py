@@ -164,7 +164,7 @@ class _Column:
         draws = force.standard_normal(((self.n - 1) * vehicle.substeps + 1, len(vehicle.forces)))
         memory = np.exp(-h / scenario.force_time)
         self.force = gauss_markov(draws, np.array(scenario.force), memory)
-        if scenario.swell is not None:
+        if scenario.swell:
             waves = stream(seed, number, manoeuvre.name, "swell")
             sea = swell(waves, len(draws), h / scenario.swell, len(scenario.force))
             self.force = np.array(scenario.force) * sea

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import re
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -22,6 +21,7 @@ from benchmarks.random_forces.scenarios import (
 from benchmarks.random_forces.simulator import Run, Set, believed
 from oed_sysid import (
     Dataset,
+    Fit,
     Force,
     Input,
     Model,
@@ -33,15 +33,6 @@ from oed_sysid import (
     load_problem,
 )
 from oed_sysid.data.record import Record
-
-# Sentences of a report that tell a reader not to trust the errors, where `fit.concerns` is absent.
-WORDS = {
-    "correlated residuals": r"[Rr]esiduals are correlated",
-    "noise level": r"noise .*(larger|smaller|times|declared)",
-    "spikes": r"spike|outlier",
-    "logged input": r"logged (input|fin|rudder)|noise (on|of) (an |the )?input",
-    "random force": r"[Rr]andom force",
-}
 
 
 @dataclass(frozen=True)
@@ -56,8 +47,7 @@ class Outcome:
         By parameter; NaN where the fit raised.
     status : str
     concerns : tuple of str
-        What the fit warns of: its status if it did not converge, and its
-        ``concerns`` or the sentences of its report.
+        What the fit warns of: its status if it did not converge, and its ``concerns``.
     force : dict or None
         Level and time of the disturbance force of each equation, where a fit tells them.
     covered : dict
@@ -182,11 +172,10 @@ def true_sea(scenario: Scenario) -> Sea:
 
 
 def estimator(scenario: Scenario, settings: Mapping[str, Any]) -> MultipleShooting:
-    """Multiple shooting; settings that it does not know yet are left out."""
-    known = {field.name for field in fields(MultipleShooting)}
+    """Multiple shooting with the settings of the command line."""
     if settings.get("disturbances") == "known":
         settings = {**settings, "disturbances": true_sea(scenario)}
-    return MultipleShooting(**{name: v for name, v in settings.items() if name in known})
+    return MultipleShooting(**{name: v for name, v in settings.items() if name != "predict"})
 
 
 def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outcome:
@@ -240,46 +229,30 @@ def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outco
     )
 
 
-def sea_of(fit: Any, vehicle: str) -> dict[str, Any] | None:
+def sea_of(fit: Fit, vehicle: str) -> dict[str, Any] | None:
     """Period, width, shape and levels of the sea that a fit claims."""
-    seas = getattr(getattr(fit, "noise", None), "seas", ())
-    if not seas:
+    if not fit.noise.seas:
         return None
-    levels = {place.removeprefix("force "): v for place, v in seas[0].levels.items()}
+    sea = fit.noise.seas[0]
+    levels = {place.removeprefix("force "): v for place, v in sea.levels.items()}
     return {
-        "period": seas[0].period, "bandwidth": seas[0].bandwidth, "shape": seas[0].shape,
+        "period": sea.period, "bandwidth": sea.bandwidth, "shape": sea.shape,
         "levels": {name: float(levels.get(name, 0.0)) for name in VEHICLES[vehicle].forces},
     }  # fmt: skip
 
 
-def concerns(fit: Any) -> tuple[str, ...]:
+def concerns(fit: Fit) -> tuple[str, ...]:
     """What a fit warns of, in few words each."""
     found = [] if fit.status.ok else [fit.status.code]
-    if hasattr(fit, "concerns"):
-        stated = fit.concerns() if callable(fit.concerns) else fit.concerns
-        return (*found, *(_kind(concern) for concern in stated))
-    report = fit.report()
-    return (*found, *(kind for kind, words in WORDS.items() if re.search(words, report)))
+    return (*found, *(concern.kind for concern in fit.concerns))
 
 
-def _kind(concern: Any) -> str:
-    """The shortest name that a concern goes by; numbers in a sentence do not make it another."""
-    for attribute in ("kind", "code", "name"):
-        if isinstance(found := getattr(concern, attribute, None), str):
-            return found
-    return re.sub(r"[-+]?\d+([.,]\d+)?(e[-+]?\d+)?", "#", str(concern))
-
-
-def forces(fit: Any, vehicle: str) -> dict[str, tuple[float, float]] | None:
+def forces(fit: Fit, vehicle: str) -> dict[str, tuple[float, float]] | None:
     """Level and time of each disturbance force, where the fit has them."""
-    noise = getattr(fit, "noise", None)
-    if getattr(noise, "force", None) is None:
-        return None
-    names = VEHICLES[vehicle].forces
-    levels = np.atleast_1d(np.asarray(noise.force, dtype=float))
+    names, levels = VEHICLES[vehicle].forces, np.atleast_1d(fit.noise.force)
     if not len(levels):  # none was admitted
         return dict.fromkeys(names, (0.0, float("nan")))
-    times = np.broadcast_to(np.asarray(noise.force_time, dtype=float), levels.shape)
+    times = np.broadcast_to(np.asarray(fit.noise.force_time, dtype=float), levels.shape)
     if len(levels) < len(names):
         return None
     pairs = zip(names, levels, times, strict=False)

@@ -7,12 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, check_disjoint
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.forecasts import Forecasts, forecasts
 from oed_sysid.evidence.locate import Located, likeliest, locate
@@ -28,11 +28,19 @@ from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_html, as_text
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Figure,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_html,
+    as_text,
+)
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
-TWO_SIDED_95 = 1.959964
 # An estimated noise level this far above what the high-frequency content shows is suspect.
 SUSPECT_NOISE = 1.3
 
@@ -49,8 +57,6 @@ class ModelMisfit:
         At the compared values.
     prediction : Prediction
         Outputs, bands and initial states, per record.
-    states : tuple of ndarray (n_times, n_full)
-        State trajectories, per record.
     outputs : tuple of OutputMisfit
         One per output.
     forecasts : Forecasts
@@ -60,7 +66,6 @@ class ModelMisfit:
     label: str
     model: Model
     prediction: Prediction
-    states: tuple[np.ndarray, ...]
     outputs: tuple[OutputMisfit, ...]
     forecasts: Forecasts
 
@@ -154,11 +159,16 @@ class Comparison:
         lines = [part.verdict for part in self.models]
         if len(self.models) > 1:
             best = self.best
-            others = ", ".join(
-                f"{part.relative:.3g} ({part.label})" for part in self.models if part is not best
+            lines.append(
+                f"Closest: {best.label}, {best.relative:.3g} x noise against {self._others}."
             )
-            lines.append(f"Closest: {best.label}, {best.relative:.3g} x noise against {others}.")
         return "\n".join(lines)
+
+    @property
+    def _others(self) -> str:
+        """Errors of the models that are not the best."""
+        others = (part for part in self.models if part is not self.best)
+        return ", ".join(f"{part.relative:.3g} ({part.label})" for part in others)
 
     def document(self, *, title: str = "Models and records", log: LogCheck | None = None) -> Report:
         """Return what the comparison says: misfit by output, and predictions."""
@@ -208,10 +218,9 @@ class Comparison:
         left = "noise is left" if best.is_noise else "more than noise is left"
         if len(self.models) == 1:
             return f"{best.label} predicts to {best.relative:.3g} × noise: {left}."
-        others = (f"{m.relative:.3g} ({m.label})" for m in self.models if m is not best)
         return (
             f"{best.label} predicts best, to {best.relative:.3g} × noise: {left}; the others to "
-            f"{', '.join(others)}."
+            f"{self._others}."
         )
 
     to_dict = as_dict(
@@ -308,69 +317,61 @@ def _misfit(
         n_shared = sum(not p.per_record for p in model.free_parameters)
         covariance = np.zeros((n_shared, n_shared))
     prediction = predict(model, dataset, covariance, noise, initial=initial)
-    states = _states(model, dataset, prediction)
-    times = [record.times for record in dataset]
-    signals = _signals(model, dataset, states)
-    in_time = not dataset.only_tests
-    parts = regimes(signals, times, in_time=in_time)
+    signals = _signals(model, dataset, prediction)
+    parts = regimes(signals, [r.times for r in dataset], in_time=not dataset.only_tests)
+    inside = [
+        np.abs(residual) <= TWO_SIDED_95 * std
+        for residual, std in zip(prediction.residuals, prediction.std, strict=True)
+    ]
+    residuals = [_distance(r, found) for r, found in zip(dataset, prediction.outputs, strict=True)]
     outputs = tuple(
         output_misfit(
             output,
-            [_distance(r, p, column) for r, p in zip(dataset, prediction.outputs, strict=True)],
+            [part[:, column] for part in residuals],
             float(sigma[column]),
-            [
-                np.abs(residual[:, column]) <= TWO_SIDED_95 * std[:, column]
-                for residual, std in zip(prediction.residuals, prediction.std, strict=True)
-            ],
-            times,
-            dataset.names,
+            [part[:, column] for part in inside],
+            dataset,
             signals,
             parts,
             horizon,
-            in_time=in_time,
         )
         for column, output in enumerate(model.outputs)
     )
     ahead = forecasts(model, dataset, sigma, horizon=horizon, local=prediction.local_values)
-    return ModelMisfit(label, model, prediction, states, outputs, ahead)
+    return ModelMisfit(label, model, prediction, outputs, ahead)
 
 
 def _model(item: Fit | Model) -> Model:
     return item.model if isinstance(item, Fit) else item
 
 
-def _distance(record: Any, predicted: np.ndarray, column: int) -> np.ndarray:
-    """Residual of one output; infinite where there is a measurement but no prediction."""
-    residual = record.residuals(predicted)[:, column]
-    lost = np.isfinite(record.outputs[:, column]) & ~np.isfinite(predicted[:, column])
-    return np.where(lost, np.inf, residual)
+def _distance(record: Record, predicted: np.ndarray) -> np.ndarray:
+    """Residuals; infinite where there is a measurement but no prediction."""
+    lost = np.isfinite(record.outputs) & ~np.isfinite(predicted)
+    return np.where(lost, np.inf, record.residuals(predicted))
 
 
-def _states(model: Model, dataset: Dataset, prediction: Prediction) -> tuple[np.ndarray, ...]:
-    compiled = kernel(model)
-    result = []
-    for record, initial, local in zip(
-        dataset, prediction.initial_states, prediction.local_values, strict=True
-    ):
-        values = model.with_values(local).value_vector
-        own = np.array([initial[name] for name in model.state_names])
-        z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
-        result.append(compiled.run(record.times, record.inputs, values, z0).states)
-    return tuple(result)
-
-
-def _signals(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> list[Signal]:
+def _signals(model: Model, dataset: Dataset, prediction: Prediction) -> list[Signal]:
     """Inputs and own states, as far as they are finite; of independent tests what was given."""
-    result = [
-        Signal(c.name, c.unit, c.label, tuple(r.inputs[:, i] for r in dataset), True)
-        for i, c in enumerate(model.inputs)
-    ]
+    states = []
     if not dataset.only_tests:
-        result += [
-            Signal(s.name, s.unit, s.label, tuple(part[:, i] for part in states), False)
-            for i, s in enumerate(model.states)
-        ]
-    return [s for s in result if all(np.isfinite(part).all() for part in s.series)]
+        compiled = kernel(model)
+        pairs = zip(prediction.initial_states, prediction.local_values, strict=True)
+        for record, (initial, local) in zip(dataset, pairs, strict=True):
+            values = model.with_values(local).value_vector
+            own = np.array([initial[name] for name in model.state_names])
+            z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
+            states.append(compiled.run(record.times, record.inputs, values, z0).states)
+    inputs = [record.inputs for record in dataset]
+    found = [
+        Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in inputs), True)
+        for i, one in enumerate(model.inputs)
+    ]
+    found += [
+        Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in states), False)
+        for i, one in enumerate(model.states if states else ())
+    ]
+    return [one for one in found if all(np.isfinite(part).all() for part in one.series)]
 
 
 def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray, tuple[str, ...]]:
@@ -386,29 +387,22 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
     for fit in reversed(fits):
         own = fit.sigma_estimated | ((fit.innovations is not None) & np.isfinite(sigma))
         sigma = np.where(own, sigma, fit.noise.sensors)
-    unknown = np.isnan(sigma)
-    names = dataset.channels.output_names
-    notes = []
-    if unknown.any() and fits:
-        # A sensor's noise is all of it, white and coloured.
-        smallest = np.min([fit.noise.sensors for fit in fits], axis=0)
-        sigma = np.where(unknown, smallest, sigma)
-        for name, level, low in zip(names, sigma, floor, strict=True):
-            if unknown[names.index(name)] and level > SUSPECT_NOISE * low:
-                notes.append(
-                    f"the noise of {name} was estimated by a fit as {level:.2g}, while its "
-                    f"high-frequency content shows {low:.2g}: part of what counts as noise may "
-                    "be misfit."
-                )
-    elif unknown.any():
-        sigma = np.where(unknown, floor, sigma)
-        which = ", ".join(
-            name for name, is_unknown in zip(names, unknown, strict=True) if is_unknown
-        )
-        notes.append(
-            f"the noise of {which} was taken from the high-frequency content of the records."
-        )
-    return sigma, tuple(notes)
+    names, unknown = np.array(dataset.channels.output_names), np.isnan(sigma)
+    if not unknown.any():
+        return sigma, ()
+    if not fits:
+        which = ", ".join(names[unknown])
+        note = f"the noise of {which} was taken from the high-frequency content of the records."
+        return np.where(unknown, floor, sigma), (note,)
+    # A sensor's noise is all of it, white and coloured.
+    sigma = np.where(unknown, np.min([fit.noise.sensors for fit in fits], axis=0), sigma)
+    notes = tuple(
+        f"the noise of {name} was estimated by a fit as {level:.2g}, while its high-frequency "
+        f"content shows {low:.2g}: part of what counts as noise may be misfit."
+        for name, level, low, open_ in zip(names, sigma, floor, unknown, strict=True)
+        if open_ and level > SUSPECT_NOISE * low
+    )
+    return sigma, notes
 
 
 def _labels(models: Sequence[Model]) -> tuple[str, ...]:
@@ -417,28 +411,18 @@ def _labels(models: Sequence[Model]) -> tuple[str, ...]:
     if len(set(names)) == len(names):
         return tuple(names)
     common = set.intersection(*(set(model.effect_names) for model in models))
-    labels = []
+    labels = list[str]()
     for position, model in enumerate(models, start=1):
-        own = [name for name in model.effect_names if name not in common]
-        label = (
-            " + ".join(["base", *own]) if len(set(names)) == 1 else " + ".join([model.name, *own])
-        )
+        first = "base" if len(set(names)) == 1 else model.name
+        label = " + ".join([first, *(n for n in model.effect_names if n not in common)])
         labels.append(f"{label} ({position})" if label in labels else label)
     return tuple(labels)
 
 
 def _table(part: ModelMisfit) -> Table:
     headers = (
-        "output",
-        "rmse",
-        "unit",
-        "x noise",
-        "in band",
-        "eff. samples",
-        "of",
-        "ahead",
-        "worst",
-    )
+        "output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst",
+    )  # fmt: skip
     rows = []
     for output, ahead in zip(part.outputs, part.forecasts.relative, strict=True):
         if not (output.n_samples or output.in_time):  # captive tests measure forces alone

@@ -59,7 +59,7 @@ class Forecasts:
     @property
     def rmse(self) -> np.ndarray:
         """Root mean square error of each output, shape ``(n_outputs,)``; infinite if one failed."""
-        return self._rms([part for part in self.errors])
+        return self._rms(self.errors)
 
     @property
     def relative(self) -> np.ndarray:
@@ -78,20 +78,22 @@ class Forecasts:
     def growth(self) -> np.ndarray:
         """Relative error by time ahead, shape ``(n_ahead, n_outputs)``."""
         longest = max((part.shape[1] for part in self.errors), default=0)
-        total = np.zeros((longest, len(self.rmse)))
-        count = np.zeros_like(total)
-        for error, size in zip(self.errors, self.expected, strict=True):
-            ratio = (error / size) ** 2
-            total[: ratio.shape[1]] += np.nansum(ratio, axis=0)
-            count[: ratio.shape[1]] += np.isfinite(ratio).sum(axis=0)
-        return np.sqrt(total / np.where(count > 0, count, np.nan))
+        ratios = [
+            np.pad(error / size, ((0, 0), (0, longest - error.shape[1]), (0, 0)),
+                   constant_values=np.nan)
+            for error, size in zip(self.errors, self.expected, strict=True)
+        ]  # fmt: skip
+        return _rms(np.vstack(ratios))
 
     def _rms(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        stacked = np.vstack([part.reshape(-1, part.shape[2]) for part in parts])
-        count = np.isfinite(stacked).sum(axis=0)
-        total = np.nansum(stacked**2, axis=0)
-        result = np.sqrt(total / np.where(count > 0, count, np.nan))
+        result = _rms(np.vstack([part.reshape(-1, part.shape[2]) for part in parts]))
         return np.where(np.isfinite(result), np.inf, result) if self.failed else result
+
+
+def _rms(values: np.ndarray) -> np.ndarray:
+    """Root mean square along the first axis of what is finite; NaN where nothing is."""
+    count = np.isfinite(values).sum(axis=0)
+    return np.sqrt(np.nansum(values**2, axis=0) / np.where(count > 0, count, np.nan))
 
 
 def forecasts(
@@ -122,20 +124,18 @@ def forecasts(
         Values of per-record parameters.
     """
     held = model.fix(*model.free_names)
-    compiled = kernel(held)
-    starts, errors, expected, failed = [], [], [], 0
+    compiled, parts = kernel(held), []
     for index, record in enumerate(dataset):
         values = held.with_values(local[index] if local else {}).value_vector
-        if record.independent:  # nothing follows from one test to the next
-            nothing = np.empty((0, 1, len(sigma)))
-            begin, error, size = np.empty(0), nothing, nothing
-        else:
-            begin, error, size = _record(compiled, held, record, values, sigma, horizon)
-        failed += int(np.isnan(size).any(axis=(1, 2)).sum())
-        starts.append(begin)
-        errors.append(error)
-        expected.append(size)
-    return Forecasts(horizon, tuple(starts), tuple(errors), tuple(expected), failed)
+        nothing = np.empty((0, 1, len(sigma)))
+        parts.append(
+            (np.empty(0), nothing, nothing)  # nothing follows from one test to the next
+            if record.independent
+            else _record(compiled, held, record, values, sigma, horizon)
+        )
+    starts, errors, expected = zip(*parts, strict=True)
+    failed = sum(int(np.isnan(size).any(axis=(1, 2)).sum()) for size in expected)
+    return Forecasts(horizon, starts, errors, expected, failed)
 
 
 def _record(
@@ -146,70 +146,44 @@ def _record(
     sigma: np.ndarray,
     horizon: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Starts, errors and their expected size along one record."""
     ahead = max(2, round(horizon / record.sample_time))
     before = max(2, ahead // 2)
     first = np.arange(0, record.n_samples - before - ahead + 1, ahead)
-    guess, scale = _guesses(model, record)
-    memories = _memories(compiled, record, values, guess[0])
-    shape = (len(first), ahead, len(sigma))
-    errors, expected = np.full(shape, np.nan), np.full(shape, np.nan)
+    # States as far as measurements tell.
+    guess = np.zeros((record.n_samples, len(model.states)))
+    measured = measured_states(model, record)
+    kinematic = kinematic_states(model, record, measured)
+    for position, series in (measured | {k: v.series for k, v in kinematic.items()}).items():
+        guess[:, position] = series
+    # What effects remember along the model's own run.
+    z0, _ = compiled.start(guess[0], record.inputs[0], values, record.times[0])
+    own = compiled.run(record.times, record.inputs, values, z0)
+    errors = np.full((len(first), ahead, len(sigma)), np.nan)
+    expected = errors.copy()
     for row, begin in enumerate(first):
+        memory = own.states[begin, compiled.n_own :] if own.ok else None
         part = slice(begin, begin + before + ahead)
-        found = _forecast(
-            compiled,
-            record.times[part],
-            record.inputs[part],
-            record.outputs[part],
-            values,
-            guess[begin],
-            None if memories is None else memories[begin],
-            scale,
-            sigma,
-            before,
-        )
+        found = _forecast(compiled, record, part, values, guess[begin], memory, sigma, before)
         if found is not None:
             errors[row], expected[row] = found
     return record.times[first + before], errors, expected
 
 
-def _memories(
-    compiled: Kernel, record: Record, values: np.ndarray, own: np.ndarray
-) -> np.ndarray | None:
-    """What effects remember along the model's own run, ``(n_times, n_full - n_own)``."""
-    if compiled.n_full == compiled.n_own:
-        return None
-    z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
-    run = compiled.run(record.times, record.inputs, values, z0)
-    return run.states[:, compiled.n_own :] if run.ok else None
-
-
-def _guesses(model: Model, record: Record) -> tuple[np.ndarray, np.ndarray]:
-    """States along a record as far as measurements tell, ``(n_times, n_own)``, and scales."""
-    scale = np.array([state.scale for state in model.states])
-    series = np.zeros((record.n_samples, len(scale)))
-    measured = measured_states(model, record)
-    for position, values in measured.items():
-        series[:, position] = values
-    for position, guess in kinematic_states(model, record, measured).items():
-        series[:, position] = guess.series
-    return series, scale
-
-
 def _forecast(
     compiled: Kernel,
-    times: np.ndarray,
-    inputs: np.ndarray,
-    outputs: np.ndarray,
+    record: Record,
+    part: slice,
     values: np.ndarray,
     own: np.ndarray,
     memory: np.ndarray | None,
-    scale: np.ndarray,
     sigma: np.ndarray,
     before: int,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Errors and their expected size after the first ``before`` samples."""
-    start, weight = own.copy(), 1.0 / (VAGUE * scale)
-    best, kept = np.inf, None
+    """Errors and their expected size after the first ``before`` samples of a part."""
+    times, inputs, outputs = record.times[part], record.inputs[part], record.outputs[part]
+    weight = 1.0 / (VAGUE * np.array([state.scale for state in compiled.model.states]))
+    start, best, kept = own.copy(), np.inf, None
     for _ in range(ITERATIONS):
         z0, dz = compiled.start(start, inputs[0], values, times[0])
         if memory is not None:
@@ -228,10 +202,10 @@ def _forecast(
         rows = np.vstack([rows.reshape(-1, len(own)), np.diag(weight)])
         right = np.concatenate([np.where(seen, residual, 0.0).ravel(), weight * (own - start)])
         cost = float(right @ right)
-        inverse = np.linalg.pinv(rows, rcond=1e-10)
         if cost < best:
+            inverse = np.linalg.pinv(rows, rcond=1e-10)
             gained, best = best - cost, cost
-            kept = (run.outputs, jacobian, inverse @ inverse.T, start)
+            kept = run.outputs, jacobian[before:], inverse @ inverse.T, start
             if gained < 1e-3:
                 break
             start = start + inverse @ right
@@ -239,7 +213,6 @@ def _forecast(
             start = 0.5 * (start + kept[3])
     if kept is None:
         return None
-    prediction, jacobian, covariance, _ = kept
-    later = jacobian[before:]
+    prediction, later, covariance, _ = kept
     variance = np.einsum("tij,jk,tik->ti", later, covariance, later)
     return (outputs - prediction)[before:], np.sqrt(variance + sigma**2)

@@ -19,11 +19,12 @@ the seconds after a command has changed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import fdtrc
 
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import (
     Whiteness,
@@ -141,8 +142,8 @@ class OutputMisfit:
     @property
     def is_noise(self) -> bool:
         """Whether the misfit is as small and as shapeless as noise."""
-        limit = max(NOISE_LIMIT, 1.0 + 3.0 / np.sqrt(2.0 * max(self.n_samples, 1)))
-        return self.n_samples == 0 or (self.relative < limit and self.is_white)
+        small = self.relative < _noise_limit(self.n_samples)
+        return self.n_samples == 0 or (small and self.is_white)
 
     @property
     def verdict(self) -> str:
@@ -175,8 +176,9 @@ class OutputMisfit:
     )  # fmt: skip
 
 
-def _mean(values: np.ndarray) -> float:
-    return float(np.mean(values)) if values.size else np.nan
+def _noise_limit(n_samples: int) -> float:
+    """Root mean square in units of the noise up to which samples are noise, chance included."""
+    return max(NOISE_LIMIT, 1.0 + 3.0 / float(np.sqrt(2.0 * max(n_samples, 1))))
 
 
 def output_misfit(
@@ -184,15 +186,15 @@ def output_misfit(
     residuals: Sequence[np.ndarray],
     sigma: float,
     inside_band: Sequence[np.ndarray],
-    times: Sequence[np.ndarray],
-    names: Sequence[str],
+    dataset: Dataset,
     signals: Sequence[Signal],
     parts: Sequence[Regime],
     window: float,
-    *,
-    in_time: bool = True,
 ) -> OutputMisfit:
     """Describe the residual of one output.
+
+    Rows of independent tests have no neighbours: they count whole, correlations are those at the
+    same row, and windows are single tests.
 
     Parameters
     ----------
@@ -204,56 +206,46 @@ def output_misfit(
         Noise level.
     inside_band : sequence of ndarray of bool (n_times,)
         Whether each measurement is within the 95 % band.
-    times : sequence of ndarray (n_times,)
-    names : sequence of str
-        Of the records.
+    dataset : Dataset
+        The records.
     signals : sequence of Signal
         Inputs and states to compare with.
     parts : sequence of Regime
         Parts of the manoeuvre to compare.
     window : float
         Length of the windows, s.
-    in_time : bool
-        Whether the records are time series. Rows of independent tests have no neighbours: they
-        count whole, correlations are those at the same row, and windows are single tests.
     """
+    in_time, times = not dataset.only_tests, [record.times for record in dataset]
     pooled = np.concatenate(residuals)
     seen = ~np.isnan(pooled)
     scaled = [residual / sigma for residual in residuals]
     windows = tuple(
         _windows(t, r, window) if in_time else np.abs(r) for t, r in zip(times, scaled, strict=True)
     )
+    usable = [residual for residual in residuals if not np.isinf(residual).any()]
     # Records on which the prediction diverged have no pattern to look at.
-    whole = [i for i, residual in enumerate(residuals) if not np.isinf(residual).any()]
-    usable = [residuals[i] for i in whole]
-    complete = len(whole) == len(times)
+    correlations, regimes = [], []
+    if len(usable) == len(residuals):
+        found = (correlate(usable, signal, times, in_time=in_time) for signal in signals)
+        correlations = sorted((c for c in found if c is not None), key=lambda c: -abs(c.score))
+        regimes = concentrations(scaled, parts, in_time=in_time)
     tested = [r for r in usable if np.isfinite(r).sum() > 10]
     inside = np.concatenate(inside_band)[seen]
     return OutputMisfit(
         output=output,
         rmse=_rms(pooled),
         sigma=sigma,
-        bias=_mean(pooled[seen]),
-        record_rmse=tuple(_rms(residual) for residual in residuals),
+        bias=float(np.mean(pooled[seen])) if seen.any() else np.nan,
+        record_rmse=tuple(map(_rms, residuals)),
         n_samples=int(seen.sum()),
-        coverage=_mean(inside),
+        coverage=float(np.mean(inside)) if seen.any() else np.nan,
         tests=tuple(map(whiteness if in_time else _apart, tested)),
-        correlations=_correlations(usable, signals, times, in_time) if complete else (),
-        regimes=tuple(concentrations(scaled, parts, in_time=in_time)) if complete else (),
+        correlations=tuple(correlations),
+        regimes=tuple(regimes),
         windows=windows,
-        worst=_worst(windows, times, names) if in_time else _worst_test(windows, names),
+        worst=_worst(windows, dataset),
         in_time=in_time,
     )
-
-
-def _correlations(
-    residuals: Sequence[np.ndarray],
-    signals: Sequence[Signal],
-    times: Sequence[np.ndarray],
-    in_time: bool,
-) -> tuple[Correlation, ...]:
-    found = [correlate(residuals, signal, times, in_time=in_time) for signal in signals]
-    return tuple(sorted((c for c in found if c is not None), key=lambda c: -abs(c.score)))
 
 
 def correlate(
@@ -269,37 +261,30 @@ def correlate(
     rows are independent tests: without lag and without autocorrelation.
     """
     step = float(np.median(np.diff(times[0])))
-    longest = min(round(LONGEST_LAG / step), min(len(t) for t in times) // 3)
-    lags = np.arange(0, longest + 1 if in_time else 1)
-    covariance, pairs = np.zeros(len(lags)), np.zeros(len(lags))
-    square_r = square_s = 0.0
-    colour = 0.0
+    longest = min(round(LONGEST_LAG / step), min(len(t) for t in times) // 3) if in_time else 0
+    covariance, squares, colour, n_seen = np.zeros(longest + 1), np.zeros(2), 0.0, 0
     for residual, series in zip(residuals, signal.series, strict=True):
         seen = np.isfinite(residual)
         if seen.sum() < 20 or not np.ptp(series) > 0:
             continue
         r = np.where(seen, residual - np.nanmean(residual), 0.0)
         s = series - np.mean(series)
-        square_r += float(r @ r)
-        square_s += float(np.sum(s[seen] ** 2))
-        for i, lag in enumerate(lags):
-            covariance[i] += r[lag:] @ s[: len(s) - lag]
-            pairs[i] += seen[lag:].sum()
-        if not in_time:
-            colour += seen.sum()
-            continue
-        n_lags = min(len(s) // 3, 300)
-        product = autocorrelation(residual, n_lags) * autocorrelation(series, n_lags)
-        taper = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
-        colour += seen.sum() * max(1.0 + 2.0 * float(product[1:] @ taper[1:]), 0.1)
-    if not (square_r > 0 and square_s > 0):
+        squares += r @ r, np.sum(s[seen] ** 2)
+        covariance += [r[lag:] @ s[: len(s) - lag] for lag in range(longest + 1)]
+        n_seen += seen.sum()
+        memory = 1.0
+        if in_time:
+            n_lags = min(len(s) // 3, 300)
+            product = autocorrelation(residual, n_lags) * autocorrelation(series, n_lags)
+            taper = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
+            memory = max(1.0 + 2.0 * float(product[1:] @ taper[1:]), 0.1)
+        colour += seen.sum() * memory
+    if not (squares > 0).all():
         return None
-    values = covariance / np.sqrt(square_r * square_s)
-    best = int(np.argmax(np.abs(values)))
-    error = np.sqrt(colour) / pairs[0]
-    return Correlation(
-        signal.words, float(values[best]), float(lags[best] * step), float(values[best] / error)
-    )
+    values = covariance / np.sqrt(squares.prod())
+    lag = int(np.argmax(np.abs(values)))
+    value, error = float(values[lag]), float(np.sqrt(colour)) / n_seen
+    return Correlation(signal.words, value, lag * step, value / error)
 
 
 def _rms(values: np.ndarray) -> float:
@@ -309,14 +294,10 @@ def _rms(values: np.ndarray) -> float:
 
 def _windows(times: np.ndarray, residual: np.ndarray, window: float) -> np.ndarray:
     """Root mean square in equal windows of about this length; NaN where nothing was measured."""
-    index = _window_index(times, window)
-    return np.array([_rms(residual[index == i]) for i in range(index[-1] + 1)])
-
-
-def _window_index(times: np.ndarray, window: float) -> np.ndarray:
     duration = times[-1] - times[0]
     count = max(1, round(float(duration / window)))
-    return np.minimum(((times - times[0]) / duration * count).astype(int), count - 1)
+    index = np.minimum(((times - times[0]) / duration * count).astype(int), count - 1)
+    return np.array([_rms(residual[index == i]) for i in range(count)])
 
 
 def _apart(residual: np.ndarray) -> Whiteness:
@@ -325,36 +306,16 @@ def _apart(residual: np.ndarray) -> Whiteness:
     return Whiteness(0.0, 1.0, 0.0, float(count), count)
 
 
-def _worst_test(
-    windows: Sequence[np.ndarray], names: Sequence[str]
-) -> tuple[str, float, float, float]:
-    """Series, number (twice) and misfit of the worst of independent tests."""
+def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float, float, float]:
+    """Record, begin and end, s, and misfit of the worst window; of tests the number, twice."""
     best = ("", np.nan, np.nan, np.nan)
-    for part, name in zip(windows, names, strict=True):
+    for part, record in zip(windows, dataset, strict=True):
         filled = np.where(np.isfinite(part), part, -1.0)
         i = int(np.argmax(filled))
         if filled[i] > 0 and not filled[i] <= best[3]:
-            best = (name, float(i + 1), float(i + 1), float(filled[i]))
-    return best
-
-
-def _worst(
-    windows: Sequence[np.ndarray],
-    times: Sequence[np.ndarray],
-    names: Sequence[str],
-) -> tuple[str, float, float, float]:
-    best = ("", np.nan, np.nan, np.nan)
-    for part, t, name in zip(windows, times, names, strict=True):
-        filled = np.where(np.isfinite(part), part, -1.0)
-        i = int(np.argmax(filled))
-        if filled[i] > 0 and not filled[i] <= best[3]:
-            length = float(t[-1] - t[0]) / len(part)
-            best = (
-                name,
-                float(t[0]) + i * length,
-                float(t[0]) + (i + 1) * length,
-                float(filled[i]),
-            )
+            edges = np.linspace(record.times[0], record.times[-1], len(part) + 1)
+            begin, end = (i + 1, i + 1) if dataset.only_tests else edges[i : i + 2]
+            best = (record.name, float(begin), float(end), float(filled[i]))
     return best
 
 
@@ -424,9 +385,8 @@ def failing(fit: FilteredSolution) -> tuple[ByMotion, ...]:
     for column, output in enumerate(outputs):
         seen = np.isfinite(residuals[:, column])
         rows = residuals[seen, column]
-        limit = max(NOISE_LIMIT, 1.0 + 3.0 / np.sqrt(2.0 * max(len(rows), 1)))
         error = float(np.sqrt(np.mean(rows**2))) if len(rows) else 0.0
-        if error > limit:
+        if error > _noise_limit(len(rows)):
             found.append(_dependence(output, error, rows, inputs[seen], problem.model.inputs))
     return tuple(sorted(found, key=lambda one: -one.error))
 
@@ -448,8 +408,8 @@ def _dependence(
     signals: tuple[Input, ...],
 ) -> ByMotion:
     best, nothing = (np.inf, -1), np.empty(0)
-    for place in range(len(signals)):
-        labels = _classes(inputs[:, place])
+    for place, column in enumerate(inputs.T):
+        labels = _classes(column)
         count = int(labels.max()) + 1
         if count < 2 or len(rows) <= count:
             continue
@@ -461,15 +421,9 @@ def _dependence(
         return ByMotion(output, None, error, 0.0, nothing, nothing)
     column = inputs[:, best[1]]
     labels = _classes(column)
-    groups = [labels == one for one in range(int(labels.max()) + 1)]
-    return ByMotion(
-        output,
-        signals[best[1]],
-        error,
-        _share(rows, labels),
-        np.array([column[group].mean() for group in groups]),
-        np.array([rows[group].mean() for group in groups]),
-    )
+    counts = np.bincount(labels)
+    values, means = (np.bincount(labels, of) / counts for of in (column, rows))
+    return ByMotion(output, signals[best[1]], error, _share(rows, labels), values, means)
 
 
 def _share(rows: np.ndarray, labels: np.ndarray) -> float:
@@ -580,14 +534,12 @@ def regimes(
         if not high - low > 1e-9 * max(abs(low), abs(high), 1e-300):
             continue
         if low < 0 < high and min(-low, high) > 0.2 * (high - low):
-            found += _split(signal, np.abs(pooled), "large", "small", absolute=True)
-            found += _split(signal, pooled, "positive", "negative")
+            sizes = replace(signal, series=tuple(map(np.abs, signal.series)))
+            found += [*_split(sizes, "large", "small"), *_split(signal, "positive", "negative")]
         else:
-            found += _split(signal, pooled, "high", "low")
+            found += _split(signal, "high", "low")
         if signal.is_input and in_time:
-            changed = _after_changes(signal, times)
-            if changed is not None:
-                found.append(changed)
+            found += _after_changes(signal, times)
     return found
 
 
@@ -606,11 +558,11 @@ def concentrations(
     """
     squares = np.concatenate(residuals) ** 2
     seen = np.isfinite(squares)
-    effective: float = sum(effective_sample_size(residual**2) for residual in residuals)
-    if not in_time:
-        effective = float(seen.sum())
     if seen.sum() < 20:
         return []
+    effective = float(seen.sum())
+    if in_time:
+        effective = sum(effective_sample_size(residual**2) for residual in residuals)
     result = []
     for regime in candidates:
         inside = np.concatenate(regime.inside)[seen]
@@ -618,56 +570,33 @@ def concentrations(
         if not 0.05 < share < 0.8:
             continue
         within, outside = squares[seen][inside], squares[seen][~inside]
-        variance = np.var(within) / (effective * share) + np.var(outside) / (
-            effective * (1.0 - share)
-        )
-        score = (within.mean() - outside.mean()) / np.sqrt(max(variance, 1e-300))
-        result.append(
-            Concentration(
-                regime.words,
-                float(within.mean() / max(outside.mean(), 1e-300)),
-                float(within.sum() / max(squares[seen].sum(), 1e-300)),
-                share,
-                float(score),
-            )
-        )
+        variance = (np.var(within) / share + np.var(outside) / (1.0 - share)) / effective
+        score = float((within.mean() - outside.mean()) / np.sqrt(max(variance, 1e-300)))
+        ratio = float(within.mean() / max(outside.mean(), 1e-300))
+        of_misfit = float(within.sum() / max(squares[seen].sum(), 1e-300))
+        result.append(Concentration(regime.words, ratio, of_misfit, share, score))
     return sorted(result, key=lambda c: -c.score)
 
 
-def _split(
-    signal: Signal, values: np.ndarray, above: str, below: str, *, absolute: bool = False
-) -> list[Regime]:
+def _split(signal: Signal, above: str, below: str) -> list[Regime]:
     """Upper and lower third of a signal."""
-    first, second = np.quantile(values, [1 / 3, 2 / 3])
-    series = [np.abs(part) if absolute else part for part in signal.series]
-    unit = f" {signal.unit}" if signal.unit else ""
+    first, second = np.quantile(np.concatenate(signal.series), [1 / 3, 2 / 3])
+    unit, begin = f" {signal.unit}" if signal.unit else "", f"while {signal.words} is"
+    high = tuple(part > second for part in signal.series)
+    low = tuple(part < first for part in signal.series)
     return [
-        Regime(
-            f"while {signal.words} is {above} (above {second:.2g}{unit})",
-            tuple(part > second for part in series),
-        ),
-        Regime(
-            f"while {signal.words} is {below} (below {first:.2g}{unit})",
-            tuple(part < first for part in series),
-        ),
+        Regime(f"{begin} {above} (above {second:.2g}{unit})", high),
+        Regime(f"{begin} {below} (below {first:.2g}{unit})", low),
     ]
 
 
-def _after_changes(signal: Signal, times: Sequence[np.ndarray]) -> Regime | None:
-    """Samples soon after a command has moved by a fifth of its range."""
-    pooled = np.concatenate(signal.series)
-    threshold = 0.2 * float(np.ptp(pooled))
+def _after_changes(signal: Signal, times: Sequence[np.ndarray]) -> list[Regime]:
+    """Samples soon after a command has moved by a fifth of its range, where it does."""
+    least = 0.2 * float(np.ptp(np.concatenate(signal.series)))
     inside = []
     for series, t in zip(signal.series, times, strict=True):
-        jumps = t[1:][np.abs(np.diff(series)) > threshold]
-        since = _since(t, jumps) if len(jumps) else np.full_like(t, np.inf)
-        inside.append(since <= AFTER_CHANGE)
-    if not any(part.any() for part in inside):
-        return None
-    return Regime(f"in the {AFTER_CHANGE:g} s after {signal.words} changes", tuple(inside))
-
-
-def _since(times: np.ndarray, events: np.ndarray) -> np.ndarray:
-    """Time since the last event, infinite before the first."""
-    last = np.searchsorted(events, times, side="right") - 1
-    return np.where(last >= 0, times - events[np.maximum(last, 0)], np.inf)
+        jumps = np.r_[-np.inf, t[1:][np.abs(np.diff(series)) > least]]
+        last = jumps[np.searchsorted(jumps, t, side="right") - 1]
+        inside.append(t - last <= AFTER_CHANGE)
+    words = f"in the {AFTER_CHANGE:g} s after {signal.words} changes"
+    return [Regime(words, tuple(inside))] if any(part.any() for part in inside) else []

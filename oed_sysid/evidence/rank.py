@@ -350,22 +350,28 @@ def pairs(study: Study, fit: FilteredSolution, ranking: Ranking) -> tuple[Refit,
 
 
 def refit(
-    study: Study, fit: FilteredSolution, scored: Sequence[Score], needed: float
+    study: Study,
+    fit: FilteredSolution,
+    scored: Sequence[Score],
+    needed: float,
+    near: FilteredSolution | None = None,
 ) -> Refit | None:
     """Estimate parameters again with candidates added, noise levels held.
 
     An effect that may have either sign starts from nothing, where the first step is the score
     test's own; one that cannot be negative, and often has a kink there, starts from its one-step
-    estimate. Further sizes follow where the first leads nowhere.
+    estimate, and so does one beside parameters of a fit that is ``near``. Further sizes follow
+    where the first leads nowhere.
     """
     effects = tuple(score.effect for score in scored)
     best: FilteredSolution | None = None
     statistic = max(score.statistic for score in scored)
-    sizes = (0.0, *SIZES) if all(map(two_sided, effects)) else (*SIZES, 0.0)
+    plain = near is None and all(map(two_sided, effects))
+    sizes = (0.0, *SIZES) if plain else (*SIZES, 0.0)
     for size in sizes:
         found = study.estimate(
             (*study.effects_of(fit), *effects),
-            _start(fit, scored, size),
+            _start(near or fit, scored, size),
             fit,
             update_noise=False,
             max_iterations=6,

@@ -39,6 +39,7 @@ from itertools import combinations
 import numpy as np
 from scipy.signal import lfilter
 
+from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.errors import SimulationError
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.filtered import Filtered
@@ -152,19 +153,11 @@ class ResidualForces:
     @classmethod
     def of(cls, problem: Filtered, unknowns: np.ndarray) -> ResidualForces:
         """Filter and smooth the records of a problem."""
-        passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
-        if not all(part.ok for part in passes):
-            raise SimulationError(
-                f"Model {problem.model.name!r} diverges although a force may act in every "
-                "equation. Cut the record, or bound the parameters."
-            )
+        passes, paths = smoothable(problem, unknowns)
         matrix, right = problem.gathered(unknowns, passes)
-        paths = tuple(
-            Path.of(part, problem.levels.n_coloured, problem.levels.n_second) for part in passes
-        )
         columns = []
         for index, (part, path) in enumerate(zip(passes, paths, strict=True)):
-            rows = derivatives(problem, unknowns, index, part.rows)
+            rows = rows_of(problem, unknowns, index, part.rows)
             columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
         innovations = tuple(part.innovations for part in passes)
         return cls(problem, unknowns, paths, tuple(columns), innovations, matrix, right)
@@ -217,7 +210,21 @@ class ResidualForces:
         return tuple(result)
 
 
-def derivatives(
+def smoothable(
+    problem: Filtered, unknowns: np.ndarray
+) -> tuple[list[FilterPass], tuple[Path, ...]]:
+    """Passes of all records with what a smoother needs, and the paths of that."""
+    passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
+    if not all(part.ok for part in passes):
+        raise SimulationError(
+            f"Model {problem.model.name!r} diverges although a force may act in every equation. "
+            "Cut the record, or bound the parameters."
+        )
+    levels = problem.levels
+    return passes, tuple(Path.of(part, levels.n_coloured, levels.n_second) for part in passes)
+
+
+def rows_of(
     problem: Filtered, unknowns: np.ndarray, index: int, rows: np.ndarray | None
 ) -> np.ndarray:
     """Rows of a pass by the unknowns of its record, zero where nothing was measured."""

@@ -403,7 +403,7 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
     kept = state.added[:count]
     found = wide.estimate(
         [*(one.effect for one in kept), effect],
-        proposals.best.fit.values,
+        proposals.best.refit.fit.values,
         start,
         noise=study.loosened(start.noise),
         max_iterations=25,

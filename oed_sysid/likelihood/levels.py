@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -112,61 +113,54 @@ class Levels:
             nothing is.
         """
         coloured = np.flatnonzero(colour | (noise.colour > 0))
-        # White from step to step is no matter of time.
-        lasting = force & (noise.force_time > 0)
+        of_colour = colour[coloured]
         floor = np.full(len(noise.white), WHITE_FLOOR)
         if least_white is not None:
             floor = np.maximum(floor, (least_white / unit.white) ** 2)
-        low, high = np.log(times[0]), np.log(times[1])
-        rows: list[tuple[int, int, float, float, float, float]] = []
+        most = np.inf if most_colour is None else (most_colour / unit.colour)[coloured] ** 2
+        between = np.log(times)
+        known = ([Sea()] * len(noise.seas) if seas is None else seas)[: len(noise.seas)]
+        rows: list[tuple[float, ...]] = []
 
-        def variance(
-            kind: int, index: int, size: float, least: float = 0.0, most: float = np.inf
-        ) -> None:
-            rows.append((kind, index, least, most, size**2, 0.0))
+        def add(kind: int, which: Any, size: Any, low: Any = 0.0, high: Any = np.inf) -> None:
+            """Unknowns of a kind at some positions, with natural sizes or values, and bounds."""
+            low, high = (np.broadcast_to(end, len(size)) for end in (low, high))
+            for i in map(int, which):
+                own = (size[i] ** 2, 0.0)
+                if kind in LOGARITHMS:
+                    own = (1.0, float(np.clip(np.log(size[i]), low[i], high[i])))
+                rows.append((kind, i, low[i], high[i], *own))
 
-        def logarithm(
-            kind: int, index: int, value: float, bounds: tuple[float, float] = (low, high)
-        ) -> None:
-            rows.append((kind, index, *bounds, 1.0, float(np.clip(np.log(value), *bounds))))
+        def add_times(kind: int, which: np.ndarray, time: np.ndarray) -> None:
+            if own_times:
+                add(kind, np.flatnonzero(which), time, *between)
+            elif which.any():
+                add(kind, [-1], [_middle(time[which])], *between)
 
-        for i in np.flatnonzero(force):
-            variance(FORCE_VARIANCE, int(i), unit.force[i])
-        if own_times:
-            for i in np.flatnonzero(lasting):
-                logarithm(FORCE_TIME, int(i), noise.force_time[i])
-        elif lasting.any():
-            logarithm(FORCE_TIME, -1, _middle(noise.force_time[lasting]))
-        for i in np.flatnonzero(white):
-            variance(WHITE_VARIANCE, int(i), unit.white[i], floor[i])
-        for position, i in enumerate(coloured):
-            if colour[i]:
-                highest = np.inf if most_colour is None else (most_colour[i] / unit.colour[i]) ** 2
-                variance(COLOUR_VARIANCE, position, unit.colour[i], most=highest)
-                if own_times:
-                    logarithm(COLOUR_TIME, position, noise.colour_time[i])
-        if colour.any() and not own_times:
-            logarithm(COLOUR_TIME, -1, _middle(noise.colour_time[colour]))
-        place = 0
-        for number, sea in enumerate(noise.seas):
-            known = Sea() if seas is None else seas[number]
-            for own in unit.seas[number].level if known.levels is None else ():
-                variance(SEA_VARIANCE, place, own)
-                place += 1
-            place += len(sea.places) if known.levels is not None else 0
-            if known.period is None:  # a wave takes two samples, and a record a few waves
-                between = np.log(4.0 * times[0]), high
-                logarithm(SEA_PERIOD, number, float(sea.period or 1.0), between)
-            if known.bandwidth is None:
-                between = np.log(DAMPING[0]), np.log(DAMPING[1])
-                logarithm(SEA_DAMPING, number, 0.5 * float(sea.bandwidth or 1.0), between)
+        add(FORCE_VARIANCE, np.flatnonzero(force), unit.force)
+        # White from step to step is no matter of time.
+        add_times(FORCE_TIME, force & (noise.force_time > 0), noise.force_time)
+        add(WHITE_VARIANCE, np.flatnonzero(white), unit.white, floor)
+        add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], high=most)
+        add_times(COLOUR_TIME, of_colour, noise.colour_time[coloured])
+        free = [
+            one.levels is None
+            for one, sea in zip(known, noise.seas, strict=True)
+            for _ in sea.places
+        ]
+        add(SEA_VARIANCE, np.flatnonzero(free), _levels_of(unit.seas))
+        # A wave takes two samples, and a record a few waves.
+        periods, damping = _shapes_of(noise.seas)
+        free = [sea.period is None for sea in known]
+        add(SEA_PERIOD, np.flatnonzero(free), periods, np.log(4.0 * times[0]), between[1])
+        free = [sea.bandwidth is None for sea in known]
+        add(SEA_DAMPING, np.flatnonzero(free), damping, *np.log(DAMPING))
         kinds = np.array([row[0] for row in rows], dtype=int)
         table = np.array([row[2:] for row in rows], dtype=float).reshape(len(rows), 4)
-        is_time = np.isin(kinds, LOGARITHMS)
         return cls(
             noise,
             unit,
-            tuple((row[0], row[1]) for row in rows),
+            tuple((int(row[0]), int(row[1])) for row in rows),
             coloured,
             (
                 *disturbances[: len(noise.force)],
@@ -176,69 +170,59 @@ class Levels:
             table[:, 1],
             table[:, 2],
             table[:, 3],
-            np.where(is_time, VAGUE_TIME**-2.0, 0.0),
+            np.where(np.isin(kinds, LOGARITHMS), VAGUE_TIME**-2.0, 0.0),
         )
 
     def __len__(self) -> int:
         return len(self.entries)
 
+    def _sizes(self, noise: NoiseModel) -> dict[int, np.ndarray]:
+        """Numbers of a noise model by kind, counted as :attr:`entries` count them."""
+        periods, damping = _shapes_of(noise.seas)
+        return {
+            FORCE_VARIANCE: noise.force.copy(),
+            FORCE_TIME: noise.force_time.copy(),
+            WHITE_VARIANCE: noise.white.copy(),
+            COLOUR_VARIANCE: noise.colour[self.coloured],
+            COLOUR_TIME: noise.colour_time[self.coloured],
+            SEA_VARIANCE: _levels_of(noise.seas),
+            SEA_PERIOD: periods,
+            SEA_DAMPING: damping,
+        }
+
     def vector(self, noise: NoiseModel | None = None) -> np.ndarray:
         """Unknowns of a noise model, within the bounds, ``(n_levels,)``."""
-        noise = self.noise if noise is None else noise
-        values = []
+        sizes, values = self._sizes(self.noise if noise is None else noise), []
         for (kind, index), scale in zip(self.entries, self.scale, strict=True):
-            if kind == FORCE_VARIANCE:
-                values.append(noise.force[index] ** 2 / scale)
-            elif kind == WHITE_VARIANCE:
-                values.append(noise.white[index] ** 2 / scale)
-            elif kind == COLOUR_VARIANCE:
-                values.append(noise.colour[self.coloured[index]] ** 2 / scale)
-            elif kind == SEA_VARIANCE:
-                level = np.concatenate([sea.level for sea in noise.seas])[index]
-                values.append(level**2 / scale)
-            elif kind == SEA_PERIOD:
-                values.append(np.log(float(noise.seas[index].period or 1.0)))
-            elif kind == SEA_DAMPING:
-                values.append(np.log(0.5 * float(noise.seas[index].bandwidth or 1.0)))
-            else:
-                times = noise.force_time if kind == FORCE_TIME else noise.colour_time[self.coloured]
-                values.append(np.log(_middle(times[times > 0]) if index < 0 else times[index]))
+            own = sizes[kind]
+            size = own[index] if index >= 0 else _middle(own[own > 0])
+            values.append(np.log(size) if kind in LOGARITHMS else size**2 / scale)
         return np.clip(np.array(values, dtype=float), self.lower, self.upper)
 
     def at(self, vector: np.ndarray) -> NoiseModel:
         """Noise model of given unknowns."""
-        noise = self.noise
-        white, colour, force = noise.white.copy(), noise.colour.copy(), noise.force.copy()
-        colour_time, force_time = noise.colour_time.copy(), noise.force_time.copy()
-        seas, sea_level = list(noise.seas), [level for sea in noise.seas for level in sea.level]
+        noise, sizes = self.noise, self._sizes(self.noise)
         for (kind, index), scale, value in zip(self.entries, self.scale, vector, strict=True):
-            if kind == FORCE_VARIANCE:
-                force[index] = np.sqrt(max(value, 0.0) * scale)
-            elif kind == WHITE_VARIANCE:
-                white[index] = np.sqrt(max(value, 0.0) * scale)
-            elif kind == COLOUR_VARIANCE:
-                colour[self.coloured[index]] = np.sqrt(max(value, 0.0) * scale)
-            elif kind == FORCE_TIME:
-                force_time[noise.force_time > 0 if index < 0 else index] = np.exp(value)
-            elif kind == SEA_VARIANCE:
-                sea_level[index] = np.sqrt(max(value, 0.0) * scale)
-            elif kind == SEA_PERIOD:
-                seas[index] = replace(seas[index], period=float(np.exp(value)))
-            elif kind == SEA_DAMPING:
-                seas[index] = replace(seas[index], bandwidth=2.0 * float(np.exp(value)))
-            else:
-                colour_time[self.coloured if index < 0 else self.coloured[index]] = np.exp(value)
-        starts = np.cumsum([0, *(len(sea.places) for sea in seas)])
+            size = np.exp(value) if kind in LOGARITHMS else np.sqrt(max(value, 0.0) * scale)
+            sizes[kind][sizes[kind] > 0 if index < 0 else index] = size
+        colour, colour_time = noise.colour.copy(), noise.colour_time.copy()
+        colour[self.coloured] = sizes[COLOUR_VARIANCE]
+        colour_time[self.coloured] = sizes[COLOUR_TIME]
+        stops = np.cumsum([len(sea.places) for sea in noise.seas])[:-1]
+        levels = np.split(sizes[SEA_VARIANCE], stops)
+        each = zip(noise.seas, levels, sizes[SEA_PERIOD], sizes[SEA_DAMPING], strict=False)
         return replace(
             noise,
-            white=white,
+            white=sizes[WHITE_VARIANCE],
             colour=colour,
-            force=force,
+            force=sizes[FORCE_VARIANCE],
             colour_time=colour_time,
-            force_time=force_time,
+            force_time=sizes[FORCE_TIME],
             seas=tuple(
-                sea.with_levels(np.array(sea_level[begin : begin + len(sea.places)]))
-                for sea, begin in zip(seas, starts, strict=False)
+                replace(
+                    sea.with_levels(level), period=float(period), bandwidth=2.0 * float(damping)
+                )
+                for sea, level, period, damping in each
             ),
         )
 
@@ -307,36 +291,30 @@ class Levels:
         """What the filter takes."""
         return replace(noise.disturbed(self.coloured), disturbances=self.disturbances)
 
-    def name_of(self, kind: int, index: int) -> str:
-        """Name of one unknown, such as ``"force Z level"`` or ``"colour of q time"``."""
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the unknowns, such as ``"force Z level"`` or ``"colour of q time"``."""
+        return tuple(self._name(kind, index) for kind, index in self.entries)
+
+    def _name(self, kind: int, index: int) -> str:
+        noise, what = self.noise, "time" if kind in LOGARITHMS else "level"
         if kind in (SEA_PERIOD, SEA_DAMPING):
-            number = f" {index + 1}" if len(self.noise.seas) > 1 else ""
+            number = f" {index + 1}" if len(noise.seas) > 1 else ""
             return f"sea{number} {'period' if kind == SEA_PERIOD else 'bandwidth'}"
+        if index < 0:
+            return f"{'disturbances' if kind == FORCE_TIME else 'colours'} {what}"
         if kind == SEA_VARIANCE:
-            places = [place for sea in self.noise.seas for place in sea.places]
-            place = f"sea {places[index]}"
-        elif kind in (FORCE_VARIANCE, FORCE_TIME):
-            place = "disturbances" if index < 0 else self.noise.places[index]
-        elif kind == WHITE_VARIANCE:
-            place = f"white of {self.noise.outputs[index]}"
-        elif index < 0:
-            place = "colours"
-        else:
-            place = f"colour of {self.noise.outputs[self.coloured[index]]}"
-        return f"{place} {'time' if kind in (FORCE_TIME, COLOUR_TIME) else 'level'}"
+            places = [f"sea {place}" for sea in noise.seas for place in sea.places]
+            return f"{places[index]} {what}"
+        if kind in (FORCE_VARIANCE, FORCE_TIME):
+            return f"{noise.places[index]} {what}"
+        if kind == WHITE_VARIANCE:
+            return f"white of {noise.outputs[index]} {what}"
+        return f"colour of {noise.outputs[self.coloured[index]]} {what}"
 
     def held(self) -> Levels:
         """Return the same noise with nothing unknown."""
-        nothing = np.zeros(0)
-        return replace(
-            self,
-            entries=(),
-            lower=nothing,
-            upper=nothing,
-            scale=nothing,
-            prior_mean=nothing,
-            prior_weight=nothing,
-        )
+        return self._only([False] * len(self))
 
     @property
     def are_variances(self) -> np.ndarray:
@@ -396,6 +374,17 @@ class Levels:
     def starting(self, noise: NoiseModel) -> Levels:
         """Return the same unknowns, begun elsewhere."""
         return replace(self, noise=noise)
+
+
+def _levels_of(seas: Sequence[Sea]) -> np.ndarray:
+    """Levels of some seas in all their places."""
+    return np.concatenate([np.zeros(0), *(sea.level for sea in seas)])
+
+
+def _shapes_of(seas: Sequence[Sea]) -> tuple[np.ndarray, np.ndarray]:
+    """Periods and damping ratios of some seas."""
+    periods = np.array([sea.period or 1.0 for sea in seas], dtype=float)
+    return periods, np.array([0.5 * (sea.bandwidth or 1.0) for sea in seas], dtype=float)
 
 
 def _middle(times: np.ndarray) -> float:

@@ -114,6 +114,11 @@ class Sea:
         """Return the same sea with other levels in its places."""
         return replace(self, levels=dict(zip(self.places, map(float, level), strict=True)))
 
+    def filled(self, other: Sea) -> Sea:
+        """Return the same sea with the numbers of another where it leaves some out."""
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(other, **own)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the sea as plain data for JSON."""
         return {
@@ -199,6 +204,26 @@ class NoiseModel:
     def sensors(self) -> np.ndarray:
         """Standard deviation of one measurement of each output, white and coloured together."""
         return np.hypot(self.white, self.colour)
+
+    def with_places(self, places: Sequence[str], time: float) -> NoiseModel:
+        """Return the same model with disturbances of level zero at more places."""
+        nothing = np.zeros(len(places))
+        return replace(
+            self,
+            force=np.append(self.force, nothing),
+            force_time=np.append(self.force_time, nothing + time),
+            places=(*self.places, *places),
+        )
+
+    def only(self, kept: Sequence[bool] | np.ndarray) -> NoiseModel:
+        """Return the same model with the disturbances of some of its places."""
+        chosen = np.asarray(kept, dtype=bool)
+        return replace(
+            self,
+            force=self.force[chosen],
+            force_time=self.force_time[chosen],
+            places=tuple(place for place, one in zip(self.places, chosen, strict=True) if one),
+        )
 
     def with_levels(self, white: np.ndarray, colour: np.ndarray, force: np.ndarray) -> NoiseModel:
         """Return the same model with other levels."""

@@ -1,21 +1,36 @@
-"""From a white fit to the likelihood of innovations: which noise, how strong, with everything else.
+r"""From a white fit to the likelihood of innovations: which noise, how strong, with the rest.
 
-What :mod:`oed_sysid.likelihood.score_test` finds is where levels begin. Colour of sensors, noise of
-logged inputs and times of their own are admitted one after the other, each where it is worth it.
+What :mod:`oed_sysid.likelihood.score_test` finds is where levels begin. A sea, colour of sensors,
+noise of logged inputs and times of their own are admitted one after the other, each where it is
+worth it.
+
+*Is what disturbs a vehicle a sea?* At the estimate with forces of first order, resonators
+(:mod:`oed_sysid.compiled.filter_pass`) are admitted with variance zero in every equation at once.
+With the score ``s`` and the information ``I`` of everything unknown, resonators last,
+
+.. math:: T = \max_{d \ge 0} (2 s' d - d' I d) - \max_{d_r = 0} (2 s' d - d' I d)
+
+is what their variances ``d_r`` would gain in twice the log-likelihood, parameters and levels of
+first order projected out. Its largest value over a grid of periods is held against the
+:math:`\bar\chi^2` distribution of as many variances at their bound (Silvapulle & Sen 2005,
+*Constrained statistical inference*, ch. 3), each period a test of its own.
+
+Where it is beyond, resonators are estimated *instead* of the forces, first at the period of the
+test, then with everything together; both shapes race, and the sea stays where it is clearly
+likelier. Forces of first order on top are asked last, because a wrong shape lets them in.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
+from scipy.special import comb
+from scipy.stats import chi2
 
-from oed_sysid.compiled.filtering import (
-    FORCE_VARIANCE,
-    FilterKernel,
-)
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.compiled.filtering import FilterKernel
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import (
     POLISH_STEPS,
@@ -25,260 +40,41 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import credible_levels
-from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step
-from oed_sysid.likelihood.score_test import ScoreTest, Setting, moved
-from oed_sysid.likelihood.sea import declared_sea, with_sea
+from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel, Sea
+from oed_sysid.likelihood.projection import gain_within
+from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, moved, posed
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.physics.model import Model
 
-# Gain in twice the log-likelihood from which a colour of a sensor, or a time of its own for each
-# disturbance, is worth its freedom.
-WORTH_COLOUR, WORTH_TIMES = 10.0, 12.0
+# Gain in twice the log-likelihood from which another kind of noise is worth its freedom; and the
+# same of a sea over forces of first order, of which the choice among periods and shapes may be
+# worth two or three nats. Below the first, two starts are one.
+WORTH, WORTH_SEA = 10.0, 20.0
 # Correlation of neighbouring innovations, in standard errors, that asks for a coloured sensor.
 COLOURED = 4.0
 # Colour below this share of the white level has vanished.
 VANISHED = 0.02
-# Where a level that is admitted begins at least, in its natural unit.
-LEAST_START = 1.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
 # High-frequency content, over the level declared, from which levels also begin at what
 # these show.
 LOUD = 1.5
-# Steps of everything else before levels move too.
-HELD_STEPS = 2
-# Iterations after which the likeliest of several starts goes on, and the others only where they
-# promise to overtake; and the difference of twice the log-likelihood below which two are one.
-FIRST_LOOK, SAME_PLACE = 3, 10.0
+# Steps after which the likeliest of several starts goes on and the others only where they promise
+# to overtake, and at frozen gain before the exact ones where those before did not converge; and
+# steps of everything else before levels move too.
+FEW_STEPS, HELD_STEPS = 3, 2
 # Steps with forces of first order before a sea is asked for: under swell they do not converge.
 BEFORE_SEA = 8
-# Fall of the cost promised where an earlier fit ended, below which no step is taken at frozen gain;
-# and steps at frozen gain before the exact ones where those before did not converge.
-ARRIVED, UNFINISHED = 0.2, 3
-
-
-def fit_disturbed(
-    model: Model,
-    dataset: Dataset,
-    setting: Setting,
-    starts: Sequence[Start],
-    test: ScoreTest,
-    *,
-    kernel: FilterKernel | None = None,
-    max_iterations: int = 40,
-    polish: int = POLISH_STEPS,
-    progress: Callable[[Progress], None] | None = None,
-) -> FilteredSolution | None:
-    """Estimate parameters, start states and noise together.
-
-    Colour of sensors is admitted only where innovations without it are correlated from
-    sample to sample; disturbances share one correlation time unless times of their own
-    are clearly likelier.
-
-    Parameters
-    ----------
-    model, dataset, setting
-    starts : sequence of Start
-        Values and start states to begin at; the likeliest wins.
-    test : ScoreTest
-        Where levels begin.
-    kernel : FilterKernel, optional
-        Of a larger model.
-    max_iterations, polish
-        See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
-    progress : callable, optional
-
-    Returns
-    -------
-    FilteredSolution or None
-        None where the filter diverges from every start.
-    """
-    unit = test.unit
-    begin = replace(
-        test.noise,
-        colour=np.zeros_like(test.noise.colour),
-        force=np.where(
-            [place in setting.known for place in test.noise.places],
-            test.noise.force,
-            np.maximum(test.noise.force, LEAST_START * unit.force),
-        ),
-    )
-    beginnings = [(start, begin) for start in starts]
-    if (loud := _noisier(begin, dataset, setting)) is not None:
-        beginnings += [(start, loud) for start in starts if start.noise is None]
-    begun = []
-    for start, noise in beginnings:
-        own = noise if start.noise is None else _carried(noise, start.noise, setting)
-        problem = Filtered(
-            model.with_values(dict(start.values)),
-            dataset,
-            setting.as_in(dataset, own, unit),
-            kernel=kernel,
-            known_starts=setting.known_starts,
-        )
-        if start.noise is None:
-            begun.append((problem, *_begun(problem, start, setting, noise)))
-        else:
-            point = problem.point(start.initial, start.local, own)
-            begun.append((problem, point, problem.objective(point.unknowns)))
-    best = _stayed(begun, starts)
-    if best is None:
-        best = _raced(begun, min(max_iterations, BEFORE_SEA), progress)
-        if best is not None and setting.any_sea:
-            best = with_sea(best, setting, max_iterations=max_iterations)
-        if best is not None and setting.seas:
-            best = declared_sea(best, setting, max_iterations=max_iterations)
-        if best is not None and best.reason == "iterations" and max_iterations > BEFORE_SEA:
-            best = _continued(best, max_iterations - BEFORE_SEA, progress)
-    if best is None:
-        return None
-    best = with_colour(best, setting, max_iterations=max_iterations)
-    best = with_input_noise(best, setting)
-    best = with_own_times(best, setting)
-    if polish:
-        more = 0 if best.reason == "converged" else UNFINISHED
-        again = solve_filtered(best.problem, best.point, max_iterations=more, polish=polish)
-        if again is not None:
-            stood = not more and again.reason == "iterations"
-            best = replace(
-                again,
-                iterations=again.iterations + best.iterations,
-                reason=best.reason if stood else again.reason,
-            )
-    return best
-
-
-def _continued(
-    found: FilteredSolution, max_iterations: int, progress: Callable[[Progress], None] | None
-) -> FilteredSolution:
-    """Go on from where the iterations ended."""
-    again = solve_filtered(
-        found.problem, found.point, max_iterations=max_iterations, polish=0, callback=progress
-    )
-    if again is None:
-        return found
-    return replace(again, iterations=found.iterations + again.iterations)
-
-
-def _noisier(begin: NoiseModel, dataset: Dataset, setting: Setting) -> NoiseModel | None:
-    """Sensors at their high-frequency content, where it clearly exceeds what was declared.
-
-    Levels that are to be estimated begin at what was declared. Where that is far too small, forces
-    that follow every wiggle seem likely, and parameters follow the forces.
-    """
-    shown, seen = credible_levels(dataset)
-    loud = setting.estimated & seen & (shown > LOUD * begin.white)
-    return replace(begin, white=np.where(loud, shown, begin.white)) if loud.any() else None
-
-
-def _stayed(
-    begun: Sequence[tuple[Filtered, Point, float]], starts: Sequence[Start]
-) -> FilteredSolution | None:
-    """The one beginning itself, where an earlier fit ended and steps promise next to nothing."""
-    if len(begun) > 1 or starts[0].noise is None:
-        return None
-    problem, point, _ = begun[0]
-    found = solve_filtered(problem, point, max_iterations=0, polish=0)
-    if found is None or found.promise > ARRIVED:
-        return None
-    return replace(found, reason="converged")
-
-
-def _raced(
-    begun: Sequence[tuple[Filtered, Point, float]],
-    max_iterations: int,
-    progress: Callable[[Progress], None] | None,
-) -> FilteredSolution | None:
-    """The likeliest end from several beginnings, the leader after a first look first.
-
-    Where a beginning arrives at the same likelihood as another, they are one.
-    """
-    apart: list[tuple[Filtered, Point, float]] = []
-    for one in sorted(begun, key=lambda one: one[2]):
-        if not apart or one[2] - apart[-1][2] > SAME_PLACE:
-            apart.append(one)
-
-    def ahead(problem: Filtered, point: Point, most: int) -> FilteredSolution | None:
-        return solve_filtered(problem, point, max_iterations=most, polish=0, callback=progress)
-
-    if len(apart) == 1:
-        return ahead(apart[0][0], apart[0][1], max_iterations)
-    looked = [ahead(problem, point, min(FIRST_LOOK, max_iterations)) for problem, point, _ in apart]
-    best: FilteredSolution | None = None
-    for found in sorted((one for one in looked if one is not None), key=lambda one: one.cost):
-        end: FilteredSolution | None = found
-        if best is not None and found.cost - found.promise >= best.cost:
-            continue
-        if found.reason != "converged":
-            end = ahead(found.problem, found.point, max_iterations)
-        if end is not None and (best is None or end.cost < best.cost):
-            best = end
-    return best
-
-
-def _begun(
-    problem: Filtered, start: Start, setting: Setting, begin: NoiseModel
-) -> tuple[Point, float]:
-    """The likeliest levels, again after some steps of everything else; and the objective.
-
-    Levels and time would otherwise first follow the misfit of wrong values, and then come back.
-    """
-    levels = problem.layout.levels
-    others = problem.point(start.initial, start.local, begin).unknowns[: levels.start]
-    point, objective, decade = _likeliest_level(problem, others, setting, begin)
-    held = Filtered(
-        problem.model,
-        problem.dataset,
-        problem.levels.starting(problem.noise(point.unknowns)).held(),
-        kernel=problem.kernel,
-        known_starts=problem.known_starts,
-    )
-    found = solve_filtered(held, Point(others, ()), max_iterations=HELD_STEPS, polish=0)
-    if found is None:
-        return point, objective
-    there, less, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decade)
-    return (there, less) if less < objective else (point, objective)
-
-
-def _likeliest_level(
-    problem: Filtered,
-    others: np.ndarray,
-    setting: Setting,
-    begin: NoiseModel,
-    near: int | None = None,
-) -> tuple[Point, float, int]:
-    """Point with the likeliest decade of levels at given other unknowns, its objective, the decade.
-
-    The objective is flat where the levels do nothing yet, falls, and rises where they are too
-    large: strides find the valley, single decades its floor, which is ``near`` where that is known.
-    """
-    free = np.array([place not in setting.known for place in begin.places], dtype=bool)
-    tried: dict[int, tuple[Point, float, int]] = {}
-
-    def attempt(decade: int) -> float:
-        if decade < 0:
-            return np.inf
-        if decade not in tried:
-            force = np.where(free, 10.0**decade * begin.force, begin.force)
-            levels = problem.levels.vector(replace(begin, force=force))
-            point = Point(np.concatenate([others, levels]), ())
-            tried[decade] = point, problem.objective(point.unknowns), decade
-        return tried[decade][1]
-
-    least, best = np.inf, 0
-    for decade in range(0, DECADES + 1, STRIDE) if near is None else (near,):
-        found = attempt(decade)
-        if found < least - 1.0:
-            least, best = found, decade
-        elif np.isfinite(least) and (not np.isfinite(found) or best > 0):
-            break
-    for way in (-1, 1):
-        decade = best
-        while attempt(decade + way) < attempt(decade) and decade + way <= DECADES + 1:
-            decade += way
-    return min(tried.values(), key=lambda one: one[1])
+# Fall of the cost promised where an earlier fit ended, below which no step is taken at frozen gain.
+ARRIVED = 0.2
+# Probability of a test above its threshold where no sea acts.
+FALSE_SEA = 0.005
+# Periods that are tried: from so many samples to this share of the shortest record, with a ratio at
+# which a wave of the bandwidth that is tried is half as strong at the next one.
+FEWEST_SAMPLES, SHARE_OF_RECORD, RATIO, BANDWIDTH = 4.0, 1 / 4, 1.4, 0.3
+# Levels of a sea to begin with, over those of first order.
+BEGIN = (0.06, 0.2, 0.6, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -294,6 +90,187 @@ class Start:
     noise: NoiseModel | None = None
 
 
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """A problem and where it begins."""
+
+    problem: Filtered
+    point: Point
+    objective: float
+
+    def solved(
+        self, most: int, progress: Callable[[Progress], None] | None = None
+    ) -> FilteredSolution | None:
+        """The end of at most so many steps."""
+        return solve_filtered(
+            self.problem, self.point, max_iterations=most, polish=0, callback=progress
+        )
+
+
+def fit_disturbed(
+    model: Model,
+    setting: Setting,
+    starts: Sequence[Start],
+    test: ScoreTest,
+    *,
+    kernel: FilterKernel | None = None,
+    polish: int = POLISH_STEPS,
+    progress: Callable[[Progress], None] | None = None,
+) -> FilteredSolution | None:
+    """Estimate parameters, start states and noise together.
+
+    Colour of sensors is admitted only where innovations without it are correlated from
+    sample to sample; disturbances share one correlation time unless times of their own
+    are clearly likelier.
+
+    Parameters
+    ----------
+    model : Model
+    setting : Setting
+        With the records.
+    starts : sequence of Start
+        Values and start states to begin at; the likeliest wins.
+    test : ScoreTest
+        Where levels begin.
+    kernel : FilterKernel, optional
+        Of a larger model.
+    polish : int
+        See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
+    progress : callable, optional
+
+    Returns
+    -------
+    FilteredSolution or None
+        None where the filter diverges from every start.
+    """
+    free = ~np.isin(test.noise.places, setting.known)
+    begin = replace(
+        test.noise,
+        colour=np.zeros_like(test.noise.colour),
+        force=np.maximum(test.noise.force, np.where(free, test.unit.force, 0.0)),
+    )
+    # Levels that are to be estimated begin at what was declared. Where that is far below the
+    # high-frequency content, forces that follow every wiggle seem likely, and parameters follow
+    # the forces: there levels begin at what these show, too.
+    shown, seen = credible_levels(setting.dataset)
+    loud = setting.estimated & seen & (shown > LOUD * begin.white)
+    noises = [begin, replace(begin, white=np.where(loud, shown, begin.white))]
+    begun = [
+        _begun(model, setting, start, noise, test.unit, kernel)
+        for noise in noises[: 1 + loud.any()]
+        for start in starts
+        if noise is begin or start.noise is None
+    ]
+    best = _stayed(begun[0]) if len(begun) == 1 and starts[0].noise is not None else None
+    best = best or _raced_to_sea(begun, setting, progress)
+    if best is None:
+        return None
+    for step in (with_colour, with_input_noise, with_own_times):
+        best = step(best, setting)
+    return _polished(best, polish) if polish else best
+
+
+def _raced_to_sea(
+    begun: Sequence[_Begun], setting: Setting, progress: Callable[[Progress], None] | None
+) -> FilteredSolution | None:
+    """The likeliest end with forces of first order, or with a sea where there is one."""
+    best = _raced(begun, min(setting.max_iterations, BEFORE_SEA), progress)
+    best = None if best is None else with_sea(best, setting)
+    left = setting.max_iterations - BEFORE_SEA
+    if best is not None and best.reason == "iterations" and left > 0:
+        again = _Begun(best.problem, best.point, best.objective).solved(left, progress)
+        if again is not None:
+            return replace(again, iterations=best.iterations + again.iterations)
+    return best
+
+
+def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
+    """The end by the exact gradient, which has the last word only where it finds a way."""
+    more = 0 if found.reason == "converged" else FEW_STEPS
+    again = solve_filtered(found.problem, found.point, max_iterations=more, polish=polish)
+    if again is None:
+        return found
+    stood = not more and again.reason == "iterations"
+    reason = found.reason if stood else again.reason
+    return replace(again, iterations=again.iterations + found.iterations, reason=reason)
+
+
+# -- where it begins ---------------------------------------------------------------
+
+
+def _begun(
+    model: Model,
+    setting: Setting,
+    start: Start,
+    begin: NoiseModel,
+    unit: NoiseModel,
+    kernel: FilterKernel | None,
+) -> _Begun:
+    """The likeliest levels, again after some steps of everything else; or those of an earlier fit.
+
+    Levels and time would otherwise first follow the misfit of wrong values, and then come back.
+    """
+    own = begin if start.noise is None else _carried(begin, start.noise, setting)
+    problem = Filtered(
+        model.with_values(dict(start.values)),
+        setting.dataset,
+        setting.as_in(setting.dataset, own, unit),
+        kernel=kernel,
+        known_starts=setting.known_starts,
+    )
+    point = problem.point(start.initial, start.local, own)
+    if start.noise is not None:
+        return _Begun(problem, point, problem.objective(point.unknowns))
+    others = point.unknowns[: problem.layout.levels.start]
+    first, decade = _likeliest_level(problem, others, setting, begin)
+    levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
+    found = _Begun(problem.with_levels(levels), Point(others, ()), np.inf).solved(HELD_STEPS)
+    if found is None:
+        return first
+    later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decade)
+    return min(first, later, key=lambda one: one.objective)
+
+
+def _likeliest_level(
+    problem: Filtered,
+    others: np.ndarray,
+    setting: Setting,
+    begin: NoiseModel,
+    near: int | None = None,
+) -> tuple[_Begun, int]:
+    """Point with the likeliest decade of levels at given other unknowns, and the decade.
+
+    The objective is flat where the levels do nothing yet, falls, and rises where they are too
+    large: strides find the valley, single decades its floor, which is ``near`` where that is known.
+    """
+    free = ~np.isin(begin.places, setting.known)
+    tried: dict[int, _Begun] = {}
+
+    def attempt(decade: int) -> float:
+        if decade < 0:
+            return np.inf
+        if decade not in tried:
+            force = np.where(free, 10.0**decade * begin.force, begin.force)
+            levels = problem.levels.vector(replace(begin, force=force))
+            unknowns = np.concatenate([others, levels])
+            tried[decade] = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
+        return tried[decade].objective
+
+    least, best = np.inf, 0
+    for decade in range(0, DECADES + 1, STRIDE) if near is None else (near,):
+        found = attempt(decade)
+        if found < least - 1.0:
+            least, best = found, decade
+        elif np.isfinite(least) and (not np.isfinite(found) or best > 0):
+            break
+    for way in (-1, 1):
+        decade = best
+        while attempt(decade + way) < attempt(decade) and decade + way <= DECADES + 1:
+            decade += way
+    likeliest = min(tried, key=lambda decade: tried[decade].objective)
+    return tried[likeliest], likeliest
+
+
 def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseModel:
     """Levels and times of an earlier fit at the places that both know."""
     force, time = begin.force.copy(), begin.force_time.copy()
@@ -303,52 +280,160 @@ def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseM
             force[index] = max(level, force[index])
             time[index] = lasting or time[index]
     coloured = setting.colour & (earlier.colour > 0)
-    places, seas = begin.places, earlier.seas
-    if seas:  # instead of forces of first order, but for those that joined them
-        stay = np.isin(places, (*earlier.places, *setting.known))
-        force, time = force[stay], time[stay]
-        places = tuple(p for p, kept in zip(places, stay, strict=True) if kept)
-    return replace(
+    found = replace(
         begin,
-        places=places,
-        seas=seas,
+        seas=earlier.seas,
         white=np.where(setting.estimated | coloured, earlier.white, begin.white),
         colour=np.where(coloured, earlier.colour, 0.0),
         colour_time=np.where(coloured, earlier.colour_time, begin.colour_time),
         force=force,
         force_time=time,
     )
+    if not earlier.seas:
+        return found
+    # Instead of forces of first order, but for those that joined them.
+    return found.only(np.isin(begin.places, (*earlier.places, *setting.known)))
 
 
-def with_colour(
-    found: FilteredSolution, setting: Setting, *, max_iterations: int = 40
+def _stayed(begun: _Begun) -> FilteredSolution | None:
+    """The beginning itself, where an earlier fit ended and steps promise next to nothing."""
+    found = begun.solved(0)
+    near = found is not None and found.promise <= ARRIVED
+    return replace(found, reason="converged") if found is not None and near else None
+
+
+def _raced(
+    begun: Sequence[_Begun], most: int, progress: Callable[[Progress], None] | None
+) -> FilteredSolution | None:
+    """The likeliest end from several beginnings, the leader after a first look first.
+
+    Where a beginning arrives at the same likelihood as another, they are one.
+    """
+    apart: list[_Begun] = []
+    for one in sorted(begun, key=lambda one: one.objective):
+        if not apart or one.objective - apart[-1].objective > WORTH:
+            apart.append(one)
+    if len(apart) == 1:
+        return apart[0].solved(most, progress)
+    return _first_home(
+        (one.solved(min(FEW_STEPS, most), progress) for one in apart),
+        lambda one: _Begun(one.problem, one.point, one.objective).solved(most, progress),
+    )
+
+
+def _first_home(
+    looked: Iterable[FilteredSolution | None],
+    on: Callable[[FilteredSolution], FilteredSolution | None],
+) -> FilteredSolution | None:
+    """The likeliest of some ends; after the leader only what promises to overtake goes on."""
+    best: FilteredSolution | None = None
+    for one in sorted((one for one in looked if one is not None), key=lambda one: one.cost):
+        if best is not None and one.cost - one.promise >= best.cost:
+            continue
+        end = one if one.reason == "converged" else on(one)
+        if end is not None and (best is None or end.cost < best.cost):
+            best = end
+    return best
+
+
+# -- kinds of noise that are admitted ------------------------------------------------
+
+
+def _worth(found: FilteredSolution, again: FilteredSolution | None) -> FilteredSolution:
+    """The later fit where it is clearly likelier, else the one before."""
+    if again is None or found.objective - again.objective < WORTH:
+        return found
+    return again
+
+
+def score_gain(found: FilteredSolution, names: Sequence[str]) -> tuple[float, np.ndarray]:
+    """What some levels that are zero would gain, and the step of all levels.
+
+    Parameters
+    ----------
+    found : FilteredSolution
+        With its equations at a point where these levels are unknown.
+    names : sequence of str
+        Of these levels, as :attr:`~oed_sysid.likelihood.levels.Levels.names` has them.
+    """
+    problem = found.problem
+    limits, unknowns = problem.limits, found.point.unknowns
+    matrix, right = limits.with_priors(found.matrix, found.right, unknowns)
+    lower, upper = limits.lower - unknowns, limits.upper - unknowns
+    new = problem.layout.levels.start + np.flatnonzero(np.isin(problem.levels.names, names))
+    step, gain = gain_within(matrix, right, lower, upper)
+    lower[new] = upper[new] = 0.0
+    _, without = gain_within(matrix, right, lower, upper)
+    return gain - without, step[problem.layout.levels]
+
+
+def _joined(
+    found: FilteredSolution,
+    setting: Setting,
+    places: Sequence[str],
+    times: Sequence[float],
+    known: Sequence[Sea] | None = None,
 ) -> FilteredSolution:
-    """Admit coloured noise of the sensors whose innovations ask for it, and estimate again."""
+    """Let forces join at more places, at the best of some times, where the records ask for them."""
+    if not places:
+        return found
+    noise, levels = found.noise, found.problem.levels
+    new = [place for place in places if place not in levels.unit.places]
+    unit = levels.unit.with_places(new, 1.0)
+    unit = replace(unit, force=np.append(levels.unit.force, np.ones(len(new))))
+    least, begin = WORTH, None
+    for time in times:
+        wide = noise.with_places(places, time)
+        own = _own_times(found, wide)
+        problem = posed(found, setting, wide, own_times=own, unit=unit, seas=known)
+        still = moved(found, problem, 0)
+        if still is None:
+            continue
+        gain, step = score_gain(still, [f"{place} level" for place in places])
+        if gain >= least:
+            after = np.maximum(problem.levels.vector() + step, problem.levels.lower)
+            size = problem.levels.at(after).force[len(noise.places) :]
+            least, begin = gain, replace(wide, force=np.append(noise.force, size))
+    if begin is None:
+        return found
+    # What does not act at first may act for another time.
+    asked = (begin.force > 0) | (begin.force_time > 0)
+    asked[: len(noise.places)] = True
+    # What joins has the size that the score says.
+    sizes = dict(zip(unit.places, unit.force, strict=True))
+    sizes |= {p: f for p, f in zip(begin.places, begin.force, strict=True) if p in new and f > 0}
+    unit = replace(unit, force=np.array([sizes[place] for place in unit.places]))
+    begin = begin.only(asked)
+    own = _own_times(found, begin)
+    problem = posed(found, setting, begin, own_times=own, unit=unit, seas=known)
+    return _worth(found, moved(found, problem, setting.max_iterations))
+
+
+def _own_times(found: FilteredSolution, noise: NoiseModel) -> bool:
+    """Whether forces that act keep times of their own."""
+    return not found.problem.levels.shares_a_time and bool(np.any(noise.force > 0))
+
+
+def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """Admit coloured noise of the sensors whose innovations ask for it, and estimate again.
+
+    Where the colour that was admitted vanishes, the white level is bounded or declared again.
+    """
     if not setting.colour:
         return found
+    most = setting.max_iterations
     for _ in range(2):
-        problem = found.problem
-        has = np.zeros(len(setting.white), dtype=bool)
-        has[problem.levels.coloured] = True
-        asks = correlated(problem, found.point.unknowns) & ~has
+        has = _has_colour(found)
+        asks = correlated(found.problem, found.point.unknowns) & ~has
         if not asks.any():
             break
-        noise = problem.noise(found.point.unknowns)
+        noise = found.noise
         noise = replace(noise, colour=np.where(asks, 0.5 * noise.white, noise.colour))
-        again = moved(found, setting, noise, has | asks, max_iterations=max_iterations)
-        if again is None or found.objective - again.objective < WORTH_COLOUR:
+        again = _worth(found, moved(found, posed(found, setting, noise, has | asks), most))
+        if again is found:
             break
         found = again
-    return _without_vanished_colour(found, setting, max_iterations)
-
-
-def _without_vanished_colour(
-    found: FilteredSolution, setting: Setting, max_iterations: int
-) -> FilteredSolution:
-    """Where the colour that was admitted vanishes, the white level is bounded or declared again."""
-    noise = found.noise
-    has = np.zeros(len(setting.white), dtype=bool)
-    has[found.problem.levels.coloured] = True
+    noise, has = found.noise, _has_colour(found)
     vanished = has & (noise.colour < VANISHED * setting.white)
     if not vanished.any():
         return found
@@ -358,8 +443,12 @@ def _without_vanished_colour(
         white=np.where(vanished, white, noise.white),
         colour=np.where(vanished, 0.0, noise.colour),
     )
-    again = moved(found, setting, noise, has & ~vanished, max_iterations=max_iterations)
-    return found if again is None else again
+    return moved(found, posed(found, setting, noise, has & ~vanished), most) or found
+
+
+def _has_colour(found: FilteredSolution) -> np.ndarray:
+    """Outputs that may have coloured noise."""
+    return np.isin(np.arange(len(found.noise.white)), found.problem.levels.coloured)
 
 
 def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolution:
@@ -368,54 +457,8 @@ def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolut
     A logged angle is a measurement too: what moves the vehicle is the angle without the noise of
     its sensor, white from sample to sample.
     """
-    noise = found.noise
-    new = [place for place in setting.inputs if place.name not in noise.places]
-    if not new:
-        return found
-    wide = replace(
-        noise,
-        force=np.append(noise.force, np.zeros(len(new))),
-        force_time=np.append(noise.force_time, np.zeros(len(new))),
-        places=(*noise.places, *(place.name for place in new)),
-    )
-    unit = found.problem.levels.unit
-    unit = replace(
-        unit,
-        force=np.append(unit.force, np.ones(len(new))),
-        force_time=1.0,
-        places=wide.places,
-    )
-    coloured = noise.colour > 0
-    own = not found.problem.levels.shares_a_time
-    still = moved(found, setting, wide, coloured, own_times=own, max_iterations=0, unit=unit)
-    if still is None:
-        return found
-    block = still.problem.layout.levels
-    matrix, right = still.matrix[block, block], still.right[block]
-    limits, here = still.problem.limits, still.point.unknowns[block]
-    lower, upper = limits.lower[block] - here, limits.upper[block] - here
-    matrix = matrix + np.diag(limits.prior_weight[block])
-    step = bounded_step(matrix, right, lower, upper, 0.0)
-    if 2.0 * right @ step - step @ matrix @ step < WORTH_COLOUR:
-        return found
-    level = np.sqrt(np.maximum(step, 0.0))
-    begin = wide.force.copy()
-    for (kind, index), size in zip(still.problem.levels.entries, level, strict=True):
-        if kind == FORCE_VARIANCE and index >= len(noise.places):
-            begin[index] = size
-    asked = begin > 0
-    asked[: len(noise.places)] = True
-    begun = replace(
-        wide,
-        force=begin[asked],
-        force_time=wide.force_time[asked],
-        places=tuple(p for p, a in zip(wide.places, asked, strict=True) if a),
-    )
-    natural = np.where(np.arange(len(begin)) < len(noise.places), unit.force, begin)
-    unit = replace(unit, force=natural[asked], force_time=1.0, places=begun.places)
-    again = moved(found, setting, begun, coloured, own_times=own, unit=unit)
-    if again is None or found.objective - again.objective < WORTH_COLOUR:
-        return found
+    new = [p.name for p in setting.inputs if p.name not in found.noise.places]
+    again = _joined(found, setting, new, [0.0])
     # Noise that the log does not show is something else that the inputs happen to explain.
     most = setting.most_input
     levels = zip(again.noise.places, again.noise.force, strict=True)
@@ -424,33 +467,15 @@ def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolut
 
 def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     """Give every disturbance a time of its own where that is clearly likelier."""
-    problem = found.problem
-    noise = problem.noise(found.point.unknowns)
-    if (
-        not problem.levels.shares_a_time
-        or np.sum((noise.force > 0) & (noise.force_time > 0)) + problem.levels.n_coloured < 2
-    ):
+    noise, levels = found.noise, found.problem.levels
+    lasting = np.sum((noise.force > 0) & (noise.force_time > 0)) + levels.n_coloured
+    if not levels.shares_a_time or lasting < 2:
         return found
-    coloured = noise.colour > 0
-    again = moved(found, setting, noise, coloured, own_times=True, max_iterations=0)
-    if again is None:
+    problem = posed(found, setting, noise, own_times=True)
+    still = moved(found, problem, 0)
+    if still is None or 2.0 * still.promise < WORTH:
         return found
-    right = again.right
-    limits = again.problem.limits
-    unknowns = again.point.unknowns
-    step = bounded_step(
-        again.matrix + np.diag(limits.prior_weight),
-        right + limits.prior_weight * (limits.prior_mean - unknowns),
-        limits.lower - unknowns,
-        limits.upper - unknowns,
-        0.0,
-    )
-    if 2.0 * float(right @ step) < WORTH_TIMES:
-        return found
-    freed = moved(found, setting, noise, coloured, own_times=True)
-    if freed is None or found.objective - freed.objective < WORTH_TIMES:
-        return found
-    return freed
+    return _worth(found, moved(found, problem, setting.max_iterations))
 
 
 def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
@@ -469,3 +494,171 @@ def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
                 count[column] += seen
     share = lag_one / np.maximum(count, 1.0)
     return np.abs(share) > COLOURED / np.sqrt(np.maximum(count, 1.0))
+
+
+# -- a sea -------------------------------------------------------------------------
+
+
+def threshold(n_forces: int, n_tests: int) -> float:
+    """Value of the test that is exceeded with probability ``FALSE_SEA`` where no sea acts.
+
+    Of ``n_forces`` independent variances at their bound, ``k`` are positive in one of ``2^n``
+    cases for each choice of them.
+
+    >>> round(threshold(3, 8), 1), round(threshold(4, 8), 1)
+    (14.4, 16.0)
+    """
+    count = np.arange(1, n_forces + 1)
+    weights = comb(n_forces, count) / 2.0**n_forces
+    return float(
+        brentq(lambda value: weights @ chi2.sf(value, count) - FALSE_SEA / n_tests, 0.0, 200.0)
+    )
+
+
+def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """Take a sea for what disturbs the vehicle where the records show one, or one is declared.
+
+    Of a declared one what it leaves out is estimated; a period that is left out is that of the
+    largest test.
+
+    Parameters
+    ----------
+    found : FilteredSolution
+        With forces of first order, near its end.
+    setting : Setting
+
+    Returns
+    -------
+    FilteredSolution
+        The same one where no sea is clearly likelier.
+    """
+    declared = setting.seas[0] if setting.seas else None
+    known = declared or Sea()
+    places = known.places or setting.at_sea
+    if found.noise.seas or not places or not (declared or setting.any_sea):
+        return found
+    period = known.period or _likeliest_period(found, setting, places)
+    if period is None:
+        return found
+    sea = known.filled(_calm(places, period))
+    best = _at_sea(found, setting, sea, known)
+    if declared or best is None:
+        return best or found
+    if not _clearly_a_sea(best, found, setting):
+        return found
+    # Forces of first order join the sea where the records ask for them.
+    sample = min(record.sample_time for record in found.problem.records)
+    rest = [place for place in setting.at_sea if place not in best.noise.places]
+    return _joined(best, setting, rest, [count * sample for count in TIMES], [Sea()])
+
+
+def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
+    """Whether a sea is clearly likelier than forces of first order."""
+    # Held over the same shorter steps, these may be as likely.
+    period = float(sea.noise.seas[0].period or 0.0)
+    calm = _calm(setting.at_sea, period)
+    first = _again(found, setting, replace(found.noise, seas=(calm,)), calm)
+    rival = found if first is None or first.objective > found.objective else first
+    return rival.objective - 2.0 * rival.promise - sea.objective >= WORTH_SEA
+
+
+def _likeliest_period(
+    found: FilteredSolution, setting: Setting, places: Sequence[str]
+) -> float | None:
+    """Period of the largest test, s; None where no sea is declared and none shows."""
+    periods = _periods(found)
+    if setting.seas and not periods:
+        return found.problem.records[0].duration / 8
+    tests = [_tested(found, setting, places, one) for one in periods]
+    shows = bool(tests) and max(tests) >= threshold(len(places), len(periods))
+    return periods[int(np.argmax(tests))] if setting.seas or shows else None
+
+
+def _periods(found: FilteredSolution) -> list[float]:
+    """Periods that are tried, s."""
+    records = [record for record in found.problem.records if not record.independent]
+    shortest = FEWEST_SAMPLES * max(record.sample_time for record in records)
+    longest = SHARE_OF_RECORD * min(record.duration for record in records)
+    if longest < shortest:
+        return []
+    count = int(np.floor(np.log(longest / shortest) / np.log(RATIO))) + 1
+    return [float(one) for one in shortest * RATIO ** np.arange(count)]
+
+
+def _again(
+    found: FilteredSolution,
+    setting: Setting,
+    noise: NoiseModel,
+    known: Sea,
+    most: int | None = None,
+) -> FilteredSolution | None:
+    """Go on from a solution with another noise model; of its sea what ``known`` leaves out."""
+    problem = posed(found, setting, noise, own_times=_own_times(found, noise), seas=[known])
+    return moved(found, problem, setting.max_iterations if most is None else most)
+
+
+def _calm(places: Sequence[str], period: float) -> Sea:
+    """A sea of level zero."""
+    return Sea(period, BANDWIDTH, dict.fromkeys(places, 0.0), "velocity")
+
+
+def _tested(
+    found: FilteredSolution, setting: Setting, places: Sequence[str], period: float
+) -> float:
+    """Gain of resonators of a period at variance zero."""
+    nothing = _calm(places, period)
+    noise = replace(found.noise, seas=(nothing,))
+    still = _again(found, setting, noise, replace(nothing, levels=None), 0)
+    return 0.0 if still is None else score_gain(still, [f"sea {p} level" for p in places])[0]
+
+
+def _at_sea(
+    found: FilteredSolution, setting: Setting, sea: Sea, known: Sea
+) -> FilteredSolution | None:
+    """Estimate a sea in place of forces of first order.
+
+    Parameters
+    ----------
+    found : FilteredSolution
+        With forces of first order.
+    setting : Setting
+    sea : Sea
+        Where it begins; its levels only where ``known`` says them.
+    known : Sea
+        What is known of it.
+
+    Returns
+    -------
+    FilteredSolution or None
+        None where the filter diverges.
+    """
+    first = found.noise
+    alone = first.only([p not in sea.places or p in setting.known for p in first.places])
+    if known.levels is None:
+        sea = _likeliest_sea(found, setting, alone, sea)
+    # Everything else first, lest period and width follow its misfit.
+    held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
+    begun = _again(found, setting, replace(alone, seas=(sea,)), held, FEW_STEPS)
+    if begun is None:
+        return None
+    noise, free = begun.noise, replace(known, shape=None)
+    shaped = [replace(noise.seas[0], shape=s) for s in ([known.shape] if known.shape else SHAPES)]
+    return _first_home(
+        (_again(begun, setting, replace(noise, seas=(s,)), free, FEW_STEPS) for s in shaped),
+        lambda one: _again(one, setting, one.noise, free) or one,
+    )
+
+
+def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel, sea: Sea) -> Sea:
+    """The sea with the likeliest of some levels in proportion to those of first order."""
+    unit = found.problem.levels.unit
+    size = [max(found.noise.level(p)[0], unit.level(p)[0]) for p in sea.places]
+    tried = [sea.with_levels(share * np.array(size)) for share in reversed(BEGIN)]
+
+    def objective(one: Sea) -> float:
+        known = [replace(one, levels=None)]
+        problem = posed(found, setting, replace(alone, seas=(one,)), seas=known)
+        others = found.point.unknowns[: problem.layout.levels.start]
+        return problem.objective(np.concatenate([others, problem.levels.vector()]))
+
+    return min(tried, key=objective)

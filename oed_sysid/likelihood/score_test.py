@@ -26,7 +26,8 @@ with ``F`` equal to :math:`\exp(-\Delta t / \tau)`.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.signal import lfilter
@@ -34,14 +35,13 @@ from scipy.signal import lfilter
 from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterKernel, FilterPass
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
-from oed_sysid.likelihood.departures import shown_in_log
 from oed_sysid.likelihood.disturbances import Place, disturbance
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import LONGEST, SHORTEST, Levels
-from oed_sysid.likelihood.noise_levels import credible_levels
+from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea, disturbance_names
-from oed_sysid.likelihood.projection import bounded_step
+from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
@@ -64,84 +64,80 @@ class Setting:
 
     Attributes
     ----------
-    places : tuple of Place
+    dataset : Dataset
+    places : sequence of Place
         Where disturbances may act.
     white : ndarray (n_outputs,)
         White levels to begin with.
     estimated : ndarray of bool (n_outputs,)
         Which of these are unknown.
-    least_white : ndarray (n_outputs,)
-        What the high-frequency content shows is there, whatever disturbances could explain of it.
     colour : bool
         Whether sensors may have coloured noise.
-    inputs : tuple of Place
-        Logged inputs, which may be noisy: white from sample to sample, admitted where it pays. Left
-        out are those whose log is held or smooth to the last digit.
-    most_input : mapping of str to float
-        Place of each to the level above which that noise would show in the log itself.
-    most_colour : ndarray (n_outputs,), optional
-        Level above which slow noise of a sensor is none.
-    known : tuple of str
+    logged : sequence of Place
+        Logged inputs, which may be noisy: white from sample to sample, admitted where it pays.
+    known : sequence of str
         Places whose level and time are known.
     known_starts : KnownStarts or None
         Start states that are held or known with a stated error.
-    seas : tuple of Sea
+    drifting : bool
+        Otherwise slow noise far above the high-frequency content of a sensor is none of its own.
+    seas : sequence of Sea
         Those that are declared; what they leave out is unknown.
     any_sea : bool
         Whether others are looked for.
+    max_iterations : int
+        Of each step of the search.
     """
 
-    places: tuple[Place, ...]
+    dataset: Dataset
+    places: Sequence[Place]
     white: np.ndarray
     estimated: np.ndarray
-    least_white: np.ndarray
+    _: KW_ONLY
     colour: bool = True
-    inputs: tuple[Place, ...] = ()
-    most_input: Mapping[str, float] = field(default_factory=dict)
-    most_colour: np.ndarray | None = None
-    known: tuple[str, ...] = ()
+    logged: Sequence[Place] = ()
+    known: Sequence[str] = ()
     known_starts: KnownStarts | None = None
-    seas: tuple[Sea, ...] = ()
+    drifting: bool = True
+    seas: Sequence[Sea] = ()
     any_sea: bool = False
+    max_iterations: int = 40
 
-    @classmethod
-    def of(
-        cls,
-        dataset: Dataset,
-        places: Sequence[Place],
-        white: np.ndarray,
-        estimated: np.ndarray,
-        *,
-        colour: bool = True,
-        inputs: Sequence[Place] = (),
-        known: Sequence[str] = (),
-        known_starts: KnownStarts | None = None,
-        drifting: bool = True,
-        seas: Sequence[Sea] = (),
-        any_sea: bool = False,
-    ) -> Setting:
-        """Setting of some records.
+    @cached_property
+    def _seen(self) -> tuple[np.ndarray, np.ndarray]:
+        return credible_levels(self.dataset)
 
-        Where sensors are not ``drifting``, slow noise far above their high-frequency content is
-        none of theirs.
-        """
-        floor, seen = credible_levels(dataset)
-        least = np.where(seen, LEAST_SEEN * np.minimum(floor, white), 0.0)
-        most = {p.name: INPUT_SEEN * shown_in_log(dataset, p.channel) for p in inputs}
-        return cls(
-            tuple(places),
-            white,
-            estimated,
-            least,
-            colour,
-            tuple(place for place in inputs if most[place.name] > 0),
-            most,
-            None if drifting else np.where(seen, DRIFTS * np.maximum(floor, white), np.inf),
-            tuple(known),
-            known_starts,
-            tuple(seas),
-            any_sea,
-        )
+    @cached_property
+    def least_white(self) -> np.ndarray:
+        """What the high-frequency content shows is there, whatever could explain of it."""
+        floor, seen = self._seen
+        return np.where(seen, LEAST_SEEN * np.minimum(floor, self.white), 0.0)
+
+    @cached_property
+    def most_colour(self) -> np.ndarray | None:
+        """Level above which slow noise of a sensor is none, ``(n_outputs,)``."""
+        floor, seen = self._seen
+        most = np.where(seen, DRIFTS * np.maximum(floor, self.white), np.inf)
+        return None if self.drifting else most
+
+    @cached_property
+    def most_input(self) -> dict[str, float]:
+        """Level above which noise of a logged input would show in the log itself, by place."""
+        return {
+            place.name: INPUT_SEEN * shown_in_log(self.dataset, place.channel)
+            for place in self.logged
+        }
+
+    @property
+    def inputs(self) -> tuple[Place, ...]:
+        """Logged inputs that may be noisy: neither held nor smooth to the last digit."""
+        return tuple(place for place in self.logged if self.most_input[place.name] > 0)
+
+    @property
+    def at_sea(self) -> tuple[str, ...]:
+        """Places at which waves may act: forces whose level is not known."""
+        names = [place.name for place in self.places if place.stage == "force"]
+        return tuple(name for name in names if name not in self.known)
 
     @property
     def disturbances(self) -> tuple[str, ...]:
@@ -187,25 +183,21 @@ class Setting:
             seas = self.seas or [Sea()] * len(noise.seas)
         known = {place: level for sea in unit.seas for place, level in (sea.levels or {}).items()}
         known |= dict(zip(unit.places, unit.force, strict=True))
-        sea_units = []
-        for sea in noise.seas:
-            own = zip(sea.places, sea.level, strict=True)
-            natural = [known.get(place, max(level, 1e-9)) for place, level in own]
-            sea_units.append(sea.with_levels(np.array(natural)))
-        sizes = [
-            known.get(place, max(level, 1e-9))
-            for place, level in zip(noise.places, noise.force, strict=True)
-        ]
+
+        def natural(places: Sequence[str], levels: np.ndarray) -> np.ndarray:
+            pairs = zip(places, levels, strict=True)
+            return np.array([known.get(place, max(level, 1e-9)) for place, level in pairs])
+
         return Levels.of(
             noise,
             # What a white fit leaves may be far above any sensor's noise, and so no unit of it.
             replace(
                 unit,
                 white=np.minimum(unit.white, self.white),
-                force=np.array(sizes),
+                force=natural(noise.places, noise.force),
                 force_time=1.0,
                 places=noise.places,
-                seas=tuple(sea_units),
+                seas=tuple(s.with_levels(natural(s.places, s.level)) for s in noise.seas),
             ),
             disturbance_names(noise.places),
             # Where colour is admitted, the white level has to make room for it.
@@ -227,41 +219,32 @@ class Setting:
         return self.levels(dataset, noise, unit, noise.colour > 0, own_times=own)
 
 
-def moved(
-    found: FilteredSolution,
-    setting: Setting,
-    noise: NoiseModel,
-    colour: np.ndarray,
-    *,
-    own_times: bool = False,
-    max_iterations: int = 40,
-    unit: NoiseModel | None = None,
-    seas: Sequence[Sea] | None = None,
-) -> FilteredSolution | None:
-    """Estimate again from a solution with other levels unknown; of ``seas`` what they leave out."""
-    problem = posed(found, setting, noise, colour, own_times=own_times, unit=unit, seas=seas)
-    others = found.point.unknowns[: found.problem.layout.levels.start]
-    point = Point(np.concatenate([others, problem.levels.vector()]), ())
-    return solve_filtered(problem, point, max_iterations=max_iterations, polish=0)
-
-
 def posed(
     found: FilteredSolution,
     setting: Setting,
     noise: NoiseModel,
-    colour: np.ndarray,
+    colour: np.ndarray | None = None,
     *,
     own_times: bool = False,
     unit: NoiseModel | None = None,
     seas: Sequence[Sea] | None = None,
 ) -> Filtered:
-    """The problem of a solution with other levels unknown, begun at a noise model."""
-    old = found.problem
-    unit = old.levels.unit if unit is None else unit
-    levels = setting.levels(old.dataset, noise, unit, colour, own_times=own_times, seas=seas)
-    return Filtered(
-        old.model, old.dataset, levels, kernel=old.kernel, known_starts=setting.known_starts
+    """The problem of a solution with other levels unknown, begun at a noise model.
+
+    Coloured sensors are by default those of ``noise``; of ``seas`` is unknown what they leave out.
+    """
+    problem, colour = found.problem, noise.colour > 0 if colour is None else colour
+    unit = problem.levels.unit if unit is None else unit
+    return problem.with_levels(
+        setting.levels(problem.dataset, noise, unit, colour, own_times=own_times, seas=seas)
     )
+
+
+def moved(found: FilteredSolution, problem: Filtered, most: int) -> FilteredSolution | None:
+    """Estimate again from a solution with other levels unknown, in at most so many steps."""
+    others = found.point.unknowns[: found.problem.layout.levels.start]
+    point = Point(np.concatenate([others, problem.levels.vector()]), ())
+    return solve_filtered(problem, point, max_iterations=most, polish=0)
 
 
 # Correlation times that are tried, in samples.
@@ -395,19 +378,15 @@ def _score_at(
     lower = np.where(white, -ROOM, 0.0)
     upper = np.full(count, np.inf)
     upper[white] = np.where(setting.estimated, np.inf, 0.0)
-    step = bounded_step(matrix, right, lower, upper, 0.0)
-    alone = bounded_step(
-        matrix, right, np.where(white, lower, 0.0), np.where(white, upper, 0.0), 0.0
-    )
-    gain = float(2 * right @ step - step @ matrix @ step)
-    gain -= float(2 * right @ alone - alone @ matrix @ alone)
+    step, both = gain_within(matrix, right, lower, upper)
+    _, alone = gain_within(matrix, right, white * lower, np.where(white, upper, 0.0))
     # The variance of which the records begin to tell.
     natural = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[:n_forces], 1e-300))
     colour = np.zeros(n_outputs)
     if setting.colour:
         colour = np.sqrt(np.maximum(step[n_forces + n_outputs :], 0.0)) * quiet.white
     return ScoreTest(
-        gain,
+        both - alone,
         time,
         replace(quiet, force=np.sqrt(np.maximum(step[:n_forces], 0.0)), colour=colour),
         replace(one, force=np.sqrt(natural)),
