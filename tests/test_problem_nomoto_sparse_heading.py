@@ -9,7 +9,7 @@ import pytest
 
 from oed_sysid import Dataset, Record, load_problem
 from oed_sysid.baselines import HeadingDifferences
-from oed_sysid.data.reconstruction import (
+from problems.nomoto_sparse_heading.reconstruction import (
     METHODS,
     archimedes_spiral,
     dense_times,
