@@ -23,12 +23,12 @@ from oed_sysid.data import apart
 from oed_sysid.data.apart import guarded, read_apart
 from oed_sysid.data.csv_columns import EPOCH
 from oed_sysid.data.frames import columns_of, is_time, plain
-from oed_sysid.data.log import TABLE, Log, Rows, assemble, is_unit, library, topics_of
+from oed_sysid.data.log import TABLE, Log, Rows, assemble, library, topics_of
 from oed_sysid.data.nmea import read_nmea
 from oed_sysid.data.ros import read_bag, read_mcap
 from oed_sysid.errors import DataError
 from oed_sysid.text.csv_table import read_table
-from oed_sysid.text.units import parse_header, to_si
+from oed_sysid.text.units import is_unit, parse_header, to_si
 
 # -- tables with a header --------------------------------------------------------------
 

@@ -46,7 +46,7 @@ import numpy as np
 
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError
-from oed_sysid.text.units import dimension, parse_header
+from oed_sysid.text.units import is_unit, parse_header
 
 # -- libraries that read one format each -----------------------------------------------
 
@@ -121,15 +121,6 @@ def unit_of(name: str) -> str | None:
         return None
     unit = parse_header(header)[1] or ""
     return unit if is_unit(unit) else None
-
-
-def is_unit(text: str) -> bool:
-    """Whether a text is a unit that this package knows."""
-    try:
-        dimension(text)
-    except DataError:
-        return False
-    return bool(text)
 
 
 def symbol_of(name: str) -> str:
