@@ -9,15 +9,15 @@ import pytest
 
 from oed_sysid import Dataset, Record, load_problem
 from oed_sysid.baselines import HeadingDifferences
-from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.simulation import simulate
-from problems.nomoto_sparse_heading.reconstruction import (
+from oed_sysid.data.reconstruction import (
     METHODS,
     archimedes_spiral,
     dense_times,
     densify,
     reconstruct,
 )
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
 # An independent program's mean of |dK| and |dT| relative to 0.1 s, per cent.

@@ -1,1 +1,1 @@
-"""Measured records: files, checks, third-party measurements."""
+"""Measured records: files, checks, reconstruction, third-party measurements."""

@@ -12,10 +12,10 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-from reconstruction import reconstruct
 
 from oed_sysid import Dataset, MultipleShooting, Record, load_problem
 from oed_sysid.baselines import HeadingDifferences
+from oed_sysid.data.reconstruction import reconstruct
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.results import new_figure
 
