@@ -7,7 +7,7 @@ call finds the steps of one that did not end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -18,7 +18,13 @@ from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check
 from oed_sysid.evidence.claim import claim, own_error
-from oed_sysid.evidence.improvement import Improvement, Step, Term, Yardstick, parameter_table
+from oed_sysid.evidence.improvement import (
+    Improvement,
+    Step,
+    Yardstick,
+    parameter_table,
+    proposed_term,
+)
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.propose import Proposals
@@ -40,7 +46,7 @@ from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
-from oed_sysid.likelihood.noise_levels import signal_spread
+from oed_sysid.likelihood.noise_levels import given_levels, signal_spread
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
@@ -132,17 +138,22 @@ def improve(
     ready = prepared(train, test)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, log)
-    options = {
-        "known_noise": known_noise,
-        "disturbances": [disturbances]
-        if isinstance(disturbances, str)
-        else [str(one) for one in np.atleast_1d(np.array(disturbances, dtype=object))],
-        "max_effects": max_effects,
-        "terms": terms,
-    }
-    shape = partial(_shape, model, candidates, train, test, options)
-    shared = {"train": train, "validation": test}
-    keep = opened(journal, "improve", shape, shared=shared)
+    said = [disturbances] if isinstance(disturbances, str) else disturbances
+
+    def shape() -> dict[str, Any]:
+        """What shapes the result, so that a later call finds the steps of one that did not end."""
+        return {
+            "model": encode(model),
+            "candidates": [encode(effect) for effect in candidates],
+            "train": [[record.name, record.content_hash] for record in train],
+            "validation": [[record.name, record.content_hash] for record in test or ()],
+            "known_noise": known_noise,
+            "disturbances": [str(one) for one in np.atleast_1d(np.array(said, dtype=object))],
+            "max_effects": max_effects,
+            "terms": terms,
+        }
+
+    keep = opened(journal, "improve", shape, shared={"train": train, "validation": test})
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
@@ -154,29 +165,13 @@ def improve(
         calm = keep.once("without random forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
-    location = _located(end, notes, keep)
+    work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
+    location = _kept(keep, "location", work, notes) or Located.nothing(end.base)
     tell("fits and errors of every step")
     result = keep.once("every step", lambda: _result(end, location, notes, log))
-    acting = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
-    said = (*(one.text for one in acting), *_other_noise(result.fit), *_bought(end))
-    return replace(result, notes=(*said, *result.notes))
-
-
-def _shape(
-    model: Model,
-    candidates: Sequence[Effect],
-    train: Dataset,
-    test: Dataset | None,
-    options: Mapping[str, Any],
-) -> dict[str, Any]:
-    """What shapes an improvement, so that a later call finds the steps of one that did not end."""
-    return {
-        "model": encode(model),
-        "candidates": [encode(effect) for effect in candidates],
-        "train": [[record.name, record.content_hash] for record in train],
-        "validation": [[record.name, record.content_hash] for record in test or ()],
-        **options,
-    }
+    turned = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
+    found = (*(one.text for one in turned), *_other_noise(result.fit), *_bought(end))
+    return replace(result, notes=(*found, *result.notes))
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +252,7 @@ def _hidden_by_forces(end: _Ended) -> bool:
     if overgrown(study, fit):
         return True
     missed = study.rms(fit, study.train) / signal_spread(study.train)
-    return bool(end.left.structured) and bool(np.nanmax(missed) > MUCH)
+    return bool(end.left.structured and np.nanmax(missed) > MUCH)
 
 
 def _bought(end: _Ended) -> list[str]:
@@ -291,12 +286,6 @@ def _other_noise(fit: Fit) -> list[str]:
     ]
 
 
-def _located(end: _Ended, notes: list[str], keep: Journal) -> Located:
-    work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
-    found = _kept(keep, "location", work, notes)
-    return found if found is not None else Located.nothing(end.base)
-
-
 def _kept(keep: Journal, label: str, work: Callable, notes: list[str]):  # type: ignore[no-untyped-def,type-arg]
     """What a stage returns; None, and a note, where it fails: earlier results are kept."""
     try:
@@ -306,11 +295,6 @@ def _kept(keep: Journal, label: str, work: Callable, notes: list[str]):  # type:
         return None
 
 
-def _at_estimates(effect: Effect, values: Mapping[str, float]) -> Effect:
-    own = {p.name for p in effect.parameters}
-    return effect.with_values({k: v for k, v in values.items() if k in own})
-
-
 def _result(
     end: _Ended, location: Located, notes: Sequence[str], log: LogCheck | None
 ) -> Improvement:
@@ -318,11 +302,35 @@ def _result(
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
     path = [study.polished(fit) for fit in (end.base, *state.path[1:])]
     fits = [study.result(fit, "improve, random forces") for fit in path]
-    sigma = _sigma(study, fits)
-    rms = [_rms(study, fit) for fit in path]
-    steps = _steps(state, fits, rms, sigma)
-    yardstick = Yardstick.of(study.train, sigma)
-    term = None if end.proposals is None else Term.of(end.proposals, steps[-1], state.replaced)
+    declared = given_levels(study.base.outputs)
+    # Where nobody declared a level, the smallest that a fit's sensors have.
+    found = np.min([fit.noise.sensors for fit in fits], axis=0)
+    found = np.maximum(found, study.setting.least_white)
+    sigma = np.where(np.isnan(declared), found, declared)
+    records = {"train": study.train, "test": study.validation}
+    nothing = np.full(len(declared), np.nan)
+    rms = [
+        {name: nothing if of is None else study.rms(fit, of) for name, of in records.items()}
+        for fit in path
+    ]
+    errors = [
+        {name: _relative(of, one[name] / sigma) for name, of in records.items()} for one in rms
+    ]
+    steps = tuple(
+        Step(
+            effect=one.effect.with_values(fit.model.values),
+            group=one.group,
+            gain=one.claim.training,
+            needed=one.claim.needed,
+            test_gain=one.claim.validation,
+            train_error=error["train"],
+            test_error=error["test"],
+            fit=fit,
+            rms=own,
+        )
+        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
+    )
+    terms = [] if end.proposals is None else [end.proposals]
     claimed = {step.added for step in steps}
     refused = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
     return Improvement(
@@ -331,8 +339,8 @@ def _result(
         steps=steps,
         ranking=end.first,
         base_fit=fits[0],
-        base_error=relative(rms[0], sigma, study),
-        final_error=relative(rms[-1], sigma, study),
+        base_error=errors[0],
+        final_error=errors[-1],
         location=location,
         remains=replace(
             end.left,
@@ -342,9 +350,9 @@ def _result(
         ),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
-        yardstick=yardstick,
+        yardstick=Yardstick.of(study.train, sigma),
         rejected=tuple(name for name in dict.fromkeys(refused) if name not in claimed),
-        proposed=() if term is None else (term.to_dict(),),
+        proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
         notes=tuple(notes),
         log=log,
         skipped=study.skipped,
@@ -353,40 +361,14 @@ def _result(
     )
 
 
-def _rms(study: Study, fit: FilteredSolution) -> dict[str, np.ndarray]:
-    """Errors of every output on training and validation records, ``(n_outputs,)``."""
-    nothing = np.full(len(study.base.outputs), np.nan)
-    tested = study.validation
-    return {
-        "train": study.rms(fit, study.train),
-        "test": nothing if tested is None else study.rms(fit, tested),
-    }
-
-
-def _steps(
-    state: Standing,
-    fits: Sequence[Fit],
-    rms: Sequence[Mapping[str, np.ndarray]],
-    sigma: np.ndarray,
-) -> tuple[Step, ...]:
-    """What was added, with the fits and errors after every step."""
-    found = []
-    for one, fit, own in zip(state.added, fits[1:], rms[1:], strict=True):
-        error = relative(own, sigma, state.study)
-        found.append(
-            Step(
-                effect=_at_estimates(one.effect, fit.model.values),
-                group=one.group,
-                gain=one.claim.training,
-                needed=one.claim.needed,
-                test_gain=one.claim.validation,
-                train_error=error["train"],
-                test_error=error["test"],
-                fit=fit,
-                rms=own,
-            )
-        )
-    return tuple(found)
+def _relative(dataset: Dataset | None, errors: np.ndarray) -> float:
+    """Error of all outputs together from those of each, in units of the noise."""
+    if dataset is None:
+        return np.nan
+    count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in dataset], axis=0)
+    seen = count > 0
+    total = float(np.sum(count[seen] * errors[seen] ** 2))
+    return float(np.sqrt(total / count.sum())) if seen.any() else np.nan
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step], fit: Fit) -> str:
@@ -395,38 +377,15 @@ def _suspect(log: LogCheck | None, steps: Sequence[Step], fit: Fit) -> str:
     left = [] if log is None else [f for f in log.serious if not mended & set(f.signals)]
     if log is not None and left:
         return replace(log, findings=tuple(left)).verdict
-    far = [
-        f"{p.name} ({abs(p.value - p.prior_mean) / p.prior_std:.1f})"
+    priors = [
+        (p.name, abs(p.value - p.prior_mean) / p.prior_std)
         for p in fit.model.free_parameters
         if p.prior_std and p.prior_mean is not None
-        if abs(p.value - p.prior_mean) > FAR * p.prior_std
     ]
+    far = ", ".join(f"{name} ({away:.1f})" for name, away in priors if away > FAR)
     if not far:
         return ""
     return (
-        f"values many prior deviations from what was declared: {', '.join(far)}. An input or a "
-        "sensor is in another unit, or the priors are wrong."
+        f"values many prior deviations from what was declared: {far}. An input or a sensor is in "
+        "another unit, or the priors are wrong."
     )
-
-
-def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
-    """Noise level of every output: declared, else the smallest that a fit's sensors have."""
-    declared = np.array(
-        [np.nan if o.noise_std is None else o.noise_std for o in study.base.outputs]
-    )
-    found = np.min([fit.noise.sensors for fit in fits if fit.noise is not None], axis=0)
-    return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)
-
-
-def relative(rms: Mapping[str, np.ndarray], sigma: np.ndarray, study: Study) -> dict[str, float]:
-    """Errors of all outputs together, in units of the noise, from those of each."""
-    found = {}
-    for key, dataset in (("train", study.train), ("test", study.validation)):
-        if dataset is None:
-            found[key] = np.nan
-            continue
-        count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in dataset], axis=0)
-        seen = count > 0
-        total = float(np.sum(count[seen] * (rms[key][seen] / sigma[seen]) ** 2))
-        found[key] = float(np.sqrt(total / count.sum())) if seen.any() else np.nan
-    return found

@@ -16,6 +16,7 @@ from oed_sysid.evidence.locate import LISTED, Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
+from oed_sysid.evidence.result import angle_aware
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
@@ -68,33 +69,17 @@ class Yardstick:
 
     def table(self, before: Errors, after: Errors | None) -> Table:
         """Errors of the nominal and the improved model, in units and per cent of the signal."""
-        header, *rows = self.rows(before, after)
-        return Table(header, rows, words=(1,))
-
-    def rows(self, before: Errors, after: Errors | None) -> list[tuple[str, ...]]:
-        """Errors in units and per cent of the signal, the header first."""
-        kinds = [k for k in ("train", "test") if not np.isnan(before[k]).all()]
-        models = [before, *([after] if after else [])]
-        rows: list[tuple[str, ...]] = [
-            ("output", "records", "nominal", *(["improved"] if after else []), "noise", "unit")
-        ]
+        models = {"nominal": before} | ({"improved": after} if after else {})
+        rows = []
         for index, output in enumerate(self.outputs):
             # Angles are read in degrees.
-            angle = output.unit.startswith("rad")
-            factor = np.degrees(1.0) if angle else 1.0
-            for kind in kinds:
-                if np.isnan(before[kind][index]):  # not measured
-                    continue
-                rows.append(
-                    (
-                        output.name,
-                        {"train": "training", "test": "validation"}[kind],
-                        *(self._cell(errors[kind][index], index, factor) for errors in models),
-                        f"{factor * self.sigma[index]:.2g}",
-                        output.unit.replace("rad", "deg", 1) if angle else output.unit,
-                    )
-                )
-        return rows
+            factor, unit = angle_aware(1.0, output.unit)
+            for kind, records in (("train", "training"), ("test", "validation")):
+                if not np.isnan(before[kind][index]):  # measured
+                    errors = (self._cell(one[kind][index], index) for one in models.values())
+                    noise = f"{factor * self.sigma[index]:.2g}"
+                    rows.append((output.name, records, *errors, noise, unit))
+        return Table(("output", "records", *models, "noise", "unit"), rows, words=(1,))
 
     def notes(self) -> Sequence[str]:
         """Where noise levels are from, if nobody declared them."""
@@ -109,51 +94,25 @@ class Yardstick:
             )
         return lines
 
-    def _cell(self, error: float, index: int, factor: float) -> str:
+    def _cell(self, error: float, index: int) -> str:
         if not np.isfinite(error):
             return "diverges" if np.isinf(error) else "-"
-        return f"{factor * error:.3g} ({_percent(error / self.spread[index])})"
+        value, _ = angle_aware(error, self.outputs[index].unit)
+        share = error / self.spread[index]
+        percent = f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
+        return f"{value:.3g} ({percent})"
 
 
-def _percent(share: float) -> str:
-    return f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
-
-
-@dataclass(frozen=True, eq=False)
-class Term:
-    """A term that was proposed, tried and confirmed, as plain data.
-
-    Attributes
-    ----------
-    content : mapping
-    """
-
-    content: Mapping[str, Any]
-
-    @classmethod
-    def of(cls, proposals: Proposals, step: Step, replaces: Sequence[str]) -> Term:
-        """The term of the last step, and the known effects whose place it takes."""
-        best = proposals.proposals[0]
-        parameter = step.effect.parameters[0]
-        return cls(
-            {
-                "term": best.term.text,
-                "name": step.effect.name,
-                "equation": best.term.equation,
-                "expression": best.term.expression,
-                "parameter": parameter.name,
-                "value": parameter.value,
-                "unit": parameter.unit,
-                "gain": step.gain,
-                "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
-                "group": list(proposals.group),
-                "replaces": list(replaces),
-            }
-        )
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data."""
-        return dict(self.content)
+def proposed_term(proposals: Proposals, step: Step, replaces: Sequence[str]) -> dict[str, Any]:
+    """The term of the last step, and the known effects whose place it takes, as plain data."""
+    term, parameter = proposals.proposals[0].term, step.effect.parameters[0]
+    return {
+        "term": term.text, "name": step.effect.name, "equation": term.equation,
+        "expression": term.expression, "parameter": parameter.name, "value": parameter.value,
+        "unit": parameter.unit, "gain": step.gain,
+        "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
+        "group": list(proposals.group), "replaces": list(replaces),
+    }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -202,11 +161,6 @@ class Step:
     def statistic(self) -> float:
         """The statistic T: training and validation together."""
         return self.gain + (0.0 if np.isnan(self.test_gain) else self.test_gain)
-
-    @property
-    def evidence(self) -> float:
-        """Earlier name of ``gain``."""
-        return self.gain
 
 
 # Verdicts of whole runs that are as noise and disturbances would leave them.
@@ -461,19 +415,11 @@ class Improvement:
             "effect added", "training", "validation", "T", "threshold", "training error",
             "validation error",
         )  # fmt: skip
-        rows = [("(nominal)", "", "", "", "", *self._pair(self.base_error))]
+        rows = [("(nominal)", "", "", "", "", *_cells(".3f", *self.base_error.values()))]
         lines = []
         for step in self.steps:
-            rows.append(
-                (
-                    step.added,
-                    f"{step.gain:.1f}",
-                    "-" if np.isnan(step.test_gain) else f"{step.test_gain:.1f}",
-                    f"{step.statistic:.1f}",
-                    f"{step.needed:.1f}",
-                    *self._pair({"train": step.train_error, "test": step.test_error}),
-                )
-            )
+            terms = _cells(".1f", step.gain, step.test_gain, step.statistic, step.needed)
+            rows.append((step.added, *terms, *_cells(".3f", step.train_error, step.test_error)))
             if len(step.group) > 1:
                 lines.append(
                     f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
@@ -501,12 +447,8 @@ class Improvement:
         rows = [
             (
                 one.name,
-                f"{one.training:.1f}",
-                "-" if np.isnan(one.validation) else f"{one.validation:.1f}",
-                f"{one.statistic:.1f}",
-                f"{one.needed:.1f}",
-                "-" if np.isnan(one.before) else f"{one.before:.3g}",
-                "-" if np.isnan(one.after) else f"{one.after:.3g}",
+                *_cells(".1f", one.training, one.validation, one.statistic, one.needed),
+                *_cells(".3g", one.before, one.after),
                 one.decision,
             )
             for one in self.decisions
@@ -533,11 +475,6 @@ class Improvement:
         table = Table(headers, rows, marked=marked)
         return Section("Estimates", tables=(table,), only="page")
 
-    @staticmethod
-    def _pair(error: Mapping[str, float]) -> tuple[str, str]:
-        test = "-" if np.isnan(error["test"]) else f"{error['test']:.3f}"
-        return f"{error['train']:.3f}", test
-
     def _closing(self) -> list[str]:
         lines = []
         for term in self.proposed:
@@ -554,17 +491,16 @@ class Improvement:
         return [*lines, *(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
 
 
+def _cells(form: str, *values: float) -> list[str]:
+    """Numbers of a table; a dash for what there is not."""
+    return ["-" if np.isnan(value) else f"{value:{form}}" for value in values]
+
+
 def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:
     """Name, value, standard error and unit of every estimated parameter."""
-    errors = fit.std_errors
     return tuple(
-        {
-            "name": name,
-            "value": value,
-            "std_error": errors[name],
-            "unit": fit.model.parameter(name).unit,
-        }
-        for name, value in fit.values.items()
+        {"name": name, "value": value, "std_error": error, "unit": fit.model.parameter(name).unit}
+        for (name, value), error in zip(fit.values.items(), fit.std_errors.values(), strict=True)
     )
 
 
@@ -603,8 +539,8 @@ def advice(
     estimates = {row["name"]: row for row in parameters}
     believe, doubt, sea = list[str](), list[str](), list[str]()
     for step in steps:
-        claim, doubts = _of_step(step, estimates, steps[-1].fit, before)
-        believe.append(claim)
+        found, doubts = _judged(step, estimates, before)
+        believe.append(found)
         doubt += doubts
         before = step.test_error
         if len(step.group) > 1:
@@ -612,77 +548,59 @@ def advice(
     doubt += _not_shown(steps, ranking if last is None else last)
     if not explained:
         doubt.append("standard errors of the parameters: more is missing than was found.")
+    lists = {
+        "Only if the log is right" if suspect else "Believe": believe,
+        "Do not believe": doubt,
+        "Next at sea": dict.fromkeys(sea),
+    }
     return [
-        *_listed("Only if the log is right" if suspect else "Believe", believe),
-        *_listed("Do not believe", doubt),
-        *_listed("Next at sea", list(dict.fromkeys(sea))),
+        line
+        for title, lines in lists.items()
+        for line in ([f"{title}:", *(f"  - {one}" for one in lines)] if lines else ())
     ]
 
 
-def _of_step(
-    step: Any, estimates: Mapping[str, Mapping[str, Any]], fit: Fit, before: float
+def _judged(
+    step: Any, estimates: Mapping[str, Mapping[str, Any]], before: float
 ) -> tuple[str, list[str]]:
     """What one step claims, and what of that is not to be believed."""
-    own = [p for p in step.effect.parameters if p.name in estimates]
-    sizes = [_size(estimates[p.name], p) for p in own]
-    sizes += [_sizes(p, fit) for p in step.effect.parameters if p.per_record]
+    own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
+    sizes = [_size(*one) for one in own]
+    sizes += [_sizes(p, step.fit) for p in step.effect.parameters if p.per_record]
+    shown, rivals = ", ".join(sizes), step.group[1:]
+    what = " or ".join(step.group)
     tested = not np.isnan(step.test_gain)
-    rivals = step.group[1:]
-    what = " or ".join(step.group) if rivals else step.added
-    claim = f"{what} is missing{', the validation records agree' if tested else ''}" + (
-        f": {', '.join(sizes)}." if sizes and not rivals else "."
-    )
-    return claim, _doubts_of(step, estimates, sizes, before)
-
-
-def _doubts_of(
-    step: Any, estimates: Mapping[str, Mapping[str, Any]], sizes: Sequence[str], before: float
-) -> list[str]:
-    """What of the claim of one step is not to be believed."""
-    own = [p for p in step.effect.parameters if p.name in estimates]
-    rivals = step.group[1:]
-    what = " or ".join(step.group) if rivals else step.added
-    doubt = []
-    if own and not any(_clear(estimates[p.name]) for p in own):
-        doubt.append(
-            f"{what} before more records have shown it: the 95 % interval holds zero "
-            f"({', '.join(sizes)})."
-        )
-    unknown = [p.name for p in own if not _is_told(estimates[p.name], p)]
-    if unknown:
-        doubt.append(f"the size of {', '.join(unknown)}: these records do not give it.")
-    if step.test_error > RISE * before:
-        doubt.append(
-            f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x "
-            f"noise off, {before:.3g} before. Its claim rests on the model as a whole."
-        )
-    if rivals:
-        doubt.append(
-            f"that it is {step.added} ({', '.join(sizes)}): {', '.join(rivals)} "
-            f"{'does' if len(rivals) == 1 else 'do'} as well."
-        )
-    if np.isnan(step.test_gain):
-        doubt.append(f"{step.added} before a validation record has confirmed it.")
-    return doubt
+    found = f"{what} is missing{', the validation records agree' if tested else ''}"
+    unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
+    # Correlated residuals widen an interval after a claim was made.
+    clear = any(abs(row["value"]) > TWO_SIDED_95 * row["std_error"] for row, _ in own)
+    doubts = {
+        f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
+        and not clear,
+        f"the size of {unknown}: these records do not give it.": unknown,
+        f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x noise off, "
+        f"{before:.3g} before. Its claim rests on the model as a whole.": step.test_error
+        > RISE * before,
+        f"that it is {step.added} ({shown}): {', '.join(rivals)} "
+        f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
+        f"{step.added} before a validation record has confirmed it.": not tested,
+    }
+    told = f": {shown}." if sizes and not rivals else "."
+    return found + told, [text for text, applies in doubts.items() if applies]
 
 
 def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:
     """What would not have shown in these records, or is the same as what is free already."""
-    doubt = []
     added = {name for step in steps for name in (step.added, *step.group)}
     imitated = [name for name in ended.imitated() if name not in added]
     hidden = sorted(set(ended.undetectable()) - added - set(imitated))
-    if hidden:
-        doubt.append(
-            f"that {_several(hidden)} {'is' if len(hidden) == 1 else 'are'} absent: "
-            f"{'its' if len(hidden) == 1 else 'their'} typical size would not show here."
-        )
-    if imitated:
-        doubt.append(
-            f"that these records say anything about {_several(imitated)}: parameters that are free "
-            "already do the same."
-        )
-    return doubt
+    are, their = ("is", "its") if len(hidden) == 1 else ("are", "their")
+    doubts = {
+        f"that {_several(hidden)} {are} absent: {their} typical size would not show here.": hidden,
+        f"that these records say anything about {_several(imitated)}: parameters that are free "
+        "already do the same.": imitated,
+    }
+    return [text for text, names in doubts.items() if names]
 
 
 def _several(names: Sequence[str]) -> str:
@@ -693,12 +611,11 @@ def _several(names: Sequence[str]) -> str:
 
 def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:
     """What tells the members of a group apart."""
-    needs = {known[name].needs for name in group if name in known and known[name].needs}
-    lines = []
-    if needs:
-        lines.append(f"to tell {' from '.join(group[:3])}: {'; '.join(sorted(needs))}.")
+    members = [name for name in group if name in known]
+    needs = sorted({known[name].needs for name in members} - {""})
+    lines = [f"to tell {' from '.join(group[:3])}: {'; '.join(needs)}."] if needs else []
     if commanded:
-        names = " ".join(name for name in group if name in known)
+        names = " ".join(members)
         lines.append(f"a manoeuvre for it: oed-sysid design PROBLEM --discriminate {names}")
     return lines
 
@@ -709,27 +626,21 @@ def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
     return bool(TWO_SIDED_95 * row["std_error"] < widest)
 
 
-def _clear(row: Mapping[str, Any]) -> bool:
-    """Whether an interval leaves zero out; correlated residuals widen it after a claim was made."""
-    return bool(abs(row["value"]) > TWO_SIDED_95 * row["std_error"])
+def _unit(unit: str) -> str:
+    return "" if unit in ("", "1") else f" {unit}"
 
 
 def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
-    unit = "" if row["unit"] in ("", "1") else f" {row['unit']}"
+    name, value, unit = row["name"], f"{row['value']:.3g}", _unit(row["unit"])
     if rests(parameter, row["value"]):
-        return f"{row['name']} = {row['value']:.3g}{unit}, at its bound"
+        return f"{name} = {value}{unit}, at its bound"
     if not _is_told(row, parameter):
-        return f"{row['name']} about {row['value']:.3g}{unit}"
-    half = TWO_SIDED_95 * row["std_error"]
-    return f"{row['name']} = {row['value']:.3g} +/- {half:.2g}{unit} (95 %)"
+        return f"{name} about {value}{unit}"
+    return f"{name} = {value} +/- {TWO_SIDED_95 * row['std_error']:.2g}{unit} (95 %)"
 
 
 def _sizes(parameter: Parameter, fit: Fit) -> str:
     """The range of a size that differs from record to record."""
     found = [local[parameter.name] for local in fit.local_values if parameter.name in local]
-    unit = "" if parameter.unit in ("", "1") else f" {parameter.unit}"
-    return f"{parameter.name} from {min(found):.3g} to {max(found):.3g}{unit}, by record"
-
-
-def _listed(title: str, lines: Sequence[str]) -> list[str]:
-    return [f"{title}:", *(f"  - {line}" for line in lines)] if lines else []
+    low, high = f"{min(found):.3g}", f"{max(found):.3g}"
+    return f"{parameter.name} from {low} to {high}{_unit(parameter.unit)}, by record"

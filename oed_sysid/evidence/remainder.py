@@ -181,24 +181,23 @@ class Remains:
             return f"log suspect: {self.suspect} Nothing is certified before that is put right."
         listed = "; ".join(force.text for force in self.random)
         size = f" On its own the model misses {self.size}." if self.size else ""
-        if self.kind == "structure missing":
-            why = "; ".join((*self.beyond, *self.structured))
-            where = f" where process noise stands ({listed})" if listed else ""
-            return f"structure missing{where}: {why}.{size}"
-        if self.kind == "not known":
-            what = f"; process noise: {listed}" if listed else ""
-            return f"not known: {'; '.join(self.open_questions)}{what}.{size}"
-        colour = (
-            ""
-            if self.sensor_time is None
-            else f", correlated over about {self.sensor_time:.2g} s at the sensors"
+        colour = ""
+        if self.sensor_time is not None:
+            colour = f", correlated over about {self.sensor_time:.2g} s at the sensors"
+        checked = self.random and not np.isnan(self.random[0].elsewhere)
+        same = ", about the same on the validation records" if checked else ""
+        stands = f" where process noise stands ({listed})" if listed else ""
+        why, asked = "; ".join((*self.beyond, *self.structured)), "; ".join(self.open_questions)
+        acts, beside = (
+            f"{begin}{listed}" if listed else "" for begin in (": ", "; process noise: ")
         )
-        if self.kind == "disturbance":
-            checked = self.random and not np.isnan(self.random[0].elsewhere)
-            same = ", about the same on the validation records" if checked else ""
-            what = f": {listed}{same}" if listed else ""
-            return f"disturbance{what}; whole runs are as it would leave them{colour}.{size}"
-        return f"adequate: the remaining misfit is noise at this level{colour}."
+        return {
+            "structure missing": f"structure missing{stands}: {why}.{size}",
+            "not known": f"not known: {asked}{beside}.{size}",
+            "disturbance": f"disturbance{acts}{same if listed else ''}; whole runs are as it would "
+            f"leave them{colour}.{size}",
+            "adequate": f"adequate: the remaining misfit is noise at this level{colour}.",
+        }[self.kind]
 
     @property
     def size(self) -> str:
@@ -225,46 +224,40 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
     noise = fit.noise
     if noise.is_white:
         return Remains(0.0, None)
-    quiet = _without(study, fit, np.zeros(len(noise.force), dtype=bool))
-    forces = np.inf if quiet is None else max(quiet.objective - fit.objective, 0.0)
-    if not noise.has_forces:
-        forces = 0.0
+    every = np.ones(len(noise.force), dtype=bool)
+    forces = max(_without(study, fit, every), 0.0) if noise.has_forces else 0.0
     time = _sensor_time(study, fit)
     if forces < REMAINDER_LIMIT:
         return Remains(forces, time, follows=() if time is None else repeated(study, fit, None))
     validated = None if study.validation is None else study.on_records(fit, study.validation)
-    elsewhere = np.full(len(noise.force), np.nan) if validated is None else validated.noise.force
-    told = validated is not None and _tells_levels(study, fit, validated)
+    elsewhere, told = np.full(len(noise.force), np.nan), False
+    if validated is not None and study.validation is not None:
+        elsewhere = validated.noise.force
+        # Whether validation records are clearly likelier with levels of their own.
+        same = study.on_records(fit, study.validation, same_forces=True)
+        told = _lost(validated, same) > REMAINDER_LIMIT
     units = {place.name: place.unit for place in places(study.base)}
     found = []
     for index in np.flatnonzero(noise.force > 0):
-        kept = np.ones(len(noise.force), dtype=bool)
-        kept[index] = False
-        without = _without(study, fit, kept)
-        gain = np.inf if without is None else without.objective - fit.objective
+        gain = _without(study, fit, np.arange(len(noise.force)) == index)
         if gain > REMAINDER_LIMIT:
             name = noise.places[index]
             level, tau = float(noise.force[index]), float(noise.force_time[index])
-            other = elsewhere[index]
+            other = float(elsewhere[index])
             found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other, told))
     found.sort(key=lambda force: -force.gain)
     follows = repeated(study, fit, validated) if found else None
     return Remains(forces, time, tuple(found), follows=follows)
 
 
-def _tells_levels(study: Study, fit: FilteredSolution, validated: FilteredSolution) -> bool:
-    """Whether validation records are clearly likelier with levels of their own."""
-    assert study.validation is not None
-    same = study.on_records(fit, study.validation, same_forces=True)
-    return same is None or same.objective - validated.objective > REMAINDER_LIMIT
+def _without(study: Study, fit: FilteredSolution, gone: np.ndarray) -> float:
+    """What dropping some disturbances, all else estimated again, loses."""
+    levels = study.levels(fit.noise, study.train).without_forces(gone)
+    return _lost(fit, study.with_levels(fit, levels))
 
 
-def _without(study: Study, fit: FilteredSolution, kept: np.ndarray) -> FilteredSolution | None:
-    """The fit again with some disturbances only."""
-    noise = fit.noise
-    levels = study.levels(noise, study.train).without_forces(~kept)
-    problem = study.problem_of(fit, levels)
-    return study.solve(problem, problem.point(fit.initial, fit.local), max_iterations=8)
+def _lost(fit: FilteredSolution, without: FilteredSolution | None) -> float:
+    return np.inf if without is None else without.objective - fit.objective
 
 
 def _sensor_time(study: Study, fit: FilteredSolution) -> float | None:
@@ -272,16 +265,8 @@ def _sensor_time(study: Study, fit: FilteredSolution) -> float | None:
     noise = fit.noise
     if not noise.has_colour:
         return None
-    levels = study.setting.levels(
-        study.train,
-        noise.with_levels(noise.sensors, 0 * noise.colour, noise.force),
-        study.unit,
-        np.zeros(len(noise.colour), dtype=bool),
-    )
-    problem = study.problem_of(fit, levels)
-    again = study.solve(problem, problem.point(fit.initial, fit.local), max_iterations=8)
-    gain = np.inf if again is None else again.objective - fit.objective
-    if gain < REMAINDER_LIMIT:
+    white = noise.with_levels(noise.sensors, 0 * noise.colour, noise.force)
+    if _lost(fit, study.with_levels(fit, study.levels(white, study.train))) < REMAINDER_LIMIT:
         return None
     loudest = int(np.argmax(noise.colour / noise.white))
     return float(noise.colour_time[loudest])

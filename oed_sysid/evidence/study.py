@@ -37,7 +37,7 @@ from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
@@ -51,8 +51,8 @@ from oed_sysid.likelihood.random_forces import (
     with_own_times,
 )
 from oed_sysid.likelihood.score_test import ScoreTest, Setting, score_test
-from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.summary import summarise_filtered
+from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 from oed_sysid.likelihood.whole_runs import WholeRun, rms, whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -184,10 +184,8 @@ class Study:
         )
         effects, skipped = fitting_candidates(model, candidates)
         kernel = _kernel(model, effects, setting)
-        plain = PLAIN.fit(model, train)
-        starts = [_nominal_start(model, train, white)]
-        if (end := _end(plain)) is not None:
-            starts.append(end)
+        plain, end = _white_fit(model, train)
+        starts = [_nominal_start(model, train, white), *([] if end is None else [end])]
         test = _best_test(model, train, setting, starts, kernel)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
@@ -242,25 +240,19 @@ class Study:
             {k: float(np.clip(v, *limits[k])) for k, v in values.items() if k in limits}
         )
 
-    def problem_of(self, found: FilteredSolution, levels: Levels) -> Filtered:
-        """The same model on the training records with other unknown levels."""
-        return self.problem(self.effects_of(found), found.values, levels, self.train)
-
     def effects_of(self, found: FilteredSolution) -> tuple[Effect, ...]:
         """Effects that a fit has beside those of the nominal model."""
         return found.problem.model.effects[len(self.base.effects) :]
 
-    def solve(
-        self, problem: Filtered, point: Point, *, max_iterations: int
-    ) -> FilteredSolution | None:
-        """Estimate at frozen gain."""
-        return solve_filtered(
-            problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
-        )
-
     def levels(self, noise: NoiseModel, dataset: Dataset) -> Levels:
         """All levels unknown, begun at a noise model."""
         return self.setting.as_in(dataset, noise, self.unit)
+
+    def with_levels(self, found: FilteredSolution, levels: Levels) -> FilteredSolution | None:
+        """A fit to the training records again, with other levels unknown."""
+        problem = self.problem(self.effects_of(found), found.values, levels, self.train)
+        point = problem.point(found.initial, found.local)
+        return solve_filtered(problem, point, max_iterations=8, tolerance=0.01, polish=0)
 
     def estimate(
         self,
@@ -310,7 +302,7 @@ class Study:
         self, effects: Sequence[Effect], values: Mapping[str, float]
     ) -> Start | None:
         """Where a fit of the nominal model with some effects to white noise ends."""
-        return _end(PLAIN.fit(self.model(effects, values), self.train))
+        return _white_fit(self.model(effects, values), self.train)[1]
 
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
@@ -341,7 +333,8 @@ class Study:
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""
-        fit = summarise_filtered(found, self.estimated, label, found.iterations, perf_counter())
+        how = Procedure(label, self.estimated, found.iterations, perf_counter())
+        fit = summarise_filtered(found, how)
         return replace(fit, seconds=0.0)
 
     # -- validation ------------------------------------------------------------------
@@ -360,25 +353,25 @@ class Study:
     def predict(self, found: FilteredSolution) -> Prediction | None:
         """What :meth:`validate` is made of; None where the model cannot be run."""
         assert self.validation is not None
-        work = partial(self._predicted, found, self.validation)
-        return _once("predicted", self, found, self.validation, work)
+        return _once("predicted", self, found, self.validation, partial(self._predicted, found))
 
-    def _predicted(self, found: FilteredSolution, dataset: Dataset) -> Prediction | None:
+    def _predicted(self, found: FilteredSolution) -> Prediction | None:
+        assert self.validation is not None
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
-        rest = np.arange(len(shared), layout.n_unknowns)
         matrix = found.matrix + np.diag(limits.prior_weight)
-        known = eliminate(matrix, shared, rest) + np.diag(VAGUE / limits.scale[shared] ** 2)
-        knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
-        noise = found.noise
+        scale = limits.scale[shared]
+        known = eliminate(matrix, shared, np.arange(len(shared), layout.n_unknowns))
+        known = known + np.diag(VAGUE / scale**2)
+        levels = self.levels(self.loosened(found.noise), self.validation)
         problem = self.problem(
             self.effects_of(found),
             found.values,
-            self.levels(self.loosened(noise), dataset),
-            dataset,
-            knowledge,
+            levels,
+            self.validation,
+            Knowledge(found.point.unknowns[shared].copy(), known),
         )
-        alone = self.alone(found, dataset)
+        alone = self.alone(found, self.validation)
         if alone is None:
             return None
         point = problem.point(alone.initial, alone.local)
@@ -386,10 +379,10 @@ class Study:
         if solution is None:
             return None
         total = solution.matrix + np.diag(problem.limits.prior_weight)
-        n = problem.layout.n_unknowns
-        both = eliminate(total, shared, np.arange(len(shared), n))
-        scale = limits.scale[shared]
-        return Prediction(solution.objective, _scaled(known, scale), _scaled(both, scale))
+        both = eliminate(total, shared, np.arange(len(shared), problem.layout.n_unknowns))
+        # In typical sizes.
+        known, both = (matrix * scale[:, None] * scale for matrix in (known, both))
+        return Prediction(solution.objective, known, both)
 
     def on_records(
         self, found: FilteredSolution, dataset: Dataset, *, same_forces: bool = False
@@ -399,21 +392,12 @@ class Study:
         With ``same_forces`` disturbance forces are as strong and last as long as the fit says; only
         the sensors' levels are estimated.
         """
-        noise = found.noise if same_forces else self.loosened(found.noise)
-        levels = self.levels(noise, dataset)
-        problem = self.problem(
-            self.effects_of(found),
-            found.values,
-            levels.holding_forces() if same_forces else levels,
-            dataset,
-        )
+        levels = self.levels(found.noise if same_forces else self.loosened(found.noise), dataset)
         alone = self.alone(found, dataset)
         if alone is None:
             return None
-        shared = np.arange(len(problem.layout.shared))
-        point = problem.point(alone.initial, alone.local)
-        held = problem.holding(shared, point.unknowns[shared])
-        return solve_filtered(held, point, max_iterations=15, tolerance=0.01, polish=0)
+        levels = levels.holding_forces() if same_forces else levels
+        return self._held(found, dataset, levels, alone.initial, alone.local, tolerance=0.01)
 
     def alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
         """A fit on other records: parameters and noise levels held, start states estimated.
@@ -421,18 +405,31 @@ class Study:
         Where levels are estimated too, it is from here that they are: a start state that is far
         off would be taken for a disturbance force, which it is not.
         """
-        return _once("alone", self, found, dataset, lambda: self._alone(found, dataset))
 
-    def _alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
-        levels = self.levels(found.noise, dataset).held()
+        def work() -> FilteredSolution | None:
+            # Sizes of single records are far from their mean: whole runs have found them.
+            runs = self.runs(found, dataset)
+            starts = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
+            levels = self.levels(found.noise, dataset).held()
+            return self._held(found, dataset, levels, starts, [run.local for run in runs])
+
+        return _once("alone", self, found, dataset, work)
+
+    def _held(
+        self,
+        found: FilteredSolution,
+        dataset: Dataset,
+        levels: Levels,
+        initial: Sequence[np.ndarray],
+        local: Sequence[Mapping[str, float]],
+        tolerance: float = FROZEN_TOLERANCE,
+    ) -> FilteredSolution | None:
+        """Start states, values of each record and open levels, all shared parameters held."""
         problem = self.problem(self.effects_of(found), found.values, levels, dataset)
-        # Sizes of single records are far from their mean: whole runs have found them.
-        runs = self.runs(found, dataset)
-        starts = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
         shared = np.arange(len(problem.layout.shared))
-        point = problem.point(starts, [run.local for run in runs])
+        point = problem.point(initial, local)
         held = problem.holding(shared, point.unknowns[shared])
-        return solve_filtered(held, point, max_iterations=15, polish=0)
+        return solve_filtered(held, point, max_iterations=15, tolerance=tolerance, polish=0)
 
     def runs(self, found: FilteredSolution, dataset: Dataset) -> tuple[WholeRun, ...]:
         """Whole runs of the model on its own, start states and values of each record fitted."""
@@ -509,16 +506,22 @@ def fitting_candidates(
     try:
         base + absent
     except ModelError:
-        joined, kept, skipped = base, [], []
+        joined, kept, skipped = base, list[Effect](), list[str]()
         for effect in absent:
             try:
                 joined = joined + effect
+                kept.append(effect)
             except ModelError:
                 skipped.append(effect.name)
-            else:
-                kept.append(effect)
         return tuple(kept), tuple(skipped)
     return absent, ()
+
+
+def _white_fit(model: Model, train: Dataset) -> tuple[Fit, Start | None]:
+    """A fit to white noise, and where it ended as a start; None where it diverged."""
+    fit = PLAIN.fit(model, train)
+    ended = Start(fit.model.values, fit.initial_states, fit.local_values)
+    return fit, ended if np.isfinite(fit.cost) else None
 
 
 def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
@@ -530,13 +533,6 @@ def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
     return Start(model.values, own, local)
 
 
-def _end(fit: Fit) -> Start | None:
-    """Where a fit ended, as a start; None where it diverged."""
-    if not np.isfinite(fit.cost):
-        return None
-    return Start(fit.model.values, fit.initial_states, fit.local_values)
-
-
 def _best_test(
     model: Model,
     train: Dataset,
@@ -545,21 +541,15 @@ def _best_test(
     kernel: FilterKernel,
 ) -> ScoreTest:
     """Levels to begin with: from the last start, the fitted one, where the model runs there."""
-    tests = []
-    problem: SimulationError | None = None
+    tests, errors = [], []
     for start in reversed(starts):
         at = model.with_values(dict(start.values))
         try:
             tests.append(score_test(at, train, setting, start.initial, start.local, kernel))
         except SimulationError as error:
-            problem = error
+            errors.append(error)
         if tests and np.isfinite(tests[-1].gain):
             return tests[-1]
     if not tests:
-        assert problem is not None
-        raise problem
+        raise errors[-1]
     return tests[0]
-
-
-def _scaled(matrix: np.ndarray, scale: np.ndarray) -> np.ndarray:
-    return matrix * scale[:, None] * scale

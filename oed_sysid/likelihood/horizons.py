@@ -37,7 +37,7 @@ from oed_sysid.likelihood.information import Information, effective_sample_size
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.projection import share_of
 from oed_sysid.likelihood.shooting import Point, Shooting
-from oed_sysid.likelihood.summary import Found
+from oed_sysid.likelihood.summary import Procedure
 from oed_sysid.likelihood.windows import CONTROL, Windows
 
 # Share of a record's windows over which scores are taken to be related.
@@ -138,36 +138,22 @@ def solve_windows(
     return WindowSolution(problem, horizon, descent.now, descent.steps + 1, reason)
 
 
-def summarise_windows(
-    solution: WindowSolution,
-    estimated: np.ndarray,
-    estimator: str,
-    iterations: int,
-    began: float,
-    *,
-    coloured: str = "auto",
-) -> Fit:
+def summarise_windows(solution: WindowSolution, how: Procedure) -> Fit:
     """Build the result; its predictions and residuals are those of the windows.
 
-    Parameters
-    ----------
-    solution : WindowSolution
-    estimated, estimator, iterations, began
-        See :func:`oed_sysid.likelihood.summary.summarise`.
-    coloured : str
-        ``"never"`` reports the inverse information, otherwise the covariance at the head of this
-        module.
+    Unless errors are ``"never"`` to hold the colour of residuals, they are those at the head of
+    this module.
     """
-    problem, now = solution.problem, solution.now
+    problem, unknowns = solution.problem, solution.point.unknowns
     shooting = problem.shooting
-    information, covariance, sources, scattered = _uncertainty(problem, now, coloured)
-    found = Found(
-        estimator, estimated, began, iterations, solution.reason, solution.cost, information,
-        covariance, coloured != "never" and problem.n_windows > 0, sources, solution.paths,
-    )  # fmt: skip
+    information, covariance, sources, scattered = _uncertainty(problem, solution.now, how.coloured)
+    end = solution.reason, solution.cost
+    fit = how.fit(shooting, unknowns, end, information, solution.paths, sources)
     n_own = shooting.layout.n_own
     return replace(
-        found.fit(shooting, now.point.unknowns, shooting.sigma),
+        fit,
+        covariance=covariance,
+        coloured=how.coloured != "never" and problem.n_windows > 0,
         initial_states=tuple(states[0, :n_own].copy() for _, states in solution.paths),
         horizon=solution.horizon,
         n_windows=problem.n_windows,
@@ -290,8 +276,10 @@ def _tests(
     for index, record in enumerate(shooting.records):
         if not record.independent:
             continue
-        values, (z0, by) = shooting.values(unknowns, index), shooting.full_start(unknowns, index)
-        run = shooting.kernel.run(record.times, record.inputs, values, z0, sensitivities=True)
+        run, (_, by) = (
+            shooting.run(unknowns, index, sensitivities=True),
+            shooting.full_start(unknowns, index),
+        )
         assert run.output_sensitivities is not None
         found = run.output_sensitivities
         slopes = shooting.slopes(unknowns, index)

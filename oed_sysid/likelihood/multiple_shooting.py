@@ -35,6 +35,7 @@ from oed_sysid.likelihood.horizons import (
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     credible_levels,
+    residual_levels,
     signal_spread,
     spike_masks,
     start_levels,
@@ -59,7 +60,7 @@ from oed_sysid.likelihood.starts import (
     warm_model,
     warm_point,
 )
-from oed_sysid.likelihood.summary import summarise, summarise_filtered
+from oed_sysid.likelihood.summary import Procedure, summarise, summarise_filtered
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.windows import wide_start
 from oed_sysid.physics.base import RandomProcess
@@ -162,46 +163,30 @@ class MultipleShooting:
         if not isinstance(self.solver, Solver):
             raise ModelError(f"solver is {self.solver!r}. Write solver=Solver({self.solver!r}).")
         loss_by_name(self.loss)
+        forces = self.disturbances not in ("auto", "none")
         if self.horizon is not None:
-            self._check_horizon()
-        if self.disturbances not in ("auto", "none") and self._white_only:
+            advice = "Give seconds above zero, or None, which predicts whole records."
+            check_positive("horizon", self.horizon, advice)
+            if forces:
+                raise ModelError(
+                    f"disturbances={self.disturbances!r} needs whole records. Drop it or the "
+                    "horizon."
+                )
+            if self._white_only or self.interval is not None:
+                raise ModelError(
+                    "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
+                    "interval=None: its windows are the intervals."
+                )
+        if forces and self._white_only:
             raise ModelError(
                 f"disturbances={self.disturbances!r} goes with Solver('gauss-newton') and "
                 "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'."
             )
 
-    def _check_horizon(self) -> None:
-        """Refuse settings that short predictions have no place for."""
-        advice = "Give seconds above zero, or None, which predicts whole records."
-        check_positive("horizon", self.horizon, advice)
-        if self.disturbances not in ("auto", "none"):
-            raise ModelError(
-                f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon."
-            )
-        squares = self.loss in ("auto", "square")
-        if self.solver.method != "gauss-newton" or not squares or self.interval is not None:
-            raise ModelError(
-                "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
-                "interval=None: its windows are the intervals."
-            )
-
     @property
     def _white_only(self) -> bool:
         """Whether the settings leave no room for disturbance forces."""
-        return self.solver.method == "ipopt" or self.loss not in ("auto", "square")
-
-    @property
-    def _seas(self) -> tuple[Sea, ...]:
-        """Seas that are declared."""
-        return seas_in(self.disturbances)
-
-    @property
-    def _named(self) -> str | tuple[str, ...]:
-        """What is asked for besides; forces everywhere where there is nothing but a sea."""
-        if isinstance(self.disturbances, str):
-            return self.disturbances
-        given = () if isinstance(self.disturbances, Sea) else self.disturbances
-        return tuple(one for one in given if isinstance(one, str)) or "all"
+        return self.solver.method != "gauss-newton" or self.loss not in ("auto", "square")
 
     @property
     def name(self) -> str:
@@ -267,33 +252,30 @@ class MultipleShooting:
         began = time.perf_counter()
         shooting, estimated = self._begun(model, dataset, warm, initial_states, known_starts)
         model = shooting.model
-        point = _first_point(shooting, warm, guessed=initial_states is not None)
+        point = warm_point(shooting, warm if initial_states is None else None)
         wanted = self._wants_process_noise(model, dataset)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
         carried = _carried(shooting, point, warm) if wanted else None
+        task = _Task(model, known_starts, Procedure(self.name, estimated, 0, began, self.coloured))
         end = self._without_process_noise(shooting, point, estimated, carried, wanted=wanted)
-        task = _Task(model, known_starts, estimated, began, carried)
         fit = white = self._summary(task, end, weighed=not wanted)
         interrupted = fit.status.code == "interrupted"
-        if self.loss == "auto" and self.horizon is None and not interrupted:
+        if not interrupted:
             fit = self._without_spikes(fit, model, known_starts)
         disturbed = None
         if wanted and not interrupted:
-            fit, disturbed = self._disturbed(fit, task)
+            fit, disturbed = self._disturbed(fit, task, carried)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
             code = _fault(disturbed, fit)
             if not code or not self._tests(model):
                 return disturbed
             fit = _failed(fit, code)
-        if wanted:
-            fit, end = self._weighed(fit, white, task, end)
-        fit = _judged(fit, model)
-        if disturbed is None or fit.status.code not in FAILED:
-            return fit
-        # No better without process noise.
-        return disturbed if np.isfinite(disturbed.estimates).all() else fit
+        fit = _judged(self._weighed(fit, white, task, end) if wanted else fit, model)
+        # Where it is no better without process noise.
+        usable = disturbed is not None and np.isfinite(disturbed.estimates).all()
+        return disturbed if disturbed and usable and fit.status.code in FAILED else fit
 
     def _begun(
         self,
@@ -362,35 +344,32 @@ class MultipleShooting:
         return _End(shooting, solution, iterations)
 
     def _summary(self, task: _Task, end: _End, *, weighed: bool = True) -> Fit:
-        how = (task.estimated, self.name, end.iterations, task.began)
-        if isinstance(end.solution, WindowSolution):
-            fit = summarise_windows(end.solution, *how, coloured=self.coloured)
+        how, solution = replace(task.how, iterations=end.iterations), end.solution
+        if isinstance(solution, WindowSolution):
+            fit = summarise_windows(solution, how)
         else:
-            fit = summarise(
-                end.shooting, end.solution, *how, coloured=self.coloured, weighed=weighed
-            )
-        if end.solution is None:
+            fit = summarise(end.shooting, solution, how, weighed=weighed)
+        if solution is None:
             return fit
-        equations = end.solution.equations(end.shooting)
-        unknowns = end.solution.point.unknowns
-        found = binding(end.shooting, unknowns, *equations, self.solver.constraints)
-        return replace(fit, binding=found)
+        at = solution.point.unknowns, *solution.equations(end.shooting)
+        return replace(fit, binding=binding(end.shooting, *at, self.solver.constraints))
 
-    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> tuple[Fit, _End]:
+    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> Fit:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
         early = end.solution is not None and end.solution.reason == "enough"
         tests = any(record.independent for record in fit.dataset)
         if fit.covariance is not white.covariance or not (early or tests or fit.coloured):
-            return fit, end
+            return fit
         if end.solution is not None and early:
             minimise = self._minimiser(end.shooting)
             solution = minimise(end.shooting, end.solution.point) or end.solution
             end = _End(end.shooting, solution, end.iterations + solution.iterations)
-        whole = self._summary(task, end)
-        return replace(whole, process_noise=fit.process_noise), end
+        return replace(self._summary(task, end), process_noise=fit.process_noise)
 
     def _without_spikes(self, fit: Fit, model: Model, known_starts: KnownStarts | None) -> Fit:
         """Fit again without samples that stand out alone, and how many of how many they were."""
+        if self.loss != "auto" or self.horizon is not None:
+            return fit
         before, again, iterations = _measured(fit.dataset), fit, fit.iterations
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
@@ -419,7 +398,7 @@ class MultipleShooting:
         }
         return replace(again, iterations=iterations + again.iterations, excluded=counts)
 
-    def _disturbed(self, fit: Fit, task: _Task) -> tuple[Fit, Fit | None]:
+    def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
 
         Returns
@@ -430,36 +409,40 @@ class MultipleShooting:
             The one with process noise; None where none acts, or its estimation failed.
         """
         declared = [e.noise for e in random_effects(task.model.effects) if e.noise is not None]
-        places = self._places(task.model, declared)
+        places, tests = self._places(task.model, declared), self._tests(task.model)
         if places is None:
             return fit, None
         setting = self._setting(fit, task, places, declared)
         kernel = filter_kernel(disturbed_model(task.model, setting.disturbances))
         starts = _starts(fit, task, setting)
         try:
-            test = _score(fit, task, setting, starts[0], kernel, tests=self._tests(task.model))
+            test = _score(fit, task, setting, starts[0], kernel, carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
-        if self._tests(task.model) and test.gain < CLEAR:
+        if tests and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         found = None
-        for begun in (starts,) if task.carried is None else ([task.carried], starts):
+        for begun in (starts,) if carried is None else ([carried], starts):
             found = self._estimated(fit, task, setting, begun, test, kernel) or found
             if found is not None and not _no_likelier(found, fit):
                 break
         if found is None:
             return _failed(fit, "diverged"), None
-        if self._tests(task.model) and _no_likelier(found, fit):
+        if tests and _no_likelier(found, fit):
             return fit, None
-        told = _before_absorbed(fit, test.gain)
         model = with_levels(found.model, found.noise)
-        return fit, replace(found, process_noise=told, model=model)
+        return fit, replace(found, process_noise=_before_absorbed(fit, test.gain), model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
-        asked = "all" if self.disturbances == "auto" else self._named
+        given = self.disturbances
+        asked: str | tuple[str, ...] = "all"  # also where there is nothing but a sea
+        if isinstance(given, str):
+            asked = "all" if given == "auto" else given
+        elif not isinstance(given, Sea):
+            asked = tuple(one for one in given if isinstance(one, str)) or "all"
         try:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
@@ -478,16 +461,17 @@ class MultipleShooting:
         floor, _ = credible_levels(fit.dataset)
         chosen = self.disturbances not in ("auto", "all")
         inputs = [place for place in every_place(task.model) if place.stage == "actuator"]
+        seas = seas_in(self.disturbances)
         return Setting(
             fit.dataset,
             places,
-            np.where(task.estimated, np.minimum(fit.sigma, floor), fit.sigma),
-            task.estimated,
+            np.where(task.how.estimated, np.minimum(fit.sigma, floor), fit.sigma),
+            task.how.estimated,
             logged=() if chosen else inputs,
             known=[process.place for process in declared if process.known],
             known_starts=task.known_starts,
-            seas=self._seas,
-            any_sea=not self._seas,
+            seas=seas,
+            any_sea=not seas,
             max_iterations=self.solver.max_iterations,
         )
 
@@ -503,27 +487,16 @@ class MultipleShooting:
         """The fit with process noise from some starts; None where it fails from each."""
         try:
             solution = fit_disturbed(
-                task.model,
-                setting,
-                starts,
-                test,
-                kernel=kernel,
-                progress=self.progress,
+                task.model, setting, starts, test, kernel=kernel, progress=self.progress
             )
         except np.linalg.LinAlgError:  # equations without numbers: no way on from there
             return None
         if solution is None:
             return None
-        found = summarise_filtered(
-            solution,
-            task.estimated,
-            f"{self.name}, random forces",
-            fit.iterations + solution.iterations,
-            task.began,
-            coloured=self.coloured,
-        )
+        iterations = fit.iterations + solution.iterations
+        how = replace(task.how, name=f"{self.name}, random forces", iterations=iterations)
         ends = solution.point.unknowns, solution.matrix, solution.right
-        return replace(found, binding=binding(solution.problem, *ends))
+        return replace(summarise_filtered(solution, how), binding=binding(solution.problem, *ends))
 
     def _estimate_noise(
         self,
@@ -599,16 +572,11 @@ MultipleShooting.__init__ = respelled(ModelError, _GONE)(MultipleShooting.__init
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What the stages of one fit share: the model at its start values, what is known, the clock.
-
-    ``carried`` is where an earlier fit with process noise ended.
-    """
+    """What the stages of one fit share: the model at its start values, and what is known."""
 
     model: Model
     known_starts: KnownStarts | None
-    estimated: np.ndarray
-    began: float
-    carried: Start | None
+    how: Procedure
 
 
 @dataclass(frozen=True, eq=False)
@@ -637,13 +605,6 @@ def _better(first: Ended | None, second: Ended | None) -> tuple[Ended | None, in
     return best, sum(one.iterations for one in found)
 
 
-def _first_point(shooting: Shooting, warm: Fit | None, *, guessed: bool) -> Point:
-    """Where iterations begin: at an earlier fit, unless start states are ``guessed``."""
-    if warm is None or guessed:
-        return shooting.start_point()
-    return warm_point(shooting, warm)
-
-
 def _judged(fit: Fit, begun: Model) -> Fit:
     """The fit with the values that it began from, and a status that holds for its own."""
     return with_verdict(replace(fit, nominal={p.name: p.value for p in begun.free_parameters}))
@@ -653,16 +614,12 @@ def _fault(disturbed: Fit, white: Fit) -> str:
     """How a fit with process noise failed; empty where its values are to be returned."""
     if disturbed.status.code in FAILED:
         return disturbed.status.code
-    return "diverged" if _only_alone(disturbed, white) else ""
-
-
-def _only_alone(disturbed: Fit, white: Fit) -> bool:
-    """Whether whole runs diverge with the values of the one fit and not with those of the other."""
     own, other = (
         all(np.isfinite(part).all() for part in fit.predictions) for fit in (disturbed, white)
     )
     # Those are runs from starts that the filter estimated; whole runs have their own.
-    return not own and other and bool(disturbed.whole_runs.diverging)
+    alone = not own and other and bool(disturbed.whole_runs.diverging)
+    return "diverged" if alone else ""
 
 
 def _failed(fit: Fit, code: str) -> Fit:
@@ -685,28 +642,37 @@ def _starts(fit: Fit, task: _Task, setting: Setting) -> list[Start]:
 
 
 def _score(
-    fit: Fit, task: _Task, setting: Setting, start: Start, kernel: FilterKernel, *, tests: bool
+    fit: Fit,
+    task: _Task,
+    setting: Setting,
+    start: Start,
+    kernel: FilterKernel,
+    carried: Start | None,
+    *,
+    tests: bool,
 ) -> ScoreTest:
-    """The score test at a white fit; where it only ``tests``, noisier sensors are asked first."""
+    """The score test at a white fit; where it only ``tests``, noisier sensors are asked first.
+
+    Correlation times of the process noise that an earlier fit found come before others.
+    """
     model = task.model.with_values(dict(start.values))
-    look = partial(
-        score_test,
-        model,
-        fit.dataset,
-        initial=start.initial,
-        local=start.local,
-        kernel=kernel,
-    )
+    at = start.initial, start.local, kernel
     quiet = replace(setting, white=np.maximum(fit.sigma, setting.white))
-    if tests and (larger := _larger_noise(fit, quiet.white)).any():
+    factors = {one.signal: one.size for one in concerns_of(fit, "noise_level")} if tests else {}
+    sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
+    if (sizes > 1.0).any():
         # White noise above the declared level is no process noise.
-        noisier = replace(quiet, white=np.where(larger, larger, quiet.white))
-        test = look(setting=noisier)
+        noisier = replace(quiet, white=np.maximum(sizes, 1.0) * quiet.white)
+        test = score_test(model, fit.dataset, noisier, *at)
         if test.gain < CLEAR:
             return test
-    test = look(setting=quiet, times=_times(task.carried))
-    if task.carried is not None and test.gain < CLEAR:
-        test = look(setting=quiet)
+    times = []
+    if carried is not None and (noise := carried.noise) is not None:
+        acting = (noise.force > 0) & (noise.force_time > 0)
+        times = sorted({float(time) for time in noise.force_time[acting]})
+    test = score_test(model, fit.dataset, quiet, *at, times=times)
+    if carried is not None and test.gain < CLEAR:
+        test = score_test(model, fit.dataset, quiet, *at)
     return test
 
 
@@ -732,15 +698,6 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     return Start(shooting.model.values, states, layout.local_values(whole), warm.noise)
 
 
-def _times(carried: Start | None) -> list[float]:
-    """Correlation times of the disturbance forces that an earlier fit found, s."""
-    noise = None if carried is None else carried.noise
-    if noise is None:
-        return []
-    acting = (noise.force > 0) & (noise.force_time > 0)
-    return sorted({float(time) for time in noise.force_time[acting]})
-
-
 def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     """Tell when residuals are no white noise of the given levels, wherever iterations end."""
     count = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
@@ -758,11 +715,7 @@ def _explains(shooting: Shooting, solution: Ended | None) -> bool:
     """Whether a solution leaves less than half of the motion of every output."""
     if solution is None:
         return False
-    spread = signal_spread(shooting.dataset)
-    residuals = np.vstack(solution.residuals)
-    seen = np.isfinite(residuals)
-    squares = np.where(seen, residuals, 0.0) ** 2
-    left = np.sqrt(squares.sum(axis=0) / np.maximum(seen.sum(axis=0), 1))
+    spread, left = signal_spread(shooting.dataset), residual_levels(solution.residuals)
     return bool(np.all((left < HALF * spread) | (left < GOOD * shooting.sigma)))
 
 
@@ -789,13 +742,6 @@ def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> No
             force[index] = process.level
         time[index] = process.time
     return replace(noise, force=force, force_time=time)
-
-
-def _larger_noise(fit: Fit, white: np.ndarray) -> np.ndarray:
-    """White levels that are clearly above the declared ones; zero where they are not."""
-    factors = {concern.signal: concern.size for concern in concerns_of(fit, "noise_level")}
-    sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
-    return np.where(sizes > 1.0, sizes * white, 0.0)
 
 
 def _no_likelier(disturbed: Fit, white: Fit) -> bool:

@@ -28,7 +28,7 @@ from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.summary import summarise_filtered
+from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
 # Share of the level of process noise that is left to it, and whole-run error over that of a fit
 # without from which none is. Both were chosen on cases with physics hidden, no more than that.
@@ -108,7 +108,7 @@ def _weak(fit: Fit, white: Fit) -> Fit | None:
         if found is None:
             return None
         label = f"{fit.estimator}, for replay"
-        result = summarise_filtered(found, nothing, label, found.iterations, began)
+        result = summarise_filtered(found, Procedure(label, nothing, found.iterations, began))
     except np.linalg.LinAlgError:
         return None
     return replace(result, nominal=fit.nominal)

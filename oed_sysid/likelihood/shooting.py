@@ -16,6 +16,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -90,6 +91,8 @@ def loss_by_name(name: str) -> Loss | None:
 
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+# How nodes follow a step of the unknowns, and what closes their defects, per record.
+Follows = tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,7 @@ class Linearisation:
         Derivative of the outputs with continuity already imposed.
     offsets : tuple of ndarray (n_times, n_outputs)
         First-order change of the outputs when the defects are closed.
-    node_maps, node_offsets : tuples of ndarrays
+    follows : tuple of pair of ndarray
         Change of the nodes per unknown, and when the defects are closed.
     defects : tuple of ndarray (n_segments - 1, n_full)
         Jump of the trajectory at each node.
@@ -129,8 +132,7 @@ class Linearisation:
     residuals: tuple[np.ndarray, ...]
     jacobians: tuple[np.ndarray, ...]
     offsets: tuple[np.ndarray, ...]
-    node_maps: tuple[np.ndarray, ...]
-    node_offsets: tuple[np.ndarray, ...]
+    follows: Follows
     defects: tuple[np.ndarray, ...]
 
 
@@ -180,7 +182,7 @@ class Shooting:
         names = model.parameter_names
         self._free_index = np.array([names.index(n) for n in model.free_names], dtype=int)
         self._base_values = model.value_vector
-        self._starts = tuple(cut(record, interval) for record in self.records)
+        self.starts = tuple(cut(record, interval) for record in self.records)
         self._guesses = tuple(
             {name: on_its_turn(model, record, name, value) for name, value in guess.items()}
             for record, guess in zip(
@@ -221,6 +223,10 @@ class Shooting:
         """The model's own initial states of one record, shape ``(n_own,)``."""
         return unknowns[self._columns[record][: self.layout.n_own]]
 
+    def white(self, unknowns: np.ndarray) -> np.ndarray:
+        """Levels of the white noise of the sensors, ``(n_outputs,)``."""
+        return self.sigma
+
     def full_start(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
         """Full state at a record's first sample, and its derivatives by the unknowns."""
         data = self.records[record]
@@ -236,6 +242,25 @@ class Shooting:
         if self.layout.logged is None:
             return None
         return self.layout.slopes(unknowns[self._columns[record][self.layout.n_own :]])
+
+    def run(
+        self,
+        unknowns: np.ndarray,
+        record: int,
+        nodes: np.ndarray | None = None,
+        *,
+        sensitivities: bool = False,
+    ) -> Run:
+        """Simulate a record, whole or from the nodes of its intervals."""
+        data, (z0, _) = self.records[record], self.full_start(unknowns, record)
+        return self.kernel.run(
+            data.times,
+            data.inputs,
+            self.values(unknowns, record),
+            z0 if nodes is None else np.vstack([z0[None], nodes]),
+            starts=None if nodes is None else self.starts[record],
+            sensitivities=sensitivities,
+        )
 
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""
@@ -271,35 +296,24 @@ class Shooting:
             unknowns = self.start_unknowns()
         nodes = tuple(
             self.state_guess(unknowns, index)[starts[1:]]
-            for index, starts in enumerate(self._starts)
+            for index, starts in enumerate(self.starts)
         )
         return Point(unknowns.copy(), nodes)
 
     def continuous(self, unknowns: np.ndarray) -> Point:
         """Return the point whose nodes lie on the simulated trajectory."""
-        nodes = []
-        for index, record in enumerate(self.records):
-            values, (z0, _) = self.values(unknowns, index), self.full_start(unknowns, index)
-            run = self.kernel.run(record.times, record.inputs, values, z0)
-            nodes.append(run.states[self._starts[index][1:]])
-        return Point(unknowns, tuple(nodes))
+        runs = (self.run(unknowns, index).states for index in range(len(self.records)))
+        cuts = zip(runs, self.starts, strict=True)
+        return Point(unknowns, tuple(states[starts[1:]] for states, starts in cuts))
 
-    def move(
-        self,
-        point: Point,
-        maps: Sequence[np.ndarray],
-        offsets: Sequence[np.ndarray],
-        step: np.ndarray,
-        length: float,
-    ) -> Point:
+    def move(self, point: Point, follows: Follows, step: np.ndarray, length: float) -> Point:
         """Return the point after a step of the unknowns and the step this implies for nodes.
 
-        ``maps`` and ``offsets`` are those of a :class:`Linearisation`.
+        ``follows`` is that of a :class:`Linearisation`.
         """
         nodes = []
-        for index, columns in enumerate(self._columns):
-            change = maps[index] @ step[columns] + offsets[index]
-            nodes.append(point.nodes[index] + length * change)
+        for columns, own, (map_, offset) in zip(self._columns, point.nodes, follows, strict=True):
+            nodes.append(own + length * (map_ @ step[columns] + offset))
         unknowns = point.unknowns + length * step
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), tuple(nodes))
 
@@ -315,51 +329,31 @@ class Shooting:
             parts.append(part)
         return Linearisation(*(tuple(column) for column in zip(*parts, strict=True)))
 
-    def _linearise_record(self, point: Point, index: int) -> tuple[np.ndarray, ...] | None:
-        record, starts = self.records[index], self._starts[index]
-        values = self.values(point.unknowns, index)
-        z0, dz0 = self.full_start(point.unknowns, index)
-        nodes = np.vstack([z0[None], point.nodes[index]])
-        run = self.kernel.run(
-            record.times, record.inputs, values, nodes, starts=starts, sensitivities=True
-        )
+    def _linearise_record(self, point: Point, index: int) -> tuple[Any, ...] | None:
+        """A record's outputs by its unknowns alone; None where this overflows."""
+        record, starts = self.records[index], self.starts[index]
+        run = self.run(point.unknowns, index, point.nodes[index], sensitivities=True)
         dy, dends = run.output_sensitivities, run.end_sensitivities
         if not run.ok or dy is None or dends is None or not np.isfinite(run.ends[:-1]).all():
             return None
+        n_full, defects = self.kernel.n_full, run.ends[:-1] - point.nodes[index]
+        _, dz0 = self.full_start(point.unknowns, index)
         with np.errstate(over="ignore", invalid="ignore"):
-            return self._condense(index, run, nodes, dz0, self.slopes(point.unknowns, index))
-
-    def _condense(
-        self,
-        index: int,
-        run: Run,
-        nodes: np.ndarray,
-        dz0: np.ndarray,
-        slopes: np.ndarray | None,
-    ) -> tuple[np.ndarray, ...] | None:
-        """Express a record's outputs by its unknowns alone; None where this overflows."""
-        record, starts = self.records[index], self._starts[index]
-        dy, dends = run.output_sensitivities, run.end_sensitivities
-        assert dy is not None
-        assert dends is not None
-        n_full = self.kernel.n_full
-        defects = run.ends[:-1] - nodes[1:]
-        maps = node_maps(dends, defects, dz0, self.layout.n_own, slopes)
-        n_outputs = dy.shape[1]
-        condensed = np.empty((*run.outputs.shape, maps.shape[2]))
-        flat = condensed.reshape(-1, maps.shape[2])
-        rows = dy.reshape(-1, dy.shape[2])
-        edges = np.append(starts, len(record.times)) * n_outputs
-        for i, (first, stop) in enumerate(pairwise(edges)):
-            np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
+            slopes = self.slopes(point.unknowns, index)
+            maps = node_maps(dends, defects, dz0, self.layout.n_own, slopes)
+            condensed = np.empty((*run.outputs.shape, maps.shape[2]))
+            flat = condensed.reshape(-1, maps.shape[2])
+            rows = dy.reshape(-1, dy.shape[2])
+            edges = np.append(starts, len(record.times)) * dy.shape[1]
+            for i, (first, stop) in enumerate(pairwise(edges)):
+                np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
         if not np.isfinite(condensed).all():
             return None
         return (
             record.outputs - run.outputs,
             condensed[:, :, :-1],
             condensed[:, :, -1],
-            maps[1:, :n_full, :-1],
-            maps[1:, :n_full, -1],
+            (maps[1:, :n_full, :-1], maps[1:, :n_full, -1]),
             defects,
         )
 
@@ -426,7 +420,7 @@ class Shooting:
     def with_intervals(self, n_samples: int) -> Shooting:
         """Return the same problem cut into intervals of ``n_samples`` samples."""
         starts = (np.arange(0, len(r.times), n_samples, dtype=np.intc) for r in self.records)
-        return self._with(_starts=tuple(starts))
+        return self._with(starts=tuple(starts))
 
     def with_loss(self, loss: Loss | None) -> Shooting:
         """Return the same problem with another loss."""
@@ -449,19 +443,14 @@ class Shooting:
         return self.layout.n_unknowns - tests * self.layout.n_own
 
     @property
-    def starts(self) -> tuple[np.ndarray, ...]:
-        """Index of the first sample of every interval, per record."""
-        return self._starts
-
-    @property
     def interval_counts(self) -> tuple[int, ...]:
         """Number of intervals of each record."""
-        return tuple(len(starts) for starts in self._starts)
+        return tuple(len(starts) for starts in self.starts)
 
     @property
     def interval_samples(self) -> int:
         """Longest interval, in samples."""
         return max(
             int(np.diff([*starts, len(record.times)]).max())
-            for starts, record in zip(self._starts, self.records, strict=True)
+            for starts, record in zip(self.starts, self.records, strict=True)
         )

@@ -98,8 +98,10 @@ def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
     return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
 
 
-def warm_point(shooting: Shooting, warm: Fit) -> Point:
-    """Start on the trajectory of an earlier fit; on the measurements where it diverges."""
+def warm_point(shooting: Shooting, warm: Fit | None) -> Point:
+    """Start on the trajectory of an earlier fit; on the measurements without, or if it diverges."""
+    if warm is None:
+        return shooting.start_point()
     unknowns = warm_unknowns(shooting, warm)
     point = shooting.continuous(unknowns)
     if all(np.isfinite(nodes).all() for nodes in point.nodes):
@@ -111,14 +113,7 @@ def misfit(shooting: Shooting, point: Point) -> float:
     """Mean square residual in units of noise; infinite where the model diverges."""
     squares, count = 2.0 * shooting.prior_cost(point.unknowns), 0
     for index, record in enumerate(shooting.records):
-        z0, _ = shooting.full_start(point.unknowns, index)
-        run = shooting.kernel.run(
-            record.times,
-            record.inputs,
-            shooting.values(point.unknowns, index),
-            np.vstack([z0[None], point.nodes[index]]),
-            starts=shooting.starts[index],
-        )
+        run = shooting.run(point.unknowns, index, point.nodes[index])
         present = np.isfinite(record.outputs)
         scaled = ((record.outputs - run.outputs) / shooting.sigma)[present]
         if not run.ok or not np.isfinite(scaled).all():

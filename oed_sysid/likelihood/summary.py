@@ -21,7 +21,7 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.projection import eliminate, share_of
+from oed_sysid.likelihood.projection import eliminate, inverse_of, share_of
 from oed_sysid.likelihood.shooting import Shooting
 
 ADVICE = {
@@ -44,72 +44,80 @@ ADVICE = {
 
 
 @dataclass(frozen=True, eq=False)
-class Found:
-    """What was found at the end of the iterations, whatever was minimised.
+class Procedure:
+    """How an estimation was made, whatever was minimised.
 
     Attributes
     ----------
-    estimator : str
-        Name for reports.
+    name : str
+        Of the estimator, for reports.
     estimated : ndarray of bool (n_outputs,)
         White noise levels that nobody had declared.
+    iterations : int
+        In all.
     began : float
         ``time.perf_counter()`` at the start.
-    iterations : int
-    reason : str
-        How they ended.
-    cost : float
-    information : Information
-        Of the shared parameters, as if residuals were white.
-    covariance : ndarray (n_shared, n_shared)
-    coloured : bool
-        Whether that holds the colour of residuals.
-    sources : Sources or None
-    paths : sequence of pair of ndarray
-        Outputs ``(n_times, n_outputs)`` and states ``(n_times, n_full)``, per record.
+    coloured : str
+        ``"auto"``, ``"never"`` or ``"always"``: whether errors hold the colour of residuals, and
+        what independent tests scatter beyond their declared noise.
     """
 
-    estimator: str
+    name: str
     estimated: np.ndarray
-    began: float
     iterations: int
-    reason: str
-    cost: float
-    information: Information
-    covariance: np.ndarray
-    coloured: bool
-    sources: Sources | None
-    paths: Sequence[tuple[np.ndarray, np.ndarray]]
+    began: float
+    coloured: str = "auto"
 
-    def fit(self, problem: Shooting | Filtered, unknowns: np.ndarray, sigma: np.ndarray) -> Fit:
-        """The result at some unknowns with white noise of ``sigma``."""
-        layout = problem.layout
-        starts = problem.known_starts
-        records = problem.records
+    def asks(self, found: bool) -> bool:
+        """Whether errors hold what was or was not found in the residuals."""
+        return self.coloured == "always" or (self.coloured == "auto" and found)
+
+    def fit(
+        self,
+        problem: Shooting | Filtered,
+        unknowns: np.ndarray,
+        end: tuple[str, float],
+        information: Information,
+        paths: Sequence[tuple[np.ndarray, np.ndarray]],
+        sources: Sources | None = None,
+    ) -> Fit:
+        """The result at some unknowns, errors as if residuals were white.
+
+        Parameters
+        ----------
+        problem : Shooting or Filtered
+        unknowns : ndarray (n_unknowns,)
+        end : pair of str and float
+            How the iterations ended, and the cost.
+        information : Information
+            Of the shared parameters.
+        paths : sequence of pair of ndarray
+            Outputs ``(n_times, n_outputs)`` and states ``(n_times, n_full)``, per record.
+        sources : Sources, optional
+        """
+        layout, starts = problem.layout, problem.known_starts
+        outputs = tuple(outputs for outputs, _ in paths)
+        own = range(len(problem.records))
         return Fit(
             model=problem.model.with_values(layout.means(problem.model, unknowns)),
             dataset=problem.dataset,
-            estimator=self.estimator,
+            estimator=self.name,
             names=layout.shared_names,
             estimates=layout.shared_values(unknowns)[0],
-            information=self.information,
-            covariance=self.covariance,
-            record_scatter=None if self.sources is None else scatter_of(self.sources),
-            sources=self.sources,
-            coloured=self.coloured,
-            sigma=sigma.copy(),
+            information=information,
+            covariance=information.covariance,
+            record_scatter=None if sources is None else scatter_of(sources),
+            sources=sources,
+            coloured=False,
+            sigma=problem.white(unknowns).copy(),
             sigma_estimated=np.asarray(self.estimated, dtype=bool),
-            predictions=tuple(outputs for outputs, _ in self.paths),
-            residuals=tuple(
-                r.outputs - outputs for r, (outputs, _) in zip(records, self.paths, strict=True)
-            ),
-            states=tuple(states for _, states in self.paths),
-            initial_states=tuple(
-                problem.initial_state(unknowns, i).copy() for i in range(len(records))
-            ),
+            predictions=outputs,
+            residuals=tuple(r.outputs - o for r, o in zip(problem.records, outputs, strict=True)),
+            states=tuple(states for _, states in paths),
+            initial_states=tuple(problem.initial_state(unknowns, i).copy() for i in own),
             local_values=tuple(layout.local_values(unknowns)),
-            cost=self.cost,
-            status=Status(self.reason, ADVICE[self.reason]),
+            cost=end[1],
+            status=Status(end[0], ADVICE[end[0]]),
             iterations=self.iterations,
             seconds=time.perf_counter() - self.began,
             start_states=() if starts is None else starts.described(problem.model),
@@ -117,15 +125,7 @@ class Found:
 
 
 def summarise(
-    shooting: Shooting,
-    solution: Solution | None,
-    estimated: np.ndarray,
-    estimator: str,
-    iterations: int,
-    began: float,
-    *,
-    coloured: str = "auto",
-    weighed: bool = True,
+    shooting: Shooting, solution: Solution | None, how: Procedure, *, weighed: bool = True
 ) -> Fit:
     """Build the result of an estimation from its last iterate.
 
@@ -135,47 +135,30 @@ def summarise(
         The problem, at the final noise levels.
     solution : Solution or None
         Last iterate; None where no trajectory was finite.
-    estimated : ndarray of bool (n_outputs,)
-        Which noise levels were estimated.
-    estimator : str
-        Name for reports.
-    iterations : int
-        Iterations in all.
-    began : float
-        ``time.perf_counter()`` at the start.
-    coloured : str
-        ``"auto"``, ``"never"`` or ``"always"``.
+    how : Procedure
     weighed : bool
         Whether the covariance holds the colour of the residuals; otherwise it is only said
         whether they have one.
     """
     if solution is None:
-        return failed(shooting, estimated, estimator, iterations, began)
+        return _failed(shooting, how)
     unknowns = solution.point.unknowns
     reduced = ReducedProblem(shooting, solution.linearisation, unknowns)
-    information = reduced.information
-    covariance = information.covariance
-    use = coloured == "always" or (coloured == "auto" and reduced.is_coloured)
-    scattered = coloured == "always" or (coloured == "auto" and reduced.told.stray(covariance))
+    runs = [shooting.run(unknowns, index) for index in range(len(shooting.records))]
+    fit = how.fit(
+        shooting, unknowns, (solution.reason, solution.cost), reduced.information,
+        [(run.outputs, run.states) for run in runs], reduced.sources,
+    )  # fmt: skip
+    covariance, use = fit.covariance, how.asks(reduced.is_coloured)
+    scattered = how.asks(reduced.told.stray(covariance))
     if ((use or scattered) and weighed) or shooting.loss is not None:
         covariance = reduced.sandwich(covariance, coloured=use, scattered=scattered)
-    paths = []
-    for index, record in enumerate(shooting.records):
-        values, (z0, _) = shooting.values(unknowns, index), shooting.full_start(unknowns, index)
-        run = shooting.kernel.run(record.times, record.inputs, values, z0)
-        paths.append((run.outputs, run.states))
-    found = Found(
-        estimator, estimated, began, iterations, solution.reason, solution.cost,
-        information, covariance, use, reduced.sources, paths,
-    )  # fmt: skip
-    fit = found.fit(shooting, unknowns, shooting.sigma)
     tests = any(record.independent for record in shooting.records)
-    return replace(fit, tests_scatter=scattered and tests)
+    scattered = scattered and tests
+    return replace(fit, covariance=covariance, coloured=use, tests_scatter=scattered)
 
 
-def failed(
-    shooting: Shooting, estimated: np.ndarray, estimator: str, iterations: int, began: float
-) -> Fit:
+def _failed(shooting: Shooting, how: Procedure) -> Fit:
     """The result where no trajectory is finite: start values, of which nothing is known."""
     layout = shooting.layout
     n, n_full = len(layout.shared), shooting.kernel.n_full
@@ -183,25 +166,13 @@ def failed(
         (np.full(record.outputs.shape, np.nan), np.full((record.n_samples, n_full), np.nan))
         for record in shooting.records
     ]
-    found = Found(
-        estimator, estimated, began, iterations, "diverged", np.inf,
-        Information(layout.shared_names, np.zeros((n, n)), np.ones(n)),
-        np.diag(np.full(n, np.inf)) if n else np.zeros((0, 0)), False, None, paths,
-    )  # fmt: skip
-    fit = found.fit(shooting, shooting.start_unknowns(), shooting.sigma)
+    nothing = Information(layout.shared_names, np.zeros((n, n)), np.ones(n))
+    fit = how.fit(shooting, shooting.start_unknowns(), ("diverged", np.inf), nothing, paths)
     unknown = tuple(np.full(layout.n_own, np.nan) for _ in shooting.records)
     return replace(fit, initial_states=unknown, local_values=({},) * len(unknown), start_states=())
 
 
-def summarise_filtered(
-    solution: FilteredSolution,
-    estimated: np.ndarray,
-    estimator: str,
-    iterations: int,
-    began: float,
-    *,
-    coloured: str = "auto",
-) -> Fit:
+def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
     r"""Build the result of an estimation with disturbance forces from its last iterate.
 
     With the information ``H`` of all unknowns, start states, per-record parameters and
@@ -212,17 +183,7 @@ def summarise_filtered(
     Parameters
     ----------
     solution : FilteredSolution
-    estimated : ndarray of bool (n_outputs,)
-        Which white levels nobody had declared.
-    estimator : str
-        Name for reports.
-    iterations : int
-        Iterations in all.
-    began : float
-        ``time.perf_counter()`` at the start.
-    coloured : str
-        Unless ``"never"``, residuals of independent tests tell their part of the errors where
-        they are larger than declared; see :mod:`oed_sysid.likelihood.covariance`.
+    how : Procedure
     """
     problem, unknowns = solution.problem, solution.point.unknowns
     layout, limits = problem.layout, problem.limits
@@ -245,21 +206,20 @@ def summarise_filtered(
     if peaks:
         period = max(peak.period for peak in peaks)
         white = covariance = widened(problem, unknowns, matrix, covariance, period)
-    if coloured != "never":
+    if how.coloured != "never":
         covariance = _with_stray_tests(problem, unknowns, matrix, information, covariance)
     paths = []
     for index in range(len(problem.records)):
         outputs, path, _ = problem.alone(unknowns, index)
         paths.append((outputs, path if problem.own is None else path[:, problem.own]))
     cost = 0.5 * sum(part.square for part in passes) + problem.prior_cost(unknowns)
-    noise = problem.noise(unknowns)
-    found = Found(
-        estimator, estimated, began, iterations, solution.reason, cost, information, covariance,
-        bool(peaks), _sources(problem, unknowns, passes), paths,
-    )  # fmt: skip
+    sources = _sources(problem, unknowns, passes)
+    fit = how.fit(problem, unknowns, (solution.reason, cost), information, paths, sources)
     return replace(
-        found.fit(problem, unknowns, noise.white),
-        noise=noise,
+        fit,
+        covariance=covariance,
+        coloured=bool(peaks),
+        noise=problem.noise(unknowns),
         noise_std=_level_errors(solution, matrix),
         innovations=tuple(part.innovations for part in passes),
         innovation_std=tuple(
@@ -371,12 +331,8 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
     where = np.arange(block.start, block.stop)
     others = problem.open_unknowns(0)
     reduced = eliminate(matrix, where, others[others < block.start])
-    open_ = np.diag(reduced) > 0
-    errors = np.full(len(where), np.inf)
-    # In units of their own information: variances and logarithms differ by many decades.
-    size = np.sqrt(np.diag(reduced)[open_])
-    inner = np.linalg.pinv(reduced[np.ix_(open_, open_)] / size[:, None] / size, hermitian=True)
-    errors[open_] = np.sqrt(np.maximum(np.diag(inner), 0.0)) / size
+    variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
+    errors = np.where(np.diag(reduced) > 0, np.sqrt(variances), np.inf)
     found = {}
     for name, value, error in zip(levels.names, unknowns[block], errors, strict=True):
         if name.endswith("level"):

@@ -46,6 +46,7 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
@@ -88,7 +89,7 @@ class WholeRun:
     @classmethod
     def at(cls, shooting: Shooting, unknowns: np.ndarray) -> WholeRun:
         """The run at given unknowns."""
-        outputs = _simulated(shooting, unknowns)
+        outputs = shooting.run(unknowns, 0).outputs
         found = shooting.linearise(shooting.continuous(unknowns))
         if found is None:
             return cls(shooting, unknowns, outputs, None)
@@ -194,7 +195,7 @@ class WholeRun:
 
     def simulated(self, unknowns: np.ndarray) -> np.ndarray:
         """Outputs at other unknowns, ``(n_times, n_outputs)``."""
-        return _simulated(self.shooting, unknowns)
+        return self.shooting.run(unknowns, 0).outputs
 
     def drawn(
         self, noise: NoiseModel, unknowns: np.ndarray, rng: np.random.Generator
@@ -243,12 +244,6 @@ class WholeRun:
                     noise.colour[column], noise.colour_time[column], times, rng
                 )
         return found
-
-
-def _simulated(shooting: Shooting, unknowns: np.ndarray) -> np.ndarray:
-    record, values = shooting.records[0], shooting.values(unknowns, 0)
-    z0, _ = shooting.full_start(unknowns, 0)
-    return shooting.kernel.run(record.times, record.inputs, values, z0).outputs
 
 
 def _begun(
@@ -570,11 +565,7 @@ def _starts(fit: Estimate) -> list[tuple[np.ndarray, Mapping[str, float]]] | Non
 
 def _scatter(fit: Estimate) -> np.ndarray:
     """Root of the covariance of the shared parameters, ``(n_shared, n_shared)``; known ones."""
-    shared = [p.name for p in fit.model.free_parameters if not p.per_record]
-    covariance = np.zeros((len(shared), len(shared)))
-    known = [i for i, name in enumerate(shared) if name in fit.names]
-    columns = [fit.names.index(shared[i]) for i in known]
-    covariance[np.ix_(known, known)] = fit.covariance[np.ix_(columns, columns)]
+    covariance = fit.shared_covariance
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -718,10 +709,7 @@ class _Estimator:
         if not shared:
             held = runs[0].shared
             matrix[held], matrix[:, held] = 0.0, 0.0
-        scale = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-        scaled = matrix / scale[:, None] / scale
-        inverse = np.linalg.pinv(scaled, rcond=SINGULAR, hermitian=True) / scale[:, None] / scale
-        return cls(tuple(rows), tuple(columns), inverse)
+        return cls(tuple(rows), tuple(columns), inverse_of(matrix))
 
     def leaves(self, away: Sequence[np.ndarray]) -> np.ndarray:
         """Sums of squares that are left of whitened departures, ``(n_draws, n_outputs)``."""

@@ -15,7 +15,7 @@ is the mean of :math:`\psi, r` given all measurements (Rauch, Tung & Striebel, A
 1965), here from the banded normal equations. What is regressed on such a mean is not attenuated
 by the sensors' noise (Carroll et al., *Measurement Error in Nonlinear Models*, 2006, chapter 4).
 
-**A rudder that follows its order at a limited rate and angle** (:func:`fit_machine`),
+**A rudder that follows its order at a limited rate and angle** (:class:`_Machine`),
 
 .. math::
     w_k = \Phi_k \beta, \qquad
@@ -49,23 +49,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, expm
 from scipy.optimize import least_squares, minimize
+from scipy.special import ndtri
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-
-# Median absolute deviation of a normal distribution of unit standard deviation.
-MAD = 0.6745
-
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Noise below this is none: rad, and rad per sample.
 LEAST_NOISE = 1e-7
-
-
-LEAST_HEADINGS = 10
-
-
-# Bounds of alpha, kappa, gamma and lambda, per step.
-RATES = np.array([[0.0, -np.inf, 0.0, -np.inf], [2.0, np.inf, 2.0, np.inf]])
+# Headings that can be smoothed, samples that a law needs and that a course is held at least.
+LEAST_SAMPLES = 16
+# Bounds of the logarithms of three levels of noise, and of alpha, kappa, gamma and lambda, per
+# step: noise that is not nothing, and a ship that does not explode.
+BOUNDS = np.array(
+    [[np.log(LEAST_NOISE)] * 3 + [0.0, -np.inf, 0.0, -np.inf], [np.inf] * 3 + [2.0, np.inf] * 2]
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +193,7 @@ def smooth_heading(
     Raises
     ------
     DataError
-        If fewer than ten headings were measured.
+        If fewer than 16 headings were measured.
 
     Examples
     --------
@@ -210,10 +208,10 @@ def smooth_heading(
     2.0 mrad/s instead of 5
     """
     times, psi = record.times, record.output(heading)
-    if np.isfinite(psi).sum() < LEAST_HEADINGS:
+    if np.isfinite(psi).sum() < LEAST_SAMPLES:
         raise DataError(
             f"Record {record.name!r} has {np.isfinite(psi).sum()} samples of {heading!r}; a law of "
-            f"steering needs {LEAST_HEADINGS}. Give the law."
+            f"steering needs {LEAST_SAMPLES}. Give the law."
         )
     known = yaw_rate in record.channels.output_names
     step = float(np.median(np.diff(times)))
@@ -221,34 +219,26 @@ def smooth_heading(
     middle = float(np.nanmedian(psi))
     turning = record.input(rudder)
     equations = _Equations(times, psi - middle, turned, turning)
-    least = np.log(LEAST_NOISE)
 
-    def within(levels: np.ndarray) -> np.ndarray:
-        """Levels of noise that are not nothing, and a ship that does not explode."""
-        return np.array([*np.maximum(levels[:3], least), *np.clip(levels[3:], *RATES)])
-
-    def fitted(first: np.ndarray, sizes: np.ndarray) -> np.ndarray:
+    def fitted(first: np.ndarray, *sizes: float) -> np.ndarray:
         """Levels of the largest likelihood; those of size zero stay."""
-        free = sizes != 0
-        simplex = first[free] + np.vstack([np.zeros(free.sum()), np.diag(sizes[free])])
+        free = np.array(sizes) != 0
+        simplex = first[free] + np.vstack(
+            [np.zeros(free.sum()), np.diag(sizes)[np.ix_(free, free)]]
+        )
         start = first.copy()
 
         def value(some: np.ndarray) -> float:
             start[free] = some
-            return equations.solve(within(start))[0]
+            return equations.solve(np.clip(start, *BOUNDS))[0]
 
         options = {"xatol": 1e-2, "fatol": 1e-2, "maxfev": 600, "initial_simplex": simplex}
         start[free] = minimize(value, first[free], method="Nelder-Mead", options=options).x
-        return within(start)
+        return np.clip(start, *BOUNDS)
 
-    first = np.log(
-        [
-            _noise(psi, 3),
-            _noise(turned, 2) if np.isfinite(turned).any() else 1.0,
-            0.1 * _noise(np.diff(psi), 1),
-        ]
-    )
-    levels = fitted(np.array([*first, 0, 0, 0, 0]), np.array([1.5, 1.5, 1.5, 0, 0, 0, 0]))
+    noise = [white_noise(psi, 3), white_noise(turned, 2), 0.1 * white_noise(np.diff(psi), 1)]
+    guess = np.log(np.maximum(noise, [10 * LEAST_NOISE] * 2 + [LEAST_NOISE]))
+    levels = fitted(np.array([*guess, 0, 0, 0, 0]), 1.5, 1.5, 1.5, 0, 0, 0, 0)
     if np.ptp(turning) > 0:
         _, states, _ = equations.solve(levels)
         gone = np.column_stack([-states[:-1, 1], turning[:-1], np.ones(len(times) - 1)])
@@ -256,8 +246,8 @@ def smooth_heading(
         alpha = max(alpha, 0.01)
         levels[3:5] = alpha, kappa
         turns = np.array([0.3 * alpha, 0.3 * abs(kappa), alpha, 0.3 * alpha * abs(kappa)])
-        levels = fitted(levels, np.array([0.5, 0.5, 1.0, *turns[:2], 0, 0]))
-        levels = fitted(levels, np.array([0.2, 0.2, -0.5, *turns]))
+        levels = fitted(levels, 0.5, 0.5, 1.0, *turns[:2], 0, 0)
+        levels = fitted(levels, 0.2, 0.2, -0.5, *turns)
     _, states, factor = equations.solve(levels)
     others = np.empty((len(times), 2))
     seen = equations.seen
@@ -265,33 +255,25 @@ def smooth_heading(
         equations.seen = seen.copy()
         equations.seen[half::2] = False
         others[half::2] = equations.solve(levels)[1][half::2, :2]
-    noise = np.exp(levels[:2])
+    sigma = np.exp(levels[:2])
     acceleration = -levels[3] * states[:, 1] + levels[4] * turning + states[:, 2]
     return SmoothHeading(
-        times,
-        states[:, 0] + middle,
-        states[:, 1] / step,
-        acceleration / step**2,
-        float(noise[0]),
-        float(noise[1] / step) if known else np.nan,
-        others * [1.0, 1 / step] + [middle, 0.0],
-        float(levels[4] / step**2),
-        factor,
-    )
+        times, states[:, 0] + middle, states[:, 1] / step, acceleration / step**2,
+        float(sigma[0]), float(sigma[1] / step) if known else np.nan,
+        others * [1.0, 1 / step] + [middle, 0.0], float(levels[4] / step**2), factor,
+    )  # fmt: skip
 
 
-def _noise(series: np.ndarray, order: int) -> float:
-    """Standard deviation of white noise on a smooth series, from its differences."""
+def white_noise(series: np.ndarray, order: int = 2) -> float:
+    r"""Standard deviation of white noise on a smooth series; one for a series without numbers.
+
+    From the median of its differences, which hold :math:`\binom{2n}{n}` times its variance.
+    """
     change = np.diff(series[np.isfinite(series)], order)
-    squares = {1: 2, 2: 6, 3: 20}[order]
-    spread = float(np.median(np.abs(change))) / MAD / np.sqrt(squares) if change.size else 0.0
-    return max(spread, 10 * LEAST_NOISE)
-
-
-def rudder_noise(rudder: np.ndarray) -> float:
-    """Noise of a logged rudder, rad; nothing where it is held and moved evenly."""
-    change = np.diff(rudder, 2)
-    return float(np.median(np.abs(change))) / MAD / np.sqrt(6)
+    if not change.size:
+        return 1.0
+    spread = float(np.median(np.abs(change)) / ndtri(0.75))
+    return spread / math.sqrt(math.comb(2 * order, order))
 
 
 # Residuals below this are rounding, rad.
@@ -326,20 +308,11 @@ class Followed:
         """Sum of squares of the residuals, those of rounding included."""
         return float((self.residuals**2).sum()) + len(self.residuals) * LEAST_RESIDUAL**2
 
-    @property
-    def n_parameters(self) -> int:
-        """How many numbers were fitted."""
-        return len(self.law) + 1 + math.isfinite(self.rate) + math.isfinite(self.limit)
-
-    @property
-    def memory(self) -> float:
-        """Correlation of the residuals from sample to sample."""
-        return correlation(self.residuals)
-
     def criterion(self, n_changes: int = 0) -> float:
         """Bayesian information criterion; each time of a change is one more number."""
         n = len(self.residuals)
-        return n * math.log(self.squares / n) + (self.n_parameters + n_changes) * math.log(n)
+        fitted = len(self.law) + 1 + math.isfinite(self.rate) + math.isfinite(self.limit)
+        return n * math.log(self.squares / n) + (fitted + n_changes) * math.log(n)
 
 
 def follow(
@@ -357,115 +330,21 @@ def follow(
         Time at the largest rate since then, with its sign, s.
     """
     wanted = np.clip(orders, -limit, limit)
-    if math.isinf(rate):
-        rudder = wanted.copy()
-        rudder[0] = first
-        origin = np.arange(len(times))
-        origin[0] = -1
-        return rudder, origin, np.zeros(len(times))
-    reached, origins, moved = [first], [-1], [0.0]
-    last, since, total = first, -1, 0.0
+    path = [(first, -1, 0.0)]
     steps = np.diff(times).tolist()
     for k, (order, step) in enumerate(zip(wanted[1:].tolist(), steps, strict=True), start=1):
+        last, since, total = path[-1]
         change = order - last
-        if abs(change) <= rate * step:
-            last, since, total = order, k, 0.0
-        else:
-            ahead = math.copysign(step, change)
-            last, total = last + rate * ahead, total + ahead
-        reached.append(last)
-        origins.append(since)
-        moved.append(total)
-    return np.array(reached), np.array(origins), np.array(moved)
-
-
-def fit_machine(
-    regressors: np.ndarray,
-    times: np.ndarray,
-    rudder: np.ndarray,
-    *,
-    law: np.ndarray,
-    rate: float = math.inf,
-    limit: float = math.inf,
-    first: float | None = None,
-    n_steps: int = 60,
-) -> Followed:
-    """Fit law, first rudder and, where they are finite, rate and limit to a logged rudder.
-
-    Parameters
-    ----------
-    regressors : ndarray (n_times, n_regressors)
-        The order is their product with the law.
-    times, rudder : ndarray (n_times,)
-        s and rad.
-    law : ndarray (n_regressors,)
-        Start values.
-    rate, limit : float
-        Start values, rad/s and rad; inf where there is none.
-    first : float, optional
-        Start value, rad; the first sample by default.
-    n_steps : int
-        Most evaluations.
-    """
-    n = regressors.shape[1]
-    rated, limited = math.isfinite(rate), math.isfinite(limit)
-
-    def parts(values: np.ndarray) -> tuple[np.ndarray, float, float, float]:
-        """Law, first rudder, rate and limit."""
-        more = list(values[n + 1 :])
-        allowed = abs(more.pop(0)) if rated else math.inf
-        return values[:n], float(values[n]), allowed, abs(more.pop(0)) if limited else math.inf
-
-    def errors(values: np.ndarray) -> np.ndarray:
-        beta, begin, allowed, most = parts(values)
-        return follow(regressors @ beta, times, begin, allowed, most)[0] - rudder
-
-    def slopes(values: np.ndarray) -> np.ndarray:
-        beta, begin, allowed, most = parts(values)
-        orders = regressors @ beta
-        _, origin, moved = follow(orders, times, begin, allowed, most)
-        free = (origin >= 0) & (np.abs(orders[origin]) < most)
-        table = np.zeros((len(times), len(values)))
-        table[:, :n] = regressors[origin] * free[:, None]
-        table[:, n] = origin < 0
-        if rated:
-            table[:, n + 1] = moved
-        if limited:
-            table[:, -1] = np.sign(orders[origin]) * ((origin >= 0) & ~free)
-        return table
-
-    start = [*law, rudder[0] if first is None else first]
-    start += [rate] * rated + [limit] * limited
-    found = least_squares(errors, start, jac=slopes, x_scale="jac", max_nfev=n_steps)
-    beta, begin, allowed, most = parts(found.x)
-    whole = _covariance(found.jac, found.fun)
-    position = [*range(n)]
-    covariance = np.zeros((n + 2, n + 2))
-    into = [*range(n)]
-    if rated:
-        position.append(n + 1)
-        into.append(n)
-    if limited:
-        position.append(len(found.x) - 1)
-        into.append(n + 1)
-    covariance[np.ix_(into, into)] = whole[np.ix_(position, position)]
-    return Followed(beta, begin, allowed, most, covariance, -found.fun)
-
-
-def _covariance(jacobian: np.ndarray, residuals: np.ndarray) -> np.ndarray:
-    """Covariance of least squares with correlated residuals."""
-    count = jacobian.shape[1]
-    size = np.sqrt((jacobian**2).sum(axis=0))
-    size = np.where(size > 0, size, 1.0)
-    scaled = jacobian / size
-    inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
-    return variance(residuals, count) * inverse / np.outer(size, size)
+        ahead = math.copysign(step, change)
+        free = abs(change) <= rate * step
+        path.append((order, k, 0.0) if free else (last + rate * ahead, since, total + ahead))
+    rudder, origin, moved = zip(*path, strict=True)
+    return np.array(rudder), np.array(origin), np.array(moved)
 
 
 def variance(residuals: np.ndarray, n_parameters: int) -> float:
     """Variance of residuals, raised as if fewer of them were independent: AR(1)."""
-    n = len(residuals)
-    whole = float((residuals**2).sum()) / max(n - n_parameters, 1)
+    whole = float((residuals**2).sum()) / max(len(residuals) - n_parameters, 1)
     memory = np.clip(correlation(residuals), 0.0, 0.95)
     return whole * float((1 + memory) / (1 - memory))
 
@@ -478,38 +357,15 @@ def correlation(residuals: np.ndarray) -> float:
 
 # Share of what changes of course leave that heading and yaw rate have to explain.
 LEAST_EXPLAINED = 0.5
-
-
 # Share of the variance that changes alone have to leave; a zigzag's rudder is all changes.
 LEAST_LEFT = 0.1
-
-
-# Standard errors from which on a sign is one.
-SIGNIFICANT = 2.0
-
-
 # Share of the largest rate from which on a start value counts a sample as limited.
 AT_RATE = 0.75
-
-
-# Samples that a course is held at least, and that a law needs.
-LEAST_HELD = 16
-
-
-LEAST_SAMPLES = 20
-
-
 # A change of course has to lower the sum of squares by this share, and by this of the rudder's.
 LEAST_GAIN = 0.25
-
-
 LEAST_OF_RUDDER = 1e-3
-
-
 # A rudder that moves less than this is constant, rad.
 CONSTANT = 1e-4
-
-
 # Times at which a change is sought, at most.
 MOST_TIMES = 400
 
@@ -527,16 +383,14 @@ class CourseFit:
         Samples at which the level changes.
     sees_noise : bool
         Whether the law saw the logged noise of the sensors.
-    explained, beyond_changes : float
-        Share of the rudder's variance that the law explains, and of what changes alone leave.
+    explained : float
+        Share of the rudder's variance that the law explains.
     """
 
     followed: Followed
     changes: tuple[int, ...]
     sees_noise: bool
     explained: float
-    beyond_changes: float
-    smooth: SmoothHeading = field(repr=False)
 
 
 def fit_course_law(
@@ -550,7 +404,7 @@ def fit_course_law(
 ) -> CourseFit:
     """Fit the law; see :meth:`oed_sysid.prediction.laws.CourseControl.of`."""
     rudder, times = record.input(input), record.times
-    record.output(yaw_rate)
+    measured = np.column_stack([record.output(heading), record.output(yaw_rate)])
     if len(times) < LEAST_SAMPLES:
         raise DataError(
             f"Record {record.name!r} has {len(times)} samples; a law needs {LEAST_SAMPLES}. Give "
@@ -562,274 +416,265 @@ def fit_course_law(
             "with it. Replay the logged input, or give the law."
         )
     smooth = smooth_heading(record, input, heading=heading, yaw_rate=yaw_rate)
-    clean = (smooth.heading, smooth.yaw_rate)
-    logged = tuple(
-        np.where(np.isfinite(record.output(name)), record.output(name), series)
-        for name, series in zip((heading, yaw_rate), clean, strict=True)
-    )
-    found = []
-    for sees_noise, (psi, r) in ((True, logged), (False, clean)):
-        columns = np.column_stack([-psi, -r] if courses is None else [courses - psi, -r])
-        followed, changes = _fit(columns, times, rudder, 0 if courses is not None else most_changes)
-        found.append((followed.criterion(len(changes)), sees_noise, followed, changes))
-    _, sees_noise, followed, changes = min(found, key=lambda one: one[0])
+    clean = np.column_stack([smooth.heading, smooth.yaw_rate])
+    ordered = np.zeros((len(times), 2))
+    if courses is not None:
+        ordered[:, 0], most_changes = courses, 0
+    fits = []
+    for seen in (np.where(np.isfinite(measured), measured, clean), clean):
+        machine = _Machine(ordered - seen, times, rudder)
+        fits.append((machine, *machine.fitted(most_changes)))
+    machine, followed, changes = min(fits, key=lambda one: one[1].criterion(len(one[2])))
+    sees_noise = machine is fits[0][0]
     if not sees_noise:
-        measured = np.column_stack([record.output(heading), record.output(yaw_rate)])
-        ordered = np.zeros((len(times), 2))
-        if courses is not None:
-            ordered[:, 0] = courses
-        followed = _instrumented(
-            followed, changes, ordered - measured, ordered - smooth.others, times, rudder
-        )
+        others = replace(machine, columns=ordered - smooth.others)
+        followed = others.instrumented(followed, changes, ordered - measured)
     # Changes alone: the same number of them and a rate, without heading and yaw rate.
-    nothing = np.empty((len(times), 0)) if courses is None else courses[:, None]
-    alone, _ = _fit(nothing, times, rudder, len(changes), all_of_them=True)
-    whole = float(((rudder - rudder.mean()) ** 2).sum())
-    fit = CourseFit(
-        followed,
-        changes,
-        sees_noise,
-        1 - followed.squares / max(whole, 1e-300),
-        1 - followed.squares / alone.squares,
-        smooth,
-    )
-    if alone.squares < LEAST_LEFT * whole:
+    without = replace(machine, columns=ordered[:, : int(courses is not None)])
+    alone = without.fitted(len(changes), all_of_them=True)[0].squares
+    whole = machine.whole
+    if alone < LEAST_LEFT * whole:
         raise DataError(
-            f"{len(changes)} steps of the rudder alone explain "
-            f"{100 * (1 - alone.squares / whole):.0f} % of {input!r} in record {record.name!r}: it "
-            "was stepped, as in a zigzag or an open-loop manoeuvre, and no helmsman held a course "
-            "there. Use ZigzagControl, or replay the logged input."
+            f"{len(changes)} steps of the rudder alone explain {100 * (1 - alone / whole):.0f} % "
+            f"of {input!r} in record {record.name!r}: it was stepped, as in a zigzag or an "
+            "open-loop manoeuvre, and no helmsman held a course there. Use ZigzagControl, or "
+            "replay the logged input."
         )
-    _check(fit, record, input, rudder)
-    return fit
-
-
-def _check(fit: CourseFit, record: Record, input: str, rudder: np.ndarray) -> None:
-    """Refuse what is no course law."""
-    advice = "Give the law, or replay the logged input."
+    explained = 1 - followed.squares / max(whole, 1e-300)
     where = f"of {input!r} in record {record.name!r}"
-    share = min(fit.beyond_changes, fit.explained)
+    share = min(1 - followed.squares / alone, explained)
     if not share >= LEAST_EXPLAINED:
         raise DataError(
             f"Heading and yaw rate explain {100 * max(share, 0):.0f} % {where} beyond "
-            f"{len(fit.changes)} changes of course, {100 * LEAST_EXPLAINED:.0f} % are needed: no "
-            f"helmsman held a course there. {advice}"
+            f"{len(changes)} changes of course, {100 * LEAST_EXPLAINED:.0f} % are needed: no "
+            f"helmsman held a course there. {ADVICE}"
         )
-    side = math.copysign(1.0, fit.smooth.effect)
-    errors = np.sqrt(np.diag(fit.followed.covariance)[:2])
-    (gain, damping), (gain_error, damping_error) = side * fit.followed.law[:2], errors
-    if abs(gain) < SIGNIFICANT * gain_error:
+    _check(followed, math.copysign(1.0, smooth.effect), where)
+    return CourseFit(followed, changes, sees_noise, explained)
+
+
+ADVICE = "Give the law, or replay the logged input."
+
+
+def _check(followed: Followed, side: float, where: str) -> None:
+    """Refuse gains that hold no course with a rudder that turns the ship to a side."""
+    gain, damping = side * followed.law[:2]
+    errors = np.sqrt(np.diag(followed.covariance)[:2])
+    said = f"The gain {where} is {followed.law[0]:.3g} with a standard error of {errors[0]:.2g}:"
+    if abs(gain) < TWO_SIDED_95 * errors[0]:
         raise DataError(
-            f"The gain {where} is {fit.followed.law[0]:.3g} with a standard error of "
-            f"{gain_error:.2g}: the record does not determine it. Take one in which the course is "
-            "changed, or give the law."
+            f"{said} the record does not determine it. Take one in which the course is changed, or "
+            "give the law."
         )
     if gain <= 0:
+        raise DataError(f"{said} this rudder does not turn the ship back to a course. {ADVICE}")
+    if damping < -TWO_SIDED_95 * errors[1]:
         raise DataError(
-            f"The gain {where} is {fit.followed.law[0]:.3g} with a standard error of "
-            f"{gain_error:.2g}: this rudder does not turn the ship back to a course. {advice}"
-        )
-    if damping < -SIGNIFICANT * damping_error:
-        raise DataError(
-            f"The damping {where} is {fit.followed.law[1]:.3g} s with a standard error of "
-            f"{damping_error:.2g} s, of the sign that drives the turn: no helmsman held a course "
-            f"there. {advice}"
+            f"The damping {where} is {followed.law[1]:.3g} s with a standard error of "
+            f"{errors[1]:.2g} s, of the sign that drives the turn: no helmsman held a course "
+            f"there. {ADVICE}"
         )
 
 
-def _instrumented(
-    followed: Followed,
-    changes: tuple[int, ...],
-    measured: np.ndarray,
-    others: np.ndarray,
-    times: np.ndarray,
-    rudder: np.ndarray,
-) -> Followed:
-    """Law by instrumental variables where the rudder is off its limits.
+@dataclass(frozen=True, eq=False)
+class _Machine:
+    """A logged rudder, and the columns that are to explain it beside a level that changes."""
 
-    The measured columns hold noise that the law did not see; the instruments, smoothed from
-    other samples, do not, and so do not attenuate, however good the smoother's model is
-    (Soderstrom & Stoica, *System Identification*, 1989, chapter 8).
-    """
-    table, instruments = _levels(measured, changes), _levels(others, changes)
-    orders = rudder - followed.residuals
-    _, origin, _ = follow(
-        _levels(others, changes) @ followed.law,
-        times,
-        followed.first,
-        followed.rate,
-        followed.limit,
-    )
-    off = (origin == np.arange(len(times))) & np.isfinite(measured).all(axis=1)
-    off &= np.abs(orders) < 0.99 * followed.limit
-    if off.sum() < LEAST_SAMPLES or np.linalg.matrix_rank(instruments[off]) < table.shape[1]:
-        return followed
-    table, instruments = table[off], instruments[off]
-    inverse = np.linalg.pinv(instruments.T @ table)
-    law = inverse @ (instruments.T @ rudder[off])
-    covariance = followed.covariance.copy()
-    n = len(law)
-    covariance[:n] = covariance[:, :n] = 0.0
-    spread = variance(rudder[off] - table @ law, n)
-    covariance[:n, :n] = spread * inverse @ (instruments.T @ instruments) @ inverse.T
-    return replace(followed, law=law, covariance=covariance)
+    columns: np.ndarray
+    times: np.ndarray
+    rudder: np.ndarray
 
+    @property
+    def whole(self) -> float:
+        """Sum of squares of the rudder about its mean."""
+        return float(((self.rudder - self.rudder.mean()) ** 2).sum())
 
-def _fit(
-    columns: np.ndarray,
-    times: np.ndarray,
-    rudder: np.ndarray,
-    most_changes: int,
-    *,
-    all_of_them: bool = False,
-) -> tuple[Followed, tuple[int, ...]]:
-    """Fit with the rate limit that explains the rudder best, or none."""
-    starts = _rates(times, rudder)
-    sought = []
-    for changes in {_seek_changes(columns, rudder, off, most_changes) for _, off in starts}:
-        followed = _best_rate(columns, times, rudder, changes, starts)
-        sought.append(_refine(columns, times, rudder, changes, followed))
-    followed, changes = min(sought, key=lambda one: one[0].squares)
-    whole = float(((rudder - rudder.mean()) ** 2).sum())
-    best = (followed.criterion(len(changes)), followed, changes)
-    while changes and not all_of_them:
-        # Without the change that matters least.
-        fewer = [(*changes[:i], *changes[i + 1 :]) for i in range(len(changes))]
-        tried = [(_without(columns, times, rudder, some, followed), some) for some in fewer]
-        followed, changes = min(tried, key=lambda one: one[0].squares)
-        again = _best_rate(columns, times, rudder, changes, starts)
-        followed = min(followed, again, key=lambda one: one.squares)
-        followed, changes = _refine(columns, times, rudder, changes, followed)
-        value = followed.criterion(len(changes))
-        lost = followed.squares - best[1].squares
-        negligible = lost < LEAST_GAIN * followed.squares or lost < LEAST_OF_RUDDER * whole
-        if value <= best[0] or negligible:
-            best = (value, followed, changes)
-    followed, changes = best[1:]
-    limit = float(np.abs(rudder).max()) - rudder_noise(rudder)
-    if (np.abs(rudder) > 0.97 * limit).sum() > 3:
-        table = _levels(columns, changes)
-        more = fit_machine(table, times, rudder, law=followed.law, rate=followed.rate, limit=limit)
-        followed = min(followed, more, key=lambda one: one.criterion())
-    return followed, changes
+    def table(self, changes: tuple[int, ...]) -> np.ndarray:
+        """Regressors of the law: columns, a level, and a step at each change."""
+        index = np.arange(len(self.columns))[:, None]
+        return np.hstack([self.columns, (index >= np.array([0, *changes])).astype(float)])
 
+    def fit(
+        self,
+        changes: tuple[int, ...],
+        law: np.ndarray,
+        rate: float,
+        *,
+        limit: float = math.inf,
+        first: float | None = None,
+        n_steps: int = 60,
+    ) -> Followed:
+        """Fit law, first rudder and, where they are finite, rate and limit from start values."""
+        table, n = self.table(changes), len(law)
+        start = np.array([*law, self.rudder[0] if first is None else first, rate, limit])
+        free = np.isfinite(start)
 
-def _best_rate(
-    columns: np.ndarray,
-    times: np.ndarray,
-    rudder: np.ndarray,
-    changes: tuple[int, ...],
-    starts: list[tuple[float, np.ndarray]],
-) -> Followed:
-    """Fit from each start value of the rate, the law by regression off it."""
-    table = _levels(columns, changes)
-    found = []
-    for rate, off in starts:
-        law, *_ = np.linalg.lstsq(table[off], rudder[off], rcond=None)
-        found.append(fit_machine(table, times, rudder, law=law, rate=rate, n_steps=12))
-    return min(found, key=lambda one: one.squares)
+        def parts(some: np.ndarray) -> np.ndarray:
+            """Law, first rudder, rate and limit."""
+            values = start.copy()
+            values[free] = some
+            return np.append(values[: n + 1], np.abs(values[n + 1 :]))
 
+        def errors(some: np.ndarray) -> np.ndarray:
+            values = parts(some)
+            return follow(table @ values[:n], self.times, *values[n:])[0] - self.rudder
 
-def _without(
-    columns: np.ndarray,
-    times: np.ndarray,
-    rudder: np.ndarray,
-    changes: tuple[int, ...],
-    followed: Followed,
-) -> Followed:
-    """Fit with fewer changes, quickly."""
-    table = _levels(columns, changes)
-    orders = rudder - followed.residuals
-    law, *_ = np.linalg.lstsq(table, orders, rcond=None)
-    law[: columns.shape[1]] = followed.law[: columns.shape[1]]
-    return fit_machine(table, times, rudder, law=law, rate=followed.rate, n_steps=6)
+        def slopes(some: np.ndarray) -> np.ndarray:
+            values = parts(some)
+            orders = table @ values[:n]
+            _, origin, moved = follow(orders, self.times, *values[n:])
+            begun = origin >= 0
+            inside = begun & (np.abs(orders[origin]) < values[-1])
+            at_limit = np.sign(orders[origin]) * (begun & ~inside)
+            law_by = table[origin] * inside[:, None]
+            return np.column_stack([law_by, ~begun, moved, at_limit])[:, free]
 
-
-def _rates(times: np.ndarray, rudder: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Start values of the rate, and the samples off that limit; no limit first."""
-    noise = rudder_noise(rudder)
-    step = float(np.median(np.diff(times)))
-    free = np.ones(len(times), dtype=bool)
-    free[0] = False
-    rates: list[tuple[float, np.ndarray]] = [(math.inf, free)]
-    # Over so many samples a slope stands out of the noise.
-    largest = float(np.quantile(np.abs(np.diff(rudder)), 0.98))
-    width = int(np.clip(math.ceil((10 * noise / max(largest, 1e-12)) ** (2 / 3)), 1, 20))
-    slope = np.abs(rudder[width:] - rudder[:-width]) / (times[width:] - times[:-width])
-    for share in (1.0, 0.98, 0.9):
-        rate = float(np.quantile(slope, share))
-        at = np.flatnonzero(slope > AT_RATE * rate)
-        off = free.copy()
-        for k in at:
-            off[k + 1 : k + width + 1] = False
-        if (
-            (rate, width) not in [(r, width) for r, _ in rates]
-            and rate * step > noise / 3
-            and off.sum() > LEAST_SAMPLES
-            and rate > 0
-        ):
-            rates.append((rate, off))
-    return rates
-
-
-def _levels(columns: np.ndarray, changes: tuple[int, ...]) -> np.ndarray:
-    """Regressors of the law: columns, a level, and a step at each change."""
-    index = np.arange(len(columns))[:, None]
-    steps = (index >= np.array([0, *changes])[None, :]).astype(float)
-    return np.hstack([columns, steps])
-
-
-def _seek_changes(
-    columns: np.ndarray, rudder: np.ndarray, off: np.ndarray, most: int
-) -> tuple[int, ...]:
-    """Find changes of the level one by one, each where it lowers the sum of squares most."""
-    n = len(rudder)
-    stride = max(n // MOST_TIMES, 1)
-    times = np.arange(LEAST_HELD // 2, n - LEAST_HELD // 2, stride)
-    steps = (np.arange(n)[off][:, None] >= times[None, :]).astype(float)
-    changes: list[int] = []
-    while len(changes) < most:
-        allowed = np.all([np.abs(times - c) >= LEAST_HELD for c in changes], axis=0)
-        base, _ = np.linalg.qr(_levels(columns, tuple(changes))[off])
-        left = rudder[off] - base @ (base.T @ rudder[off])
-        across = steps - base @ (base.T @ steps)
-        size = (across**2).sum(axis=0)
-        value = np.where((size > 1e-6) & allowed, (left @ across) ** 2 / (size + 1e-12), 0.0)
-        if value.max() <= 0:
-            break
-        changes = sorted([*changes, int(times[value.argmax()])])
-    return tuple(changes)
-
-
-def _refine(
-    columns: np.ndarray,
-    times: np.ndarray,
-    rudder: np.ndarray,
-    changes: tuple[int, ...],
-    best: Followed,
-) -> tuple[Followed, tuple[int, ...]]:
-    """Fit the rudder machine, its changes moved sample by sample to where they fit best."""
-    reach = [1, 2, 3, 5, 8, 13, 20]
-    for _ in range(4):
-        moved = list(changes)
-        for i, now in enumerate(changes):
-            squares = []
-            for shift in (0, *reach, *(-s for s in reach)):
-                moved[i] = now + shift
-                bounds = [0, *moved, len(times)]
-                if shift and min(np.diff(bounds)) < LEAST_HELD // 2:
-                    continue
-                orders = _levels(columns, tuple(moved)) @ best.law
-                followed, *_ = follow(orders, times, best.first, best.rate, math.inf)
-                squares.append((float(((followed - rudder) ** 2).sum()), abs(shift), now + shift))
-            moved[i] = min(squares)[2]
-        if tuple(moved) == changes:
-            break
-        table = _levels(columns, tuple(moved))
-        again = fit_machine(
-            table, times, rudder, law=best.law, rate=best.rate, first=best.first, n_steps=30
+        found = least_squares(errors, start[free], jac=slopes, x_scale="jac", max_nfev=n_steps)
+        # Standard errors for correlated residuals, of columns scaled to one size.
+        size = np.sqrt((found.jac**2).sum(axis=0))
+        size = np.where(size > 0, size, 1.0)
+        scaled = found.jac / size
+        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+        covariance = np.zeros((len(start), len(start)))
+        covariance[np.ix_(free, free)] = (
+            variance(found.fun, len(found.x)) * inverse / np.outer(size, size)
         )
-        if again.squares >= best.squares:
-            break
-        best, changes = again, tuple(moved)
-    return best, changes
+        kept = [*range(n), n + 1, n + 2]
+        values = parts(found.x)
+        own, (begin, rate, limit) = values[:n], map(float, values[n:])
+        return Followed(own, begin, rate, limit, covariance[np.ix_(kept, kept)], -found.fun)
+
+    def fitted(
+        self, most_changes: int, *, all_of_them: bool = False
+    ) -> tuple[Followed, tuple[int, ...]]:
+        """Fit with the rate limit that explains the rudder best, or none, and with changes."""
+        starts = self.rates()
+        sought = []
+        for changes in {self.seek_changes(off, most_changes) for _, off in starts}:
+            sought.append(self.refined(changes, self.best_rate(changes, starts)))
+        followed, changes = min(sought, key=lambda one: one[0].squares)
+        best = followed, changes
+        while changes and not all_of_them:
+            # Without the change that matters least.
+            fewer = [(*changes[:i], *changes[i + 1 :]) for i in range(len(changes))]
+            tried = [(self.without(some, followed), some) for some in fewer]
+            followed, changes = min(tried, key=lambda one: one[0].squares)
+            again = self.best_rate(changes, starts)
+            followed = min(followed, again, key=lambda one: one.squares)
+            followed, changes = self.refined(changes, followed)
+            lost = followed.squares - best[0].squares
+            better = followed.criterion(len(changes)) <= best[0].criterion(len(best[1]))
+            if better or lost < max(LEAST_GAIN * followed.squares, LEAST_OF_RUDDER * self.whole):
+                best = followed, changes
+        followed, changes = best
+        limit = float(np.abs(self.rudder).max()) - white_noise(self.rudder)
+        if (np.abs(self.rudder) > 0.97 * limit).sum() > 3:
+            more = self.fit(changes, followed.law, followed.rate, limit=limit)
+            followed = min(followed, more, key=lambda one: one.criterion())
+        return followed, changes
+
+    def best_rate(
+        self, changes: tuple[int, ...], starts: list[tuple[float, np.ndarray]]
+    ) -> Followed:
+        """Fit from each start value of the rate, the law by regression off it."""
+        table = self.table(changes)
+        found = []
+        for rate, off in starts:
+            law, *_ = np.linalg.lstsq(table[off], self.rudder[off], rcond=None)
+            found.append(self.fit(changes, law, rate, n_steps=12))
+        return min(found, key=lambda one: one.squares)
+
+    def without(self, changes: tuple[int, ...], followed: Followed) -> Followed:
+        """Fit with fewer changes, quickly."""
+        n = self.columns.shape[1]
+        orders = self.rudder - followed.residuals
+        law, *_ = np.linalg.lstsq(self.table(changes), orders, rcond=None)
+        return self.fit(changes, np.append(followed.law[:n], law[n:]), followed.rate, n_steps=6)
+
+    def rates(self) -> list[tuple[float, np.ndarray]]:
+        """Start values of the rate, and the samples off that limit; no limit first."""
+        times, rudder = self.times, self.rudder
+        noise = white_noise(rudder)
+        free = np.arange(len(times)) > 0
+        found = [(math.inf, free)]
+        # Over so many samples a slope stands out of the noise.
+        largest = float(np.quantile(np.abs(np.diff(rudder)), 0.98))
+        width = int(np.clip(math.ceil((10 * noise / max(largest, 1e-12)) ** (2 / 3)), 1, 20))
+        slope = np.abs(rudder[width:] - rudder[:-width]) / (times[width:] - times[:-width])
+        for rate in dict.fromkeys(np.quantile(slope, [1.0, 0.98, 0.9]).tolist()):
+            off = free.copy()
+            for k in np.flatnonzero(slope > AT_RATE * rate):
+                off[k + 1 : k + width + 1] = False
+            stands_out = rate * float(np.median(np.diff(times))) > max(noise / 3, 0.0)
+            if stands_out and off.sum() > LEAST_SAMPLES:
+                found.append((rate, off))
+        return found
+
+    def seek_changes(self, off: np.ndarray, most: int) -> tuple[int, ...]:
+        """Find changes of the level one by one, each where it lowers the sum of squares most."""
+        n, rudder = len(self.rudder), self.rudder[off]
+        times = np.arange(LEAST_SAMPLES // 2, n - LEAST_SAMPLES // 2, max(n // MOST_TIMES, 1))
+        steps = (np.arange(n)[off][:, None] >= times).astype(float)
+        changes: tuple[int, ...] = ()
+        while len(changes) < most:
+            allowed = np.all([np.abs(times - c) >= LEAST_SAMPLES for c in changes], axis=0)
+            base, _ = np.linalg.qr(self.table(changes)[off])
+            left = rudder - base @ (base.T @ rudder)
+            across = steps - base @ (base.T @ steps)
+            size = (across**2).sum(axis=0)
+            value = np.where((size > 1e-6) & allowed, (left @ across) ** 2 / (size + 1e-12), 0.0)
+            if value.max() <= 0:
+                break
+            changes = tuple(sorted([*changes, int(times[value.argmax()])]))
+        return changes
+
+    def refined(self, changes: tuple[int, ...], best: Followed) -> tuple[Followed, tuple[int, ...]]:
+        """Fit with changes that are moved sample by sample to where they fit best."""
+        reach = [1, 2, 3, 5, 8, 13, 20]
+        for _ in range(4):
+            moved = list(changes)
+            for i, now in enumerate(changes):
+                squares = []
+                for shift in (0, *reach, *(-s for s in reach)):
+                    moved[i] = now + shift
+                    if shift and min(np.diff([0, *moved, len(self.times)])) < LEAST_SAMPLES // 2:
+                        continue
+                    orders = self.table(tuple(moved)) @ best.law
+                    rudder, *_ = follow(orders, self.times, best.first, best.rate, math.inf)
+                    misfit = float(((rudder - self.rudder) ** 2).sum())
+                    squares.append((misfit, abs(shift), now + shift))
+                moved[i] = min(squares)[2]
+            if tuple(moved) == changes:
+                break
+            again = self.fit(tuple(moved), best.law, best.rate, first=best.first, n_steps=30)
+            if again.squares >= best.squares:
+                break
+            best, changes = again, tuple(moved)
+        return best, changes
+
+    def instrumented(
+        self, followed: Followed, changes: tuple[int, ...], measured: np.ndarray
+    ) -> Followed:
+        """Law by instrumental variables where the rudder is off its limits.
+
+        The measured columns hold noise that the law did not see; the instruments, smoothed from
+        other samples, do not, and so do not attenuate, however good the smoother's model is
+        (Soderstrom & Stoica, *System Identification*, 1989, chapter 8).
+        """
+        table, instruments = replace(self, columns=measured).table(changes), self.table(changes)
+        _, origin, _ = follow(
+            instruments @ followed.law, self.times, followed.first, followed.rate, followed.limit
+        )
+        off = (origin == np.arange(len(self.times))) & np.isfinite(measured).all(axis=1)
+        off &= np.abs(self.rudder - followed.residuals) < 0.99 * followed.limit
+        table, instruments, rudder = table[off], instruments[off], self.rudder[off]
+        if off.sum() < LEAST_SAMPLES or np.linalg.matrix_rank(instruments) < table.shape[1]:
+            return followed
+        inverse = np.linalg.pinv(instruments.T @ table)
+        law = inverse @ (instruments.T @ rudder)
+        n = len(law)
+        covariance = followed.covariance.copy()
+        covariance[:n] = covariance[:, :n] = 0.0
+        spread = variance(rudder - table @ law, n)
+        covariance[:n, :n] = spread * inverse @ (instruments.T @ instruments) @ inverse.T
+        return replace(followed, law=law, covariance=covariance)

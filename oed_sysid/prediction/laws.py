@@ -33,13 +33,16 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.prediction.helmsman import CONSTANT, fit_course_law, rudder_noise, smooth_heading
+from oed_sysid.prediction.helmsman import (
+    CONSTANT,
+    correlation,
+    fit_course_law,
+    smooth_heading,
+    white_noise,
+)
 from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, rounded, share
 
 DEGREE = math.degrees(1.0)
-
-
-MOST_CHANGES = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +52,8 @@ class CourseEvidence:
     Attributes
     ----------
     names : tuple of str
-        ``gain``, ``damping``, ``level 0``, ... (rudder at heading zero; ``neutral`` where the
-        courses were given), ``rate``, ``limit``.
+        ``gain``, ``damping``, ``course 0``, ... (``neutral`` where the courses were given),
+        ``rate``, ``limit``.
     values : ndarray (n_values,)
         SI.
     covariance : ndarray (n_values, n_values)
@@ -129,19 +132,10 @@ class CourseControl:
     def start(self) -> None:
         """It has no memory."""
 
-    def course_at(self, time: float) -> float:
-        """Course at a time from the record's beginning, rad."""
-        course = self.course
-        for begin, new in self.changes:
-            if time < begin:
-                break
-            course = new
-        return course
-
     def order(self, memory: None, seen: Mapping[str, float]) -> tuple[float, None]:
         """See :class:`~oed_sysid.prediction.closed_loop.Control`."""
-        course = self.course_at(seen["time"]) if self.changes else self.course
-        error = course - seen[self.heading]
+        past = [new for begin, new in self.changes if seen["time"] >= begin]
+        error = (past or [self.course])[-1] - seen[self.heading]
         wanted = self.neutral + self.gain * error - self.damping * seen[self.yaw_rate]
         return float(np.clip(wanted, -self.limit, self.limit)), memory
 
@@ -168,39 +162,32 @@ class CourseControl:
         """The law with other values of the evidence's names."""
         names = self.evidence.names if self.evidence else ()
         value = dict(zip(names, map(float, values), strict=True))
-        new = replace(
-            self,
-            gain=value["gain"],
-            damping=value["damping"],
-            rate=abs(value["rate"]),
-            limit=abs(value["limit"]),
-        )
-        if "neutral" in value:
-            return replace(new, neutral=value["neutral"])
-        levels = [value[name] for name in names if name.startswith("level")]
-        courses = [level / value["gain"] for level in np.cumsum(levels)]
+        kept = [self.course, *(course for _, course in self.changes)]
+        courses = [value[name] for name in names if name.startswith("course")] or kept
         times = [time for time, _ in self.changes]
-        return replace(new, course=courses[0], changes=tuple(zip(times, courses[1:], strict=True)))
+        return replace(
+            self, gain=value["gain"], damping=value["damping"], rate=abs(value["rate"]),
+            limit=abs(value["limit"]), neutral=value.get("neutral", self.neutral),
+            course=courses[0], changes=tuple(zip(times, courses[1:], strict=True)),
+        )  # fmt: skip
 
     def document(self) -> Report:
         """Return the law with standard errors, and what it explains, as a table."""
         known = self.evidence.std_errors if self.evidence else {}
-        facts = [("gain", self.gain, known.get("gain", 0.0)),
-                 ("damping [s]", self.damping, known.get("damping", 0.0))]  # fmt: skip
-        courses = ((0.0, self.course), *self.changes)
-        for (time, course), error in zip(courses, self._course_errors(), strict=True):
+        facts = [("gain", "gain", self.gain, 1.0), ("damping [s]", "damping", self.damping, 1.0)]
+        for i, (time, course) in enumerate([(0.0, self.course), *self.changes]):
             since = f" from {time:.4g} s" if time else ""
-            facts.append((f"course{since} [deg]", DEGREE * course, DEGREE * error))
-        for name in ("neutral", "rate", "limit"):
-            unit = "deg/s" if name == "rate" else "deg"
-            value = DEGREE * getattr(self, name)
-            if name != "neutral" or self.neutral or "neutral" in known:
-                facts.append((f"{name} [{unit}]", value, DEGREE * known.get(name, 0.0)))
-        rows = [
-            (name, rounded(value, error), digits(error, 2) if error > 0 else "")
-            for name, value, error in facts
-            if math.isfinite(value)
-        ]
+            facts.append((f"course{since} [deg]", f"course {i}", course, DEGREE))
+        if self.neutral or "neutral" in known:
+            facts.append(("neutral [deg]", "neutral", self.neutral, DEGREE))
+        facts.append(("rate [deg/s]", "rate", self.rate, DEGREE))
+        facts.append(("limit [deg]", "limit", self.limit, DEGREE))
+        rows = []
+        for title, name, value, unit in facts:
+            error = unit * known.get(name, 0.0)
+            if math.isfinite(value):
+                said = digits(error, 2) if error > 0 else ""
+                rows.append((title, rounded(unit * value, error), said))
         explained = []
         if self.evidence:
             explained.append(
@@ -213,22 +200,6 @@ class CourseControl:
 
     report = as_text
 
-    def _course_errors(self) -> list[float]:
-        """Standard errors of the courses, rad; zero where they were given."""
-        if self.evidence is None or "neutral" in self.evidence.names:
-            return [0.0] * (1 + len(self.changes))
-        names, covariance = self.evidence.names, self.evidence.covariance
-        errors = []
-        total = np.zeros(len(names))
-        for position, name in enumerate(names):
-            if not name.startswith("level"):
-                continue
-            total[position] = 1.0
-            slope = total / self.gain
-            slope[0] = -float(self.evidence.values[total > 0].sum()) / self.gain**2
-            errors.append(math.sqrt(max(slope @ covariance @ slope, 0.0)))
-        return errors
-
     @classmethod
     def of(
         cls,
@@ -238,7 +209,7 @@ class CourseControl:
         heading: str = "psi",
         yaw_rate: str = "r",
         courses: ArrayLike | str | None = None,
-        most_changes: int = MOST_CHANGES,
+        most_changes: int = 8,
     ) -> CourseControl:
         """Identify the law from a record; equations in :mod:`oed_sysid.prediction.helmsman`.
 
@@ -278,48 +249,39 @@ class CourseControl:
         """
         series = None if courses is None else _series(record, courses)
         fit = fit_course_law(
-            record,
-            input,
-            heading=heading,
-            yaw_rate=yaw_rate,
-            courses=series,
+            record, input, heading=heading, yaw_rate=yaw_rate, courses=series,
             most_changes=most_changes,
-        )
-        followed = fit.followed
-        left = followed.residuals
-        n_levels = len(followed.law) - 2
-        levels = ["neutral"] if series is not None else []
-        levels = levels or [f"level {i}" for i in range(n_levels)]
+        )  # fmt: skip
+        followed, left = fit.followed, fit.followed.residuals
+        values = np.array([*followed.law, followed.rate, followed.limit])
+        slope = np.eye(len(values))
+        names = ["neutral"]
+        changed = np.array(fit.changes, dtype=int)
+        held = np.zeros(1 + len(changed))
+        if series is None:
+            # Of a level of the rudder and its changes: the courses at which it is zero.
+            names = [f"course {i}" for i in range(len(held))]
+            levels, gain = slice(2, 2 + len(held)), values[0]
+            values[levels] = np.cumsum(values[levels]) / gain
+            slope[levels, levels] = np.tril(np.ones((len(held), len(held)))) / gain
+            slope[levels, 0] = -values[levels] / gain
+        else:
+            changed = np.flatnonzero(np.diff(series)) + 1
+            held = series[[0, *changed]]
         evidence = CourseEvidence(
-            ("gain", "damping", *levels, "rate", "limit"),
-            np.array([*followed.law, followed.rate, followed.limit]),
-            followed.covariance,
-            fit.explained,
-            float(np.sqrt(np.mean(left**2))),
-            followed.memory,
-        )
+            ("gain", "damping", *names, "rate", "limit"), values,
+            slope @ followed.covariance @ slope.T, fit.explained,
+            float(np.sqrt(np.mean(left**2))), correlation(left),
+        )  # fmt: skip
         times = record.times - record.times[0]
         # A change lies between two samples.
-        changes = [(float((times[k] + times[k - 1]) / 2), 0.0) for k in fit.changes]
-        course = 0.0
-        if series is not None:
-            course = float(series[0])
-            changes = [
-                (float((times[k] + times[k - 1]) / 2), float(series[k]))
-                for k in np.flatnonzero(np.diff(series)) + 1
-            ]
+        between = [float((times[k] + times[k - 1]) / 2) for k in changed]
         law = cls(
-            input,
-            0.0,
-            0.0,
-            course,
-            heading=heading,
-            yaw_rate=yaw_rate,
-            changes=tuple(changes),
-            noise_share=float(fit.sees_noise),
-            evidence=evidence,
-        )
-        return law._with(evidence.values)
+            input, 0.0, 0.0, float(held[0]), heading=heading, yaw_rate=yaw_rate,
+            changes=tuple(zip(between, map(float, held[1:]), strict=True)),
+            noise_share=float(fit.sees_noise), evidence=evidence,
+        )  # fmt: skip
+        return law._with(values)
 
 
 def _series(record: Record, courses: ArrayLike | str) -> np.ndarray:
@@ -438,33 +400,25 @@ class ZigzagControl:
         if known is None:
             return self
         orders = self.orders + np.nan_to_num(known.orders) * rng.standard_normal(len(self.orders))
-        headings = self.reversals + known.from_draw_to_draw * rng.standard_normal(
-            len(self.reversals)
-        )
+        moved = rng.standard_normal(len(self.reversals))
+        headings = self.reversals + known.from_draw_to_draw * moved
         rate = self.rate + known.rate * rng.standard_normal()
+        execute = self.execute + known.execute * rng.standard_normal()
         return replace(
-            self,
-            orders=tuple(map(float, orders)),
-            reversals=tuple(map(float, headings)),
-            rate=float(max(rate, 0.1 * self.rate)),
-            execute=float(max(self.execute + known.execute * rng.standard_normal(), 0.0)),
-        )
+            self, orders=tuple(map(float, orders)), reversals=tuple(map(float, headings)),
+            rate=float(max(rate, 0.1 * self.rate)), execute=float(max(execute, 0.0)),
+        )  # fmt: skip
 
     def document(self) -> Report:
         """Return orders, headings of reversal and rate with standard errors as a table."""
-        known = self.evidence
-        rows = []
-        for leg, order in enumerate(self.orders):
-            last = leg == len(self.reversals)
-            rows.append(
-                (
-                    f"{leg + 1}",
-                    f"{DEGREE * order:.2f}",
-                    "" if known is None else _error(known.orders[leg]),
-                    "" if last else f"{DEGREE * self.reversals[leg]:.2f}",
-                    "" if last or known is None else _error(known.reversals[leg]),
-                )
-            )
+        known, n = self.evidence, len(self.orders)
+        orders = [f"{DEGREE * order:.2f}" for order in self.orders]
+        until = [*(f"{DEGREE * heading:.2f}" for heading in self.reversals), ""]
+        errors = [[""] * n, [""] * n]
+        if known is not None:
+            errors = [[_error(one) for one in part] for part in (known.orders, known.reversals)]
+        legs = map(str, range(1, n + 1))
+        rows = list(zip(legs, orders, errors[0], until, [*errors[1], ""], strict=False))
         error = f", standard error {DEGREE * known.rate:.2g}" if known else ""
         said = [f"rate {DEGREE * self.rate:.3g} deg/s{error}; execute {self.execute:.4g} s"]
         if known is not None and np.isnan(known.orders).any():
@@ -504,11 +458,11 @@ class ZigzagControl:
         record.output(heading)
         span = float(np.ptp(rudder))
         legs = _legs(rudder, NEW_ORDER * span) if span > CONSTANT else []
-        noise = rudder_noise(rudder)
+        noise = white_noise(rudder)
         near = max(HELD_NOISE * noise, HELD * span)
         levels, errors = _levels(rudder, times, legs, near)
         # The first leg is the rudder before the test where it lies between the others.
-        first = int(len(legs) > 1 and abs(levels[0] - np.mean([*_ends(levels)])) < 0.25 * span)
+        first = int(len(legs) > 1 and abs(2 * levels[0] - levels.min() - levels.max()) < 0.5 * span)
         if len(legs) < 2 + first:
             raise DataError(
                 f"The rudder {input!r} of record {record.name!r} is never reversed: it is no "
@@ -517,47 +471,28 @@ class ZigzagControl:
         begins, unsure, rate, rate_error = _ramps(rudder, times, legs, levels, errors, near)
         step = float(np.median(np.diff(times)))
         smooth = smooth_heading(record, input, heading=heading, yaw_rate=yaw_rate)
-        reversals, towards, spread = [], [], []
         # Orders that were given at samples all begin at the same phase of a step.
-        phases = np.exp(2j * np.pi * (np.array(begins) - times[0]) / step)
-        at_samples = bool(phases.mean().real > AT_SAMPLES)
-        for begin, error in zip(begins[first:], unsure[first:], strict=True):
-            psi, psi_error, r = smooth.at(begin + step / 2)
-            reversals.append(psi)
-            towards.append(math.copysign(1.0, r))
-            own = math.hypot(psi_error, 0.0 if at_samples else r * error)
-            within = abs(r) * step / math.sqrt(12)
-            spread.append((math.hypot(own, within), own if at_samples else math.hypot(own, within)))
-        table = np.array(spread)
+        phases = np.exp(2j * np.pi * (begins - times[0]) / step)
+        free = float(phases.mean().real <= AT_SAMPLES)
         half = step / math.sqrt(12)
+        psi, error, r = np.array([smooth.at(begin + step / 2) for begin in begins[first:]]).T
+        own = np.hypot(error, free * r * unsure[first:])
+        spread = np.hypot(own, np.abs(r) * half)
         return cls(
-            input,
-            tuple(map(float, levels[first:])),
-            tuple(reversals),
-            tuple(towards),
-            rate,
-            float(levels[0]) if first else float(rudder[0]),
-            float(max(begins[0] + step / 2 - times[0], 0.0)) if first else 0.0,
-            heading,
-            0.0,
+            input, tuple(map(float, levels[first:])), tuple(map(float, psi)),
+            tuple(map(float, np.copysign(1.0, r))), rate,
+            float(levels[0] if first else rudder[0]),
+            first * float(max(begins[0] + step / 2 - times[0], 0.0)), heading, 0.0,
             ZigzagEvidence(
-                errors[first:],
-                table[:, 0],
-                table[:, 1],
-                rate_error,
-                math.hypot(half, unsure[0]) if first and not at_samples else 0.0,
+                errors[first:], spread, spread if free else own, rate_error,
+                first * free * math.hypot(half, unsure[0]),
             ),
-        )
+        )  # fmt: skip
 
 
 def _error(value: float) -> str:
     """Standard error in degrees."""
     return "" if math.isnan(value) else f"{max(DEGREE * value, 0.0):.2f}"
-
-
-def _ends(levels: np.ndarray) -> tuple[float, float]:
-    """Smallest and largest level."""
-    return float(np.min(levels)), float(np.max(levels))
 
 
 def _legs(rudder: np.ndarray, move: float) -> list[tuple[int, int, float]]:
@@ -633,52 +568,40 @@ def _ramps(
     levels: np.ndarray,
     errors: np.ndarray,
     near: float,
-) -> tuple[list[float], list[float], float, float]:
+) -> tuple[np.ndarray, np.ndarray, float, float]:
     """When each level is left, its standard error, and the rate with its standard error."""
-    middles: list[tuple[float, float, int, int]] = []
-    slopes = []
+    lasts, ramps = [], []
     for (begin, cut, _), (_, end, _), low, high in zip(
         legs, legs[1:], levels, levels[1:], strict=False
     ):
         side = math.copysign(1.0, high - low)
-        gone = side * (rudder[begin:end] - low)
-        left = begin + np.flatnonzero(gone[: cut - begin] <= near)
-        last = int(left[-1]) if left.size else begin + int(gone[: cut - begin].argmin())
-        come = cut + np.flatnonzero(side * (high - rudder[cut:end]) <= near)
-        until = int(come[0]) if come.size else cut + int((side * rudder[cut:end]).argmax())
-        inner = np.arange(last + 1, until)
-        if len(inner) >= 3:
-            slopes.append(abs(float(np.polyfit(times[inner], rudder[inner], 1)[0])))
-        if len(inner):
-            middles.append(
-                (float(times[inner].mean()), float(rudder[inner].mean()), last, len(inner))
-            )
-        else:
-            middles.append((math.nan, math.nan, last, 0))
+        gone, short = side * (rudder[begin:cut] - low), side * (high - rudder[cut:end])
+        left, come = np.flatnonzero(gone <= near), np.flatnonzero(short <= near)
+        lasts.append(begin + int(left[-1] if left.size else gone.argmin()))
+        ramps.append(np.arange(lasts[-1] + 1, cut + (come[0] if come.size else short.argmin())))
+    slopes = [np.polyfit(times[one], rudder[one], 1)[0] for one in ramps if len(one) >= 3]
+    rate, rate_error = 0.0, 0.0
     if slopes:
-        rate = float(np.median(slopes))
-        rate_error = 1.25 * float(np.std(slopes)) / math.sqrt(len(slopes))
+        rate = float(np.median(np.abs(slopes)))
+        rate_error = 1.25 * float(np.std(np.abs(slopes))) / math.sqrt(len(slopes))
     else:
-        moves = np.abs(np.diff(levels)) / [
-            times[min(last + count + 1, len(times) - 1)] - times[last]
-            for _, _, last, count in middles
+        ends = [
+            min(last + len(one) + 1, len(times) - 1) for last, one in zip(lasts, ramps, strict=True)
         ]
-        rate, rate_error = float(np.max(moves)), 0.0
-    noise = rudder_noise(rudder)
-    begins: list[float] = []
-    unsure: list[float] = []
-    for i, (middle, value, last, count) in enumerate(middles):
-        if not count:
-            begins.append(float(times[last]))
-            unsure.append(0.0)
+        rate = float(np.max(np.abs(np.diff(levels)) / (times[ends] - times[lasts])))
+    noise = white_noise(rudder)
+    begins, unsure = times[lasts], np.zeros(len(lasts))
+    middles = [(times[one].mean(), rudder[one].mean()) if len(one) else None for one in ramps]
+    for i, middle in enumerate(middles):
+        if middle is None:
             continue
+        time, value = middle
         side = math.copysign(1.0, levels[i + 1] - levels[i])
-        left_at = middle - side * float(value - levels[i]) / rate
-        if math.isnan(errors[i]) and i and middles[i - 1][3]:
+        begins[i] = time - side * (value - levels[i]) / rate
+        before = middles[i - 1] if i else None
+        if math.isnan(errors[i]) and before is not None:
             # Never held: it turned where both ramps meet.
-            before, reached = middles[i - 1][:2]
-            left_at = (before + middle - side * (value - reached) / rate) / 2
-        begins.append(float(left_at))
+            begins[i] = (before[0] + time - side * (value - before[1]) / rate) / 2
         drift = abs(value - levels[i]) / rate * rate_error / rate
-        unsure.append(math.hypot(noise / math.sqrt(count) / rate, drift))
+        unsure[i] = math.hypot(noise / math.sqrt(len(ramps[i])) / rate, drift)
     return begins, unsure, rate, rate_error

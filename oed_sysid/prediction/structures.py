@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 from scipy.special import ndtri
@@ -327,33 +328,44 @@ def average_structures(
     """
     if len(candidates) < 2:
         raise ModelError(f"{len(candidates)} structures are no average. Give two or more.")
-    _check_settings(horizon, floor, power)
-    _check_tests(candidates, tests)
+    for one in candidates:
+        if tests is not None and one.tests is not None and (seen := tests.shared(one.tests)):
+            raise ModelError(
+                f"Structure {one.name!r} was fitted to {seen} of the {tests.n_tests} tests that "
+                "shall judge it. Judge with other tests, or fit without these."
+            )
     rungs = ladder(dataset, strength)
-    spread = _spread(dataset)
-    found = [_transfer(one, dataset, rungs, spread, purpose, horizon, tests, scored, floor)
-             for one in candidates]  # fmt: skip
+    judge = _Judge(dataset, rungs, purpose, horizon, tests, tuple(scored), floor, power)
+    found = [judge.transfer(one) for one in candidates]
+    weights = _weights(found, power)
+    done = []
+    for candidate, each, weight in zip(candidates, found, weights, strict=True):
+        std = record_errors(candidate, dataset, purpose) if weight >= LEAST_WEIGHT else {}
+        done.append(replace(each, weight=float(weight), std=std))
+    return _averaged(done, rungs, len(dataset), floor)
+
+
+def _weights(found: Sequence[Transfer], power: float) -> np.ndarray:
+    """Share of each structure by its score; structures that give nothing, or others, are said."""
     best = min(one.score for one in found)
     if not math.isfinite(best):
         raise ModelError(
             "No structure gives the wanted quantities: "
             + "; ".join(f"{one.name}: {one.note or 'not finite'}" for one in found)
         )
-    _check_names(found)
+    usable = [one for one in found if one.values]
+    for one in usable[1:]:
+        if set(one.values) != set(usable[0].values):
+            raise ModelError(
+                f"The purpose gives {', '.join(usable[0].values)} with structure "
+                f"{usable[0].name!r} and {', '.join(one.values)} with {one.name!r}. Return the "
+                "same names for all."
+            )
     # Nothing is better than no error at all.
     raw = np.array(
         [(one.score / best) ** -power if best > 0 else float(one.score == 0) for one in found]
     )
-    weights = raw / raw.sum()
-    done = [
-        replace(
-            each,
-            weight=float(weight),
-            std=record_errors(candidate, dataset, purpose) if weight >= LEAST_WEIGHT else {},
-        )
-        for candidate, each, weight in zip(candidates, found, weights, strict=True)
-    ]
-    return _averaged(done, rungs, len(dataset), floor)
+    return np.asarray(raw / raw.sum())
 
 
 def _averaged(
@@ -365,77 +377,106 @@ def _averaged(
     """Mean of the structures by their weights, and the three parts of its variance."""
     used = [one for one in done if one.weight > 0]
     share = np.array([one.weight for one in used])
-    values: dict[str, float] = {}
-    between: dict[str, float] = {}
-    within: dict[str, float] = {}
+    # Those too light for a jackknife are taken to scatter as the others do.
+    known = np.array([bool(one.std) for one in used])
+    values, total, between, within = (dict[str, float]() for _ in range(4))
     for name in used[0].values:
         table = np.array([one.values[name] for one in used])
+        part = np.array([one.std[name] for one in used if one.std])
         values[name] = float(share @ table)
         between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
-        # Those too light for a jackknife are taken to scatter as the others do.
-        known = np.array([bool(one.std) for one in used])
-        part = np.array([one.std[name] ** 2 for one in used if one.std])
-        within[name] = float(np.sqrt(share[known] @ part / share[known].sum()))
-    total = {
-        name: math.sqrt(between[name] ** 2 + within[name] ** 2 + (floor * value) ** 2)
-        for name, value in values.items()
-    }
-    return StructureAverage(
-        values,
-        total,
-        between,
-        within,
-        tuple(sorted(done, key=lambda one: -one.weight)),
-        tuple(fitted for fitted, _ in rungs),
-        n_records,
-    )
+        within[name] = float(np.sqrt(share[known] @ part**2 / share[known].sum()))
+        total[name] = math.hypot(between[name], within[name], floor * values[name])
+    heaviest = tuple(sorted(done, key=lambda one: -one.weight))
+    weaker = tuple(fitted for fitted, _ in rungs)
+    return StructureAverage(values, total, between, within, heaviest, weaker, n_records)
 
 
-def _spread(dataset: Dataset) -> np.ndarray:
-    """Standard deviation of each output over all records, ``(n_outputs,)``."""
-    stacked = np.vstack([record.outputs for record in dataset])
-    spread = np.nanstd(stacked, axis=0)
-    return np.where(spread > 0, spread, np.inf)
+@dataclass(frozen=True, eq=False)
+class _Judge:
+    """What structures are judged by."""
 
+    dataset: Dataset
+    rungs: Sequence[tuple[tuple[str, ...], tuple[str, ...]]]
+    purpose: Purpose
+    horizon: float
+    tests: CaptiveTests | None
+    scored: tuple[str, ...]
+    floor: float
+    power: float
 
-def _transfer(
-    candidate: Structure,
-    dataset: Dataset,
-    rungs: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
-    spread: np.ndarray,
-    purpose: Purpose,
-    horizon: float,
-    tests: CaptiveTests | None,
-    scored: Sequence[str],
-    floor: float,
-) -> Transfer:
-    """Score one structure; what fails makes its score infinite and is noted."""
-    nothing = Transfer(candidate.name, math.inf, 1.0, math.inf, math.inf, 0.0, {}, {})
-    rungs_values: list[dict[str, float]] = []
-    try:
-        whole = candidate.fit(dataset)
-        values = {name: float(value) for name, value in purpose(whole).items()}
-        squares, count = 0.0, 0
-        for weaker, stronger in rungs:
-            fit = candidate.fit(_chosen(dataset, weaker))
-            sums = _step_error(fit.model, _chosen(dataset, stronger), spread, horizon)
-            squares, count = squares + sums[0], count + sums[1]
-            rungs_values.append({name: float(value) for name, value in purpose(fit).items()})
-        forces = 1.0
-        if tests is not None:
-            errors = tests.relative_errors(whole.model)
-            forces = float(np.exp(np.mean(np.log(list(errors.values())))))
-    except (OedSysidError, np.linalg.LinAlgError) as error:
-        return replace(nothing, note=str(error).split(". ")[0])
-    step = math.sqrt(squares / max(count, 1))
-    moved = _changes(candidate.name, values, rungs_values, scored)
-    drift = float(np.sqrt(np.mean(np.square(moved))))
-    score = step * forces * math.hypot(drift, floor)
-    usable = math.isfinite(score) and all(math.isfinite(value) for value in values.values())
-    found = replace(nothing, step=step, forces=forces, drift=drift)
-    if not usable:
-        return replace(found, note="predictions are not finite")
-    return replace(found, score=score, values=values)
+    def __post_init__(self) -> None:
+        horizon, floor, power = self.horizon, self.floor, self.power
+        if not (math.isfinite(horizon) and horizon > 0):
+            raise ModelError(f"horizon is {horizon}. Give seconds above zero.")
+        if not (math.isfinite(floor) and floor >= 0):
+            raise ModelError(f"floor is {floor}. Give a share, such as 0.015, or zero.")
+        if not (math.isfinite(power) and power > 0):
+            raise ModelError(
+                f"power is {power}. Give a number above zero: weights are the score to minus it."
+            )
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Standard deviation of each output over all records, ``(n_outputs,)``."""
+        spread = np.nanstd(np.vstack([record.outputs for record in self.dataset]), axis=0)
+        return np.where(spread > 0, spread, np.inf)
+
+    def chosen(self, names: Sequence[str]) -> Dataset:
+        """Some of the records."""
+        return Dataset(tuple(record for record in self.dataset if record.name in names))
+
+    def wanted(self, fit: Fit) -> dict[str, float]:
+        """The wanted quantities."""
+        return {name: float(value) for name, value in self.purpose(fit).items()}
+
+    def transfer(self, candidate: Structure) -> Transfer:
+        """Score one structure; what fails makes its score infinite and is noted."""
+        nothing = Transfer(candidate.name, math.inf, 1.0, math.inf, math.inf, 0.0, {}, {})
+        early: list[dict[str, float]] = []
+        try:
+            whole = candidate.fit(self.dataset)
+            values = self.wanted(whole)
+            squares = np.zeros(2)
+            for weaker, stronger in self.rungs:
+                fit = candidate.fit(self.chosen(weaker))
+                squares += self.step_error(fit.model, self.chosen(stronger))
+                early.append(self.wanted(fit))
+            forces = 1.0
+            if self.tests is not None:
+                errors = list(self.tests.relative_errors(whole.model).values())
+                forces = float(np.exp(np.mean(np.log(errors))))
+        except (OedSysidError, np.linalg.LinAlgError) as error:
+            return replace(nothing, note=str(error).split(". ")[0])
+        step = math.sqrt(squares[0] / max(squares[1], 1))
+        moved = _changes(candidate.name, values, early, self.scored)
+        drift = float(np.sqrt(np.mean(np.square(moved))))
+        score = step * forces * math.hypot(drift, self.floor)
+        found = replace(nothing, step=step, forces=forces, drift=drift)
+        if not all(map(math.isfinite, (score, *values.values()))):
+            return replace(found, note="predictions are not finite")
+        return replace(found, score=score, values=values)
+
+    def step_error(self, model: Model, dataset: Dataset) -> tuple[float, int]:
+        """Sum of squared errors over segments from their first samples, and how many there are.
+
+        Nothing of the segments is estimated: unmeasured states begin at zero, parameters that
+        differ by record at their mean.
+        """
+        held = model.fix(*model.free_names)
+        compiled, values = kernel(held), held.value_vector
+        total, count = 0.0, 0
+        for part in (part for record in dataset for part in record.segments(self.horizon)):
+            own = first_state(held, part)
+            start, _ = compiled.start(own, part.inputs[0], values, part.times[0])
+            run = compiled.run(part.times, part.inputs, values, start)
+            if not np.isfinite(run.outputs).all():
+                return math.inf, 1
+            seen = np.isfinite(part.outputs)
+            errors = (run.outputs - part.outputs) / self.spread
+            total += float(np.sum(np.square(errors[seen])))
+            count += int(seen.sum())
+        return total, count
 
 
 def _changes(
@@ -468,69 +509,6 @@ def _changes(
                 )
             moved.append(one[name] / values[name] - 1.0)
     return moved
-
-
-def _check_tests(candidates: Sequence[Structure], tests: CaptiveTests | None) -> None:
-    """Refuse tests that some candidate was fitted to."""
-    for one in candidates:
-        if tests is not None and one.tests is not None and (seen := tests.shared(one.tests)):
-            raise ModelError(
-                f"Structure {one.name!r} was fitted to {seen} of the {tests.n_tests} tests that "
-                "shall judge it. Judge with other tests, or fit without these."
-            )
-
-
-def _check_settings(horizon: float, floor: float, power: float) -> None:
-    """Refuse numbers that give no weights."""
-    if not (math.isfinite(horizon) and horizon > 0):
-        raise ModelError(f"horizon is {horizon}. Give seconds above zero.")
-    if not (math.isfinite(floor) and floor >= 0):
-        raise ModelError(f"floor is {floor}. Give a share, such as 0.015, or zero.")
-    if not (math.isfinite(power) and power > 0):
-        raise ModelError(
-            f"power is {power}. Give a number above zero: weights are the score to minus it."
-        )
-
-
-def _check_names(found: Sequence[Transfer]) -> None:
-    """Refuse structures of which different things are wanted."""
-    usable = [one for one in found if one.values]
-    for one in usable[1:]:
-        if set(one.values) != set(usable[0].values):
-            raise ModelError(
-                f"The purpose gives {', '.join(usable[0].values)} with structure "
-                f"{usable[0].name!r} and {', '.join(one.values)} with {one.name!r}. Return the "
-                "same names for all."
-            )
-
-
-def _chosen(dataset: Dataset, names: Sequence[str]) -> Dataset:
-    return Dataset(tuple(record for record in dataset if record.name in names))
-
-
-def _step_error(
-    model: Model, dataset: Dataset, spread: np.ndarray, horizon: float
-) -> tuple[float, int]:
-    """Sum of squared errors over segments from their first samples, and how many there are.
-
-    Nothing of the segments is estimated: unmeasured states begin at zero, parameters that differ
-    by record at their mean.
-    """
-    held = model.fix(*model.free_names)
-    compiled, values = kernel(held), held.value_vector
-    total, count = 0.0, 0
-    for record in dataset:
-        for part in record.segments(horizon):
-            own = first_state(held, part)
-            start, _ = compiled.start(own, part.inputs[0], values, part.times[0])
-            run = compiled.run(part.times, part.inputs, values, start)
-            errors = (run.outputs - part.outputs) / spread
-            seen = np.isfinite(part.outputs)
-            if not np.isfinite(run.outputs).all():
-                return math.inf, 1
-            total += float(np.sum(np.square(errors[seen])))
-            count += int(seen.sum())
-    return total, count
 
 
 def record_errors(structure: Structure, dataset: Dataset, purpose: Purpose) -> dict[str, float]:

@@ -120,16 +120,17 @@ class TurningPrediction:
         rows = []
         for quantity, unit in QUANTITIES.items():
             factor, shown = shown_unit(unit)
-            scaled = lengths if quantity in LENGTHS else []
             cells = [self._cell(quantity, side, factor) for side in self.sides]
-            cells += [
-                shown,
-                *(self._cell(quantity, side, 1 / (self.length or 1)) for side in scaled),
+            scaled = [
+                self._cell(quantity, side, 1 / (self.length or 1)) if quantity in LENGTHS else ""
+                for side in lengths
             ]
-            cells += [""] * (len(lengths) - len(scaled))
-            rows.append((quantity.replace("_", " "), *cells))
+            rows.append((quantity.replace("_", " "), *cells, shown, *scaled))
         headers = ("", *self.sides, "unit", *(f"{side} [L]" for side in lengths))
         neutral = f"straight approach with the rudder at {math.degrees(self.neutral):.2f} deg"
+        assumed = [f"predicted by {self.model}; ± is half of a 95 % interval", *self.notes]
+        if self.neutral:
+            assumed.insert(1, neutral)
         after = [
             f"{count} draws never turned by 180 degrees to {side}: the interval is too narrow."
             for side, count in self.unfinished.items()
@@ -139,17 +140,9 @@ class TurningPrediction:
             f"turning circle, rudder {math.degrees(self.rudder):.3g} deg, {self.speed:.4g} m/s",
             answer=f"Turning circle predicted by {self.model}.",
             sections=(
-                Section(
-                    "Assumptions",
-                    (
-                        f"predicted by {self.model}; ± is half of a 95 % interval",
-                        *([neutral] if self.neutral else []),
-                        *self.notes,
-                    ),
-                    indent=2,
-                ),
+                Section("Assumptions", assumed, indent=2),
                 Section("Circle", tables=(Table(headers, rows),), indent=2),
-                Section("Caveats", (*after, *([self.caveat] if self.caveat else [])), indent=2),
+                Section("Caveats", [*after, *filter(None, [self.caveat])], indent=2),
             ),
         )
 
@@ -253,17 +246,17 @@ def turning_circle(
     100.0
     """
     fit, model = asked(fit_or_model)
-    wanted = _sides(side, approach)
-    _check_numbers(speed, rudder, length, rate, n_draws)
+    wanted = SIDES if side == "both" else (side,)
+    _check(wanted, approach, speed, rudder, length, rate, n_draws)
     tracked = _with_track(model, speed)
     steered = _rudder_input(model, input)
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
     table = np.array(parameter_sets(fit, model, n_draws, rng))[:, kept]
-    start = {"u": speed} if "u" in model.state_names else {}
-    trim, notes = 0.0, []
+    start = dict.fromkeys({"u"} & set(model.state_names), speed)
+    trim: float = 0.0
+    notes: list[str] = []
     if approach == "neutral":
-        trim, start, note = _approach(model, steered, start)
-        notes += [note] if note else []
+        trim, start, notes = _approach(model, steered, start)
     notes += _unsteady(model, steered, trim, start)
     orders = [
         # A circle's rudder is counted from amidships, wherever the approach had it.
@@ -271,23 +264,17 @@ def turning_circle(
         for sign in (1.0, -1.0)
     ]
     turns = _turns(tracked, orders, table, start, wanted)
+    unfinished = {name: sum(one is None for one in members) for name, members in turns.items()}
     empty = dict.fromkeys(QUANTITIES, math.nan)
-    draws = {
-        name: {q: np.array([(one or empty)[q] for one in members[1:]]) for q in QUANTITIES}
-        for name, members in turns.items()
-    }
+    known = {name: [one or empty for one in members] for name, members in turns.items()}
     return TurningPrediction(
-        model=model.name,
-        rudder=rudder,
-        speed=speed,
-        length=length,
-        nominal={name: turns[name][0] or empty for name in wanted},
-        draws=draws,
-        unfinished={name: sum(one is None for one in members) for name, members in turns.items()},
-        neutral=trim,
-        caveat="" if fit is None else fit.caveat,
-        notes=tuple(notes),
-    )
+        model.name, rudder, speed, length, {name: known[name][0] for name in wanted},
+        {
+            name: {q: np.array([one[q] for one in members[1:]]) for q in QUANTITIES}
+            for name, members in known.items()
+        },
+        unfinished, trim, "" if fit is None else fit.caveat, tuple(notes),
+    )  # fmt: skip
 
 
 def _turns(
@@ -306,14 +293,7 @@ def _turns(
             continue
         if len(table) > 1:
             # Slower draws need longer than the fitted values do.
-            times = np.arange(0.0, 1.5 * times[-1], times[1])
-            paths = simulate_batch(
-                model,
-                times,
-                inputs={order.input: order.waveform()(times)},
-                values=table,
-                initials=start,
-            )
+            times, paths = _paths(model, order, 1.5 * times[-1], table, start)
         turns[reached] = [_quantities(times, path) for path in paths]
         if turns[reached][0] is None:
             raise SimulationError(
@@ -327,20 +307,20 @@ def _turns(
     return turns
 
 
-def _sides(side: str, approach: str) -> tuple[str, ...]:
-    """Sides that are asked for; words that say nothing are refused."""
-    wanted = SIDES if side == "both" else (side,)
+def _check(
+    wanted: Sequence[str],
+    approach: str,
+    speed: float,
+    rudder: float,
+    length: float | None,
+    rate: float | None,
+    n_draws: int,
+) -> None:
+    """Refuse words and numbers that no turn has."""
     if not set(wanted) <= set(SIDES):
-        raise ModelError(f"side is {side!r}. Choose starboard, port or both.")
+        raise ModelError(f"side is {wanted[0]!r}. Choose starboard, port or both.")
     if approach not in ("neutral", "amidships"):
         raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
-    return wanted
-
-
-def _check_numbers(
-    speed: float, rudder: float, length: float | None, rate: float | None, n_draws: int
-) -> None:
-    """Refuse numbers that no turn has."""
     if not speed > 0 or not rudder > 0:
         raise ModelError(f"speed is {speed} and rudder {rudder}; both have to be above zero.")
     if not math.isfinite(speed):
@@ -360,7 +340,7 @@ def _check_numbers(
 
 def _approach(
     model: Model, steered: str, start: Mapping[str, float]
-) -> tuple[float, dict[str, float], str]:
+) -> tuple[float, dict[str, float], list[str]]:
     """Neutral rudder and states of a straight course, and what it is not, in a sentence.
 
     Amidships where there is no such course nearby.
@@ -370,23 +350,22 @@ def _approach(
     if "r" in turning:
         held["r"] = 0.0
     if not turning:
-        return 0.0, dict(start), ""
-    limit = math.degrees(NEAR_AMIDSHIPS)
-    begins = "The approach begins with the rudder amidships and is not straight"
+        return 0.0, dict(start), []
     try:
         found = equilibrium(model, fixed=held, free=(steered,), steady=turning)
+        trim = found.inputs[steered]
+        why = "" if found.ok else "no rudder angle was found that keeps a course."
+        if found.ok and abs(trim) > NEAR_AMIDSHIPS:
+            why = (
+                f"a course takes {math.degrees(trim):.1f} deg, which is beyond the "
+                f"{math.degrees(NEAR_AMIDSHIPS):g} deg of a neutral rudder."
+            )
     except SimulationError as error:
-        return 0.0, dict(start), f"{begins}: {error}"
-    trim = found.inputs[steered]
-    if not found.ok:
-        return 0.0, dict(start), f"{begins}: no rudder angle was found that keeps a course."
-    if abs(trim) > NEAR_AMIDSHIPS:
-        note = (
-            f"{begins}: a course takes {math.degrees(trim):.1f} deg, which is beyond the {limit:g} "
-            "deg of a neutral rudder."
-        )
-        return 0.0, dict(start), note
-    return trim, {name: found.states[name] for name in model.state_names if name != "psi"}, ""
+        why = str(error)
+    if why:
+        begins = "The approach begins with the rudder amidships and is not straight"
+        return 0.0, dict(start), [f"{begins}: {why}"]
+    return trim, {name: found.states[name] for name in model.state_names if name != "psi"}, []
 
 
 def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float]) -> list[str]:
@@ -453,14 +432,7 @@ def _turn(
     """Simulate long enough for a turn of one and a half circles, if there is one."""
     horizon = 100 * model.step
     for _ in range(_DOUBLINGS):
-        times = np.arange(0.0, horizon, 0.5 * model.step)
-        paths = simulate_batch(
-            model,
-            times,
-            inputs={order.input: order.waveform()(times)},
-            values=table,
-            initials=start,
-        )
+        times, paths = _paths(model, order, horizon, table, start)
         if not np.isfinite(paths).all():
             raise SimulationError(
                 f"Model {model.name!r} diverges in the turn, {order.describe()}. Its terms may "
@@ -473,6 +445,19 @@ def _turn(
     return times, paths
 
 
+def _paths(
+    model: Model,
+    order: TurningCircle,
+    duration: float,
+    table: np.ndarray,
+    start: Mapping[str, float],
+) -> tuple[np.ndarray, np.ndarray]:
+    """Simulate each row of a table of parameters, two samples a step."""
+    times = np.arange(0.0, duration, 0.5 * model.step)
+    inputs = {order.input: order.waveform()(times)}
+    return times, simulate_batch(model, times, inputs=inputs, values=table, initials=start)
+
+
 def _quantities(times: np.ndarray, path: np.ndarray) -> dict[str, float] | None:
     """Return the quantities of one turn, None if it has no tactical diameter."""
     if not np.isfinite(path).all():
@@ -482,13 +467,6 @@ def _quantities(times: np.ndarray, path: np.ndarray) -> dict[str, float] | None:
         indices: TurningIndices = turning_indices(times, north, east, heading, speed=speed)
     except DataError:
         return None
-    found = {
-        "steady_diameter": indices.steady_diameter,
-        "speed_ratio": indices.steady_speed_ratio,
-        "drift": indices.drift,
-    }
-    return {
-        name: math.nan if value is None else float(value)
-        for name in QUANTITIES
-        for value in (found[name] if name in found else getattr(indices, name),)
-    }
+    names = {name: name for name in QUANTITIES} | {"speed_ratio": "steady_speed_ratio"}
+    found = {name: getattr(indices, index) for name, index in names.items()}
+    return {name: math.nan if value is None else float(value) for name, value in found.items()}
