@@ -50,7 +50,7 @@ def test_coaster_coasts_as_quadratic_drag_says() -> None:
     """Without thrust u = u0/(1 + k u0 t), and the way is ln(1 + k u0 t)/k."""
     found = free_run(coaster.COASTER, {"u": 5.0})
     times = coaster.COASTER.times
-    slowing = -coaster.Q * coaster.FREE["X_uu"] / coaster.SURGE
+    slowing = -coaster.Q * coaster.COASTER.free["X_uu"] / coaster.SURGE
     growth = 1 + slowing * 5.0 * times
     np.testing.assert_allclose(found[:, 0], 5.0 / growth, rtol=1e-8)
     np.testing.assert_allclose(found[1:, 4], np.log(growth[1:]) / slowing, rtol=1e-7)
@@ -76,7 +76,7 @@ def test_catamaran_in_an_ideal_fluid_keeps_its_energy() -> None:
 
 def test_auv_in_an_ideal_fluid_keeps_energy_and_spins_its_momentum() -> None:
     """Kinetic and potential energy stay; so does linear momentum in earth axes."""
-    none = dict.fromkeys(auv.FREE, 0.0) | {"zgW": 5.9}
+    none = dict.fromkeys(auv.AUV.free, 0.0) | {"zgW": 5.9}
     start = {"u": 1.0, "v": 0.2, "w": -0.3, "p": 0.4, "q": 0.2, "r": 0.3, "theta": 0.2}
     vehicle = replace(shortened(auv.AUV, 30), substep=0.05)
     found = free_run(vehicle, start, **none)

@@ -2,28 +2,11 @@
 
 from __future__ import annotations
 
-from benchmarks.other_vehicles.models.base import Nominal, force, guess, known, zero
+from benchmarks.other_vehicles.models.base import Nominal, candidates, guess, known
 from oed_sysid import Environment, Force, Input, Model, Output, Parameter, State
 from oed_sysid.physics import (
-    Effect,
     Sensor,
-    actuator_lag,
-    actuator_offset,
-    added_mass_error,
     amplitude,
-    backlash,
-    coupling,
-    crossed_drag,
-    deadband,
-    deflection_drag,
-    linear_damping,
-    quadratic_drag,
-    rate_limit,
-    sensor_bias,
-    sensor_lag,
-    sensor_scale,
-    stall,
-    thrust_speed_loss,
 )
 
 CONSTANTS = (
@@ -183,53 +166,4 @@ def build(declared: bool, lacking: str | None) -> Model:
     )
 
 
-_DOWN = {"X": "-sin(theta)", "Y": "cos(theta)*sin(phi)", "Z": "cos(theta)*cos(phi)"}
-CANDIDATES: tuple[Effect, ...] = (
-    CURRENT,
-    force("excess_weight", _DOWN, "N", 1.5, "weight differs from buoyancy"),
-    force(
-        "cg_offset_x",
-        {"M": "-cos(theta)*cos(phi)", "N": "cos(theta)*sin(phi)"},
-        "N m",
-        0.3,
-        "centre of gravity ahead of that of buoyancy",
-    ),
-    force("heel_moment", {"K": "1"}, "N m", 0.2, "constant roll moment"),
-    quadratic_drag("heave_crossflow", "Z", "w_r", scale=100.0),
-    quadratic_drag("sway_crossflow", "Y", "v_r", scale=100.0),
-    quadratic_drag("pitch_quadratic_damping", "M", "q", scale=30.0),
-    quadratic_drag("yaw_quadratic_damping", "N", "r", scale=30.0),
-    quadratic_drag("roll_quadratic_damping", "K", "p", scale=1.0),
-    quadratic_drag("pitch_crossflow_moment", "M", "w_r", scale=30.0),
-    quadratic_drag("yaw_crossflow_moment", "N", "v_r", scale=30.0),
-    crossed_drag("sway_drift_yaw", "Y", "v_r", "r", scale=30.0),
-    force("crossflow_drag", {"X": "w_r**2 + v_r**2"}, "kg/m", 40.0, "drag due to lift"),
-    deflection_drag("stern_drag", "ds", scale=6.0),
-    deflection_drag("rudder_drag", "dr", scale=6.0),
-    linear_damping("surge_linear_drag", "X", "u_r", scale=1.0),
-    coupling("roll_by_sway", "K", "v_r", scale=3.0),
-    coupling("roll_by_yaw", "K", "r", scale=0.5),
-    thrust_speed_loss(scale=0.06),
-    added_mass_error("heave_added_mass_error", "Z", "w", scale=8.0, bound=50.0),
-    added_mass_error("pitch_added_inertia_error", "M", "q", scale=1.5, bound=6.0),
-    added_mass_error("yaw_added_inertia_error", "N", "r", scale=1.5, bound=6.0),
-    added_mass_error("roll_added_inertia_error", "K", "p", scale=0.2, bound=0.8),
-    actuator_offset("stern_offset", "ds", scale=0.02),
-    actuator_offset("rudder_offset", "dr", scale=0.02),
-    zero("rudder_zero", "dr", "rad", scale=0.02, bound=0.3),
-    actuator_lag("stern_lag", "ds", scale=0.2),
-    actuator_lag("rudder_lag", "dr", scale=0.2),
-    rate_limit("stern_rate_limit", "ds", scale=3.0),
-    backlash("stern_backlash", "ds", scale=0.02),
-    deadband("rudder_deadband", "dr", scale=0.02),
-    stall("stern_stall", "ds", scale=2.0),
-    sensor_lag("depth_lag", "z", scale=0.3),
-    sensor_bias("bias_q", "q", "rad/s", scale=0.008),
-    sensor_bias("bias_theta", "theta", "rad", scale=0.02),
-    sensor_bias("bias_w", "w", "m/s", scale=0.03),
-    sensor_scale("scale_u", "u", scale=0.04),
-    sensor_scale("scale_r", "r", scale=0.04),
-    LEVER_ARM,
-)
-
-NOMINAL = Nominal(build, CANDIDATES, {"roll_damping": ROLL_DAMPING})
+NOMINAL = Nominal(build, candidates("auv", CURRENT, LEVER_ARM), {"roll_damping": ROLL_DAMPING})

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
-from oed_sysid import Actuator, Force, Model, Output, Parameter, State
+from oed_sysid import Actuator, Force, Model, Output, Parameter, State, physics
 from oed_sysid.physics import Effect, amplitude
 
 RELATIVE_PRIOR = 0.3
@@ -50,6 +52,21 @@ def wind(scale: float) -> Force:
         description="constant force from a fixed direction",
         needs="several headings",
     )
+
+
+def candidates(name: str, *own: Effect) -> tuple[Effect, ...]:
+    """Effects of ``name.toml``; what is no function there is one of ``own``, by its name."""
+    data = tomllib.loads(Path(__file__).with_name(f"{name}.toml").read_text(encoding="utf-8"))
+    named = {effect.name: effect for effect in own}
+    makers = vars(physics) | {maker.__name__: maker for maker in (force, zero, wind)}
+
+    def made(kind: str, *words: Any) -> Effect:
+        if kind in named:
+            return named[kind]
+        has_options = isinstance(words[-1], dict)
+        return makers[kind](*words[:-1], **words[-1]) if has_options else makers[kind](*words)
+
+    return tuple(made(*row) for row in data["candidates"])
 
 
 def horizontal_plane(

@@ -6,29 +6,13 @@ import math
 
 from benchmarks.other_vehicles.models.base import (
     Nominal,
-    force,
+    candidates,
     horizontal_plane,
     known,
-    wind,
-    zero,
 )
 from oed_sysid import Force, Input, Model, Parameter
 from oed_sysid.physics import (
-    actuator_lag,
-    added_mass_error,
     amplitude,
-    coupling,
-    cubic_damping,
-    current_horizontal_plane,
-    deadband,
-    linear_damping,
-    quadratic_drag,
-    sensor_bias,
-    sensor_lag,
-    sensor_lever_arm,
-    sensor_misalignment,
-    sensor_scale,
-    thrust_speed_loss,
 )
 
 CONSTANTS = (
@@ -93,45 +77,4 @@ def build(declared: bool, lacking: str | None) -> Model:
     )
 
 
-PROPELLERS = ("n_l", "n_r")
-CANDIDATES = (
-    current_horizontal_plane(scale=0.1),
-    wind(2.0),
-    quadratic_drag("yaw_quadratic_damping", "N", "r", scale=20.0),
-    cubic_damping("yaw_cubic_damping", "N", "r", scale=30.0),
-    quadratic_drag("sway_crossflow", "Y", "v_r", scale=60.0),
-    quadratic_drag("yaw_crossflow_moment", "N", "v_r", scale=20.0),
-    force(
-        "left_propeller_loss",
-        {"X": "T_l", "N": "arm*T_l"},
-        "1",
-        0.05,
-        "the left propeller gives another thrust than the right one",
-    ),
-    actuator_lag("propeller_lag", PROPELLERS, scale=0.4),
-    deadband("propeller_deadband", PROPELLERS, "1/s", scale=0.5),
-    thrust_speed_loss(thrust="(T_l + T_r)", scale=0.1),
-    TURN_LOSS,
-    zero("left_zero", "n_l", "1/s", scale=0.2),
-    force("yaw_trim", {"N": "1"}, "N m", 1.0, "constant yaw moment"),
-    coupling("sway_yaw_coupling", "Y", "r", scale=10.0),
-    linear_damping("yaw_sway_moment", "N", "v_r", scale=8.0),
-    linear_damping("sway_yaw_force", "Y", "r", scale=10.0),
-    added_mass_error("surge_added_mass_error", "X", "u", scale=8.0, bound=50.0),
-    added_mass_error("sway_added_mass_error", "Y", "v", scale=20.0, bound=110.0),
-    added_mass_error("yaw_added_inertia_error", "N", "r", scale=6.0, bound=28.0),
-    sensor_lag("heading_lag", "psi", scale=0.3),
-    sensor_lag("yaw_rate_lag", "r", scale=0.3),
-    sensor_lag("log_lag", ("u", "v"), scale=0.3),
-    sensor_lag("position_lag", ("x", "y"), scale=0.5),
-    sensor_bias("bias_u", "u", "m/s", scale=0.03),
-    sensor_bias("bias_v", "v", "m/s", scale=0.03),
-    sensor_bias("bias_r", "r", "rad/s", scale=0.005),
-    sensor_bias("bias_psi", "psi", "rad", scale=0.03),
-    sensor_scale("scale_u", "u", scale=0.04),
-    sensor_scale("scale_r", "r", scale=0.04),
-    sensor_misalignment("log_misalignment", "u", "v", scale=0.03),
-    sensor_lever_arm("log_lever_arm", "v", "r", scale=0.3),
-)
-
-NOMINAL = Nominal(build, CANDIDATES, {"sway_damping": SWAY_DAMPING})
+NOMINAL = Nominal(build, candidates("catamaran", TURN_LOSS), {"sway_damping": SWAY_DAMPING})

@@ -6,33 +6,12 @@ import math
 
 from benchmarks.other_vehicles.models.base import (
     Nominal,
+    candidates,
     guess,
     horizontal_plane,
     known,
-    wind,
-    zero,
 )
 from oed_sysid import Force, Input, Model, Parameter
-from oed_sysid.physics import (
-    actuator_lag,
-    added_mass_error,
-    backlash,
-    coupling,
-    crossed_drag,
-    cubic_damping,
-    current_horizontal_plane,
-    deadband,
-    deflection_drag,
-    linear_damping,
-    quadratic_drag,
-    rate_limit,
-    rudder_neutral_angle,
-    rudder_stall,
-    sensor_bias,
-    sensor_lag,
-    speed_loss_in_turn,
-    thrust_speed_loss,
-)
 
 LENGTH, DENSITY = 50.0, 1025.0
 MASS = 0.0130 * 0.5 * DENSITY * LENGTH**3
@@ -94,33 +73,4 @@ def build(declared: bool, lacking: str | None) -> Model:
     )
 
 
-CANDIDATES = (
-    current_horizontal_plane(scale=0.25),
-    wind(5e3),
-    cubic_damping("yaw_cubic_damping", "N", "r", scale=1.5e10),
-    quadratic_drag("sway_crossflow", "Y", "v_r", scale=6e4),
-    quadratic_drag("yaw_crossflow", "N", "r", scale=5e8),
-    crossed_drag("yaw_drift_yaw", "N", "v_r", "r", scale=3e7),
-    crossed_drag("sway_drift_yaw", "Y", "v_r", "r", scale=1e6),
-    speed_loss_in_turn(scales={"X_vr": 3e5, "X_vv": 2e4}),
-    linear_damping("surge_linear_drag", "X", "u_r", scale=3e3),
-    linear_damping("sway_linear_damping", "Y", "v_r", scale=2e4),
-    coupling("sway_yaw_coupling", "Y", "r", scale=1e5),
-    deflection_drag("rudder_drag", "delta", scale=3e3),
-    rudder_stall("yaw_rudder_stall", "N", scale=1e5),
-    thrust_speed_loss(scale=0.05),
-    rudder_neutral_angle(scale=0.02),
-    zero("rudder_zero", "delta", "rad", scale=0.02, bound=0.2),
-    actuator_lag("rudder_lag", "delta", scale=2.0),
-    rate_limit("rudder_rate_limit", "delta", scale=20.0),
-    deadband("rudder_deadband", "delta", scale=0.02),
-    backlash("rudder_backlash", "delta", scale=0.02),
-    added_mass_error("surge_added_mass_error", "X", "u", scale=0.1 * MASS, bound=0.9 * MASS),
-    added_mass_error("sway_added_mass_error", "Y", "v", scale=0.3 * MASS, bound=1.5 * MASS),
-    added_mass_error("yaw_added_inertia_error", "N", "r", scale=0.3 * SPIN, bound=1.1 * SPIN),
-    sensor_bias("bias_psi", "psi", "rad", scale=0.02),
-    sensor_lag("heading_lag", "psi", scale=1.0),
-    sensor_lag("position_lag", ("x", "y"), scale=1.0),
-)
-
-NOMINAL = Nominal(build, CANDIDATES, {"yaw_damping": YAW_DAMPING})
+NOMINAL = Nominal(build, candidates("coaster"), {"yaw_damping": YAW_DAMPING})

@@ -13,21 +13,9 @@ MIT/WHOI: 30.5 kg, added mass 35.5 kg across, fin lift 12 kg/m; roll inertia lar
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from benchmarks.other_vehicles.truth.simulator import (
-    Hidden,
-    Manoeuvre,
-    Signal,
-    Sizes,
-    Vehicle,
-    constant,
-    multisine,
-    steps,
-    zigzag,
-)
+from benchmarks.other_vehicles.truth.simulator import Sizes, vehicle
 
 MASS, I_X, I_Y = 30.5, 0.8, 3.45  # kg, kg m2; pitch and yaw alike
 X_UDOT, Y_VDOT, K_PDOT, M_QDOT = -0.93, -35.5, -0.2, -4.88
@@ -95,117 +83,4 @@ def measure(x: np.ndarray, p: Sizes, h: Sizes) -> np.ndarray:
     return np.stack([x[0], v, w, *x[3:9], x[11]])
 
 
-_DEGREE = math.radians(1.0)
-_THETA, _PSI = 7, 8
-FREE = {
-    "X_uu": -3.9,
-    "Y_uv": -40.0,
-    "Y_ur": 9.0,
-    "Y_uudr": 12.0,
-    "Z_uw": -40.0,
-    "Z_uq": -9.0,
-    "Z_uuds": -12.0,
-    "M_uw": -20.6,
-    "M_uq": -9.0,
-    "M_uuds": -6.15,
-    "N_uv": 20.6,
-    "N_ur": -11.0,
-    "N_uudr": -6.15,
-    "K_p": -1.0,
-    "zgW": 5.9,
-}
-
-
-def _run(name: str, stern: Signal, rudder: Signal, n: Signal, speed: float) -> Manoeuvre:
-    start = {"u": speed, "z": 15.0, "phi": 0.0}
-    return Manoeuvre(name, start, {"stern": stern, "rudder": rudder, "n": n})
-
-
-AUV = Vehicle(
-    name="auv",
-    states=("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "x", "y", "z"),
-    inputs=("stern", "rudder", "n"),
-    noise={
-        "u": 0.02,
-        "v": 0.02,
-        "w": 0.02,
-        "p": 0.006,
-        "q": 0.004,
-        "r": 0.004,
-        "phi": 0.006,
-        "theta": 0.005,
-        "psi": 0.01,
-        "z": 0.03,
-    },
-    rate=rate,
-    measure=measure,
-    free=FREE,
-    fixed={},
-    sample=0.2,
-    duration=60.0,
-    substep=0.2,
-    integrator="gragg",
-    forces={"X": 0.1, "Y": 0.3, "Z": 0.3, "K": 0.03, "M": 0.06, "N": 0.06},
-    force_time=1.5,
-    logged=("stern", 0.5 * _DEGREE),
-    hidden={
-        "current": Hidden({"current_north": 0.12, "current_east": 0.12}),
-        "excess_weight": Hidden({"excess_weight": 2.0}),
-        "cg_offset_x": Hidden({"cg_ahead": 0.4}),
-        "heave_crossflow": Hidden({"Z_absww": 120.0}, -1),
-        "sway_crossflow": Hidden({"Y_absvv": 120.0}, -1),
-        "pitch_quadratic_damping": Hidden({"M_absqq": 40.0}, -1),
-        "yaw_quadratic_damping": Hidden({"N_absrr": 20.0}, -1),
-        "crossflow_drag": Hidden({"X_ww": 60.0}, -1),
-        "roll_by_sway": Hidden({"K_uv": 4.0}),
-        "thrust_speed_loss": Hidden({"speed_loss": 0.08}, -1),
-        "pitch_added_inertia_error": Hidden({"pitch_inertia": 2.0}, 1),
-        "stern_offset": Hidden({"offset:stern": 0.02}),
-        "stern_lag": Hidden({"lag:stern": 0.25}, 1),
-        "stern_backlash": Hidden({"backlash:stern": 0.03}, 1),
-        "rudder_zero": Hidden({"zero:rudder": 0.03}, per_record=True),
-        "depth_lag": Hidden({"sensor_lag:z": 0.4}, 1),
-        "bias_q": Hidden({"bias:q": 0.01}),
-        "log_lever_arm": Hidden({"lever_arm": 0.25}),
-        "roll_damping": Hidden({"K_p": -1.0}, lacking=True),
-    },
-    train=(
-        _run(
-            "pitch_zigzag",
-            zigzag(-10 * _DEGREE, 10 * _DEGREE, _THETA, begin=2.0),
-            steps([(5.0, 5 * _DEGREE), (20.0, -8 * _DEGREE), (40.0, 3 * _DEGREE)]),
-            constant(25.0),
-            1.5,
-        ),
-        _run(
-            "yaw_zigzag",
-            multisine(2 * _DEGREE, (21.0, 11.0, 6.0), seed=11),
-            zigzag(-14 * _DEGREE, 20 * _DEGREE, _PSI, begin=2.0),
-            constant(27.0),
-            1.6,
-        ),
-        _run(
-            "speed_steps",
-            zigzag(-6 * _DEGREE, 6 * _DEGREE, _THETA, begin=2.0),
-            multisine(4 * _DEGREE, (33.0, 14.0, 7.0), seed=12),
-            steps([(0.0, 18.0), (15.0, 30.0), (35.0, 22.0), (50.0, 12.0)]),
-            1.1,
-        ),
-    ),
-    validation=(
-        _run(
-            "both_zigzags",
-            zigzag(-8 * _DEGREE, 7 * _DEGREE, _THETA, begin=2.0),
-            zigzag(-10 * _DEGREE, 12 * _DEGREE, _PSI, begin=4.0),
-            constant(23.0),
-            1.4,
-        ),
-        _run(
-            "spiral",
-            multisine(3 * _DEGREE, (27.0, 13.0, 5.0), seed=13),
-            steps([(3.0, 9 * _DEGREE), (35.0, -6 * _DEGREE)]),
-            steps([(0.0, 24.0), (30.0, 28.0)]),
-            1.45,
-        ),
-    ),
-)
+AUV = vehicle("auv", rate, measure)

@@ -15,20 +15,9 @@ through the relative velocity, its rotation in body axes left out of added mass.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from benchmarks.other_vehicles.truth.simulator import (
-    Hidden,
-    Manoeuvre,
-    Sizes,
-    Vehicle,
-    constant,
-    multisine,
-    steps,
-    zigzag,
-)
+from benchmarks.other_vehicles.truth.simulator import Sizes, vehicle
 
 LENGTH, DENSITY = 50.0, 1025.0
 Q = 0.5 * DENSITY * LENGTH**2  # kg/m
@@ -66,91 +55,4 @@ def measure(x: np.ndarray, p: Sizes, h: Sizes) -> np.ndarray:
     return x[3:6]
 
 
-def _start(revolutions: float) -> dict[str, float]:
-    """Speed that a rate of revolution keeps up."""
-    return {"u": revolutions * math.sqrt(FIXED["T_nn"] / (-Q * FREE["X_uu"]))}
-
-
-FREE = {
-    "X_uu": -0.0012,
-    "Y_v": -0.018,
-    "N_v": -0.005,
-    "N_r": -0.0040,
-    "Y_d": 0.0045,
-    "N_d": -0.0022,
-}
-FIXED = {"Y_r": 0.0035, "T_nn": 2400.0}
-_DEGREE = math.radians(1.0)
-_PSI = 3
-
-
-def _zigzag(degrees: float, revolutions: float) -> Manoeuvre:
-    # A positive rudder turns to port.
-    rudder = zigzag(-degrees * _DEGREE, degrees * _DEGREE, _PSI, begin=10.0)
-    return Manoeuvre(
-        f"zigzag_{degrees:g}_{degrees:g}",
-        _start(revolutions),
-        {"n": constant(revolutions), "rudder": rudder},
-    )
-
-
-COASTER = Vehicle(
-    name="coaster",
-    states=("u", "v", "r", "psi", "x", "y"),
-    inputs=("n", "rudder"),
-    noise={"psi": 0.2 * _DEGREE, "x": 0.5, "y": 0.5},
-    rate=rate,
-    measure=measure,
-    free=FREE,
-    fixed=FIXED,
-    sample=1.0,
-    duration=360.0,
-    substep=0.25,
-    integrator="rk4",
-    forces={"X": 8e2, "Y": 2e3, "N": 3e4},
-    force_time=4.0,
-    logged=("rudder", 0.5 * _DEGREE),
-    hidden={
-        "current": Hidden({"current_north": 0.3, "current_east": 0.3}),
-        "wind_force": Hidden({"wind_north": 6e3, "wind_east": 6e3}),
-        "yaw_cubic_damping": Hidden({"N_rrr": 2.5e10}, -1),
-        "sway_crossflow": Hidden({"Y_absvv": 8e4}, -1),
-        "rudder_neutral_angle": Hidden({"offset:rudder": 0.02}),
-        "rudder_lag": Hidden({"lag:rudder": 2.5}, 1),
-        "heading_lag": Hidden({"sensor_lag:psi": 1.5}, 1),
-        "bias_psi": Hidden({"bias:psi": 0.03}),
-        "speed_loss_in_turn": Hidden({"X_vr": 4e5, "X_vv": -2e4}, 1),
-        "yaw_drift_yaw": Hidden({"N_absvr": 5e7}, -1),
-        "rudder_backlash": Hidden({"backlash:rudder": 0.03}, 1),
-        "rudder_zero": Hidden({"zero:rudder": 0.03}, per_record=True),
-        "yaw_added_inertia_error": Hidden({"yaw_inertia": 0.3 * YAW}, 1),
-        "yaw_damping": Hidden({"N_r": FREE["N_r"]}, lacking=True),
-    },
-    train=(
-        _zigzag(20.0, 4.0),
-        Manoeuvre(
-            "circle_15",
-            _start(4.0),
-            {"n": constant(4.0), "rudder": steps([(20.0, -15 * _DEGREE), (240.0, 10 * _DEGREE)])},
-        ),
-        Manoeuvre(
-            "speed_steps",
-            _start(2.5),
-            {
-                "n": steps([(0.0, 2.5), (60.0, 4.5), (180.0, 3.0), (270.0, 4.0)]),
-                "rudder": zigzag(-10 * _DEGREE, 10 * _DEGREE, _PSI, begin=10.0),
-            },
-        ),
-    ),
-    validation=(
-        _zigzag(15.0, 3.5),
-        Manoeuvre(
-            "multisine",
-            _start(4.2),
-            {
-                "n": constant(4.2),
-                "rudder": multisine(4 * _DEGREE, (180.0, 97.0, 53.0, 31.0, 17.0), seed=3),
-            },
-        ),
-    ),
-)
+COASTER = vehicle("coaster", rate, measure)

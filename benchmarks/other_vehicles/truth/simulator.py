@@ -18,8 +18,11 @@ per record) and ``lag`` of an input; ``sensor_lag``, ``scale`` and ``bias`` of a
 from __future__ import annotations
 
 import math
+import tomllib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -47,23 +50,23 @@ def constant(value: float) -> Signal:
     return steps([(0.0, value)])
 
 
-def zigzag(
-    amplitude: float, switch: float, state: int, *, begin: float = 5.0, base: float = 0.0
-) -> Signal:
+def zigzag(amplitude: float, switch: float, state: int, *, begin: float) -> Signal:
     """Relay: reverses when ``state`` has moved by ``switch`` in the direction of the command.
 
     ``amplitude`` below zero where a positive command turns the state the other way.
     """
 
     def fresh() -> Pilot:
-        side = [1.0]
+        side, first = [1.0], [math.nan]
 
         def pilot(time: float, x: np.ndarray) -> float:
+            if math.isnan(first[0]):
+                first[0] = float(x[state])
             if time < begin - 1e-9:
-                return base
-            if side[0] * x[state] > switch:
+                return 0.0
+            if side[0] * (x[state] - first[0]) > switch:
                 side[0] = -side[0]
-            return base + side[0] * amplitude
+            return side[0] * amplitude
 
         return pilot
 
@@ -76,32 +79,19 @@ def multisine(
     """Sum of sines of equal size with random phases."""
     phases = np.random.default_rng(seed).uniform(0, 2 * math.pi, len(periods))
 
-    def fresh() -> Pilot:
-        return lambda time, _: (
-            base
-            + amplitude
-            * sum(
-                math.sin(2 * math.pi * time / period + phase)
-                for period, phase in zip(periods, phases, strict=True)
-            )
-        )
+    def pilot(time: float, _: np.ndarray) -> float:
+        waves = zip(periods, phases, strict=True)
+        return base + amplitude * sum(math.sin(2 * math.pi * time / t + a) for t, a in waves)
 
-    return fresh
+    return lambda: pilot
 
 
-def hold_heading(
-    gain: float, damping: float, heading: int, rate: int, course: Signal, limit: float
-) -> Signal:
-    """Autopilot: proportional and derivative, towards a commanded angle."""
+def around(base: Signal, change: Signal, side: float) -> Signal:
+    """A signal, and a part of it that acts to one side."""
 
     def fresh() -> Pilot:
-        wanted = course()
-
-        def pilot(time: float, x: np.ndarray) -> float:
-            error = wanted(time, x) - x[heading]
-            return float(np.clip(gain * error - damping * x[rate], -limit, limit))
-
-        return pilot
+        common, turning = base(), change()
+        return lambda time, x: common(time, x) + side * turning(time, x)
 
     return fresh
 
@@ -209,6 +199,59 @@ class Vehicle:
     def parameters(self) -> dict[str, float]:
         """All parameters."""
         return {**self.fixed, **self.free}
+
+
+def vehicle(name: str, rate: Rate, measure: Measure, settle: Settle | None = None) -> Vehicle:
+    """The vehicle whose numbers, hidden effects and trials stand in ``name.toml``."""
+    path = Path(__file__).with_name(f"{name}.toml")
+    data = tomllib.loads(path.read_text(encoding="utf-8"))
+    hidden = {key: Hidden(**_frozen(row)) for key, row in data.pop("hidden").items()}
+    trials = {
+        part: tuple(_manoeuvre(row, data["states"], data["inputs"]) for row in data.pop(part))
+        for part in ("train", "validation")
+    }
+    noise = {key: _number(level) for key, level in data.pop("noise").items()}
+    return Vehicle(
+        name, rate=rate, measure=measure, settle=settle, hidden=hidden, noise=noise, **trials,
+        **{"fixed": {}, **_frozen(data)},
+    )  # fmt: skip
+
+
+def _frozen(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of data, its lists as tuples."""
+    return {
+        k: tuple(map(_number, v)) if isinstance(v, list) else _number(v) for k, v in row.items()
+    }
+
+
+def _number(value: Any) -> Any:
+    """A value as it is, or degrees as ``"5 deg"`` in rad."""
+    is_angle = isinstance(value, str) and value.endswith(" deg")
+    return float(value.removesuffix(" deg")) * math.radians(1.0) if is_angle else value
+
+
+def _manoeuvre(row: dict[str, Any], states: list[str], inputs: list[str]) -> Manoeuvre:
+    """A manoeuvre from data: a signal for each input, or what ``both`` have and sets ``apart``."""
+    if "both" in row:
+        both, apart = (_signal(row[part], states) for part in ("both", "apart"))
+        pairs = zip(inputs, (1.0, -1.0), strict=True)
+        commands = {name: around(both, apart, side) for name, side in pairs}
+    else:
+        commands = {name: _signal(said, states) for name, said in row["commands"].items()}
+    return Manoeuvre(row["name"], row["start"], commands)
+
+
+def _signal(said: Any, states: list[str]) -> Signal:
+    """A constant, or a signal by its kind and its options."""
+    if not isinstance(said, dict):
+        return constant(_number(said))
+    ((kind, options),) = said.items()
+    if kind == "steps":
+        return steps([(time, _number(value)) for time, value in options])
+    settings = _frozen(options)
+    if kind == "zigzag":
+        return zigzag(**settings | {"state": states.index(settings["state"])})
+    return multisine(**settings)
 
 
 @dataclass(frozen=True, eq=False)
