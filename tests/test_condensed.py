@@ -62,9 +62,9 @@ def test_gathered_sums_are_those_of_the_jacobian(problem) -> None:
     assert np.allclose(one.right / size, other.right / size, rtol=1e-9, atol=1e-9)
     step = np.linspace(-1.0, 1.0, shooting.layout.n_unknowns) / size
     assert quick.predicted(step) == pytest.approx(whole.predicted(step), rel=1e-10)
-    for index in range(len(shooting.records)):
-        assert np.allclose(one.maps[index], other.maps[index], rtol=1e-12)
-        assert np.allclose(one.offsets[index], other.offsets[index], rtol=1e-12)
+    for own, its in zip(one.follows, other.follows, strict=True):
+        assert np.allclose(own[0], its[0], rtol=1e-12)
+        assert np.allclose(own[1], its[1], rtol=1e-12)
 
 
 @pytest.mark.parametrize("problem", [diving, yaw_with_own_gain])

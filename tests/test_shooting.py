@@ -84,7 +84,7 @@ def test_a_full_step_closes_the_defects_of_a_linear_model() -> None:
     lin = shooting.linearise(point)
     assert shooting.defect(lin) > 0.1
     step = np.linspace(0.01, 0.03, shooting.layout.n_unknowns)
-    after = shooting.linearise(shooting.move(point, lin.node_maps, lin.node_offsets, step, 1.0))
+    after = shooting.linearise(shooting.move(point, lin.follows, step, 1.0))
     assert shooting.defect(after) < 1e-9
     predicted = exact(shooting, point).predicted(step)
     assert shooting.cost(after, point.unknowns + step) == pytest.approx(predicted, rel=1e-9)
@@ -141,13 +141,7 @@ def test_bounds_hold_and_moves_stay_within() -> None:
     shooting = Shooting(model, yaw_data(), NOISE)
     point = shooting.start_point()
     lin = shooting.linearise(point)
-    moved = shooting.move(
-        point,
-        lin.node_maps,
-        lin.node_offsets,
-        np.full(shooting.layout.n_unknowns, 5.0),
-        1.0,
-    )
+    moved = shooting.move(point, lin.follows, np.full(shooting.layout.n_unknowns, 5.0), 1.0)
     assert moved.unknowns[1] == 9.0
     held = shooting.holding(np.array([1]), np.array([8.5]))
     assert held.start_point(np.clip(point.unknowns, held.limits.lower, held.limits.upper)).unknowns[

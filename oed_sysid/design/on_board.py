@@ -43,7 +43,7 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
-_WIDTH = 92
+WIDTH = 92
 # Relative error up to which a coefficient counts as found.
 _GOOD = 0.05
 
@@ -62,7 +62,7 @@ def sea_trial_card(design: Any) -> str:
     lines = [
         *_danger(design),
         f"SEA TRIAL CARD   {experiment.name}   ({model.name})",
-        "=" * _WIDTH,
+        "=" * WIDTH,
         f"Length      {duration:g} s ({duration / 60:.1f} min), one run; log every "
         f"{experiment.sample_time:g} s or faster, commands and measurements on one clock",
         f"Start from  {_start(design, units)}; controls neutral, steady",
@@ -94,7 +94,7 @@ def _danger(design: Any) -> list[str]:
     found = design.assurance
     if found is None or found.is_safe:
         return []
-    return wrap(f"{found.danger} Read WATCH before anything else.", _WIDTH)
+    return wrap(f"{found.danger} Read WATCH before anything else.", WIDTH)
 
 
 def _start(design: Any, units: dict[str, str]) -> str:
@@ -191,7 +191,7 @@ def _watch(design: Any) -> list[str]:
     lines = [
         line
         for text in words
-        for line in wrap(text, _WIDTH - 4, initial_indent="  - ", subsequent_indent="    ")
+        for line in wrap(text, WIDTH - 4, initial_indent="  - ", subsequent_indent="    ")
     ]
     return lines + abort_lines(design)
 
@@ -237,7 +237,7 @@ def _accuracy(design: Any) -> list[str]:
         names = [n for n, error in errors.items() if low < error <= high]
         if names:
             text = f"{title}: {', '.join(names)}"
-            lines += wrap(text, _WIDTH, initial_indent="  ", subsequent_indent="    ")
+            lines += wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
     return lines
 
 
@@ -248,8 +248,8 @@ def _noise(model: Model, sea: NoiseModel | None) -> list[str]:
         if o.noise_std is not None
     )
     return [
-        *wrap(f"Noise assumed: {levels}.", _WIDTH),
-        *([] if sea is None else wrap(f"Random forces assumed: {sea_words(sea)}.", _WIDTH)),
+        *wrap(f"Noise assumed: {levels}.", WIDTH),
+        *([] if sea is None else wrap(f"Random forces assumed: {sea_words(sea)}.", WIDTH)),
         "Write down wind, sea, current, loading, battery, and anything touched during the run.",
     ]
 

@@ -20,12 +20,11 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.likelihood.estimate import Binding
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.nonlinear_program import UserConstraints
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Shooting
 
 # Distance of a value from its limit, in standard errors, up to which it is on it.
 ACTIVE = 1e-3
-# Directions of information below this share of the largest are not known.
-SINGULAR = 1e-11
 
 
 def binding(
@@ -49,11 +48,9 @@ def binding(
     limits, layout, model = problem.limits, problem.layout, problem.model
     if not constraints and not np.any((unknowns <= limits.lower) | (unknowns >= limits.upper)):
         return ()
-    total = matrix + np.diag(limits.prior_weight)
-    scale = np.sqrt(np.where(np.diag(total) > 0, np.diag(total), 1.0))
-    inverse = np.linalg.pinv(total / scale[:, None] / scale, rcond=SINGULAR, hermitian=True)
-    covariance = inverse / scale[:, None] / scale
-    step = covariance @ (right + limits.prior_weight * (limits.prior_mean - unknowns))
+    total, slope = limits.with_priors(matrix, right, unknowns)
+    covariance = inverse_of(total)
+    step = covariance @ slope
     columns = layout.record_columns(0)[layout.n_own :]
     values, slopes = layout.parameters(unknowns, 0), layout.slopes(unknowns[columns])
     found: list[tuple[str, float, np.ndarray]] = []

@@ -36,33 +36,25 @@ read in another unit (:math:`k = 180/\pi`, say) or with the other sign (:math:`k
 trajectories have the parameters that were expected. No parameter that the records give and that
 has the expected sign can be part of :math:`F`, so that one start value of the wrong sign among
 several right ones says nothing.
-
-White noise in the log of an input: how much.
-
-The level is that of third differences, which hardly see a command; it is noise where fourth
-differences say the same,
-
-.. math:: \sigma^2 = \operatorname{median}(\Delta^3 u)^2 \,/\, (0.4549 \cdot 20).
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.estimate import ActuatorStart, Delay, Estimate
+from oed_sysid.likelihood.information import COLOUR_LIMIT
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
 # Standard errors from which a departure counts: one output in 10^5 by chance.
 CLEAR = 4.5
-# Share of independent samples below which residuals are coloured.
-COLOUR_SHARE = 0.8
 # Share of the misfit beyond noise that a delay must explain where residuals are coloured.
 DELAY_SHARE = 0.3
 
@@ -100,16 +92,15 @@ class _Shared:
     inverse: np.ndarray
     slope: np.ndarray
 
-    def scores(
-        self, raw: np.ndarray, own: np.ndarray, cross: np.ndarray, slope: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def scores(self, part: _Evidence) -> tuple[np.ndarray, np.ndarray]:
         """Information ``I`` and score ``s`` of departures, all parameters estimated along.
 
         Zero information where nothing is left of a departure.
         """
-        information = own - np.einsum("ij,ik,kj->j", cross, self.inverse, cross)
-        seen = information > 1e-9 * np.maximum(raw, 1e-300)
-        return np.where(seen, information, 0.0), slope - cross.T @ (self.inverse @ self.slope)
+        information = part.own - np.einsum("ij,ik,kj->j", part.cross, self.inverse, part.cross)
+        seen = information > 1e-9 * np.maximum(part.raw, 1e-300)
+        score = part.slope - part.cross.T @ (self.inverse @ self.slope)
+        return np.where(seen, information, 0.0), score
 
 
 # Columns of the departures of one record: its index, its run, derivatives by its full start state.
@@ -156,7 +147,45 @@ def _evidence(
                 len(errors),
             )
         )
-    return found, _Shared(_inverse(shared), gradient)
+    return found, _Shared(inverse_of(shared), gradient)
+
+
+@dataclass(frozen=True)
+class _Score:
+    """Size of a departure in a record (or in all), its error and what it explains."""
+
+    column: int
+    record: str
+    size: float
+    std: float
+    gain: float
+    share: float
+
+
+def _scores(
+    fit: Estimate, runner: Kernel, signatures: Signatures, *, fewest: int = 1, joint: bool
+) -> list[_Score]:
+    """Departures that the records tell, each record on its own or all ``joint``.
+
+    Where the noise is larger than declared, errors are too.
+    """
+    found = _evidence(fit, runner, signatures, fewest)
+    if found is None or not found[0]:
+        return []
+    parts, shared = found
+    numbers = [one.name for one in fields(_Evidence)[1:]]
+    total = _Evidence("", *(sum(getattr(part, name) for part in parts) for name in numbers))
+    misfit = max(total.squares / max(total.count, 1), 1.0)
+    scores = []
+    for part in [total] if joint else parts:
+        information, score = shared.scores(part)
+        excess = max(part.squares - part.count, 1e-9)
+        for column in np.flatnonzero(information):
+            own = float(information[column])
+            size, gain = float(score[column]) / own, float(score[column]) ** 2 / own
+            std, share = float(np.sqrt(misfit / own)), min(gain / excess, 1.0)
+            scores.append(_Score(int(column), part.record, size, std, gain, share))
+    return scores
 
 
 def estimate_delays(fit: Estimate) -> tuple[Delay, ...]:
@@ -168,33 +197,16 @@ def estimate_delays(fit: Estimate) -> tuple[Delay, ...]:
     runner = kernel(fit.model)
     signals = [(name, "output") for name in fit.model.output_names]
     signals += [(name, "input") for name in fit.model.input_names]
+    own = [float(np.sqrt(one)) for one in _slowness(fit)]
+    slow = [*own, *[max(own)] * len(fit.model.input_names)]
 
     def late(index: int, run: Run, _: np.ndarray) -> np.ndarray:
         return _later(runner, fit, index, run)
 
-    found = _evidence(fit, runner, late, fewest=3)
-    if found is None or not found[0]:
-        return ()
-    parts, shared = found
-    information, score = shared.scores(
-        *(sum(getattr(part, name) for part in parts) for name in ("raw", "own", "cross", "slope"))
+    return tuple(
+        Delay(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
+        for one in _scores(fit, runner, late, fewest=3, joint=True)
     )
-    squares, count = sum(part.squares for part in parts), sum(part.count for part in parts)
-    excess = max(squares - count, 1e-9)
-    # Where the noise is larger than declared, errors are too.
-    misfit = max(squares / max(count, 1), 1.0)
-    slow = _slowness(fit)
-    delays = []
-    for column in np.flatnonzero(information):
-        name, kind = signals[column]
-        inflation = slow[column] if kind == "output" else max(slow)
-        own = information[column]
-        gain = float(score[column] ** 2 / own)
-        std = float(np.sqrt(misfit * inflation / own))
-        delays.append(
-            Delay(name, kind, float(score[column] / own), std, gain, min(gain / excess, 1.0))
-        )
-    return tuple(delays)
 
 
 def _slowness(fit: Estimate) -> list[float]:
@@ -208,15 +220,18 @@ def _later(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
     late = np.zeros((*run.outputs.shape, n_outputs + len(fit.model.inputs)))
     each = np.arange(n_outputs)
     late[:, each, each] = -np.gradient(run.outputs, record.times, axis=0)
-    values, shift = values_of(fit, index), record.sample_time
-    z0, _ = runner.start(fit.initial_states[index], record.inputs[0], values, record.times[0])
+    shift = record.sample_time
     for column in range(len(fit.model.inputs)):
         moved = record.inputs.copy()
         moved[:, column] = np.interp(record.times - shift, record.times, record.inputs[:, column])
         if not np.array_equal(moved, record.inputs):
-            after = runner.run(record.times, moved, values, z0).outputs
+            after = outputs_of(fit, index, moved, runner=runner)
             late[:, :, n_outputs + column] = (after - run.outputs) / shift
     return late
+
+
+def _is_coloured(fit: Estimate) -> bool:
+    return any(some < COLOUR_LIMIT * n for some, n in fit.effective_samples().values())
 
 
 def clear_delay(fit: Estimate, delays: Sequence[Delay]) -> Delay | None:
@@ -224,10 +239,7 @@ def clear_delay(fit: Estimate, delays: Sequence[Delay]) -> Delay | None:
     clear = [d for d in delays if abs(d.seconds) > CLEAR * d.std]
     if not clear:
         return None
-    coloured = any(
-        effective < COLOUR_SHARE * n for effective, n in fit.effective_samples().values()
-    )
-    if coloured:
+    if _is_coloured(fit):
         clear = [d for d in clear if d.share > DELAY_SHARE]
     return max(clear, key=lambda d: d.gain, default=None)
 
@@ -239,6 +251,23 @@ def values_of(fit: Estimate, index: int) -> np.ndarray:
     for name, value in (fit.local_values[index] if fit.local_values else {}).items():
         values[names.index(name)] = value
     return values
+
+
+def outputs_of(
+    fit: Estimate,
+    index: int,
+    inputs: np.ndarray,
+    values: np.ndarray | None = None,
+    *,
+    first: np.ndarray | None = None,
+    runner: Kernel | None = None,
+) -> np.ndarray:
+    """Outputs of one record with other inputs (the first for what remembers) and values."""
+    record, runner = fit.dataset[index], runner or kernel(fit.model)
+    values = values_of(fit, index) if values is None else values
+    first = record.inputs[0] if first is None else first
+    start, _ = runner.start(fit.initial_states[index], first, values, record.times[0])
+    return runner.run(record.times, inputs, values, start).outputs
 
 
 def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
@@ -257,29 +286,19 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     def beside(_: int, __: Run, by_start: np.ndarray) -> np.ndarray:
         return np.stack([by_start[:, :, places].sum(axis=2) for *_, places in columns], axis=2)
 
-    found = _evidence(fit, kernel(fit.model), beside)
-    if found is None:
-        return ()
-    parts, shared = found
-    squares, count = sum(part.squares for part in parts), sum(part.count for part in parts)
-    inflation = max(squares / max(count, 1), 1.0) * max(_slowness(fit), default=1.0)
+    slow = float(np.sqrt(max(_slowness(fit), default=1.0)))
     result = []
-    for part in parts:
-        information, score = shared.scores(part.raw, part.own, part.cross, part.slope)
-        excess = max(part.squares - part.count, 1e-9)
-        for position in np.flatnonzero(information):
-            effect, signal, _ = columns[position]
-            size = float(score[position] / information[position])
-            std = float(np.sqrt(inflation / information[position]))
-            share = min(size**2 * float(information[position]) / excess, 1.0)
-            result.append(ActuatorStart(effect.name, signal, part.record, size, std, share))
+    for one in _scores(fit, kernel(fit.model), beside, joint=False):
+        effect, signal, _ = columns[one.column]
+        std = slow * one.std
+        result.append(ActuatorStart(effect.name, signal, one.record, one.size, std, one.share))
     return tuple(sorted(result, key=lambda one: -abs(one.size / one.std)))
 
 
 def clear_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
     """Starts that are not the first command, and, where residuals are coloured, worth a word."""
     clear = [one for one in estimate_starts(fit) if abs(one.size) > CLEAR * one.std]
-    if any(some < COLOUR_SHARE * n for some, n in fit.effective_samples().values()):
+    if _is_coloured(fit):
         clear = [one for one in clear if one.share > DELAY_SHARE]
     return tuple(clear)
 
@@ -320,15 +339,6 @@ def _projected(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
     u, values, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
     basis = u[:, values > 1e-9 * values.max(initial=0.0)]
     return np.asarray(basis @ (basis.T @ rows))
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of an information in the directions that it sees."""
-    scale = np.sqrt(np.maximum(np.diag(matrix), 0.0))
-    scale = np.where(scale > 0, scale, 1.0)
-    scaled = matrix / scale[:, None] / scale
-    inverse = np.linalg.pinv(scaled, rcond=1e-12, hermitian=True)
-    return np.asarray(inverse / scale[:, None] / scale)
 
 
 DEGREE = np.pi / 180.0
@@ -444,93 +454,18 @@ def _is_the_same(
 
 def _change(fit: Estimate, column: int, factor: float, powers: Mapping[str, int]) -> float:
     """Root mean square change of the outputs, in noise levels; infinite where none can be said."""
-    runner, change, count = kernel(fit.model), 0.0, 0
-    scales = np.ones(len(fit.model.parameter_names))
+    change, count, scales = 0.0, 0, np.ones(len(fit.model.parameter_names))
     for name, power in powers.items():
         scales[fit.model.parameter_names.index(name)] = factor**power
     for index, record in enumerate(fit.dataset):
         if not np.ptp(record.inputs[:, column]):
             continue
-        values, inputs = values_of(fit, index), np.array(record.inputs)
-        other = values * scales
+        inputs = np.array(record.inputs)
         inputs[:, column] *= factor
-        ends = []
-        for commands, numbers in ((record.inputs, values), (inputs, other)):
-            own = fit.initial_states[index]
-            start, _ = runner.start(own, commands[0], numbers, record.times[0])
-            ends.append(runner.run(record.times, commands, numbers, start).outputs)
-        scaled = ((ends[1] - ends[0]) / fit.sigma)[np.isfinite(record.outputs)]
+        other = outputs_of(fit, index, inputs, values_of(fit, index) * scales, first=inputs[0])
+        away = other - outputs_of(fit, index, record.inputs)
+        scaled = (away / fit.sigma)[np.isfinite(record.outputs)]
         with np.errstate(over="ignore", invalid="ignore"):
             change, count = change + float(scaled @ scaled), count + len(scaled)
     size = float(np.sqrt(change / count)) if count else np.inf
     return size if np.isfinite(size) else np.inf
-
-
-# White noise of a logged input, as a share of its spread: above, it is an excitation.
-INPUT_SHARE = (1e-5, 0.3)
-# Level of fourth differences over that of third ones, from which these are noise.
-FLAT = 0.85
-
-
-def fast_level(parts: Sequence[np.ndarray]) -> float:
-    """Level of white noise with third differences as large as these; NaN without any.
-
-    Examples
-    --------
-    >>> rng = np.random.default_rng(0)
-    >>> held = np.repeat([0.0, 0.3, -0.3], 200)
-    >>> round(fast_level([held + 0.01 * rng.standard_normal(600)]), 3)
-    0.01
-    """
-    pooled = [np.diff(part[np.isfinite(part)], 3) ** 2 for part in parts]
-    differences = np.concatenate(pooled)
-    return float(np.sqrt(np.median(differences) / 0.4549 / 20.0)) if len(differences) else np.nan
-
-
-def is_noise(parts: Sequence[np.ndarray]) -> bool:
-    """Whether the level of differences no longer falls from the third to the fourth order."""
-    fourth = np.concatenate([np.diff(values, 4) ** 2 for values in parts])
-    third = fast_level(parts)
-    if not len(fourth) or not third > 0:
-        return False
-    return bool(np.sqrt(np.median(fourth) / 0.4549 / 70.0) > FLAT * third)
-
-
-def shown_in_log(dataset: Dataset, name: str) -> float:
-    """Level of white noise that would wiggle as fast as the log of an input does, in its unit.
-
-    An upper limit: a command that changes from sample to sample has it, too.
-    Infinite where no
-    input has that name, or where records are too short to tell.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    name : str
-    """
-    names = [channel.name for channel in dataset[0].channels.inputs]
-    if name not in names:
-        return float("inf")
-    column = names.index(name)
-    level = fast_level([record.inputs[:, column] for record in dataset])
-    return level if np.isfinite(level) else float("inf")
-
-
-def noisy_inputs(dataset: Dataset) -> dict[str, float]:
-    """Level of the white noise of every input whose log shows some, in its unit.
-
-    Parameters
-    ----------
-    dataset : Dataset
-    """
-    found = {}
-    for column, name in enumerate(channel.name for channel in dataset[0].channels.inputs):
-        series = [record.inputs[:, column] for record in dataset if not record.independent]
-        if not series:
-            continue
-        level = fast_level(series)
-        spread = float(np.std(np.concatenate(series)))
-        low, high = INPUT_SHARE
-        if spread > 0 and low * spread < level < high * spread and is_noise(series):
-            found[name] = level
-    return found

@@ -136,18 +136,18 @@ def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]
         (``"Z"``); or a place in full (``"actuator fin"``, ``"flow u"``, ``"sensor q"``).
     """
     known = places(model)
-    if isinstance(names, str) and names == "all":
-        found = tuple(place for place in known if place.stage == "force")
-        if not found:
+    if names == "all":
+        names = [place.name for place in known if place.stage == "force"]
+        if not names:
             raise ModelError(
                 f"Model {model.name!r} has no equation with a parameter in which a force could "
                 "act. Name the states that are disturbed, such as disturbances=('r',)."
             )
-        return found
     result = []
     for name in [names] if isinstance(names, str) else names:
-        fits = [p for p in known if p.name == name]
-        fits = fits or [p for p in known if p.signal == name and p.stage in ("force", "kinematics")]
+        fits = [p for p in known if p.name == name] or [
+            p for p in known if p.signal == name and p.stage in ("force", "kinematics")
+        ]
         if not fits:
             raise ModelError(
                 f"There is no place {name!r} for a disturbance in model {model.name!r}. Places "

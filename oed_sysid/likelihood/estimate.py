@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -14,6 +14,7 @@ from oed_sysid.data.frames import frame
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.between_records import FEWEST_RECORDS, RecordScatter, Sources
 from oed_sysid.likelihood.information import Information, Whiteness, whiteness
+from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 
@@ -240,13 +241,13 @@ class Estimate:
     @property
     def values(self) -> dict[str, float]:
         """Estimated value by name."""
-        return dict(zip(self.names, map(float, self.estimates), strict=True))
+        return by_name(self.names, self.estimates)
 
     @property
     def std_errors(self) -> dict[str, float]:
         """Standard error by name."""
         errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        return dict(zip(self.names, map(float, errors), strict=True))
+        return by_name(self.names, errors)
 
     @property
     def record_errors(self) -> dict[str, float]:
@@ -256,8 +257,17 @@ class Estimate:
         """
         if self.record_scatter is None:
             return {}
-        errors = np.sqrt(np.diag(self.record_scatter.covariance))
-        return dict(zip(self.names, map(float, errors), strict=True))
+        return by_name(self.names, np.sqrt(np.diag(self.record_scatter.covariance)))
+
+    @property
+    def shared_covariance(self) -> np.ndarray:
+        """Covariance of the shared parameters in the model's order; zero of what is known."""
+        shared = [p.name for p in self.model.free_parameters if not p.per_record]
+        covariance = np.zeros((len(shared), len(shared)))
+        known = [i for i, name in enumerate(shared) if name in self.names]
+        columns = [self.names.index(shared[i]) for i in known]
+        covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
+        return covariance
 
     @property
     def correlation(self) -> np.ndarray:
@@ -333,17 +343,12 @@ class Estimate:
     @property
     def rms(self) -> dict[str, float]:
         """Root mean square residual of each output over all records, in its unit."""
-        stacked = np.vstack(self.residuals)
-        count = np.isfinite(stacked).sum(axis=0)
-        squares = np.where(count > 0, np.nansum(stacked**2, axis=0) / np.maximum(count, 1), np.nan)
-        return dict(zip(self.model.output_names, map(float, np.sqrt(squares)), strict=True))
+        return by_name(self.model.output_names, root_mean_square(self.residuals))
 
     @property
     def normalised_rms(self) -> float:
         """Root mean square residual over all outputs, in units of the noise."""
-        stacked = np.vstack(self.residuals) / self.sigma
-        present = np.isfinite(stacked)
-        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
+        return _rms(np.vstack(self.residuals) / self.sigma)
 
     @property
     def one_step_rms(self) -> float:
@@ -352,9 +357,7 @@ class Estimate:
         Minus twice the log-likelihood is its square times the samples, but for a constant and the
         determinants of the standard deviations.
         """
-        stacked = np.vstack(self.whitened)
-        present = np.isfinite(stacked)
-        return float(np.sqrt(np.mean(stacked[present] ** 2))) if present.any() else np.nan
+        return _rms(np.vstack(self.whitened))
 
     def interval(self, name: str, level: float = 0.95) -> tuple[float, float]:
         """Confidence interval of one parameter from its standard error.
@@ -433,6 +436,17 @@ class Estimate:
             "unit": [self.model.parameter(name).unit for name in self.names],
         }
         return frame(columns).set_index("parameter")
+
+
+def by_name(names: Sequence[str], numbers: np.ndarray) -> dict[str, float]:
+    """Numbers by name."""
+    return dict(zip(names, map(float, numbers), strict=True))
+
+
+def _rms(numbers: np.ndarray) -> float:
+    """Root mean square of what is a number; NaN where nothing is."""
+    present = np.isfinite(numbers)
+    return float(np.sqrt(np.mean(numbers[present] ** 2))) if present.any() else np.nan
 
 
 def checked_scatter(fit: Estimate) -> RecordScatter:

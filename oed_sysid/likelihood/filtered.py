@@ -33,7 +33,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.shooting import Point
+from oed_sysid.likelihood.shooting import Follows, Point
 from oed_sysid.likelihood.unknowns import KnownStarts, Layout, Limits
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
@@ -166,18 +166,11 @@ class Filtered:
         unknowns[self.layout.levels] = self.levels.vector(noise)
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
 
-    def move(
-        self,
-        point: Point,
-        maps: Sequence[np.ndarray],
-        offsets: Sequence[np.ndarray],
-        step: np.ndarray,
-        length: float,
-    ) -> Point:
+    def move(self, point: Point, follows: Follows, step: np.ndarray, length: float) -> Point:
         """Return the point after a step; its map says how levels follow times, see `maps`."""
         unknowns = point.unknowns + length * step
         block = self.layout.levels
-        unknowns[block] = self.levels.moved(point.unknowns[block], length * step[block], maps[0])
+        unknowns[block] = self.levels.moved(point.unknowns[block], length * step[block], follows[0])
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), ())
 
     def trusted(

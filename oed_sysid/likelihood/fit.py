@@ -226,11 +226,7 @@ class Fit(Estimate):
             shared parameters held, ``"first"`` takes the first measurements,
             a mapping gives the states, as numbers or as pairs ``(value, std)``.
         """
-        shared = [p.name for p in self.model.free_parameters if not p.per_record]
-        covariance = np.zeros((len(shared), len(shared)))
-        known = [i for i, name in enumerate(shared) if name in self.names]
-        columns = [self.names.index(shared[i]) for i in known]
-        covariance[np.ix_(known, known)] = self.covariance[np.ix_(columns, columns)]
+        covariance = self.shared_covariance
         found = predict(self.model, dataset, covariance, self.noise, initial=initial)
         return replace(found, caveat=self.caveat)
 

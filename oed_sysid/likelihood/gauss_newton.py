@@ -54,8 +54,8 @@ from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step, gain_within
-from oed_sysid.likelihood.shooting import Linearisation, Point, Shooting
+from oed_sysid.likelihood.projection import bounded_step, gain_within, inverse_of
+from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import Limits, node_maps
 
 # Lengths of a step that are tried, and the ratio of one to the one before.
@@ -81,8 +81,6 @@ LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
 # smaller than with steps so many times longer, it is rounding as well.
 AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
-# Share of the largest eigenvalue below which nothing is known.
-NOTHING = 1e-12
 
 
 # -- points ------------------------------------------------------------------------
@@ -100,15 +98,14 @@ class Equations:
     right : ndarray (n_unknowns,)
     closed : float
         The cost :math:`c_0` at unchanged unknowns.
-    maps, offsets : tuple of ndarray
-        How nodes follow a step of the unknowns, and close their defects.
+    follows : tuple
+        How nodes follow a step of the unknowns and close their defects, per record.
     """
 
     matrix: np.ndarray
     right: np.ndarray
     closed: float
-    maps: tuple[np.ndarray, ...] = ()
-    offsets: tuple[np.ndarray, ...] = ()
+    follows: Follows = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +151,7 @@ class Iterate:
     def moved(self, step: np.ndarray, length: float, damping: float = 0.0) -> Point:
         """The point after a share of a step."""
         equations = self.damped(damping)
-        return self.problem.move(self.point, equations.maps, equations.offsets, step, length)
+        return self.problem.move(self.point, equations.follows, step, length)
 
 
 class Problem(Protocol):
@@ -164,14 +161,7 @@ class Problem(Protocol):
     def limits(self) -> Limits:
         """Bounds and priors of the unknowns."""
 
-    def move(
-        self,
-        point: Point,
-        maps: Sequence[np.ndarray],
-        offsets: Sequence[np.ndarray],
-        step: np.ndarray,
-        length: float,
-    ) -> Point:
+    def move(self, point: Point, follows: Follows, step: np.ndarray, length: float) -> Point:
         """The point after a step of the unknowns, within bounds, and what follows of the nodes."""
 
 
@@ -189,7 +179,7 @@ def exact(shooting: Shooting, point: Point) -> Iterate | None:
     def equations() -> Equations:
         matrix, right = shooting.normal_equations(lin)
         closed = shooting.closed_cost(lin)
-        return Equations(matrix, right, closed, lin.node_maps, lin.node_offsets)
+        return Equations(matrix, right, closed, lin.follows)
 
     cost = shooting.cost(lin, point.unknowns)
     return Iterate(shooting, point, cost, lambda _: equations(), shooting.defect(lin), lin)
@@ -200,7 +190,7 @@ def gathered(shooting: Shooting, point: Point) -> Iterate | None:
     n = shooting.layout.n_unknowns
     matrix, right = np.zeros((n, n)), np.zeros(n)
     squares = closed = defect = 0.0
-    maps, offsets = [], []
+    follows = []
     for index, record in enumerate(shooting.records):
         values = shooting.values(point.unknowns, index)
         z0, dz0 = shooting.full_start(point.unknowns, index)
@@ -229,9 +219,8 @@ def gathered(shooting: Shooting, point: Point) -> Iterate | None:
         squares += 0.5 * float(blocks.gram[:, -1, -1].sum())
         defect += float(np.abs(defects / shooting.state_scale).sum())
         n_full = nodes.shape[1]
-        maps.append(map_[1:, :n_full, :-1])
-        offsets.append(map_[1:, :n_full, -1])
-    found_equations = Equations(matrix, right, closed, tuple(maps), tuple(offsets))
+        follows.append((map_[1:, :n_full, :-1], map_[1:, :n_full, -1]))
+    found_equations = Equations(matrix, right, closed, tuple(follows))
     cost = squares + shooting.prior_cost(point.unknowns)
     return Iterate(shooting, point, cost, lambda _: found_equations, defect)
 
@@ -329,11 +318,8 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
 
 def _shared_std(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
     """Standard deviations of the shared parameters, everything else unknown."""
-    matrix = matrix + np.diag(problem.limits.prior_weight)
-    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-    inverse = np.linalg.pinv(matrix / size / size[:, None], rcond=NOTHING, hermitian=True)
-    shared = len(problem.layout.shared)
-    return np.asarray(np.sqrt(np.maximum(np.diag(inverse)[:shared], 0.0)) / size[:shared])
+    inverse = inverse_of(matrix + np.diag(problem.limits.prior_weight))
+    return np.sqrt(np.maximum(np.diag(inverse)[: len(problem.layout.shared)], 0.0))
 
 
 # -- iterations --------------------------------------------------------------------

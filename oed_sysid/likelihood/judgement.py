@@ -54,19 +54,19 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
-    COLOUR_SHARE,
     clear_delay,
     clear_starts,
     estimate_delays,
-    fast_level,
-    noisy_inputs,
     other_way,
+    outputs_of,
     values_of,
 )
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.likelihood.information import Whiteness
+from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
+    fast_level,
+    noisy_inputs,
     signal_spread,
     spike_masks,
     spike_sizes,
@@ -375,7 +375,7 @@ def _colours(fit: Estimate) -> Iterator[Found]:
         if not n:
             continue
         effective = sum(test.effective_samples for test in tests)
-        if effective <= COLOUR_SHARE * n and _remember(tests, n):
+        if effective <= COLOUR_LIMIT * n and _remember(tests, n):
             found[name] = Found(effective / n, name, facts={
                 "what": "Innovations" if fit.innovations is not None else "Residuals",
                 "n": n, "effective": effective, "todo": todo,
@@ -415,7 +415,7 @@ def _absorbed(fit: Estimate) -> Iterator[Found]:
         if not fit.sigma_estimated[column] or n < 20 or not floor[column] > 0:
             continue
         factor = float(fit.sigma[column] / floor[column])
-        if factor > ABSORBED and effective < COLOUR_SHARE * n:
+        if factor > ABSORBED and effective < COLOUR_LIMIT * n:
             yield Found(factor, name, facts={
                 "sigma": fit.sigma[column], "floor": floor[column],
                 "unit": fit.model.outputs[column].unit,
@@ -493,27 +493,21 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
     The vehicle answers to the true input, not to its log; a fit to the log lets coefficients
     shrink and errors look white (Fuller 1987, *Measurement error models*).
     """
-    runner = kernel(fit.model)
-    levels = noisy_inputs(fit.dataset)
-    for column, channel in enumerate(fit.model.inputs):
-        if channel.name not in levels:
-            continue
-        level = levels[channel.name]
+    for name, level in noisy_inputs(fit.dataset).items():
+        column = fit.model.input_names.index(name)
         rng = np.random.default_rng(0)
         change, count = 0.0, 0
         for index, record in enumerate(fit.dataset):
             moved = record.inputs.copy()
             moved[:, column] += level * rng.standard_normal(record.n_samples)
-            values = values_of(fit, index)
-            own = fit.initial_states[index]
-            z0, _ = runner.start(own, record.inputs[0], values, record.times[0])
-            ends = runner.run(record.times, moved, values, z0).outputs - fit.predictions[index]
-            scaled = (ends / fit.sigma)[np.isfinite(record.outputs)]
+            away = outputs_of(fit, index, moved) - fit.predictions[index]
+            scaled = (away / fit.sigma)[np.isfinite(record.outputs)]
             scaled = scaled[np.isfinite(scaled)]
             change, count = change + float(scaled @ scaled), count + len(scaled)
         size = float(np.sqrt(change / max(count, 1)))
         if size > INPUT_EFFECT:
-            yield Found(size, channel.name, facts={"level": level, "unit": channel.unit})
+            facts = {"level": level, "unit": fit.model.inputs[column].unit}
+            yield Found(size, name, facts=facts)
 
 
 def _other_way(fit: Estimate) -> Iterator[Found]:
@@ -572,9 +566,7 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
         states = fit.states[index]
         whole = fit.innovations is None and fit.horizon is None
         if whole or states.shape[1] != coarse.n_full:
-            own = fit.initial_states[index]
-            z0, _ = fine.start(own, record.inputs[0], values, record.times[0])
-            after = fine.run(record.times, record.inputs, values, z0).outputs
+            after = outputs_of(fit, index, record.inputs, runner=fine)
         else:
             last = int(np.isfinite(states).all(axis=1).cumprod().sum())
             starts = np.arange(0, record.n_samples, PIECE)

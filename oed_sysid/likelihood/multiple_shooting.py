@@ -252,8 +252,7 @@ class MultipleShooting:
         began = time.perf_counter()
         shooting, estimated = self._begun(model, dataset, warm, initial_states, known_starts)
         model = shooting.model
-        cold = warm is None or initial_states is not None
-        point = shooting.start_point() if warm is None or cold else warm_point(shooting, warm)
+        point = warm_point(shooting, warm if initial_states is None else None)
         wanted = self._wants_process_noise(model, dataset)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
@@ -262,7 +261,7 @@ class MultipleShooting:
         end = self._without_process_noise(shooting, point, estimated, carried, wanted=wanted)
         fit = white = self._summary(task, end, weighed=not wanted)
         interrupted = fit.status.code == "interrupted"
-        if self.loss == "auto" and self.horizon is None and not interrupted:
+        if not interrupted:
             fit = self._without_spikes(fit, model, known_starts)
         disturbed = None
         if wanted and not interrupted:
@@ -273,13 +272,10 @@ class MultipleShooting:
             if not code or not self._tests(model):
                 return disturbed
             fit = _failed(fit, code)
-        if wanted:
-            fit = self._weighed(fit, white, task, end)
-        fit = _judged(fit, model)
-        if disturbed is None or fit.status.code not in FAILED:
-            return fit
-        # No better without process noise.
-        return disturbed if np.isfinite(disturbed.estimates).all() else fit
+        fit = _judged(self._weighed(fit, white, task, end) if wanted else fit, model)
+        # Where it is no better without process noise.
+        usable = disturbed is not None and np.isfinite(disturbed.estimates).all()
+        return disturbed if disturbed and usable and fit.status.code in FAILED else fit
 
     def _begun(
         self,
@@ -372,6 +368,8 @@ class MultipleShooting:
 
     def _without_spikes(self, fit: Fit, model: Model, known_starts: KnownStarts | None) -> Fit:
         """Fit again without samples that stand out alone, and how many of how many they were."""
+        if self.loss != "auto" or self.horizon is not None:
+            return fit
         before, again, iterations = _measured(fit.dataset), fit, fit.iterations
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
@@ -434,12 +432,8 @@ class MultipleShooting:
             return _failed(fit, "diverged"), None
         if tests and _no_likelier(found, fit):
             return fit, None
-        told = ProcessNoiseTest(test.gain)
-        if fit.names:  # process noise would absorb delays and starts of actuators
-            late, elsewhere = clear_delay(fit, estimate_delays(fit)), clear_starts(fit)
-            told = replace(told, delay=late, actuator_starts=elsewhere)
         model = with_levels(found.model, found.noise)
-        return fit, replace(found, process_noise=told, model=model)
+        return fit, replace(found, process_noise=_before_absorbed(fit, test.gain), model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
@@ -680,6 +674,14 @@ def _score(
     if carried is not None and test.gain < CLEAR:
         test = score_test(model, fit.dataset, quiet, *at)
     return test
+
+
+def _before_absorbed(fit: Fit, statistic: float) -> ProcessNoiseTest:
+    """The test at the white fit, with delays and starts of actuators that the forces absorb."""
+    if not fit.names:
+        return ProcessNoiseTest(statistic)
+    late, elsewhere = clear_delay(fit, estimate_delays(fit)), clear_starts(fit)
+    return ProcessNoiseTest(statistic, delay=late, actuator_starts=elsewhere)
 
 
 def _measured(dataset: Dataset) -> np.ndarray:

@@ -29,6 +29,8 @@ SMALLEST_SHARE = 1e-9
 LOWEST_ORDER, HIGHEST_ORDER, STILL_FALLING = 3, 12, 0.85
 # Standard error of the logarithm of such a level, times the root of the number of samples.
 DIFFERENCE_ERROR = 1.5
+# White noise of a logged input, as a share of its spread: above, it is an excitation.
+INPUT_SHARE = (1e-5, 0.3)
 # White noise below this share of the signal is the last digit of a file, not a sensor; and where
 # no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
 LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
@@ -103,9 +105,68 @@ def _difference_level(measured: Sequence[np.ndarray], order: int) -> float:
     pooled = np.concatenate([np.zeros(0), *(np.diff(values, order) ** 2 for values in measured)])
     if not len(pooled):
         return np.nan
+    return fast_level(measured, order) or float(np.sqrt(np.mean(pooled) / comb(2 * order, order)))
+
+
+def fast_level(parts: Sequence[np.ndarray], order: int = LOWEST_ORDER) -> float:
+    r"""Level of white noise with differences whose median is as large as these; NaN without any.
+
+    .. math:: \sigma^2 = \operatorname{median}(\Delta^k u)^2 \,/\, \Big(0.4549 \binom{2 k}{k}\Big)
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> held = np.repeat([0.0, 0.3, -0.3], 200)
+    >>> round(fast_level([held + 0.01 * rng.standard_normal(600)]), 3)
+    0.01
+    """
+    differences = [np.diff(part[np.isfinite(part)], order) ** 2 for part in parts]
+    pooled = np.concatenate([np.zeros(0), *differences])
     # The median of a chi-squared variable with one degree of freedom is 0.4549.
-    robust = np.median(pooled) / 0.4549
-    return float(np.sqrt((robust or np.mean(pooled)) / comb(2 * order, order)))
+    return (
+        float(np.sqrt(np.median(pooled) / 0.4549 / comb(2 * order, order)))
+        if len(pooled)
+        else np.nan
+    )
+
+
+def shown_in_log(dataset: Dataset, name: str) -> float:
+    """Level of white noise that would wiggle as fast as the log of an input does, in its unit.
+
+    An upper limit: a command that changes from sample to sample has it, too. Infinite where no
+    input has that name, or where records are too short to tell.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    name : str
+    """
+    names = dataset[0].channels.input_names
+    if name not in names:
+        return np.inf
+    level = fast_level([record.inputs[:, names.index(name)] for record in dataset])
+    return level if np.isfinite(level) else np.inf
+
+
+def noisy_inputs(dataset: Dataset) -> dict[str, float]:
+    """Level of the white noise of every input whose log shows some, in its unit.
+
+    Parameters
+    ----------
+    dataset : Dataset
+    """
+    found: dict[str, float] = {}
+    records = [record for record in dataset if not record.independent]
+    low, high = INPUT_SHARE
+    for column, name in enumerate(dataset[0].channels.input_names if records else ()):
+        series = [record.inputs[:, column] for record in records]
+        level = fast_level(series)
+        spread = float(np.std(np.concatenate(series)))
+        # Noise is what no longer falls with the order of the differences.
+        noise = fast_level(series, LOWEST_ORDER + 1) > STILL_FALLING * level
+        if noise and low * spread < level < high * spread:
+            found[name] = level
+    return found
 
 
 def signal_spread(dataset: Dataset) -> np.ndarray:
@@ -191,6 +252,14 @@ def _check_positive(names: Sequence[str], levels: np.ndarray) -> None:
                 f"The noise level of output {name!r} is {level}; residuals are divided by it. "
                 "Give a positive standard deviation, or noise='estimate'."
             )
+
+
+def root_mean_square(parts: Sequence[np.ndarray]) -> np.ndarray:
+    """Root mean square of residuals, by output; NaN where nothing was measured."""
+    stacked = np.vstack(parts)
+    count = np.isfinite(stacked).sum(axis=0)
+    squares = np.where(count > 0, np.nansum(stacked**2, axis=0) / np.maximum(count, 1), np.nan)
+    return np.asarray(np.sqrt(squares))
 
 
 def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.ndarray:

@@ -114,6 +114,11 @@ class Sea:
         """Return the same sea with other levels in its places."""
         return replace(self, levels=dict(zip(self.places, map(float, level), strict=True)))
 
+    def filled(self, other: Sea) -> Sea:
+        """Return the same sea with the numbers of another where it leaves some out."""
+        own = {name: value for name, value in vars(self).items() if value is not None}
+        return replace(other, **own)
+
     def to_dict(self) -> dict[str, Any]:
         """Return the sea as plain data for JSON."""
         return {

@@ -24,7 +24,8 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import Estimate, by_name
+from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, Layout, StartState
@@ -222,12 +223,8 @@ class Prediction:
     @property
     def rms(self) -> dict[str, float]:
         """Root mean square residual of each output over all records, in its unit."""
-        stacked = np.vstack(self.residuals)
-        count = np.maximum(np.isfinite(stacked).sum(axis=0), 1)
-        squares = np.nansum(stacked**2, axis=0) / count
-        empty = ~np.isfinite(stacked).any(axis=0)
-        values = np.where(empty, np.nan, np.sqrt(squares))
-        return dict(zip(self.dataset.channels.output_names, map(float, values), strict=True))
+        names = self.dataset.channels.output_names
+        return by_name(names, root_mean_square(self.residuals))
 
     def report(self) -> str:
         """Return the prediction errors as text."""

@@ -81,19 +81,19 @@ def gain_within(
     return step, float(2.0 * right @ step - step @ matrix @ step)
 
 
+def inverse_of(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of an information in the directions that it sees, in units of its diagonal."""
+    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
+    inverse = np.linalg.pinv(matrix / size[:, None] / size, rcond=NOTHING, hermitian=True)
+    return np.asarray(inverse / size[:, None] / size)
+
+
 def share_of(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:
     """:math:`A_{ko} A_{oo}^+`, shape ``(n_kept, n_others)``: what others explain of the kept.
 
     Zero in columns of unknowns that nothing tells.
     """
-    share = np.zeros((len(kept), len(others)))
-    size = np.sqrt(np.maximum(np.diag(matrix)[others], 0.0))
-    seen = size > 0
-    columns, size = others[seen], size[seen]
-    scaled = matrix[np.ix_(columns, columns)] / size[:, None] / size
-    inverse = np.linalg.pinv(scaled, rcond=NOTHING, hermitian=True) / size[:, None] / size
-    share[:, seen] = matrix[np.ix_(kept, columns)] @ inverse
-    return share
+    return np.asarray(matrix[np.ix_(kept, others)] @ inverse_of(matrix[np.ix_(others, others)]))
 
 
 def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -162,29 +162,37 @@ def fit_disturbed(
         if noise is begin or start.noise is None
     ]
     best = _stayed(begun[0]) if len(begun) == 1 and starts[0].noise is not None else None
-    if best is None:
-        best = _raced(begun, min(setting.max_iterations, BEFORE_SEA), progress)
-        best = None if best is None else with_sea(best, setting)
-        left = setting.max_iterations - BEFORE_SEA
-        if best is not None and best.reason == "iterations" and left > 0:
-            again = _Begun(best.problem, best.point, best.objective).solved(left, progress)
-            if again is not None:
-                best = replace(again, iterations=best.iterations + again.iterations)
+    best = best or _raced_to_sea(begun, setting, progress)
     if best is None:
         return None
     for step in (with_colour, with_input_noise, with_own_times):
         best = step(best, setting)
-    if polish:
-        more = 0 if best.reason == "converged" else FEW_STEPS
-        again = solve_filtered(best.problem, best.point, max_iterations=more, polish=polish)
+    return _polished(best, polish) if polish else best
+
+
+def _raced_to_sea(
+    begun: Sequence[_Begun], setting: Setting, progress: Callable[[Progress], None] | None
+) -> FilteredSolution | None:
+    """The likeliest end with forces of first order, or with a sea where there is one."""
+    best = _raced(begun, min(setting.max_iterations, BEFORE_SEA), progress)
+    best = None if best is None else with_sea(best, setting)
+    left = setting.max_iterations - BEFORE_SEA
+    if best is not None and best.reason == "iterations" and left > 0:
+        again = _Begun(best.problem, best.point, best.objective).solved(left, progress)
         if again is not None:
-            stood = not more and again.reason == "iterations"
-            best = replace(
-                again,
-                iterations=again.iterations + best.iterations,
-                reason=best.reason if stood else again.reason,
-            )
+            return replace(again, iterations=best.iterations + again.iterations)
     return best
+
+
+def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
+    """The end by the exact gradient, which has the last word only where it finds a way."""
+    more = 0 if found.reason == "converged" else FEW_STEPS
+    again = solve_filtered(found.problem, found.point, max_iterations=more, polish=polish)
+    if again is None:
+        return found
+    stood = not more and again.reason == "iterations"
+    reason = found.reason if stood else again.reason
+    return replace(again, iterations=again.iterations + found.iterations, reason=reason)
 
 
 # -- where it begins ---------------------------------------------------------------
@@ -524,39 +532,46 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     FilteredSolution
         The same one where no sea is clearly likelier.
     """
-    known = setting.seas[0] if setting.seas else Sea()
-    at_sea = [p.name for p in setting.places if p.stage == "force" and p.name not in setting.known]
-    places = known.places or tuple(at_sea)
-    if found.noise.seas or not places or not (setting.seas or setting.any_sea):
+    declared = setting.seas[0] if setting.seas else None
+    known = declared or Sea()
+    places = known.places or setting.at_sea
+    if found.noise.seas or not places or not (declared or setting.any_sea):
         return found
-    period = known.period
+    period = known.period or _likeliest_period(found, setting, places)
     if period is None:
-        periods = _periods(found)
-        if setting.seas and not periods:
-            periods = [found.problem.records[0].duration / 8]
-        tests = [_tested(found, setting, places, one) for one in periods]
-        if not setting.seas and not max(tests, default=0.0) >= threshold(
-            len(places), max(len(periods), 1)
-        ):
-            return found
-        period = periods[int(np.argmax(tests))]
-    nothing = dict.fromkeys(places, 0.0)
-    sea = Sea(
-        period, known.bandwidth or BANDWIDTH, known.levels or nothing, known.shape or "velocity"
-    )
+        return found
+    sea = known.filled(_calm(places, period))
     best = _at_sea(found, setting, sea, known)
-    if setting.seas:
+    if declared or best is None:
         return best or found
-    # Held over the same shorter steps, forces of first order may be as likely.
-    calm = sea if best is None else replace(sea, period=best.noise.seas[0].period)
-    first = _again(found, setting, replace(found.noise, seas=(calm,)), calm)
-    rival = found if first is None or first.objective > found.objective else first
-    if best is None or rival.objective - 2.0 * rival.promise - best.objective < WORTH_SEA:
+    if not _clearly_a_sea(best, found, setting):
         return found
     # Forces of first order join the sea where the records ask for them.
     sample = min(record.sample_time for record in found.problem.records)
-    rest = [place for place in at_sea if place not in best.noise.places]
+    rest = [place for place in setting.at_sea if place not in best.noise.places]
     return _joined(best, setting, rest, [count * sample for count in TIMES], [Sea()])
+
+
+def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
+    """Whether a sea is clearly likelier than forces of first order."""
+    # Held over the same shorter steps, these may be as likely.
+    period = float(sea.noise.seas[0].period or 0.0)
+    calm = _calm(setting.at_sea, period)
+    first = _again(found, setting, replace(found.noise, seas=(calm,)), calm)
+    rival = found if first is None or first.objective > found.objective else first
+    return rival.objective - 2.0 * rival.promise - sea.objective >= WORTH_SEA
+
+
+def _likeliest_period(
+    found: FilteredSolution, setting: Setting, places: Sequence[str]
+) -> float | None:
+    """Period of the largest test, s; None where no sea is declared and none shows."""
+    periods = _periods(found)
+    if setting.seas and not periods:
+        return found.problem.records[0].duration / 8
+    tests = [_tested(found, setting, places, one) for one in periods]
+    shows = bool(tests) and max(tests) >= threshold(len(places), len(periods))
+    return periods[int(np.argmax(tests))] if setting.seas or shows else None
 
 
 def _periods(found: FilteredSolution) -> list[float]:
@@ -582,11 +597,16 @@ def _again(
     return moved(found, problem, setting.max_iterations if most is None else most)
 
 
+def _calm(places: Sequence[str], period: float) -> Sea:
+    """A sea of level zero."""
+    return Sea(period, BANDWIDTH, dict.fromkeys(places, 0.0), "velocity")
+
+
 def _tested(
     found: FilteredSolution, setting: Setting, places: Sequence[str], period: float
 ) -> float:
     """Gain of resonators of a period at variance zero."""
-    nothing = Sea(period, BANDWIDTH, dict.fromkeys(places, 0.0), "velocity")
+    nothing = _calm(places, period)
     noise = replace(found.noise, seas=(nothing,))
     still = _again(found, setting, noise, replace(nothing, levels=None), 0)
     return 0.0 if still is None else score_gain(still, [f"sea {p} level" for p in places])[0]

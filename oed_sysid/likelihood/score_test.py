@@ -35,12 +35,11 @@ from scipy.signal import lfilter
 from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterKernel, FilterPass
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
-from oed_sysid.likelihood.departures import shown_in_log
 from oed_sysid.likelihood.disturbances import Place, disturbance
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import LONGEST, SHORTEST, Levels
-from oed_sysid.likelihood.noise_levels import credible_levels
+from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea, disturbance_names
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.shooting import Point
@@ -133,6 +132,12 @@ class Setting:
     def inputs(self) -> tuple[Place, ...]:
         """Logged inputs that may be noisy: neither held nor smooth to the last digit."""
         return tuple(place for place in self.logged if self.most_input[place.name] > 0)
+
+    @property
+    def at_sea(self) -> tuple[str, ...]:
+        """Places at which waves may act: forces whose level is not known."""
+        names = [place.name for place in self.places if place.stage == "force"]
+        return tuple(name for name in names if name not in self.known)
 
     @property
     def disturbances(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ import copy
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
@@ -90,6 +91,8 @@ def loss_by_name(name: str) -> Loss | None:
 
 
 Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+# How nodes follow a step of the unknowns, and what closes their defects, per record.
+Follows = tuple[Any, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +123,7 @@ class Linearisation:
         Derivative of the outputs with continuity already imposed.
     offsets : tuple of ndarray (n_times, n_outputs)
         First-order change of the outputs when the defects are closed.
-    node_maps, node_offsets : tuples of ndarrays
+    follows : tuple of pair of ndarray
         Change of the nodes per unknown, and when the defects are closed.
     defects : tuple of ndarray (n_segments - 1, n_full)
         Jump of the trajectory at each node.
@@ -129,8 +132,7 @@ class Linearisation:
     residuals: tuple[np.ndarray, ...]
     jacobians: tuple[np.ndarray, ...]
     offsets: tuple[np.ndarray, ...]
-    node_maps: tuple[np.ndarray, ...]
-    node_offsets: tuple[np.ndarray, ...]
+    follows: Follows
     defects: tuple[np.ndarray, ...]
 
 
@@ -304,22 +306,14 @@ class Shooting:
         cuts = zip(runs, self.starts, strict=True)
         return Point(unknowns, tuple(states[starts[1:]] for states, starts in cuts))
 
-    def move(
-        self,
-        point: Point,
-        maps: Sequence[np.ndarray],
-        offsets: Sequence[np.ndarray],
-        step: np.ndarray,
-        length: float,
-    ) -> Point:
+    def move(self, point: Point, follows: Follows, step: np.ndarray, length: float) -> Point:
         """Return the point after a step of the unknowns and the step this implies for nodes.
 
-        ``maps`` and ``offsets`` are those of a :class:`Linearisation`.
+        ``follows`` is that of a :class:`Linearisation`.
         """
         nodes = []
-        for index, columns in enumerate(self._columns):
-            change = maps[index] @ step[columns] + offsets[index]
-            nodes.append(point.nodes[index] + length * change)
+        for columns, own, (map_, offset) in zip(self._columns, point.nodes, follows, strict=True):
+            nodes.append(own + length * (map_ @ step[columns] + offset))
         unknowns = point.unknowns + length * step
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), tuple(nodes))
 
@@ -335,7 +329,7 @@ class Shooting:
             parts.append(part)
         return Linearisation(*(tuple(column) for column in zip(*parts, strict=True)))
 
-    def _linearise_record(self, point: Point, index: int) -> tuple[np.ndarray, ...] | None:
+    def _linearise_record(self, point: Point, index: int) -> tuple[Any, ...] | None:
         """A record's outputs by its unknowns alone; None where this overflows."""
         record, starts = self.records[index], self.starts[index]
         run = self.run(point.unknowns, index, point.nodes[index], sensitivities=True)
@@ -359,8 +353,7 @@ class Shooting:
             record.outputs - run.outputs,
             condensed[:, :, :-1],
             condensed[:, :, -1],
-            maps[1:, :n_full, :-1],
-            maps[1:, :n_full, -1],
+            (maps[1:, :n_full, :-1], maps[1:, :n_full, -1]),
             defects,
         )
 

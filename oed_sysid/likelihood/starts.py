@@ -98,8 +98,10 @@ def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
     return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
 
 
-def warm_point(shooting: Shooting, warm: Fit) -> Point:
-    """Start on the trajectory of an earlier fit; on the measurements where it diverges."""
+def warm_point(shooting: Shooting, warm: Fit | None) -> Point:
+    """Start on the trajectory of an earlier fit; on the measurements without, or if it diverges."""
+    if warm is None:
+        return shooting.start_point()
     unknowns = warm_unknowns(shooting, warm)
     point = shooting.continuous(unknowns)
     if all(np.isfinite(nodes).all() for nodes in point.nodes):

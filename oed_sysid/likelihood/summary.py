@@ -21,7 +21,7 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit, Status
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.projection import eliminate, share_of
+from oed_sysid.likelihood.projection import eliminate, inverse_of, share_of
 from oed_sysid.likelihood.shooting import Shooting
 
 ADVICE = {
@@ -331,12 +331,8 @@ def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, f
     where = np.arange(block.start, block.stop)
     others = problem.open_unknowns(0)
     reduced = eliminate(matrix, where, others[others < block.start])
-    open_ = np.diag(reduced) > 0
-    errors = np.full(len(where), np.inf)
-    # In units of their own information: variances and logarithms differ by many decades.
-    size = np.sqrt(np.diag(reduced)[open_])
-    inner = np.linalg.pinv(reduced[np.ix_(open_, open_)] / size[:, None] / size, hermitian=True)
-    errors[open_] = np.sqrt(np.maximum(np.diag(inner), 0.0)) / size
+    variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
+    errors = np.where(np.diag(reduced) > 0, np.sqrt(variances), np.inf)
     found = {}
     for name, value, error in zip(levels.names, unknowns[block], errors, strict=True):
         if name.endswith("level"):

@@ -46,6 +46,7 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
@@ -564,11 +565,7 @@ def _starts(fit: Estimate) -> list[tuple[np.ndarray, Mapping[str, float]]] | Non
 
 def _scatter(fit: Estimate) -> np.ndarray:
     """Root of the covariance of the shared parameters, ``(n_shared, n_shared)``; known ones."""
-    shared = [p.name for p in fit.model.free_parameters if not p.per_record]
-    covariance = np.zeros((len(shared), len(shared)))
-    known = [i for i, name in enumerate(shared) if name in fit.names]
-    columns = [fit.names.index(shared[i]) for i in known]
-    covariance[np.ix_(known, known)] = fit.covariance[np.ix_(columns, columns)]
+    covariance = fit.shared_covariance
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
@@ -712,10 +709,7 @@ class _Estimator:
         if not shared:
             held = runs[0].shared
             matrix[held], matrix[:, held] = 0.0, 0.0
-        scale = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-        scaled = matrix / scale[:, None] / scale
-        inverse = np.linalg.pinv(scaled, rcond=SINGULAR, hermitian=True) / scale[:, None] / scale
-        return cls(tuple(rows), tuple(columns), inverse)
+        return cls(tuple(rows), tuple(columns), inverse_of(matrix))
 
     def leaves(self, away: Sequence[np.ndarray]) -> np.ndarray:
         """Sums of squares that are left of whitened departures, ``(n_draws, n_outputs)``."""

@@ -30,7 +30,7 @@ import numpy as np
 from oed_sysid.compiled.normal_equations import Elimination, eliminate, gather
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Equations, Iterate, StepControl
-from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.shooting import Follows, Point, Shooting
 from oed_sysid.likelihood.unknowns import Limits
 
 # Simulated start states may leave their guesses by this many state scales (soft).
@@ -148,16 +148,15 @@ class Windows:
         def equations(damping: float) -> Equations:
             n = self.shooting.layout.n_unknowns
             matrix, right = np.zeros((n, n)), np.zeros(n)
-            alone, maps, offsets = 0.0, [], []
+            alone, follows = 0.0, []
             for (part, _, away), gram in zip(self._away(point), grams, strict=True):
                 found = self._eliminated(part, gram, away, damping)
                 columns = self.columns(part)
                 matrix[np.ix_(columns, columns)] += found.matrix
                 right[columns] += found.right
                 alone += 0.5 * found.gain
-                maps.append(-found.solved[:, :, :-1])
-                offsets.append(found.solved[:, :, -1])
-            return Equations(matrix, right, closed - alone, tuple(maps), tuple(offsets))
+                follows.append((-found.solved[:, :, :-1], found.solved[:, :, -1]))
+            return Equations(matrix, right, closed - alone, tuple(follows))
 
         return Iterate(self, point, cost, equations)
 
@@ -238,18 +237,11 @@ class Windows:
         layout = self.shooting.layout
         return layout.record_columns(part.record)[layout.n_own :]
 
-    def move(
-        self,
-        point: Point,
-        maps: Sequence[np.ndarray],
-        offsets: Sequence[np.ndarray],
-        step: np.ndarray,
-        length: float,
-    ) -> Point:
+    def move(self, point: Point, follows: Follows, step: np.ndarray, length: float) -> Point:
         """The point after a step of the unknowns and what it implies for the start states."""
         unknowns = np.clip(point.unknowns + length * step, self.limits.lower, self.limits.upper)
         nodes = []
-        for part, at, map_, offset in zip(self.windows, point.nodes, maps, offsets, strict=True):
+        for part, at, (map_, offset) in zip(self.windows, point.nodes, follows, strict=True):
             moved = at.copy()
             moved[part.counted] += length * (map_ @ step[self.columns(part)] + offset)
             nodes.append(moved)
