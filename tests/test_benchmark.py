@@ -26,7 +26,7 @@ from oed_sysid.baselines.benchmark import (
 )
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import ModelError, ProblemError
-from oed_sysid.results.benchmark_plots import figure_benchmark
+from oed_sysid.results.estimator_plots import figure_benchmark
 
 TWO = ("multiple_shooting", "heading_differences")
 

@@ -13,7 +13,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.multistart import Multistart
 from oed_sysid.results import plot_waterfall
-from oed_sysid.results.live_plots import plateaus
+from oed_sysid.results.estimator_plots import plateaus
 
 OSCILLATOR = Model(
     "oscillator",

@@ -116,7 +116,7 @@ CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
         "sigma_estimated of shape (0,)",
     ),
     "truth values as numbers": (
-        changed(F, "sigma_estimated", to={**ARRAY, "array": [1.0], "shape": [1]}),
+        changed(F, "sigma_estimated", "dtype", to="float64"),
         "sigma_estimated that is not true or false",
     ),
     "value of no parameter in a record": (

@@ -26,9 +26,8 @@ from oed_sysid.evidence.compare import Comparison
 from oed_sysid.evidence.locate import CLEAR, Located
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.results.improvement_plots import slice_means
+from oed_sysid.results.improvement_plots import force_against
 from oed_sysid.results.style import model_style
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
@@ -165,35 +164,21 @@ def against(
         What turns the signal into that unit.
     """
     units = {place.name: place.unit for place in located.places}
-    x, y, share = _seen(located, equation, where)
-    x = turn * x
+    x, y, (centres, means, half) = force_against(located, equation, turn * where)
     figure = go.Figure()
     thin = slice(None, None, max(x.size // _MOST, 1))
     figure.add_scatter(
         x=x[thin], y=y[thin], mode="markers", name="every sample", hoverinfo="skip",
         marker={"size": 3, "color": MEASURED, "opacity": 0.35},
     )  # fmt: skip
-    if x.size:
-        centres, means, half = slice_means(x, y, share)
-        figure.add_scatter(
-            x=centres, y=means, mode="markers", name="mean, 95 %",
-            marker={"size": 8, "color": model_style(1).colour}, error_y={"array": half},
-        )  # fmt: skip
+    figure.add_scatter(
+        x=centres, y=means, mode="markers", name="mean, 95 %",
+        marker={"size": 8, "color": model_style(1).colour}, error_y={"array": half},
+    )  # fmt: skip
     figure.add_hline(y=0.0, line_width=1, line_color=MEASURED)
     figure.update_xaxes(title_text=words)
     figure.update_yaxes(title_text=f"residual {equation} [{units.get(f'force {equation}') or '-'}]")
     return laid_out(figure, 380)
-
-
-def _seen(
-    located: Located, equation: str, where: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, float]:
-    """A signal and a residual force where both are known, and the share of independent samples."""
-    column = located.force_names.index(equation)
-    force = np.concatenate([series.values[:, column] for series in located.forces])
-    seen = np.isfinite(where) & np.isfinite(force)
-    independent = sum(effective_sample_size(s.values[:, column]) for s in located.forces)
-    return where[seen], force[seen], independent / max(sum(len(s.times) for s in located.forces), 1)
 
 
 def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray]) -> int:
@@ -213,9 +198,9 @@ def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray])
         return 0
     distances = []
     for where in signals.values():
-        x, y, share = _seen(located, equation, where)
-        _, means, half = slice_means(x, y, share) if x.size else (None, np.zeros(1), np.ones(1))
-        distances.append(float(np.mean((means / np.maximum(half, 1e-300)) ** 2)))
+        _, means, half = force_against(located, equation, where)[2]
+        clear = (means / np.maximum(half, 1e-300)) ** 2
+        distances.append(float(clear.mean()) if clear.size else 0.0)
     return int(np.argmax(distances)) if distances else 0
 
 

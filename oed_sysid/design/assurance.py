@@ -144,6 +144,11 @@ class Assurance:
         return not self.limited or self.probability >= (self.wanted or _SAFE)
 
     @property
+    def is_enough(self) -> bool:
+        """Whether the probability that was asked for, if any, is reached."""
+        return self.wanted is None or self.probability >= self.wanted
+
+    @property
     def probability(self) -> float:
         """Share of vehicles on which all limits were kept."""
         return self.n_kept / self.n_checked
@@ -169,7 +174,7 @@ class Assurance:
             f"limits kept on {self.probability:.1%} of {self.n_checked} simulated vehicles with "
             f"{self.drawn} (at least {self.at_least:.1%} with 95 % confidence)"
         )
-        if self.wanted is not None and self.probability < self.wanted:
+        if not self.is_enough:
             words += f", LESS than the {self.wanted:.0%} asked for"
         if self.left:
             words += "; left first: " + ", ".join(f"{n} ({c})" for n, c in self.left.items())

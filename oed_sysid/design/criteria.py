@@ -124,6 +124,19 @@ def log_determinant(matrix: np.ndarray) -> float:
     return float(np.sum(np.log(np.maximum(values, 1e-15))) + 2 * np.sum(np.log(diagonal)))
 
 
+def soft_minimum(values: np.ndarray, width: float) -> tuple[float, np.ndarray]:
+    """Soft minimum of some values, and its derivatives by them, which sum to one.
+
+    Examples
+    --------
+    >>> value, weights = soft_minimum(np.array([1.0, 1.0, 9.0]), 0.1)
+    >>> print(round(value, 2), weights.round(3))
+    1.04 [0.5 0.5 0. ]
+    """
+    weights = np.exp(-(values - values.min()) / width)
+    return float(values.min() - width * np.log(weights.mean())), weights / weights.sum()
+
+
 # Value and derivative (symmetric) of a criterion at a scaled information matrix.
 Measure = Callable[[np.ndarray], tuple[float, np.ndarray]]
 
@@ -164,6 +177,28 @@ class Criterion(Protocol):
         ...
 
 
+def _mean_variance(weight: np.ndarray | None = None) -> Measure:
+    """Minus log of ``trace(C W)``, and its derivative; by default of the mean of the diagonal."""
+
+    def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+        bound = inverse(matrix)
+        target = np.eye(len(matrix)) / len(matrix) if weight is None else weight
+        variance = float(np.sum(bound * target))
+        return -np.log(variance), bound @ target @ bound / variance
+
+    return measure
+
+
+def _ends(matrix: np.ndarray) -> list[tuple[float, np.ndarray]]:
+    """Logarithms of the smallest and the largest eigenvalue, and their derivatives."""
+    values, vectors = np.linalg.eigh(matrix)
+    sizes = np.maximum(values, NOTHING)
+    return [
+        (float(np.log(sizes[i])), np.outer(vectors[:, i], vectors[:, i]) / sizes[i])
+        for i in (0, -1)
+    ]
+
+
 @dataclass(frozen=True)
 class DOptimal:
     """Smallest volume of the confidence ellipsoid: log det of the information."""
@@ -183,13 +218,7 @@ class AOptimal:
 
     def bind(self, setting: Setting) -> Measure:
         """Return ``-log(trace(C)/n)`` and its derivative."""
-
-        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
-            bound = inverse(matrix)
-            trace = float(np.trace(bound))
-            return -np.log(trace / len(bound)), bound @ bound / trace
-
-        return measure
+        return _mean_variance()
 
 
 @dataclass(frozen=True)
@@ -200,13 +229,7 @@ class EOptimal:
 
     def bind(self, setting: Setting) -> Measure:
         """Return ``log(lambda_min)`` and its derivative."""
-
-        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
-            values, vectors = np.linalg.eigh(matrix)
-            smallest = max(float(values[0]), 1e-10)
-            return float(np.log(smallest)), np.outer(vectors[:, 0], vectors[:, 0]) / smallest
-
-        return measure
+        return lambda matrix: _ends(matrix)[0]
 
 
 @dataclass(frozen=True)
@@ -222,11 +245,8 @@ class ModifiedE:
         """Return ``-log(lambda_max / lambda_min)`` and its derivative."""
 
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
-            values, vectors = np.linalg.eigh(matrix)
-            small, large = max(float(values[0]), 1e-10), max(float(values[-1]), 1e-10)
-            gradient = np.outer(vectors[:, 0], vectors[:, 0]) / small
-            gradient -= np.outer(vectors[:, -1], vectors[:, -1]) / large
-            return float(np.log(small / large)), gradient
+            (small, by_small), (large, by_large) = _ends(matrix)
+            return small - large, by_small - by_large
 
         return measure
 
@@ -303,14 +323,7 @@ class VOptimal(_Prediction):
     def bind(self, setting: Setting) -> Measure:
         """Return minus log of the mean variance in noise units, and its derivative."""
         rows = self._rows(setting)
-        target = rows.T @ rows / len(rows)
-
-        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
-            bound = inverse(matrix)
-            variance = float(np.sum(bound * target))
-            return -np.log(variance), bound @ target @ bound / variance
-
-        return measure
+        return _mean_variance(rows.T @ rows / len(rows))
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ they do not, no stated error holds, and no number of further runs mends it.
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Protocol, runtime_checkable
 
@@ -317,27 +317,29 @@ class Decision:
                 "WARNING: the records contradict one another, so that the errors do not hold; look "
                 f"for what the model lacks (improve) first; {words}"
             )
-        if self.is_check:
-            words += " checks what one run alone has said"
-        else:
+        brings = "checks what one run alone has said"
+        if not self.is_check:
             unmet = (one for one in self.goals if not one.is_met)
             far = max(unmet, key=lambda one: one.now / one.goal.tolerance)
             now, then = (far.goal.words(self.model, value) for value in (far.now, far.then))
-            words += f" brings {far.goal.name} from {now} to {then}"
+            brings = f"brings {far.goal.name} from {now} to {then}"
+        left = "not all goals can be planned for"
         if np.isfinite(self.hours_left):
-            words += f"; {counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
-        else:
-            words += "; not all goals can be planned for"
-        if self.kept is not None:
-            words += (
-                f"; limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles (at least "
-                f"{self.at_least:.0%} with 95 % confidence)"
-            )
-        elif run.experiment.limits.signals:
-            words += "; whether other vehicles keep the limits is not known"
-        else:
-            words += "; no limit on the motion was given"
-        return f"{words}."
+            left = f"{counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
+        safe = self._safety or "no limit on the motion was given"
+        if self.kept is None and run.experiment.limits.signals:
+            safe = "whether other vehicles keep the limits is not known"
+        return f"{words} {brings}; {left}; {safe}."
+
+    @property
+    def _safety(self) -> str:
+        """How surely the next run keeps its limits; empty where that is not known."""
+        if self.kept is None:
+            return ""
+        return (
+            f"limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles (at least "
+            f"{self.at_least:.0%} with 95 % confidence)"
+        )
 
     def document(self) -> Report:
         """Return the decision, the verdict first."""
@@ -350,36 +352,23 @@ class Decision:
             words = (one.goal.words(self.model, value) for value in values)
             rows.append((one.goal.name, *words, "met" if one.is_met else ""))
         headers = ("goal", "wanted", "now", "after next", "")
-        facts = list(self._next_words()) if self.action == "go on" else []
-        if self.contradiction is not None:
-            facts.insert(0, ("WARNING", self.contradiction.text))
+        facts = [] if self.contradiction is None else [("WARNING", self.contradiction.text)]
+        if self.next_run is not None:
+            left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
+            far = "more than can be planned: lower a goal"
+            facts += [
+                ("next", self.next_run.name),
+                *([("limits", self._safety.removeprefix("limits "))] if self._safety else []),
+                ("to go", left if np.isfinite(self.hours_left) else far),
+            ]
+            if self.hours_available is not None and self.hours_left > self.hours_available:
+                short = f"only {self.hours_available:.2g} h are left: not all goals will be met"
+                facts.append(("WARNING", short))
         refused = [f"Not run: {name!r} may leave its limits." for name in self.refused]
         section = Section("Goals", refused, (Table(headers, rows),), indent=2)
         return Report(head, answer=head, head=facts, sections=(section,))
 
     report = as_text
-
-    def _next_words(self) -> Iterator[tuple[str, str]]:
-        """Facts about the next run, and what is left after it."""
-        if self.next_run is None:
-            return
-        yield "next", self.next_run.name
-        if self.kept is not None:
-            kept = (
-                f"kept on {self.kept:.0%} of {self.n_checked} vehicles that remain possible, "
-                f"at least {self.at_least:.0%} with 95 % confidence"
-            )
-            yield "limits", kept
-        left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
-        yield (
-            "to go",
-            left if np.isfinite(self.hours_left) else "more than can be planned: lower a goal",
-        )
-        if self.hours_available is not None and self.hours_left > self.hours_available:
-            yield (
-                "WARNING",
-                f"only {self.hours_available:.2g} h are left: not all goals will be met",
-            )
 
     to_dict = as_dict(
         "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",
@@ -441,51 +430,52 @@ def decide(
     # Nothing but one run has told the parameters, so that nothing could contradict it.
     is_alone = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
     needs_check = outlook.is_met and contradiction is None and is_alone
-    refused: list[str] = []
-    checked: tuple[float | None, int] = (None, 0)
-    chosen = None
+    safe = _Safe(outlook, None, None, 0, ())
     if needs_check or not outlook.is_met:
-        vehicles = (expected.model, *_possible(expected, rng))
-        while chosen is None and (best := outlook.best(check=needs_check)) is not None:
-            kept = _kept(outlook.runs[best], vehicles, limits, certainty)
-            if kept is None:
-                refused.append(outlook.runs[best].name)
-                outlook = outlook.without(best)
-            else:
-                chosen, checked = best, kept
-    next_run, then, steps = outlook.after(chosen, check=needs_check)
+        safe = _safe_run(outlook, expected, limits, certainty, rng, check=needs_check)
+    outlook, next_run = safe.outlook, safe.run
+    steps = outlook.path() if safe.chosen is not None and not needs_check else safe.steps
     action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
         model=expected.model,
         action=action,
-        goals=tuple(
-            Progressed(goal, float(a), float(b))
-            for goal, a, b in zip(goals, outlook.now, then, strict=True)
-        ),
+        goals=tuple(map(Progressed, goals, outlook.now.tolist(), safe.then.tolist())),
         next_run=next_run if action == "go on" else None,
         runs_left=len(steps),
         hours_left=outlook.hours(steps),
         hours_available=hours,
-        refused=tuple(dict.fromkeys(refused)),
+        refused=safe.refused,
         seconds=time.perf_counter() - began,
-        kept=checked[0],
-        n_checked=checked[1],
+        kept=safe.kept,
+        n_checked=safe.n_checked,
         contradiction=contradiction,
     )
 
 
-def _kept(
-    run: Candidate, vehicles: Sequence[Model], limits: Limits | None, certainty: float
-) -> tuple[float | None, int] | None:
-    """Share of the vehicles on which a run keeps its limits, and their number; None: too few.
+@dataclass(frozen=True, eq=False)
+class _Safe:
+    """The best run that keeps its limits, on how many vehicles, and those that do not."""
 
-    No share is stated where there are no limits, or no vehicle but the nominal one.
-    """
-    bounds = LimitBounds.of(vehicles[0], limits or run.experiment.limits)
-    kept = kept_on(run.experiment, vehicles, bounds, certainty)
-    if kept is None:
-        return None
-    return (kept, len(vehicles)) if bounds.names and len(vehicles) > 1 else (None, 0)
+    outlook: _Outlook
+    chosen: int | None
+    kept: float | None
+    n_checked: int
+    refused: tuple[str, ...]
+
+    @property
+    def steps(self) -> list[int]:
+        """The run alone, if there is one."""
+        return [] if self.chosen is None else [self.chosen]
+
+    @property
+    def run(self) -> Candidate | None:
+        """The run itself."""
+        return None if self.chosen is None else self.outlook.runs[self.chosen]
+
+    @property
+    def then(self) -> np.ndarray:
+        """Standard deviation of each goal after it."""
+        return self.outlook.deviations(sum((self.outlook.told[i] for i in self.steps), 0.0))
 
 
 def _action(
@@ -501,6 +491,31 @@ def _action(
     if next_run is None:
         return "unchecked" if needs_check else "useless"
     return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
+
+
+def _safe_run(
+    outlook: _Outlook,
+    expected: ExpectedInformation,
+    limits: Limits | None,
+    certainty: float,
+    rng: np.random.Generator,
+    *,
+    check: bool,
+) -> _Safe:
+    """Take the best run, and refuse those that leave their limits on too many vehicles."""
+    vehicles = (expected.model, *_possible(expected, rng))
+    refused: dict[str, None] = {}
+    while (best := outlook.best(check=check)) is not None:
+        run = outlook.runs[best].experiment
+        bounds = LimitBounds.of(expected.model, limits or run.limits)
+        kept = kept_on(run, vehicles, bounds, certainty)
+        if kept is not None:
+            # Without limits there is nothing to keep.
+            n = len(vehicles) if bounds.names else 0
+            return _Safe(outlook, best, kept if n else None, n, tuple(refused))
+        refused[run.name] = None
+        outlook = outlook.without(best)
+    return _Safe(outlook, None, None, 0, tuple(refused))
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -541,6 +556,7 @@ class _Outlook:
     matrix: np.ndarray
     told: tuple[np.ndarray, ...]
     runs: tuple[Candidate, ...]
+    costs: np.ndarray
     rows: tuple[np.ndarray, ...]
     wanted: np.ndarray
 
@@ -554,7 +570,8 @@ class _Outlook:
         rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
         return cls(
             expected.total(None), tuple(expected.relative(each[i]) for i in finite),  # type: ignore[arg-type]
-            tuple(candidates[i] for i in finite), tuple(rows),
+            tuple(candidates[i] for i in finite),
+            np.array([candidates[i].cost for i in finite]), tuple(rows),
             np.array([goal.tolerance for goal in goals]),
         )  # fmt: skip
 
@@ -562,13 +579,9 @@ class _Outlook:
         """The outlook without a run."""
         kept = [i for i in range(len(self.runs)) if i != index]
         return replace(
-            self, told=tuple(self.told[i] for i in kept), runs=tuple(self.runs[i] for i in kept)
-        )
-
-    @property
-    def costs(self) -> np.ndarray:
-        """Time of each run, s."""
-        return np.array([run.cost for run in self.runs])
+            self, told=tuple(self.told[i] for i in kept), runs=tuple(self.runs[i] for i in kept),
+            costs=self.costs[kept],
+        )  # fmt: skip
 
     @property
     def now(self) -> np.ndarray:
@@ -608,15 +621,6 @@ class _Outlook:
         order = np.argsort(-brought / self.costs, kind="stable")
         return next((int(i) for i in order if brought[i] > WORTH or meets[i]), None)
 
-    def after(
-        self, chosen: int | None, *, check: bool
-    ) -> tuple[Candidate | None, np.ndarray, list[int]]:
-        """The next run, the deviations after it, and the runs until the goals are met."""
-        if chosen is None:
-            return None, self.now, []
-        steps = [chosen] if check else self.path()
-        return self.runs[chosen], self.deviations(self.told[chosen]), steps
-
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""
         steps: list[int] = []
@@ -634,7 +638,7 @@ class _Outlook:
         after = self.deviations(sum((self.told[i] for i in steps), np.zeros_like(self.matrix)))
         if not np.all(after <= self.wanted):
             return float("inf")
-        return sum(self.runs[i].cost for i in steps) / 3600.0
+        return float(self.costs[list(steps)].sum()) / 3600.0
 
 
 def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[Model, ...]:
@@ -648,13 +652,10 @@ def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:
     """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free."""
     names = [p.name for p in model.free_parameters if not p.per_record]
-    found: dict[str, ParameterGoal] = {}
-    for key, tolerance in given.items():
-        if key != "all" and key not in names:
-            raise DesignError(
-                f"The goal {key!r} is no free parameter of model {model.name!r}; free are "
-                f"{', '.join(names)}, or 'all'."
-            )
-        for name in names if key == "all" else [key]:
-            found[name] = ParameterGoal(name, tolerance)
-    return tuple(found.values())
+    if unknown := [key for key in given if key not in (*names, "all")]:
+        raise DesignError(
+            f"The goal {unknown[0]!r} is no free parameter of model {model.name!r}; free are "
+            f"{', '.join(names)}, or 'all'."
+        )
+    each = [(n, t) for key, t in given.items() for n in (names if key == "all" else [key])]
+    return tuple(ParameterGoal(name, tolerance) for name, tolerance in dict(each).items())

@@ -296,10 +296,13 @@ def nominal_noise(
         noise = given
     sea, levels = expected_noise(model, noise)
     sigma = noise_of(model, levels).sigma
-    outputs = tuple(
-        replace(o, noise_std=float(s)) for o, s in zip(model.outputs, sigma, strict=True)
-    )
-    return replace(model, outputs=outputs), sea, sigma
+    return with_levels(model, sigma), sea, sigma
+
+
+def with_levels(model: Model, sigma: np.ndarray) -> Model:
+    """Return the model with other standard deviations of its sensors' noise, ``(n_outputs,)``."""
+    outputs = zip(model.outputs, map(float, sigma), strict=True)
+    return replace(model, outputs=tuple(replace(one, noise_std=std) for one, std in outputs))
 
 
 def _shared(model: Model) -> tuple[str, ...]:

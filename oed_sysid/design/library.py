@@ -31,12 +31,12 @@ from math import degrees, radians
 import numpy as np
 
 from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import kept_on, motion
+from oed_sysid.design.vehicles import kept_on
 from oed_sysid.design.waveforms import Grid, neutral_within
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import Trajectory, simulate_inputs
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 
@@ -104,38 +104,36 @@ def standard_manoeuvres(
     moved = _moved(model, grid)
     others = {n: float(v) for n, v in zip(grid.inputs, grid.neutral, strict=True)}
     held = {**constants, **{n: v for n, v in others.items() if n not in moved.inputs}}
-    bench = _Bench(model, moved, held, initial, Limits())
+    bench = _Bench(model, moved, held, initial, Limits(), bounds, (), 1.0)
     sizes = [(f"zigzag {angle:g}/{angle:g}", radians(angle)) for angle in ZIGZAGS[:2]]
     n = len(grid.times)
     square = np.sign(np.sin(np.pi * np.arange(n) * 8 / n) + 1e-12)
+
+    def made(title: str, angle: float) -> Experiment:
+        if bench.attitude:
+            return bench.zigzag(title, min(angle, bench.reach), angle)
+        return bench.held_commands(title, bench.neutral + angle * bench.reach * square)
+
     found = []
-    for title, angle in sizes if bench.attitude else [("square wave", 0.0)]:
+    for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
         for share in _STANDARD_SHARES:
-            if bench.attitude:
-                run = bench.zigzag(title, min(share * angle, bench.reach), share * angle)
-            else:
-                run = bench.held_commands(title, bench.neutral + share * bench.reach * square)
-            made = motion(model, run)
-            if made is not None and bounds.first_left(made) is None:
-                note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
-                found.append((title, run, note))
-                break
+            run = made(title, share * angle)
+            if bench.keeps(run) is None:
+                continue
+            note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
+            found.append((title, run, note))
+            break
     return found
 
 
 def _moved(model: Model, grid: Grid) -> Grid:
     """The one input that a standard manoeuvre moves."""
     room = np.minimum(grid.upper - grid.neutral, grid.neutral - grid.lower)
-    able = [column for column in range(len(grid.inputs)) if room[column] > 0.0]
+    able = [name for name, one in zip(grid.inputs, room, strict=True) if one > 0.0]
     units = {channel.name: channel.unit for channel in model.inputs}
-    angles = [column for column in able if units[grid.inputs[column]] == "rad"]
-    column = (angles or able or [0])[0]
-    one = slice(column, column + 1)
-    middle = 0.5 * (grid.lower[one] + grid.upper[one])
-    return Grid(
-        grid.times, grid.inputs[one], grid.lower[one], grid.upper[one],
-        grid.neutral[one] if able else middle, grid.rates[one],
-    )  # fmt: skip
+    angles = [name for name in able if units[name] == "rad"]
+    one = grid.only((angles or able or grid.inputs)[0])
+    return one if able else replace(one, neutral=0.5 * (one.lower + one.upper))
 
 
 def as_piecewise(name: str, times: np.ndarray, values: np.ndarray) -> Piecewise:
@@ -222,12 +220,13 @@ def candidate_runs(
     if not listed or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     found: list[Candidate] = []
-    for number, pattern in enumerate(_speeds(listed)):
+    speeds = _distinct(listed)
+    for number, pattern in enumerate(speeds):
         for length in durations or (float(pattern.duration or 0.0),):
-            library = _Library(model, limits, pattern, float(length), vehicles, kept)
-            speed = "" if len(_speeds(listed)) == 1 else f" at {_label(model, pattern, number)}"
+            bench = _Bench.of(model, limits, pattern, float(length), vehicles, kept)
+            speed = "" if len(speeds) == 1 else f" at {_label(model, pattern, number)}"
             tail = speed if durations is None or len(durations) == 1 else f"{speed}, {length:g} s"
-            for experiment, kind, share in library.runs(kinds, rng):
+            for experiment, kind, share in bench.runs(kinds, rng):
                 named = replace(experiment, name=f"{experiment.name}{tail}")
                 found.append(Candidate(named, kind, float(length) + turnaround, share))
     if not found:
@@ -238,13 +237,13 @@ def candidate_runs(
     return tuple(found)
 
 
-def _speeds(patterns: Sequence[Experiment]) -> list[Experiment]:
+def _distinct(patterns: Sequence[Experiment]) -> list[Experiment]:
     """Patterns that differ in constants or start."""
-    kept: dict[tuple, Experiment] = {}
-    for pattern in patterns:
-        key = (tuple(sorted(pattern.constants.items())), tuple(sorted(pattern.initial.items())))
-        kept.setdefault(key, pattern)
-    return list(kept.values())
+    kept: list[Experiment] = []
+    for one in patterns:
+        if (one.constants, one.initial) not in [(two.constants, two.initial) for two in kept]:
+            kept.append(one)
+    return kept
 
 
 def _label(model: Model, pattern: Experiment, number: int) -> str:
@@ -254,30 +253,70 @@ def _label(model: Model, pattern: Experiment, number: int) -> str:
     return f"start {number + 1}"
 
 
+@dataclass(frozen=True, eq=False)
 class _Bench:
-    """One commanded input, and the runs that are made of it; angles in rad."""
+    """One commanded input, and the runs that are made of it; angles in rad.
 
-    def __init__(
-        self,
+    ``kept`` is the share of the nominal and the other vehicles that have to keep the bounds.
+    """
+
+    model: Model
+    grid: Grid
+    held: Mapping[str, float]
+    initial: Mapping[str, float]
+    limits: Limits
+    bounds: LimitBounds
+    vehicles: Sequence[Model]
+    kept: float
+
+    @classmethod
+    def of(
+        cls,
         model: Model,
-        grid: Grid,
-        held: Mapping[str, float],
-        initial: Mapping[str, float],
         limits: Limits,
-    ) -> None:
-        self.model, self.grid, self.limits = model, grid, limits
-        self.held, self.initial = dict(held), dict(initial)
-        self.name = grid.inputs[0]
-        self.lower, self.neutral, self.upper = (
-            float(values[0]) for values in (grid.lower, grid.neutral, grid.upper)
-        )
-        self.known = {*model.output_names, *model.state_names}
-        self.attitude = next((a for a in ATTITUDES if a in self.known), "")
+        pattern: Experiment,
+        length: float,
+        vehicles: Sequence[Model],
+        kept: float,
+    ) -> _Bench:
+        """One pattern and length on which all kinds are tried."""
+        held = dict(pattern.constants)
+        names = [n for n in model.input_names if n in limits.inputs and n not in held]
+        if not names:
+            raise DesignError(
+                f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
+                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
+            )
+        held |= {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
+        grid = Grid.of(limits, names[:1], length, pattern.sample_time, {})
+        bounds = LimitBounds.of(model, limits)
+        return cls(model, grid, held, pattern.initial, limits, bounds, vehicles, kept)
+
+    @property
+    def name(self) -> str:
+        """The input."""
+        return self.grid.inputs[0]
+
+    @property
+    def neutral(self) -> float:
+        """Its value before the run."""
+        return float(self.grid.neutral[0])
+
+    @cached_property
+    def known(self) -> set[str]:
+        """States and outputs."""
+        return {*self.model.output_names, *self.model.state_names}
+
+    @property
+    def attitude(self) -> str:
+        """The one that a zigzag reverses on; empty where there is none."""
+        return next((a for a in ATTITUDES if a in self.known), "")
 
     @property
     def reach(self) -> float:
         """Largest command to either side of the neutral one."""
-        return min(self.upper - self.neutral, self.neutral - self.lower)
+        grid = self.grid
+        return float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
 
     @cached_property
     def sign(self) -> int:
@@ -285,13 +324,15 @@ class _Bench:
         times = self.grid.times
         times = times[: min(len(times), max(5, len(times) // 10))]
         ends = []
-        for room in (self.lower - self.neutral, self.upper - self.neutral):
-            inputs = self.held | {self.name: self.neutral + 0.2 * room}
-            run = simulate_inputs(
-                self.model, times, inputs=inputs, initial=self.initial, throw=False
-            )
+        for end in (self.grid.lower[0], self.grid.upper[0]):
+            run = self.held_at(self.neutral + 0.2 * (float(end) - self.neutral), times)
             ends.append(float(np.nan_to_num(run.signal(self.attitude)[-1])))
         return 1 if ends[1] >= ends[0] else -1
+
+    def held_at(self, command: float, times: np.ndarray) -> Trajectory:
+        """What the nominal vehicle does under one command."""
+        inputs = {**self.held, self.name: command}
+        return simulate_inputs(self.model, times, inputs=inputs, initial=self.initial, throw=False)
 
     def zigzag(
         self,
@@ -325,39 +366,6 @@ class _Bench:
             name, shape, duration=float(self.grid.times[-1]), sample_time=self.grid.step,
             constants=self.held, initial=self.initial, limits=self.limits, feedback=feedback,
         )  # fmt: skip
-
-
-class _Library(_Bench):
-    """One pattern and length on which all kinds are tried."""
-
-    def __init__(
-        self,
-        model: Model,
-        limits: Limits,
-        pattern: Experiment,
-        length: float,
-        vehicles: Sequence[Model],
-        kept: float,
-    ) -> None:
-        held = dict(pattern.constants)
-        names = [n for n in model.input_names if n in limits.inputs and n not in held]
-        if not names:
-            raise DesignError(
-                f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
-                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
-            )
-        lower, upper = limits.inputs[names[0]]
-        n = int(np.floor(length / pattern.sample_time + 1e-9))
-        one = np.ones(1)
-        grid = Grid(
-            np.arange(n + 1) * pattern.sample_time, (names[0],), lower * one, upper * one,
-            neutral_within(lower, upper) * one,
-            limits.rates.get(names[0], np.inf) * (1 - 1e-9) * one,
-        )  # fmt: skip
-        others = {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
-        super().__init__(model, grid, held | others, pattern.initial, limits)
-        self.vehicles, self.kept = (model, *vehicles), kept
-        self.bounds = LimitBounds.of(model, limits)
 
     def runs(
         self, kinds: Sequence[str], rng: np.random.Generator
@@ -419,12 +427,12 @@ class _Library(_Bench):
 
     def table(self, kind: str, size: float, wave: np.ndarray) -> Experiment:
         """Commands of one shape and size."""
-        width = np.where(wave > 0, self.upper - self.neutral, self.neutral - self.lower)
-        largest = size * (self.upper - self.neutral)
+        room = np.where(wave > 0, self.grid.upper, self.grid.lower) - self.neutral
+        largest = size * float(self.grid.upper[0] - self.neutral)
         unit = next(i.unit for i in self.model.inputs if i.name == self.name)
         said = f"{degrees(largest):.2g} deg" if unit == "rad" else f"{largest:.3g} {unit}"
         name = f"{kind} {said}" if wave.any() else kind
-        return self.held_commands(name, self.neutral + width * (size * wave))
+        return self.held_commands(name, self.neutral + np.abs(room) * (size * wave))
 
     def zigzags(self) -> Iterable[tuple[Experiment, str, float]]:
         """Zigzags on the attitude.
@@ -487,10 +495,7 @@ class _Library(_Bench):
         """Time in which full control turns the nominal vehicle by an angle, s; None if never."""
         if not self.reach > 0:
             return None
-        run = simulate_inputs(
-            self.model, self.grid.times, inputs=self.held | {self.name: self.neutral + self.reach},
-            initial=self.initial, throw=False,
-        )  # fmt: skip
+        run = self.held_at(self.neutral + self.reach, self.grid.times)
         begin = self.initial.get(self.attitude, 0.0)
         turned = np.abs(np.nan_to_num(run.signal(self.attitude), nan=np.inf) - begin)
         gone = turned >= angle
@@ -498,4 +503,4 @@ class _Library(_Bench):
 
     def keeps(self, run: Experiment) -> float | None:
         """Share of the vehicles that keep the limits; None where it is too small."""
-        return kept_on(run, self.vehicles, self.bounds, self.kept)
+        return kept_on(run, (self.model, *self.vehicles), self.bounds, self.kept)

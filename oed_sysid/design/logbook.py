@@ -20,7 +20,6 @@ from oed_sysid.design.library import Candidate
 from oed_sysid.design.result import write_commands
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
@@ -220,8 +219,7 @@ class Logbook:
         replace(self, proposed=None if run is None else run.name).write()
         if run is None:
             return None
-        record = simulate(decision.model, run.experiment, noise=False)
-        return write_commands(self.folder / "next.csv", decision.model, record, predicted=False)
+        return write_commands(self.folder / "next.csv", decision.model, run.experiment)
 
     def write(self) -> None:
         """Write the journal, whole or not at all."""

@@ -30,7 +30,7 @@ import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr
 
-from oed_sysid.design.criteria import Measure, eliminate
+from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
 from oed_sysid.errors import DesignError
 from oed_sysid.information.shifts import Group, Shifts
 from oed_sysid.physics import Effect
@@ -141,15 +141,12 @@ class Discriminate:
             gram, mapping = eliminate(matrix, n_parameters)
             pairs = pair_misfits(gram, shifts, against_believed=self.against_believed)
             logs = np.array([np.log(max(value, _SMALLEST)) for _, _, value, _ in pairs])
-            smallest = logs.min()
-            weights = np.exp(-(logs - smallest) / _SOFTNESS)
-            value = smallest - _SOFTNESS * np.log(np.mean(weights))
-            weights /= weights.sum()
+            value, weights = soft_minimum(logs, _SOFTNESS)
             by_gram = np.zeros_like(gram)
             for weight, (_, _, misfit, slope) in zip(weights, pairs, strict=True):
                 if misfit > _SMALLEST:
                     by_gram += weight / misfit * slope
-            return float(value), mapping.T @ by_gram @ mapping
+            return value, mapping.T @ by_gram @ mapping
 
         return measure
 
@@ -303,32 +300,21 @@ class Detect:
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
             gram, mapping = eliminate(matrix, n_parameters)
             raw = matrix[n_parameters:, n_parameters:]
-            logs, slopes, usable = [], [], []
-            for group, gain in zip(shifts.groups, needed, strict=True):
+            logs = np.zeros(len(shifts.groups))
+            slopes, usable = [], []
+            for i, (group, gain) in enumerate(zip(shifts.groups, needed, strict=True)):
                 value, by_gram = noncentrality(gram, group)
-                log, slope = log_power(value, group.freedom, gain)
-                logs.append(log)
+                logs[i], slope = log_power(value, group.freedom, gain)
                 slopes.append(slope * by_gram)
                 usable.append(value > _ABSORBED * noncentrality(raw, group)[0])
-            weights = self._weights(np.array(logs), np.array(usable))
-            total = np.tensordot(weights, np.stack(slopes), axes=1)
-            return self._combined(np.array(logs), np.array(usable)), mapping.T @ total @ mapping
+            if not self.worst:
+                return float(logs.mean()), mapping.T @ np.mean(slopes, axis=0) @ mapping
+            kept = np.flatnonzero(usable) if any(usable) else np.arange(len(logs))
+            smallest, weights = soft_minimum(logs[kept], _SOFTNESS)
+            total = np.tensordot(weights, np.stack(slopes)[kept], axes=1)
+            return smallest, mapping.T @ total @ mapping
 
         return measure
-
-    def _combined(self, logs: np.ndarray, usable: np.ndarray) -> float:
-        if not self.worst:
-            return float(logs.mean())
-        kept = logs[usable] if usable.any() else logs
-        smallest = kept.min()
-        return float(smallest - _SOFTNESS * np.log(np.mean(np.exp(-(kept - smallest) / _SOFTNESS))))
-
-    def _weights(self, logs: np.ndarray, usable: np.ndarray) -> np.ndarray:
-        if not self.worst:
-            return np.full(len(logs), 1.0 / len(logs))
-        kept = usable if usable.any() else np.ones_like(usable)
-        weights = np.where(kept, np.exp(-(logs - logs[kept].min()) / _SOFTNESS), 0.0)
-        return weights / weights.sum()
 
     def detections(
         self, shifts: Shifts, before: np.ndarray, after: np.ndarray, n_parameters: int
@@ -346,13 +332,13 @@ class Detect:
         found = []
         for group in shifts.groups:
             gain = self.needed(group.freedom)
-            values = [noncentrality(gram, group)[0] for gram in grams]
-            powers = [float(np.exp(log_power(v, group.freedom, gain)[0])) for v in values]
-            least = np.sqrt(_for_power(SURE, group.freedom, gain) / max(values[1], 1e-300))
-            gains, chances = (values[0], values[1]), (powers[0], powers[1])
-            found.append(
-                Detection(group.name, dict(group.sizes), *gains, *chances, least=float(least))
+            first, last = (noncentrality(gram, group)[0] for gram in grams)
+            least = float(np.sqrt(_for_power(group.freedom, gain) / max(last, 1e-300)))
+            rare, sure = (
+                float(np.exp(log_power(v, group.freedom, gain)[0])) for v in (first, last)
             )
+            sizes = dict(group.sizes)
+            found.append(Detection(group.name, sizes, first, last, rare, sure, least))
         return tuple(found)
 
 
@@ -441,8 +427,6 @@ def log_power(gain: float, freedom: int, needed: float) -> tuple[float, float]:
     return float(np.log(max(power, 1e-300))), 0.5 * max(more - power, 0.0) / max(power, 1e-300)
 
 
-def _for_power(power: float, freedom: int, needed: float) -> float:
-    """Non-centrality at which a test has some power."""
-    return float(
-        brentq(lambda gain: np.exp(log_power(gain, freedom, needed)[0]) - power, 0.0, _CERTAIN)
-    )
+def _for_power(freedom: int, needed: float) -> float:
+    """Non-centrality at which a test is sure."""
+    return float(brentq(lambda one: log_power(one, freedom, needed)[0] - np.log(SURE), 0, _CERTAIN))

@@ -13,7 +13,7 @@ from typing import TypeVar
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
-from oed_sysid.design.criteria import Measure, eliminate
+from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
 from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.vehicles import ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
@@ -421,10 +421,7 @@ class Objective:
         array = np.asarray(values)
         if self._softness is None or len(array) == 1:
             return float(array.mean()), np.full(len(array), 1.0 / len(array))
-        smallest = array.min()
-        weights = np.exp(-(array - smallest) / self._softness)
-        value = smallest - self._softness * np.log(weights.mean())
-        return float(value), weights / weights.sum()
+        return soft_minimum(array, self._softness)
 
     def linearise(self, score: Score) -> Slope:
         """Derivatives of the criterion and of the limited signals by the numbers."""

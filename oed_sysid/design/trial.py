@@ -26,7 +26,7 @@ from oed_sysid.design.vehicles import (
     draw_structures,
     in_waves,
 )
-from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape, neutral_within
+from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import simulate
@@ -138,19 +138,10 @@ class Trial:
     def grid(self, model: Model) -> Grid:
         """What the designed commands have to fit in."""
         names = self.designed_inputs(model)
-        ranges = [self.limits.inputs[n] for n in names]
-        lower, upper = np.array(ranges).T
-        rest = [self.neutral.get(n, neutral_within(*r)) for n, r in zip(names, ranges, strict=True)]
-        neutral = np.array(rest)
-        if np.any(neutral < lower) or np.any(neutral > upper):
+        grid = Grid.of(self.limits, names, self.duration, self.sample_time, self.neutral)
+        if np.any(grid.neutral < grid.lower) or np.any(grid.neutral > grid.upper):
             raise DesignError("A neutral command lies outside the range of its input. Correct it.")
-        n_steps = int(np.floor(self.duration / self.sample_time + 1e-9))
-        rates = np.array([self.limits.rates.get(n, np.inf) for n in names], dtype=float)
-        # The rate is checked on differences of floating-point sums.
-        return Grid(
-            np.arange(n_steps + 1) * self.sample_time, names, lower, upper, neutral,
-            rates * (1 - 1e-9),
-        )  # fmt: skip
+        return grid
 
 
 @dataclass(frozen=True)

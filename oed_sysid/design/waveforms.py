@@ -19,13 +19,14 @@ bands the largest :math:`\rho \le 1` that keeps range and rate unclipped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from oed_sysid.errors import DesignError
+from oed_sysid.experiments.experiment import Limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,32 @@ class Grid:
     upper: np.ndarray
     neutral: np.ndarray
     rates: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        limits: Limits,
+        names: Sequence[str],
+        duration: float,
+        sample_time: float,
+        neutral: Mapping[str, float],
+    ) -> Grid:
+        """Return the room that limits leave some inputs, on a run's samples."""
+        ranges = [limits.inputs[name] for name in names]
+        lower, upper = np.array(ranges, dtype=float).T
+        rest = [neutral.get(n, neutral_within(*r)) for n, r in zip(names, ranges, strict=True)]
+        n_steps = int(np.floor(duration / sample_time + 1e-9))
+        # The rate is checked on differences of floating-point sums.
+        rates = (1 - 1e-9) * np.array([limits.rates.get(name, np.inf) for name in names])
+        times = np.arange(n_steps + 1) * sample_time
+        return cls(times, tuple(names), lower, upper, np.array(rest, dtype=float), rates)
+
+    def only(self, name: str) -> Grid:
+        """Return the grid of one input."""
+        i = [self.inputs.index(name)]
+        return Grid(
+            self.times, (name,), self.lower[i], self.upper[i], self.neutral[i], self.rates[i]
+        )
 
     @property
     def step(self) -> float:

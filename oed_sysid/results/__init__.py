@@ -6,7 +6,6 @@ figure, and returns them; nothing is shown and no global setting is touched.
 one file: the document of the result with its figures drawn.
 """
 
-from oed_sysid.results.benchmark_plots import figure_benchmark
 from oed_sysid.results.design_plots import (
     figure_card,
     figure_design,
@@ -18,13 +17,28 @@ from oed_sysid.results.design_plots import (
     plot_sensitivity,
     plot_tracks,
 )
+from oed_sysid.results.estimator_plots import (
+    LiveParameters,
+    figure_benchmark,
+    plot_history,
+    plot_waterfall,
+)
 from oed_sysid.results.fit_plots import (
+    figure_fit,
+    figure_predictions,
     figure_whiteness,
     plot_autocorrelation,
+    plot_comparison,
     plot_correlation,
     plot_ellipses,
+    plot_input,
     plot_intervals,
+    plot_output,
+    plot_polar,
+    plot_prediction,
+    plot_prediction_error,
     plot_profile,
+    plot_residual,
 )
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
@@ -35,19 +49,7 @@ from oed_sysid.results.improvement_plots import (
     plot_ranking,
     plot_residual_force,
 )
-from oed_sysid.results.live_plots import LiveParameters, plot_history, plot_waterfall
 from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
-from oed_sysid.results.prediction_plots import (
-    figure_fit,
-    figure_predictions,
-    plot_comparison,
-    plot_input,
-    plot_output,
-    plot_polar,
-    plot_prediction,
-    plot_prediction_error,
-    plot_residual,
-)
 from oed_sysid.results.record_plots import (
     figure_check,
     figure_record,
@@ -59,74 +61,10 @@ from oed_sysid.results.record_plots import (
 )
 from oed_sysid.results.style import finding, model_style, new_figure, save_figure
 from oed_sysid.runtime.display import Figure, Report, Section, Table
+from oed_sysid.runtime.version import exported
 
 # The report on every kind of result; the names say which arguments its ``document`` takes.
 check_page = comparison_page = design_page = diagnosis_page = page
 fit_page = improvement_page = programme_page = ranking_page = page
 
-__all__ = [
-    "Figure",
-    "Report",
-    "page",
-    "card_page",
-    "LiveParameters",
-    "Page",
-    "Picture",
-    "Section",
-    "Table",
-    "check_page",
-    "comparison_page",
-    "design_page",
-    "programme_page",
-    "figure_programme",
-    "diagnosis_page",
-    "figure_benchmark",
-    "figure_card",
-    "figure_check",
-    "figure_design",
-    "figure_diagnosis",
-    "figure_fit",
-    "figure_force",
-    "figure_predictions",
-    "figure_record",
-    "figure_whiteness",
-    "finding",
-    "fit_page",
-    "improvement_page",
-    "model_style",
-    "new_figure",
-    "numbers_page",
-    "save_figure",
-    "plot_accuracy",
-    "plot_autocorrelation",
-    "plot_balance",
-    "plot_balances",
-    "plot_bode",
-    "plot_comparison",
-    "plot_correlation",
-    "plot_ellipses",
-    "plot_error_fall",
-    "plot_force_against",
-    "plot_history",
-    "plot_input",
-    "plot_intervals",
-    "plot_located",
-    "plot_output",
-    "plot_output_change",
-    "plot_phase",
-    "plot_polar",
-    "plot_prediction",
-    "plot_prediction_error",
-    "plot_profile",
-    "plot_ranking",
-    "plot_residual",
-    "plot_residual_force",
-    "plot_sensitivity",
-    "plot_orders",
-    "plot_track",
-    "plot_tracks",
-    "plot_waterfall",
-    "plot_zigzag",
-    "ranking_page",
-    "style_sheet",
-]
+__all__ = exported(globals())

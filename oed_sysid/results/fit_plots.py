@@ -1,33 +1,395 @@
-"""Pictures of one fit: data, model, residuals, estimates, profile curves and joint regions."""
+"""Pictures of fits and predictions: data and models, residuals, estimates, joint regions, polars.
+
+A fit is drawn on the records that it was made from, with the band of its noise; a prediction on
+others, with the band of noise and uncertain parameters together.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
+from oed_sysid.evidence.compare import Comparison
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, autocorrelation, effective_sample_size
 from oed_sysid.likelihood.multistart import Profile
-from oed_sysid.results.style import (
-    NEUTRAL,
-    TRUTH,
-    clean,
-    legend_above,
-    model_style,
-    new_axes,
-    panels,
-    row_axes,
-    say,
-    spread_legend,
-    symbol_of,
-    zero,
-)
+from oed_sysid.likelihood.prediction import Prediction
+from oed_sysid.physics.channels import Input, Output
+from oed_sysid.physics.model import Model
+from oed_sysid.prediction.speed_polar import SpeedPolar
+from oed_sysid.results import style as draw
 from oed_sysid.runtime.display import TWO_SIDED_95
+
+Source = Fit | Prediction
+
+
+@dataclass(frozen=True)
+class Said:
+    """What one model says about one record.
+
+    Parameters
+    ----------
+    record : Record
+    mean, std, residuals : ndarray (n_times, n_outputs)
+        Outputs, their standard deviations, and measured minus said, SI.
+    sigma : ndarray (n_outputs,)
+        Levels of the noise, SI.
+    name : str
+        What it is called.
+    look : ModelStyle
+    """
+
+    record: Record
+    mean: np.ndarray
+    std: np.ndarray
+    residuals: np.ndarray
+    sigma: np.ndarray
+    name: str
+    look: draw.ModelStyle
+
+
+def said_of(
+    models: Source | Sequence[Source],
+    record: str | int | Record,
+    labels: Sequence[str] | None = None,
+    styles: Sequence[int] | None = None,
+) -> list[Said]:
+    """Return what models say about one record.
+
+    Parameters
+    ----------
+    models : Fit, Prediction or sequence of them
+    record : str, int or Record
+        Of the first model's records, or one that all know by its name.
+    labels : sequence of str, optional
+        Names of the models.
+    styles : sequence of int, optional
+        Places of the models in a comparison, for their colours; by default their order.
+
+    Raises
+    ------
+    DataError
+        If a model knows no record of that name.
+    """
+    several = [models] if isinstance(models, Fit | Prediction) else list(models)
+    found = []
+    for number, model in enumerate(several):
+        data = record if isinstance(record, Record) else model.dataset[record]
+        if data.name not in model.dataset.names:
+            raise DataError(
+                f"A model was not fitted to record {data.name!r} and says nothing about it (it "
+                f"knows {', '.join(model.dataset.names)}). Give fit.predict(Dataset((record,))) "
+                "instead."
+            )
+        row = model.dataset.names.index(data.name)
+        mean = model.predictions[row] if isinstance(model, Fit) else model.outputs[row]
+        std = np.broadcast_to(model.sigma, mean.shape) if isinstance(model, Fit) else model.std[row]
+        name = labels[number] if labels else f"model {number + 1}"
+        look = draw.model_style(styles[number] if styles else number)
+        found.append(Said(data, mean, std, model.residuals[row], model.sigma, name, look))
+    return found
+
+
+def _column(said: Said, output: str) -> tuple[int, Output]:
+    column = said.record.channels.output_names.index(output)
+    return column, said.record.channels.outputs[column]
+
+
+def draw_output(ax: Axes, models: Sequence[Said], output: str, band_label: str = "") -> Axes:
+    """Draw one measured output, and of each model a line with its 95 % band."""
+    data = models[0].record
+    column, channel = _column(models[0], output)
+    along, words = draw.abscissa(data)
+    measured = draw.shown(channel, data.outputs[:, column])
+    ax.plot(along, measured, ".", color=draw.DATA, ms=2.5, label="measured", rasterized=True)
+    for one in models:
+        mean = draw.shown(channel, one.mean[:, column])
+        half = TWO_SIDED_95 * draw.shown(channel, one.std[:, column])
+        colour = one.look.colour
+        draw.band(ax, data, mean - half, mean + half, colour, label=band_label or None)
+        line = draw.joined(data, one.look.dashes)
+        ax.plot(along, mean, color=colour, lw=1.5, label=one.name, **line)
+    return draw.done(ax, xlabel=words, ylabel=draw.label(channel))
+
+
+def draw_error(ax: Axes, models: Sequence[Said], output: str, *, scaled: bool) -> Axes:
+    """Draw measured minus said, in its unit or in units of the noise, whose 95 % band is grey."""
+    column, channel = _column(models[0], output)
+    along, words = draw.abscissa(models[0].record)
+    level = 1.0 if scaled else float(draw.shown(channel, models[0].sigma[column]))
+    draw.zero(ax, TWO_SIDED_95 * level, "95 % of the noise")
+    for one in models:
+        off = one.residuals[:, column] / one.sigma[column] * level
+        mark = draw.joined(one.record) if scaled else {"ls": "", "marker": ".", "ms": 2.5}
+        ax.plot(along, off, color=one.look.colour, lw=0.9, label=one.name, rasterized=True, **mark)
+    unit = "noise" if scaled else draw.label(channel).rpartition("[")[2].rstrip("]")
+    return draw.done(ax, xlabel=words, ylabel=f"{'error' if scaled else 'residual'} [{unit}]")
+
+
+def _fitted(fit: Fit, record: str | int, style: int, name: str) -> Said:
+    """What one fit says about one of its records, in full lines."""
+    (said,) = said_of(fit, record, [name], [style])
+    return replace(said, look=replace(said.look, dashes="-"))
+
+
+def plot_output(
+    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot one measured output and the model, with the band in which 95 % should lie.
+
+    Parameters
+    ----------
+    fit : Fit
+        The fit.
+    output : str
+        Which output.
+    record : str or int
+        Which of its records.
+    style : int
+        Position of the model in a comparison; sets its colour.
+    ax : Axes, optional
+        Where to draw.
+    """
+    said = _fitted(fit, record, style, "model")
+    draw_output(ax := draw.new_axes(ax), [said], output, "model ± noise (95 %)")
+    size = fit.rms[output] / fit.sigma[_column(said, output)[0]]
+    words = f"residuals of {output} are {size:.3g} times its noise."
+    return draw.say(ax, f"{said.record.name}: {words}")
+
+
+def plot_residual(
+    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
+) -> Axes:
+    """Plot measured minus model of one output, with the 95 % band of its noise."""
+    said = _fitted(fit, record, style, "measured − model")
+    return draw_error(draw.new_axes(ax), [said], output, scaled=False)
+
+
+def plot_prediction(
+    predictions: Prediction | Sequence[Prediction],
+    output: str,
+    *,
+    record: str | int = 0,
+    labels: Sequence[str] | None = None,
+    styles: Sequence[int] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot one measured output and what one or several models predict for it.
+
+    Each band holds 95 % of new measurements if its model is right: noise and
+    the uncertainty of the parameters together.
+
+    Parameters
+    ----------
+    predictions : Prediction or sequence of Prediction
+        Of the same records.
+    output : str
+        Which output.
+    record : str or int
+        Which record.
+    labels, styles
+        See :func:`said_of`.
+    ax : Axes, optional
+        Where to draw.
+    """
+    models = said_of(predictions, record, labels, styles)
+    draw_output(ax := draw.new_axes(ax), models, output)
+    return draw.say(ax, " ".join(_errors(models, output)))
+
+
+def plot_prediction_error(
+    predictions: Prediction | Sequence[Prediction],
+    output: str,
+    *,
+    record: str | int = 0,
+    labels: Sequence[str] | None = None,
+    styles: Sequence[int] | None = None,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot measured minus predicted of one output in units of the noise.
+
+    The grey band holds 95 % of the noise. Parameters as in
+    :func:`plot_prediction`.
+    """
+    models = said_of(predictions, record, labels, styles)
+    return draw_error(draw.new_axes(ax), models, output, scaled=True)
+
+
+def _errors(models: Sequence[Said], output: str) -> Iterator[str]:
+    """Root mean square error of each model on one output, in units of the noise."""
+    for one in models:
+        column, _ = _column(one, output)
+        off = one.residuals[:, column] / one.sigma[column]
+        if np.isfinite(off).any():
+            size = float(np.sqrt(np.nanmean(off**2)))
+            yield f"{one.name} misses {output} by {size:.3g} times its noise."
+
+
+def draw_input(ax: Axes, record: Record, channel: Input) -> Axes:
+    """Draw one commanded signal of a record, as it acts between samples."""
+    along, words = draw.abscissa(record)
+    line = {"color": draw.TRUTH, "lw": 1.0, **draw.stepped(channel), **draw.joined(record)}
+    ax.plot(along, draw.signal_of(record, channel), **line)
+    return draw.done(ax, xlabel=words, ylabel=draw.label(channel))
+
+
+def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
+    """Plot one commanded signal of a record, as it acts between samples."""
+    channel = record.channels.inputs[record.channels.input_names.index(name)]
+    return draw_input(draw.new_axes(ax, size=(6.4, 2.0)), record, channel)
+
+
+def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
+    """Data and model on the left, residuals on the right, commands below, of one record."""
+    titles = ("measured and model", "measured − model")
+    return _side_by_side([_fitted(fit, record, style, "model")], titles, scaled=False)
+
+
+def figure_predictions(
+    predictions: Prediction | Sequence[Prediction],
+    record: str | int = 0,
+    *,
+    labels: Sequence[str] | None = None,
+    styles: Sequence[int] | None = None,
+) -> Figure:
+    """All outputs of one record: predictions on the left, errors on the right."""
+    models = said_of(predictions, record, labels, styles)
+    titles = ("measured and predicted", "measured − predicted, in units of the noise")
+    return _side_by_side(models, titles, scaled=True)
+
+
+def _side_by_side(models: Sequence[Said], titles: tuple[str, str], *, scaled: bool) -> Figure:
+    """Outputs of a record on the left, errors on the right, commands below."""
+    data = models[0].record
+    outputs = [name for name in data.channels.output_names if name not in data.missing_outputs]
+    inputs = [one for one in data.channels.inputs if one.name not in data.constant_channels]
+    rows = len(outputs) + bool(inputs)
+    figure, axes = draw.new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
+    for (left, right), name in zip(axes, outputs, strict=False):
+        words = "" if scaled else "model ± noise (95 %)"
+        draw.say(draw_output(left, models, name, words), " ".join(_errors(models, name)))
+        draw_error(right, models, name, scaled=scaled)
+        left.set_ylabel(draw.label(_column(models[0], name)[1], lines=2))
+    for ax, command in zip(axes[-1], inputs, strict=False):
+        draw_input(ax, data, command).set_ylabel(draw.label(command, lines=2))
+    for ax in axes[:-1].flat:
+        ax.set_xlabel("")
+    if len(inputs) == 1:
+        axes[-1, 1].axis("off")
+        axes[-2, 1].tick_params(labelbottom=True)
+        axes[-2, 1].set_xlabel(draw.abscissa(data)[1])
+    axes[0, 0].set_title(f"{data.name}: {titles[0]}", pad=20)
+    axes[0, 1].set_title(titles[1])
+    draw.spread_legend(
+        axes[0, 0], loc="lower left", bbox_to_anchor=(0.0, 0.97), ncols=4, fontsize=8,
+        markerscale=3, borderaxespad=0.0,
+    )  # fmt: skip
+    figure.align_ylabels()
+    return figure
+
+
+# Best and worst record of an output, those that did not measure it left out.
+_ENDS = (np.nanmin, np.nanmax)
+
+
+def plot_comparison(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
+    """Plot the misfit of each output in units of the noise, models side by side.
+
+    The line at one is what noise alone leaves. The whisker shows the records
+    that are best and worst.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Of one or several models.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = draw.new_axes(ax, size=(7.2, 3.4))
+    models = comparison.models
+    width = 0.8 / len(models)
+    for number, part in enumerate(models):
+        look = draw.model_style(number)
+        measured = [one for one in part.outputs if one.n_samples]
+        places = np.arange(len(measured)) + (number - (len(models) - 1) / 2) * width
+        heights = np.array([one.relative for one in measured])
+        ends = np.array([[f(one.record_rmse) / one.sigma for one in measured] for f in _ENDS])
+        ax.bar(
+            places, heights, width=0.9 * width, color=look.colour, hatch=look.hatch, alpha=0.75,
+            edgecolor="0.2", lw=0.6, label=f"{part.label}: {part.relative:.3g} overall",
+            yerr=np.maximum([heights - ends[0], ends[1] - heights], 0.0),
+            error_kw={"lw": 1.0, "capsize": 3},
+        )  # fmt: skip
+    ax.axhline(1.0, color=draw.TRUTH, lw=1.0)
+    ax.set_xticks(range(len(measured)), [one.output.label or one.output.name for one in measured])
+    draw.errors_axis(ax, max(part.relative for part in models))
+    below = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.1), "ncols": 2}
+    words = comparison.verdict.splitlines()[-1]
+    return draw.done(ax, words, grid="y", legend=below, ylabel="rms error [noise]")
+
+
+def plot_polar(
+    polars: SpeedPolar | Sequence[SpeedPolar],
+    *,
+    truth: SpeedPolar | None = None,
+    labels: Sequence[str] | None = None,
+    level: float = 0.95,
+    ax: Axes | None = None,
+) -> Axes:
+    """Plot speed polars with credible bands: wind from above, speed outward.
+
+    Parameters
+    ----------
+    polars : SpeedPolar or sequence of SpeedPolar
+        One curve and band each.
+    truth : SpeedPolar, optional
+        What the simulator sails, in black.
+    labels : sequence of str, optional
+        Names of the curves; by default the wind speeds.
+    level : float
+        Probability of the bands.
+    ax : Axes, optional
+        Polar axes (``projection="polar"``) to draw on.
+
+    Raises
+    ------
+    DataError
+        If the axes are not polar.
+    """
+    several = [polars] if isinstance(polars, SpeedPolar) else list(polars)
+    if ax is None:
+        figure, _ = draw.new_figure(1, 1, size=(5.4, 6.0), subplot_kw={"projection": "polar"})
+        ax = figure.axes[0]
+    if ax.name != "polar":
+        raise DataError("A speed polar needs polar axes. Make them with projection='polar'.")
+    names = labels or [f"{polar.wind_speed:g} m/s wind" for polar in several]
+    for index, (polar, name) in enumerate(zip(several, names, strict=True)):
+        look = draw.model_style(index)
+        ax.plot(polar.angles, polar.speeds, **look.line, lw=1.6, label=name)
+        low, high = polar.interval(level)
+        if np.isfinite(low).any():
+            ax.fill_between(
+                polar.angles, low, high, color=look.colour, alpha=0.25, lw=0, label=f"{level:.0%}"
+            )
+    if truth is not None:
+        ax.plot(truth.angles, truth.speeds, ".", color=draw.TRUTH, ms=6, label="truth")
+    ax.set(theta_zero_location="N", theta_direction=-1, thetamin=0, thetamax=180, rlim=0.0)
+    ax.grid(True, color="0.88", linewidth=0.7)
+    ax.tick_params(colors="0.25", labelsize=9)
+    ax.set_title("speed [m/s] over angle to the true wind", fontsize=11)
+    draw.spread_legend(ax, loc="center left", bbox_to_anchor=(-0.28, 0.5))
+    return ax
+
+
+# -- estimates and residuals ----------------------------------------------------------------
 
 # Blue over white to vermilion; darkness says how strong in greyscale.
 _DIVERGING = LinearSegmentedColormap.from_list(
@@ -56,7 +418,7 @@ def plot_autocorrelation(
     ax : Axes, optional
         Where to draw.
     """
-    ax = new_axes(ax)
+    ax = draw.new_axes(ax)
     column = fit.model.output_names.index(output)
     samples, effective, total = 0, 0.0, 0
     for record, residual in zip(fit.dataset, fit.residuals, strict=True):
@@ -69,21 +431,19 @@ def plot_autocorrelation(
         rho = autocorrelation(series, n_lags)
         ax.plot(
             np.arange(1, n_lags + 1) * step, rho[1:], lw=1.3, alpha=0.85,
-            color=model_style(style).colour, label="records",
+            color=draw.model_style(style).colour, label="records",
         )  # fmt: skip
         samples = max(samples, present)
         effective += effective_sample_size(series)
         total += present
     half = TWO_SIDED_95 / np.sqrt(samples) if samples else 0.0
-    zero(ax, half, "95 % band of white noise")
-    ax.set(
-        xlabel="lag [s]",
-        ylabel="autocorrelation [-]",
-        title=f"{symbol_of(output)}: {effective:.0f} independent of {total} samples",
-        ylim=(-1.05, 1.05),
-    )
+    draw.zero(ax, half, "95 % band of white noise")
     words = f"Residuals of {output}: {effective:.0f} of {total} samples are independent."
-    return say(clean(ax), words if total else f"{output} was not measured.")
+    return draw.done(
+        ax, words if total else f"{output} was not measured.", ylim=(-1.05, 1.05),
+        xlabel="lag [s]", ylabel="autocorrelation [-]",
+        title=f"{draw.symbol_of(output)}: {effective:.0f} independent of {total} samples",
+    )  # fmt: skip
 
 
 def plot_intervals(
@@ -113,70 +473,85 @@ def plot_intervals(
     """
     several = [fits] if isinstance(fits, Fit) else list(fits)
     names = list(dict.fromkeys(name for fit in several for name in fit.names))
-    ax, rows = row_axes(ax, [symbol_of(name) for name in names], 6.4, tall=0.34, edge=0.8)
+    ax, rows = draw.row_axes(ax, [draw.symbol_of(name) for name in names], 6.4, tall=0.34, edge=0.8)
+    row_of = dict(zip(names, rows, strict=True))
     scale = {name: _reference(several, name) for name in names}
     for index, fit in enumerate(several):
         shift = 0.22 * (index - (len(several) - 1) / 2)
-        label = labels[index] if labels else f"{fit.model.name} (95 %)"
-        _draw_estimates(ax, fit, index, dict(zip(names, rows - shift, strict=True)), scale, label)
-    _draw_priors(ax, several[0], names, scale, rows)
-    for name, row in zip(names, rows, strict=True):
-        if truth and name in truth:
-            ax.plot(truth[name] / scale[name], row, "|", color=TRUTH, ms=14, mew=2, label="truth")
-    parameters = [several[0].model.parameter(name) for name in names if name in several[0].names]
-    has_prior = any(parameter.prior_mean is not None for parameter in parameters)
-    what = "the prior" if has_prior else "the estimate"
-    ax.set(xlabel=f"value relative to {what} [-]")
-    clean(ax)
-    # Above: below, its distance from the axis' label would depend on the height.
-    legend_above(ax)
-    return say(ax, _least_certain(several))
+        words = labels[index] if labels else f"{fit.model.name} (95 %)"
+        _draw_estimates(ax, fit, row_of, scale, shift, label=words, fmt="osD^v<"[index % 6],
+                        color=draw.model_style(index).colour)  # fmt: skip
+    priors = _draw_priors(ax, several[0].model, row_of, scale)
+    for name, value in (truth or {}).items():
+        if name in row_of:
+            ax.plot(value / scale[name], row_of[name], "|", color=draw.TRUTH, ms=14, mew=2,
+                    label="truth")  # fmt: skip
+    what = "the prior" if priors.intersection(several[0].names) else "the estimate"
+    # The legend is above: below, its distance from the axis' label would depend on the height.
+    words = " ".join(filter(None, map(_least_certain, several)))
+    return draw.done(ax, words, legend=3, xlabel=f"value relative to {what} [-]")
 
 
 def _draw_estimates(
-    ax: Axes, fit: Fit, index: int, rows: dict[str, float], scale: dict[str, float], label: str
+    ax: Axes, fit: Fit, rows: dict[str, float], scale: dict[str, float], shift: float, **look: Any
 ) -> None:
-    """Draw the estimates of one fit with their intervals, in the look of its position."""
+    """Draw the estimates of one fit with their intervals, below their rows."""
     found = [name for name in rows if name in fit.values]
     sizes = np.array([scale[name] for name in found])
     half = TWO_SIDED_95 * np.array([fit.std_errors[name] for name in found]) / np.abs(sizes)
     ax.errorbar(
-        np.array([fit.values[name] for name in found]) / sizes, [rows[name] for name in found],
-        xerr=np.where(np.isfinite(half), half, 0.0), fmt="osD^v<"[index % 6], ms=4.5,
-        color=model_style(index).colour, elinewidth=1.6, capsize=3, label=label,
+        np.array([fit.values[name] for name in found]) / sizes,
+        np.array([rows[name] for name in found]) - shift,
+        xerr=np.where(np.isfinite(half), half, 0.0), ms=4.5, elinewidth=1.6, capsize=3, **look,
     )  # fmt: skip
+
+
+def _draw_priors(
+    ax: Axes, model: Model, rows: dict[str, float], scale: dict[str, float]
+) -> set[str]:
+    """Draw 95 % of each prior as a grey bar; return the parameters that have a prior mean."""
+    means = {p.name: p.prior_mean for p in model.all_parameters if p.prior_mean is not None}
+    for name in filter(means.__contains__, rows):
+        if (spread := model.parameter(name).prior_spread) is not None:
+            half = TWO_SIDED_95 * spread / abs(scale[name])
+            left = means[name] / scale[name] - half
+            ax.barh(rows[name], 2 * half, left=left, height=0.7, color=draw.NEUTRAL,
+                    alpha=0.3, lw=0, label="prior (95 %)", zorder=0.5)  # fmt: skip
+    return set(means)
 
 
 def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
     """Plot the correlation matrix of the estimates; numbers where it exceeds 0.5."""
     size = 1.6 + 0.42 * len(fit.names)
-    ax = new_axes(ax, size=(size + 1.6, size + 0.3))
+    ax = draw.new_axes(ax, size=(size + 1.6, size + 0.3))
     matrix = fit.correlation
     picture = ax.imshow(matrix, cmap=_DIVERGING, vmin=-1, vmax=1)
-    ticks = range(len(fit.names))
-    ax.set_xticks(
-        ticks, [symbol_of(name) for name in fit.names], rotation=60, ha="right",
-        rotation_mode="anchor",
-    )  # fmt: skip
-    ax.set_yticks(ticks, [symbol_of(name) for name in fit.names])
-    for i in ticks:
-        for j in range(i):
-            value = matrix[i, j]
-            if abs(value) > 0.5:
-                ax.text(
-                    j, i, f"{value:+.2f}".replace("0.", "."), ha="center", va="center",
-                    fontsize=7.5, color="white" if abs(value) > 0.8 else "black",
-                )  # fmt: skip
+    ticks, symbols = range(len(fit.names)), [draw.symbol_of(name) for name in fit.names]
+    ax.set_xticks(ticks, symbols, rotation=60, ha="right", rotation_mode="anchor")
+    ax.set_yticks(ticks, symbols)
+    below = np.tril(matrix, -1)
+    for i, j in zip(*np.nonzero(np.abs(below) > 0.5), strict=True):
+        ax.text(
+            j, i, f"{below[i, j]:+.2f}".replace("0.", "."), ha="center", va="center",
+            fontsize=7.5, color="white" if abs(below[i, j]) > 0.8 else "black",
+        )  # fmt: skip
     ax.tick_params(labelsize=9, length=0)
     bar = ax.get_figure().colorbar(picture, ax=ax, shrink=0.8)  # type: ignore[union-attr]
     bar.set_label("correlation [-]")
-    return say(ax, _closest(fit))
+    if not below.size or not np.isfinite(below).any():
+        return ax
+    i, j = np.unravel_index(int(np.nanargmax(np.abs(below))), below.shape)
+    return draw.say(
+        ax,
+        f"Hardest to tell apart are {fit.names[j]} and {fit.names[i]}: correlation "
+        f"{matrix[i, j]:+.2f}.",
+    )
 
 
 def figure_whiteness(fit: Fit, *, style: int = 0) -> Figure:
     """Autocorrelation of the residuals of all outputs."""
     outputs = fit.model.output_names
-    figure, axes = panels(len(outputs), 3, (3.7, 2.7), sharey=True)
+    figure, axes = draw.panels(len(outputs), 3, (3.7, 2.7), sharey=True)
     for place, (ax, name) in enumerate(zip(axes, outputs, strict=True)):
         plot_autocorrelation(fit, name, style=style, ax=ax)
         ax.title.set_fontsize(10)
@@ -185,33 +560,13 @@ def figure_whiteness(fit: Fit, *, style: int = 0) -> Figure:
     return figure
 
 
-def _least_certain(fits: Sequence[Fit]) -> str:
-    """Which estimate has the widest interval, of each fit."""
-    said = []
-    for fit in fits:
-        half = {
-            name: TWO_SIDED_95 * fit.std_errors[name] / abs(value)
-            for name, value in fit.values.items()
-            if value
-        }
-        if half:
-            name = max(half, key=lambda one: half[one])
-            said.append(
-                f"{fit.model.name}: least certain is {name}, ± {100 * half[name]:.2g} % (95 %)."
-            )
-    return " ".join(said)
-
-
-def _closest(fit: Fit) -> str:
-    """Which two estimates are hardest to tell apart."""
-    matrix = np.abs(np.tril(fit.correlation, -1))
-    if not matrix.size or not np.isfinite(matrix).any():
+def _least_certain(fit: Fit) -> str:
+    """Which estimate of a fit has the widest interval."""
+    half = {n: TWO_SIDED_95 * fit.std_errors[n] / abs(v) for n, v in fit.values.items() if v}
+    if not half:
         return ""
-    i, j = np.unravel_index(int(np.nanargmax(matrix)), matrix.shape)
-    return (
-        f"Hardest to tell apart are {fit.names[j]} and {fit.names[i]}: correlation "
-        f"{fit.correlation[i, j]:+.2f}."
-    )
+    name = max(half, key=lambda one: half[one])
+    return f"{fit.model.name}: least certain is {name}, ± {100 * half[name]:.2g} % (95 %)."
 
 
 def _reference(fits: Sequence[Fit], name: str) -> float:
@@ -220,20 +575,6 @@ def _reference(fits: Sequence[Fit], name: str) -> float:
             parameter = fit.model.parameter(name)
             return parameter.prior_mean or fit.values[name] or parameter.magnitude
     return 1.0
-
-
-def _draw_priors(
-    ax: Axes, fit: Fit, names: Sequence[str], scale: dict[str, float], rows: np.ndarray
-) -> None:
-    """Grey bars: 95 % of the prior of each parameter that has one."""
-    for name, row in zip(names, rows, strict=True):
-        parameter = fit.model.parameter(name) if name in fit.model.parameter_names else None
-        if parameter is None or parameter.prior_spread is None or parameter.prior_mean is None:
-            continue
-        centre = parameter.prior_mean / scale[name]
-        half = TWO_SIDED_95 * parameter.prior_spread / abs(scale[name])
-        ax.barh(row, 2 * half, left=centre - half, height=0.7, color=NEUTRAL, alpha=0.3,
-                lw=0, label="prior (95 %)", zorder=0.5)  # fmt: skip
 
 
 def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
@@ -246,9 +587,9 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     ax : Axes, optional
         Where to draw.
     """
-    ax = new_axes(ax, size=(5.6, 3.6))
-    look = model_style(1)
-    ax.axhline(profile.threshold, color=TRUTH, ls="--", lw=1.0, label=f"{profile.level:.0%}")
+    ax = draw.new_axes(ax, size=(5.6, 3.6))
+    look = draw.model_style(1)
+    ax.axhline(profile.threshold, color=draw.TRUTH, ls="--", lw=1.0, label=f"{profile.level:.0%}")
     bounded = [end for end in (profile.lower, profile.upper) if np.isfinite(end)]
     ax.plot(profile.values, profile.rises, "o-", color=look.colour, ms=3.5, lw=1.5, label="profile")
     half = [abs(end - profile.estimate) for end in bounded if end != profile.estimate]
@@ -256,18 +597,19 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
         fine = np.linspace(profile.values.min(), profile.values.max(), 101)
         # The parabola through the nearer end: what a symmetric interval would claim.
         curve = profile.threshold * ((fine - profile.estimate) / min(half)) ** 2
-        ax.plot(fine, curve, color=NEUTRAL, lw=1.2, ls=":", label="if it were quadratic")
+        ax.plot(fine, curve, color=draw.NEUTRAL, lw=1.2, ls=":", label="if it were quadratic")
     for end in bounded:
-        ax.axvline(end, color=NEUTRAL, lw=0.9)
-    ax.axvline(profile.estimate, color=TRUTH, lw=0.9)
+        ax.axvline(end, color=draw.NEUTRAL, lw=0.9)
+    ax.axvline(profile.estimate, color=draw.TRUTH, lw=0.9)
     top = max(2.0 * profile.threshold, 1.0)
-    ax.set(
-        xlabel=f"{symbol_of(profile.name)} [{profile.unit or '-'}]",
-        ylabel=r"rise of $-2\,\log L$ [-]",
+    return draw.done(
+        ax, profile.report(), legend=3, ylabel=r"rise of $-2\,\log L$ [-]",
+        xlabel=f"{draw.symbol_of(profile.name)} [{profile.unit or '-'}]",
         ylim=(min(0.0, float(profile.rises.min())) - 0.03 * top, top),
-    )
-    legend_above(ax)
-    return say(clean(ax), profile.report())
+    )  # fmt: skip
+
+
+_BARE = str.maketrans("", "", "[]")  # a unit without its brackets
 
 
 def _covariance(information: Information, pair: tuple[str, str]) -> np.ndarray:
@@ -319,34 +661,28 @@ def plot_ellipses(
     DataError
         If a parameter is not among those of an information, or has no finite error.
     """
-    ax = new_axes(ax, size=(5.2, 4.6))
+    ax = draw.new_axes(ax, size=(5.2, 4.6))
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     circle = np.stack([np.cos(turn), np.sin(turn)])
+    in_units = [f" [{unit}]" if unit else "" for unit in units or ("", "")]
     said = []
     for number, one in enumerate(informations):
         covariance = _covariance(one, pair)
         axes, turned = np.linalg.eigh(covariance)
         edge = TWO_SIDED_95 * turned @ (np.sqrt(np.maximum(axes, 0.0))[:, None] * circle)
         centre = (0.0, 0.0) if centres is None else centres[number]
-        look, name = model_style(number), labels[number] if labels else f"case {number + 1}"
-        ax.plot(centre[0] + edge[0], centre[1] + edge[1], color=look.colour, ls=look.dashes,
-                lw=1.6, label=name)  # fmt: skip
+        look, name = draw.model_style(number), labels[number] if labels else f"case {number + 1}"
+        ax.plot(centre[0] + edge[0], centre[1] + edge[1], **look.line, lw=1.6, label=name)
         ax.plot(*centre, "+", color=look.colour, ms=8)
         errors = np.sqrt(np.diag(covariance))
-        rho = covariance[0, 1] / errors.prod()
         half = ", ".join(
-            f"{n} ± {TWO_SIDED_95 * e:.2g}{f' {unit}' if unit else ''}"
-            for n, e, unit in zip(pair, errors, units or ("", ""), strict=True)
+            f"{n} ± {TWO_SIDED_95 * e:.2g}{unit.translate(_BARE)}"
+            for n, e, unit in zip(pair, errors, in_units, strict=True)
         )
+        rho = covariance[0, 1] / errors.prod()
         said.append(f"{name}: {half} (95 %), correlation {rho:+.2f}.")
     if truth is not None:
-        ax.plot(*truth, "x", color=TRUTH, ms=8, mew=2, label="truth")
+        ax.plot(*truth, "x", color=draw.TRUTH, ms=8, mew=2, label="truth")
     about = "" if centres is not None else " away from the estimate"
-    x, y = (f"{symbol_of(n)}{about}{_in(u)}" for n, u in zip(pair, units or ("", ""), strict=True))
-    ax.set(xlabel=x, ylabel=y)
-    spread_legend(ax, loc="best")
-    return say(clean(ax), " ".join(said))
-
-
-def _in(unit: str) -> str:
-    return f" [{unit}]" if unit else ""
+    x, y = (f"{draw.symbol_of(n)}{about}{unit}" for n, unit in zip(pair, in_units, strict=True))
+    return draw.done(ax, " ".join(said), legend={"loc": "best"}, xlabel=x, ylabel=y)

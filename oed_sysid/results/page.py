@@ -26,9 +26,8 @@ from oed_sysid.data.record import Record
 from oed_sysid.design import Design
 from oed_sysid.design.assurance import PredictedTracks
 from oed_sysid.errors import DataError, OedSysidError
-from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
-from oed_sysid.results.style import finding, new_figure
+from oed_sysid.results.style import finding, new_figure, signal_of
 from oed_sysid.runtime import files
 from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table, interval
 from oed_sysid.runtime.version import __version__
@@ -73,13 +72,11 @@ class Picture:
 def draw(figure: Figure) -> Drawing:
     """Draw a figure of a document."""
     function = getattr(import_module("oed_sysid.results"), figure.name)
-    if figure.name.startswith("figure_"):
-        made: Drawing = function(figure.subject, *figure.arguments, **figure.options)
-        return made
-    if figure.size is None:
-        return function(figure.subject, *figure.arguments, **figure.options).figure  # type: ignore[no-any-return]
-    drawing, axes = new_figure(1, 1, size=figure.size)
-    function(figure.subject, *figure.arguments, ax=axes[0, 0], **figure.options)
+    options = dict(figure.options)
+    if figure.size is not None and not figure.name.startswith("figure_"):
+        options["ax"] = new_figure(1, 1, size=figure.size)[1][0, 0]
+    made = function(figure.subject, *figure.arguments, **options)
+    drawing: Drawing = made if isinstance(made, Drawing) else made.figure
     return drawing
 
 
@@ -141,20 +138,18 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     DataError
         If it is not what that command writes.
     """
-    status = _part(content, "status", dict)
-    code = _part(status, "code", str)
-    parameters = []
-    for entry in _part(content, "parameters", list):
-        if not isinstance(entry, dict):
-            raise DataError("One of the 'parameters' of this file is no object: it is damaged.")
-        words = (str(entry.get("name", "?")), _number(entry.get("value")))
-        parameters.append((*words, _number(entry.get("std_error")), str(entry.get("unit", ""))))
+    code = _part(_part(content, "status", dict), "code", str)
+    entries = _part(content, "parameters", list)
+    if not all(isinstance(one, dict) for one in entries):
+        raise DataError("One of the 'parameters' of this file is no object: it is damaged.")
+    parameters = [
+        (str(one.get("name", "?")), *map(_number, (one.get("value"), one.get("std_error"))),
+         str(one.get("unit", "")))
+        for one in entries
+    ]  # fmt: skip
     noise, rms = _part(content, "noise", dict), _part(content, "rms", dict)
     outputs = [(str(name), _number(rms.get(name)), _number(level)) for name, level in noise.items()]
-    made = content.get("oed_sysid")
-    made = made if isinstance(made, dict) else {}
-    records = made.get("records")
-    hashes = records if isinstance(records, dict) else {}
+    made = _object(content, "oed_sysid")
     trust = (
         "The estimation converged."
         if code == "converged"
@@ -185,11 +180,16 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
                 paragraphs=(
                     f"oed_sysid {made.get('version', 'of unknown version')}: "
                     f"{made.get('command', 'the command was not kept')}",
-                    *(f"{name}: {digest}" for name, digest in hashes.items()),
+                    *(f"{name}: {digest}" for name, digest in _object(made, "records").items()),
                 ),
             ),
         ),
     )
+
+
+def _object(content: Mapping[str, Any], key: str) -> dict[str, Any]:
+    value = content.get(key)
+    return value if isinstance(value, dict) else {}
 
 
 def _part(content: Mapping[str, Any], key: str, kind: type) -> Any:
@@ -286,17 +286,13 @@ def parameter_table(model: Model) -> Table:
 
 
 def _records(records: list[Record]) -> Table:
-    channels = records[0].channels
-    names: list[Input | Output] = [*channels.inputs, *channels.outputs]
-    rows = []
-    for record in records:
-        spans = []
-        for channel in names:
-            inside = channel.name in channels.input_names
-            values = record.input(channel.name) if inside else record.output(channel.name)
-            spans.append(_span(shown_unit(channel.unit)[0] * values))
-        rows.append((record.name, f"{record.duration:.4g}", str(record.n_samples), *spans))
-    heads = (f"{one.name} [{shown_unit(one.unit)[1] or '-'}]" for one in names)
+    channels = records[0].channels.all
+    rows = [
+        (one.name, f"{one.duration:.4g}", str(one.n_samples),
+         *(_span(signal_of(one, channel)) for channel in channels))
+        for one in records
+    ]  # fmt: skip
+    heads = (f"{one.name} [{shown_unit(one.unit)[1] or '-'}]" for one in channels)
     return Table(("record", "length [s]", "samples", *heads), rows)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -14,31 +15,9 @@ from oed_sysid.evidence.check import Balance, LogCheck
 from oed_sysid.experiments.indices import zigzag_indices
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.prediction import Prediction
-from oed_sysid.physics.channels import Input, Output
-from oed_sysid.results.prediction_plots import Said, draw_input, said_of
-from oed_sysid.results.style import (
-    COLOURS,
-    DATA,
-    DEGREE,
-    NEUTRAL,
-    TRUTH,
-    abscissa,
-    band,
-    between,
-    clean,
-    label,
-    legend_above,
-    new_axes,
-    new_figure,
-    panels,
-    row_axes,
-    say,
-    shown,
-    span,
-    spread_legend,
-    symbol_of,
-    zero,
-)
+from oed_sysid.physics.channels import Input
+from oed_sysid.results import style as draw
+from oed_sysid.results.fit_plots import draw_input, said_of
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
@@ -54,29 +33,26 @@ def figure_record(record: Record) -> Figure:
     record : Record
         The record.
     """
-    measured = [o for o in record.channels.outputs if np.isfinite(record.output(o.name)).any()]
-    channels: list[Input | Output] = [*record.channels.inputs, *measured]
+    along, words = draw.abscissa(record)
+    channels = [one for one in record.channels.all if one.name not in record.missing_outputs]
     columns = 1 if len(channels) < 4 else 2
-    figure, axes = panels(len(channels), columns, (5.4, 1.9), sharex=True)
+    figure, axes = draw.panels(len(channels), columns, (5.4, 1.9), sharex=True)
     for place, (ax, channel) in enumerate(zip(axes, channels, strict=True)):
+        values = draw.signal_of(record, channel)
         if isinstance(channel, Input):
             draw_input(ax, record, channel)
-            values = shown(channel, record.input(channel.name))
         else:
-            along, words = abscissa(record)
-            values = shown(channel, record.output(channel.name))
-            clean(ax).plot(along, values, ".", color=DATA, ms=2.0, rasterized=True)
-            ax.set_xlabel(words)
-        ax.set_ylabel(label(channel, lines=2))
+            ax.plot(along, values, ".", color=draw.DATA, ms=2.0, rasterized=True)
         lowest = place + columns >= len(channels)
+        said, ylabel = draw.between(channel, values), draw.label(channel, lines=2)
+        draw.done(ax, said, ylabel=ylabel, xlabel=words if lowest else "")
         ax.tick_params(labelbottom=lowest)
-        if not lowest:
-            ax.set_xlabel("")
-        say(ax, between(channel, values))
     return figure
 
 
-_BEFORE, _AFTER = COLOURS[0], COLOURS[1]
+# How a signal is drawn as logged, and with the findings of a check undone.
+_BEFORE: dict[str, Any] = {"color": draw.COLOURS[0], "label": "as logged"}
+_AFTER: dict[str, Any] = {"color": draw.COLOURS[1], "label": "findings undone"}
 _MOST_RECORDS = 3
 # Residuals beyond this many of the corrected ones are cut off, or the corrected ones vanish.
 _TALL = 12.0
@@ -92,20 +68,16 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     ax : Axes, optional
         Where to draw.
     """
-    ax, rows = row_axes(ax, [one.relation for one in found.balances], 6.4, tall=0.5)
-    before = np.array([100.0 * one.before for one in found.balances])
-    after = np.array([100.0 * one.after for one in found.balances])
-    ax.hlines(rows, np.minimum(before, after), np.maximum(before, after), color=NEUTRAL, lw=2.0)
-    ax.plot(before, rows, "s", color=_BEFORE, ms=8, label="as logged")
-    ax.plot(after, rows, "o", color=_AFTER, ms=6, mec="white", label="findings undone")
-    ax.axvline(100.0, color=TRUTH, lw=1.0, ls=":")
-    ax.set_xscale("log")
-    low, high = min(after.min(), before.min()), max(before.max(), after.max(), 100.0)
-    ax.set_xlim(low / 2.0, high * 2.0)
+    ax, rows = draw.row_axes(ax, [one.relation for one in found.balances], 6.4, tall=0.5)
+    both = 100.0 * np.array([(one.before, one.after) for one in found.balances])
+    ax.hlines(rows, both.min(axis=1), both.max(axis=1), color=draw.NEUTRAL, lw=2.0)
+    ax.plot(both[:, 0], rows, "s", ms=8, **_BEFORE)
+    ax.plot(both[:, 1], rows, "o", ms=6, mec="white", **_AFTER)
+    ax.axvline(100.0, color=draw.TRUTH, lw=1.0, ls=":")
+    ax.set(xscale="log", xlim=(both.min() / 2.0, 2.0 * max(both.max(), 100.0)))
     ax.xaxis.set_major_formatter("{x:g}")
-    ax.set_xlabel("unexplained share of the left side's changes [%]")
-    legend_above(ax, 2)
-    return clean(ax, grid="x")
+    words = "unexplained share of the left side's changes [%]"
+    return draw.done(ax, grid="x", legend=2, xlabel=words)
 
 
 def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
@@ -125,21 +97,17 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
     The constant of integration is chosen so that the mean is zero. Where the log as it is leaves
     far more than the corrected one, the axis follows the corrected one, twelve times as wide.
     """
-    ax = new_axes(ax, size=(6.4, 2.4))
+    ax = draw.new_axes(ax, size=(6.4, 2.4))
     turn, unit = shown_unit(balance.unit)
     chosen = [part for part in balance.series if part[0] == record]
-    shown: list[np.ndarray] = []
-    for number, (_, times, before, after) in enumerate(chosen):
-        start = times[0]
-        names = ("as logged", "findings undone") if number == 0 else (None, None)
-        same = np.allclose(before, after)
-        ax.plot(times - start, turn * before, color=_BEFORE, lw=1.4, label=names[0])
-        if not same:
-            ax.plot(times - start, turn * after, color=_AFTER, lw=1.0, label=names[1])
-        shown.append(turn * after)
-    whole = np.concatenate(shown) if shown else np.zeros(1)
-    reach = float(np.max(np.abs(whole))) or 1.0
-    most = max((float(np.max(np.abs(turn * p[2]))) for p in chosen), default=reach)
+    for _, times, before, after in chosen:
+        ax.plot(times - times[0], turn * before, lw=1.4, **_BEFORE)
+        if not np.allclose(before, after):
+            ax.plot(times - times[0], turn * after, lw=1.0, **_AFTER)
+    most, reach = (
+        turn * max((float(np.abs(part[place]).max()) for part in chosen), default=0.0) or 1.0
+        for place in (2, 3)
+    )
     if most > _TALL * reach:
         ax.set_ylim(-_TALL * reach, _TALL * reach)
         ax.text(
@@ -147,10 +115,10 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
             va="top", fontsize=8, color="0.3", bbox={"fc": "white", "ec": "none", "pad": 1.0},
         )  # fmt: skip
     else:
-        ax.set_ylim(*span([-most, most]))
-    zero(ax)
-    ax.set(xlabel="time from the start [s]", ylabel=f"{symbol_of(balance.target)} left [{unit}]")
-    return clean(ax)
+        ax.set_ylim(*draw.span([-most, most]))
+    draw.zero(ax)
+    words = f"{draw.symbol_of(balance.target)} left [{unit}]"
+    return draw.done(ax, xlabel="time from the start [s]", ylabel=words)
 
 
 def figure_check(found: LogCheck) -> Figure:
@@ -163,7 +131,7 @@ def figure_check(found: LogCheck) -> Figure:
     """
     names = found.records[:_MOST_RECORDS]
     n = len(found.balances)
-    figure, axes = new_figure(n, len(names), size=(1.2 + 3.4 * len(names), 0.6 + 1.9 * n))
+    figure, axes = draw.new_figure(n, len(names), size=(1.2 + 3.4 * len(names), 0.6 + 1.9 * n))
     for row, balance in enumerate(found.balances):
         for column, name in enumerate(names):
             ax = axes[row, column]
@@ -174,12 +142,9 @@ def figure_check(found: LogCheck) -> Figure:
                 ax.set_xlabel("")
             if column:
                 ax.set_ylabel("")
-    handles, labels = axes[0, 0].get_legend_handles_labels()
-    for ax in axes.flat:
-        more = ax.get_legend_handles_labels()
-        if len(more[0]) > len(handles):
-            handles, labels = more
-    figure.legend(handles, labels, loc="outside upper right", ncols=2, frameon=False, fontsize=9)
+    lines = {line.get_label(): line for ax in axes.flat for line in ax.get_lines()}
+    handles = [lines[one["label"]] for one in (_BEFORE, _AFTER) if one["label"] in lines]
+    figure.legend(handles=handles, loc="outside upper right", ncols=2, frameon=False, fontsize=9)
     return figure
 
 
@@ -208,7 +173,7 @@ def plot_track(
     ax : Axes, optional
         Where to draw.
     """
-    ax = new_axes(ax, size=(5.4, 5.4))
+    ax = draw.new_axes(ax, size=(5.4, 5.4))
     return _in_plane(ax, record, models, (across, along), labels)
 
 
@@ -236,9 +201,8 @@ def plot_phase(
     ax : Axes, optional
         Where to draw.
     """
-    ax = new_axes(ax, size=(5.4, 4.4))
-    _in_plane(ax, record, models, (across, along), labels, equal=False)
-    return ax
+    ax = draw.new_axes(ax, size=(5.4, 4.4))
+    return _in_plane(ax, record, models, (across, along), labels, equal=False)
 
 
 def _in_plane(
@@ -254,27 +218,26 @@ def _in_plane(
     outputs = record.channels.output_names
     columns = [outputs.index(name) for name in names]
     channels = [record.channels.outputs[column] for column in columns]
-    right, up = (shown(c, record.output(c.name)) for c in channels)
-    ax.plot(right, up, ".", color=DATA, ms=3, label="measured", rasterized=True)
+    right, up = (draw.shown(c, record.output(c.name)) for c in channels)
+    ax.plot(right, up, ".", color=draw.DATA, ms=3, label="measured", rasterized=True)
     said = []
     for one in said_of(models, record, labels) if models else ():
-        ends = [shown(c, one.mean[:, k]) for c, k in zip(channels, columns, strict=True)]
-        look, name = one.look, one.name
-        ax.plot(*ends, color=look.colour, linestyle=look.dashes, lw=1.6, label=name)
+        ends = [draw.shown(c, one.mean[:, k]) for c, k in zip(channels, columns, strict=True)]
+        ax.plot(*ends, **one.look.line, lw=1.6, label=one.name)
         off = np.hypot(ends[0] - right, ends[1] - up)
-        same = channels[0].unit == channels[1].unit
-        if same and np.isfinite(off).any():
+        if channels[0].unit == channels[1].unit and np.isfinite(off).any():
             unit = shown_unit(channels[0].unit)[1]
-            said.append(f"{name} is at most {np.nanmax(off):.3g} {unit} away".rstrip() + ".")
+            said.append(f"{one.name} is at most {np.nanmax(off):.3g} {unit} away".rstrip() + ".")
     start = np.flatnonzero(np.isfinite(up + right))[:1]
-    ax.plot(right[start], up[start], "o", mfc="white", mec=TRUTH, ms=7, label="start")
-    ax.set(xlabel=label(channels[0]), ylabel=label(channels[1]))
+    ax.plot(right[start], up[start], "o", mfc="white", mec=draw.TRUTH, ms=7, label="start")
     if equal:
         ax.set_aspect("equal", adjustable="datalim")
         if names[1] == "z" and not ax.yaxis_inverted():
             ax.invert_yaxis()
-    legend_above(ax, markerscale=2)
-    return say(clean(ax), " ".join([f"{record.name}: {names[1]} over {names[0]}.", *said]))
+    draw.legend_above(ax, markerscale=2)
+    said.insert(0, f"{record.name}: {names[1]} over {names[0]}.")
+    right_label, up_label = map(draw.label, channels)
+    return draw.done(ax, " ".join(said), xlabel=right_label, ylabel=up_label)
 
 
 def plot_zigzag(
@@ -307,52 +270,40 @@ def plot_zigzag(
     ax : Axes, optional
         Where to draw.
     """
-    ax = new_axes(ax, size=(7.6, 4.2))
-    commands = {channel.name: channel for channel in record.channels.inputs}
-    angle = record.input(rudder) if rudder in commands else record.output(rudder)
-    held = rudder in commands and commands[rudder].interpolation == "hold"
-    turned = record.output(heading)
-    ax.plot(
-        record.times, angle * DEGREE, color=NEUTRAL, lw=1.2, label=symbol_of(rudder),
-        drawstyle="steps-post" if held else "default",
-    )  # fmt: skip
-    ax.plot(
-        record.times, turned * DEGREE, ".", color=DATA, ms=2.5, rasterized=True,
-        label=f"{symbol_of(heading)} measured",
-    )  # fmt: skip
-    column = record.channels.output_names.index(heading)
-    said = said_of(models, record, labels) if models else []
-    for one in said:
-        model, half = one.mean[:, column] * DEGREE, TWO_SIDED_95 * one.std[:, column] * DEGREE
-        band(ax, record, model - half, model + half, one.look.colour)
-        ax.plot(
-            record.times, model, color=one.look.colour, linestyle=one.look.dashes, lw=1.5,
-            label=one.name,
-        )  # fmt: skip
-    zero(ax)
-    _write_overshoots(ax, record, heading, angle, said)
-    ax.set(xlabel="time $t$ [s]", ylabel="angle [deg]", title=record.name)
-    clean(ax)
-    spread_legend(ax, loc="upper center", bbox_to_anchor=(0.5, -0.13), ncols=4, markerscale=3)
-    return ax
-
-
-def _write_overshoots(
-    ax: Axes, record: Record, heading: str, angle: np.ndarray, models: Sequence[Said]
-) -> None:
-    """Mark the first two overshoots where they are, and say those of the models."""
+    ax = draw.new_axes(ax, size=(7.6, 4.2))
+    channel = next(one for one in record.channels.all if one.name == rudder)
+    angle = record.input(rudder) if isinstance(channel, Input) else record.output(rudder)
     column = record.channels.output_names.index(heading)
     turned = record.output(heading)
-    said = []
-    for name, one in [("measured", turned), *((m.name, m.mean[:, column]) for m in models)]:
-        peaks = _overshoots(record, one, angle)
-        if peaks:
-            angles = " and ".join(f"{abs(past) * DEGREE:.1f}°" for _, _, past in peaks)
+    ax.plot(
+        record.times, angle * draw.DEGREE, color=draw.NEUTRAL, lw=1.2,
+        label=draw.symbol_of(rudder), **draw.stepped(channel),
+    )  # fmt: skip
+    ax.plot(
+        record.times, turned * draw.DEGREE, ".", color=draw.DATA, ms=2.5, rasterized=True,
+        label=f"{draw.symbol_of(heading)} measured",
+    )  # fmt: skip
+    headings = [("measured", turned)]
+    for one in said_of(models, record, labels) if models else ():
+        model, std = one.mean[:, column] * draw.DEGREE, one.std[:, column] * draw.DEGREE
+        half = TWO_SIDED_95 * std
+        draw.band(ax, record, model - half, model + half, one.look.colour)
+        ax.plot(record.times, model, **one.look.line, lw=1.5, label=one.name)
+        headings.append((one.name, one.mean[:, column]))
+    draw.zero(ax)
+    said = [f"{record.name}."]
+    for name, followed in headings:
+        if peaks := _overshoots(record, followed, angle):
+            angles = " and ".join(f"{abs(past) * draw.DEGREE:.1f}°" for _, _, past in peaks)
             said.append(f"{name}: overshoots {angles}.")
     for row, reversed_at, past in _overshoots(record, turned, angle):
         _mark(ax, record.times[row], reversed_at, turned[row], past)
-    say(ax, " ".join([f"{record.name}.", *said]))
     ax.margins(y=0.16)
+    return draw.done(
+        ax, " ".join(said), xlabel="time $t$ [s]", ylabel="angle [deg]", title=record.name,
+        legend={"loc": "upper center", "bbox_to_anchor": (0.5, -0.13), "ncols": 4,
+                "markerscale": 3},
+    )  # fmt: skip
 
 
 def _overshoots(
@@ -379,9 +330,9 @@ def _overshoots(
 def _mark(ax: Axes, time: float, begun: float, peak: float, past: float) -> None:
     """Stroke from the heading at which the rudder was reversed to the peak."""
     side = 1 if peak > 0 else -1
-    ends = (begun * DEGREE, peak * DEGREE)
-    ax.plot((time, time), ends, color=TRUTH, lw=1.2, marker="_", ms=9, mew=1.2)
+    ends = np.degrees((begun, peak))
+    ax.plot((time, time), ends, color=draw.TRUTH, lw=1.2, marker="_", ms=9, mew=1.2)
     ax.annotate(
-        f"overshoot {abs(past) * DEGREE:.1f}°", (time, peak * DEGREE), xytext=(4, 6 * side),
+        f"overshoot {np.degrees(abs(past)):.1f}°", (time, ends[1]), xytext=(4, 6 * side),
         textcoords="offset points", va="bottom" if side > 0 else "top", fontsize=8.5,
     )  # fmt: skip

@@ -16,6 +16,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
 
 from oed_sysid.data.record import Record
@@ -43,6 +44,11 @@ class ModelStyle:
     colour: str
     dashes: str | tuple
     hatch: str
+
+    @property
+    def line(self) -> dict[str, Any]:
+        """Colour and dashes of its lines."""
+        return {"color": self.colour, "ls": self.dashes}
 
 
 def model_style(index: int) -> ModelStyle:
@@ -114,10 +120,66 @@ def clean(ax: Axes, grid: str = "both") -> Axes:
     ax.grid(True, axis=grid, color="0.9", linewidth=0.7)  # type: ignore[arg-type]
     ax.set_axisbelow(True)
     ax.tick_params(colors="0.25", labelsize=9)
-    ax.xaxis.label.set_fontsize(10)
-    ax.yaxis.label.set_fontsize(10)
+    for axis in (ax.xaxis, ax.yaxis):
+        axis.label.set_fontsize(10)
     ax.title.set_fontsize(11)
     return ax
+
+
+def done(
+    ax: Axes,
+    finding: str = "",
+    *,
+    grid: str = "both",
+    legend: int | dict[str, Any] | None = None,
+    **labels: Any,
+) -> Axes:
+    """Return axes on which everything is drawn, in the house style and with its finding.
+
+    Parameters
+    ----------
+    ax : Axes
+        Where something was drawn.
+    finding : str
+        See :func:`say`.
+    grid : str
+        See :func:`clean`.
+    legend : int or dict, optional
+        Columns of a legend above the axes, or options of :func:`spread_legend`.
+    **labels
+        Of :meth:`matplotlib.axes.Axes.set`.
+    """
+    ax.set(**labels)
+    clean(ax, grid)
+    if isinstance(legend, int):
+        legend_above(ax, legend)
+    elif legend is not None:
+        spread_legend(ax, **legend)
+    return say(ax, finding) if finding else ax
+
+
+def bars(
+    ax: Axes, rows: ArrayLike, lengths: ArrayLike, colour: str, hatch: str = "", **look: Any
+) -> None:
+    """Draw bars along rows, outlined and hatched so that they can be told apart in grey."""
+    settings = {"height": 0.62, "color": colour, "edgecolor": "0.25", "lw": 0.6, **look}
+    ax.barh(rows, lengths, hatch=hatch or None, **settings)
+
+
+def decades(axis: Any, subs: Sequence[float] | None = None) -> None:
+    """Write plain numbers along a logarithmic axis, none between its ticks."""
+    if subs is not None:
+        axis.set_major_locator(LogLocator(subs=subs))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
+
+
+def errors_axis(ax: Axes, largest: float) -> bool:
+    """Make the axis of errors in units of the noise logarithmic where they are large; say so."""
+    if large := largest > 8.0:
+        ax.set_yscale("log")
+        decades(ax.yaxis, (1.0, 2.0, 5.0))
+    return large
 
 
 def row_axes(
@@ -179,6 +241,12 @@ def joined(record: Record, dashes: Any = "-") -> dict[str, Any]:
     return {"ls": "", "marker": "_", "ms": 5.0} if record.independent else {"ls": dashes}
 
 
+def stepped(channel: State | Input | Output) -> dict[str, Any]:
+    """How the samples of a signal are joined: a command that is held between them in steps."""
+    held = isinstance(channel, Input) and channel.interpolation == "hold"
+    return {"drawstyle": "steps-post" if held else "default"}
+
+
 def band(
     ax: Axes, record: Record, low: np.ndarray, high: np.ndarray, colour: str, **look: Any
 ) -> None:
@@ -207,6 +275,12 @@ def shown(channel: State | Input | Output, values: ArrayLike) -> np.ndarray:
     [5.73, 11.46]
     """
     return shown_unit(channel.unit)[0] * np.asarray(values, dtype=float)
+
+
+def signal_of(record: Record, channel: Input | Output) -> np.ndarray:
+    """Signal of a record in the unit of its label."""
+    kind = record.input if isinstance(channel, Input) else record.output
+    return shown(channel, kind(channel.name))
 
 
 def say(ax: Axes, finding: str) -> Axes:

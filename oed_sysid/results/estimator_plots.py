@@ -1,4 +1,4 @@
-r"""Estimates on their way: parameters against time, and the starts of a multistart.
+r"""Pictures of estimators: values against time, starts of a multistart, one against the others.
 
 The waterfall shows how many starts found the optimum, and what the others found. Starts are
 sorted by their objective
@@ -13,29 +13,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
+from oed_sysid.baselines.benchmark import OURS, UNITS, Benchmark, Row
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multistart import SAME_OPTIMUM
-from oed_sysid.results.style import (
-    NEUTRAL,
-    TRUTH,
-    clean,
-    model_style,
-    new_axes,
-    new_figure,
-    save_figure,
-    say,
-    spread_legend,
-    symbol_of,
-)
+from oed_sysid.results import style as draw
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.runtime.files import whole_file
 
@@ -65,18 +57,23 @@ def plot_history(
     ax : Axes, optional
         Where to draw.
     """
-    ax = new_axes(ax, size=(6.4, 2.6))
-    look = model_style(0)
+    ax = draw.new_axes(ax, size=(6.4, 2.6))
+    look = draw.model_style(0)
     band = np.zeros(len(values)) if stds is None else TWO_SIDED_95 * np.asarray(stds)
     if stds is not None:
         low, high = values - band, values + band
         ax.fill_between(times, low, high, color=look.colour, alpha=0.25, lw=0, label="95 %")
     ax.plot(times, values, color=look.colour, lw=1.5, label="estimate")
     if reference is not None:
-        ax.axhline(reference, color=TRUTH, lw=1.0, ls=":", label="reference")
-    ax.set_ylim(*_range_of(values, band, reference))
-    ax.set_ylabel(f"{symbol_of(name)} [{unit or '-'}]" if name else "")
-    return clean(ax)
+        ax.axhline(reference, color=draw.TRUTH, lw=1.0, ls=":", label="reference")
+    # The later half with its band is shown; early estimates may leave the picture.
+    late, half = values[len(values) // 2 :], np.nan_to_num(band, posinf=0.0)[len(values) // 2 :]
+    known = [] if reference is None else [reference]
+    return draw.done(
+        ax,
+        ylim=draw.span([*(late - half), *(late + half), *known], 0.4),
+        ylabel=f"{draw.symbol_of(name)} [{unit or '-'}]" if name else "",
+    )
 
 
 class LiveParameters:
@@ -138,7 +135,7 @@ class LiveParameters:
         self.n_drawings = 0
         if figure is None:
             size = (6.4, 0.8 + 1.8 * len(self.names))
-            self.figure, axes = new_figure(len(self.names), 1, size=size, sharex=True)
+            self.figure, axes = draw.new_figure(len(self.names), 1, size=size, sharex=True)
         else:
             self.figure = figure
             axes = figure.subplots(len(self.names), 1, squeeze=False, sharex=True)
@@ -181,7 +178,7 @@ class LiveParameters:
         self._drawn_at = self._clock()
         self.n_drawings += 1
         if self._file is not None:
-            save_figure(self.figure, self._file, dpi=110)
+            draw.save_figure(self.figure, self._file, dpi=110)
         self.figure.canvas.draw_idle()
         self.figure.canvas.flush_events()
 
@@ -217,31 +214,12 @@ class LiveParameters:
         for index, (name, ax) in enumerate(zip(self.names, self._axes, strict=True)):
             ax.clear()
             plot_history(
-                times,
-                values[:, index],
-                stds[:, index],
-                name=name,
-                unit=self._units.get(name, ""),
-                reference=self._references.get(name),
-                ax=ax,
-            )
+                times, values[:, index], stds[:, index], name=name, ax=ax,
+                unit=self._units.get(name, ""), reference=self._references.get(name),
+            )  # fmt: skip
         self._axes[-1].set_xlabel("time [s]")
-        spread_legend(self._axes[0], ncols=3, loc="upper right", fontsize=8)
+        draw.spread_legend(self._axes[0], ncols=3, loc="upper right", fontsize=8)
         return self._axes
-
-
-def _range_of(values: np.ndarray, band: np.ndarray, reference: float | None) -> tuple[float, float]:
-    """Limits that show the later half with its band; early estimates may leave them."""
-    late = slice(len(values) // 2, None)
-    band = np.where(np.isfinite(band), band, 0.0)
-    shown = [*(values - band)[late], *(values + band)[late]]
-    shown += [] if reference is None else [reference]
-    finite = np.array([value for value in shown if np.isfinite(value)])
-    if not finite.size:
-        return -1.0, 1.0
-    low, high = float(finite.min()), float(finite.max())
-    pad = 0.4 * (high - low) or 0.05 * abs(high) or 1.0
-    return low - pad, high + pad
 
 
 # Plateaus above the lowest one that get a number.
@@ -297,37 +275,33 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
     objectives, converged = attempts.objectives, attempts.converged
     order = np.argsort(np.where(np.isfinite(objectives), objectives, np.inf), kind="stable")
     objectives, converged = objectives[order], converged[order]
-    ax = new_axes(ax)
+    ax = draw.new_axes(ax)
     finite = np.isfinite(objectives)
     if not finite.any():
         ax.set_title("no start led to a finite objective")
-        return clean(ax)
+        return draw.clean(ax)
     above = objectives - objectives[0]
     places = np.arange(1, len(above) + 1)
-    good, other = model_style(1), model_style(0)
+    good, other = draw.model_style(1), draw.model_style(0)
     groups = plateaus(above)
     last = groups[0][1]
     top = max(10.0 * SAME_OPTIMUM, float(above[finite].max()))
     ax.set_yscale("symlog", linthresh=SAME_OPTIMUM, linscale=0.4)
     ax.axhspan(-0.5 * SAME_OPTIMUM, SAME_OPTIMUM, color=good.colour, alpha=0.12, linewidth=0)
-    ax.plot(places[finite], above[finite], color=NEUTRAL, linewidth=1.0, zorder=1)
+    ax.plot(places[finite], above[finite], color=draw.NEUTRAL, linewidth=1.0, zorder=1)
     lowest = finite & (places <= last + 1)
-    for chosen, style in (
-        (lowest & converged, {"marker": "o", "color": good.colour, "label": "the best optimum"}),
-        (
-            finite & ~lowest & converged,
-            {"marker": "o", "color": other.colour, "mfc": "white", "label": "other optima"},
-        ),
-        (finite & ~converged, {"marker": "x", "color": "0.25", "label": "did not converge"}),
+    for chosen, marker, colour, fill, words in (
+        (lowest & converged, "o", good.colour, good.colour, "the best optimum"),
+        (finite & ~lowest & converged, "o", other.colour, "white", "other optima"),
+        (finite & ~converged, "x", "0.25", "0.25", "did not converge"),
     ):
         if chosen.any():
-            ax.plot(places[chosen], above[chosen], linestyle="none", markersize=6, **style)  # type: ignore[arg-type]
+            ax.plot(places[chosen], above[chosen], marker, ms=6, color=colour, mfc=fill,
+                    label=words)  # fmt: skip
     own = int(np.flatnonzero(order == 0)[0])
     if finite[own]:
-        ax.plot(
-            places[own], above[own], marker="o", markersize=12, mfc="none", color="black",
-            linestyle="none", label="the model's own values",
-        )  # fmt: skip
+        ax.plot(places[own], above[own], "o", ms=12, mfc="none", color=draw.TRUTH,
+                label="the model's own values")  # fmt: skip
     for first, end in [g for g in groups[1:] if g[1] > g[0]][:MOST_NAMED]:
         ax.annotate(
             f"{end - first + 1} starts", (0.5 * (places[first] + places[end]), above[first]),
@@ -335,11 +309,91 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
         )  # fmt: skip
     lost = int((~finite).sum())
     title = f"{last + 1} of {len(above)} starts found the best optimum"
-    ax.set_title(title + (f"; {lost} diverged" if lost else ""), loc="left")
-    ax.set_xlabel("start, sorted")
-    ax.set_ylabel("objective above the best, $-2\\,\\Delta\\log L$ [-]")
-    ax.set_xlim(0.5, len(above) + 0.5)
-    ax.set_ylim(-0.5 * SAME_OPTIMUM, 3.0 * top)
+    title += f"; {lost} diverged" if lost else ""
+    ax.set_title(title, loc="left")
     ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-    spread_legend(ax, loc="best")
-    return say(clean(ax), f"{title}{f'; {lost} diverged' if lost else ''}.")
+    return draw.done(
+        ax, f"{title}.", legend={"loc": "best"}, xlabel="start, sorted",
+        ylabel="objective above the best, $-2\\,\\Delta\\log L$ [-]",
+        xlim=(0.5, len(above) + 0.5), ylim=(-0.5 * SAME_OPTIMUM, 3.0 * top),
+    )  # fmt: skip
+
+
+# -- the benchmark ---------------------------------------------------------------------------
+
+# Errors beyond these are drawn at the edge, in per cent.
+LEAST, MOST = 1e-2, 1e4
+MARKERS = ("o", "s", "^", "D", "v", "P")
+
+
+def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
+    """Plot the error of each estimator on one problem, one mark per noise level.
+
+    The error is that of the parameters which the data determine; the short
+    vertical lines are what an unbiased estimator can reach (Cramér-Rao), in the
+    colour of their noise level. A hollow mark says that some runs did not
+    converge. Marks at the right edge lie beyond it. Estimators that cannot
+    treat the problem are left out.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+        Of one problem and sampling.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = draw.new_axes(ax)
+    able = [row for row in rows if not row.refused]
+    levels = sorted({row.noise for row in able if row.noise > 0})
+    errors: dict[str, list[float]] = {}
+    for row in able:
+        if row.noise > 0:
+            errors.setdefault(row.estimator, []).append(np.log(max(row.rmse_determined, 1e-9)))
+    names = sorted(errors, key=lambda name: float(np.mean(errors[name])))  # the best on top
+    for number, level in enumerate(levels):
+        colour = draw.model_style(number).colour
+        of_level = {row.estimator: row for row in able if row.noise == level}
+        bound = next(iter(of_level.values())).bound
+        shift = (number - (len(levels) - 1) / 2) * 0.22
+        ax.axvline(100.0 * bound, color=colour, lw=1.0, alpha=0.6, linestyle=":")
+        for name, row in of_level.items():
+            error = np.clip(100.0 * row.rmse_determined, LEAST, MOST)
+            ax.plot(
+                error, names.index(name) + shift, MARKERS[number % len(MARKERS)], ms=5.5,
+                color=colour, mfc="none" if row.n_failed else colour, clip_on=False,
+            )  # fmt: skip
+        # The legend shows full marks, whichever estimator comes first.
+        unit = UNITS[able[0].noise_unit]
+        ax.plot(
+            [], [], MARKERS[number % len(MARKERS)], color=colour, label=f"noise {level:g} {unit}"
+        )
+    if OURS in names:
+        place = names.index(OURS)
+        ax.axhspan(place - 0.45, place + 0.45, color=draw.NEUTRAL, alpha=0.18, lw=0)
+    ax.set_xscale("log")
+    draw.decades(ax.xaxis)
+    ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
+    words = "error of determined parameters [%]"
+    return draw.done(ax, ylim=(len(names) - 0.4, -0.6), xlabel=words)
+
+
+def figure_benchmark(result: Benchmark) -> Figure:
+    """All problems of a benchmark, one panel each; see :func:`plot_errors`."""
+    groups = [
+        (title, list(group))
+        for title, group in groupby(result.rows, key=lambda row: (row.problem, row.sampling))
+    ]
+    figure, axes = draw.panels(len(groups), 2, (5.6, 3.4))
+    for ax, ((problem, sampling), rows) in zip(axes, groups, strict=True):
+        plot_errors(rows, ax=ax)
+        rare = "" if sampling == 1 else f", {sampling} times rarer samples"
+        ax.set_title(problem.replace("_", " ") + rare)
+    handles, labels = axes[0].get_legend_handles_labels()
+    note = Line2D([], [], marker="o", ls="", color=draw.NEUTRAL, mfc="none")
+    bound = Line2D([], [], ls=":", color=draw.NEUTRAL)
+    figure.legend(
+        [*handles, note, bound],
+        [*labels, "some runs did not converge", "Cramér-Rao bound"],
+        loc="outside upper center", ncols=len(labels) + 2, frameon=False, fontsize=9,
+    )  # fmt: skip
+    return figure
