@@ -434,7 +434,8 @@ def check_fit(fit: Estimate, where: str) -> None:
         *((isinstance(found, np.ndarray) and found.shape == shape,
            f"{name} of shape {np.shape(found)}, expected {shape}")
           for name, (found, shape) in arrays.items()),
-        (np.asarray(fit.sigma_estimated).dtype == bool, "sigma_estimated that is not true or false"),
+        (np.asarray(fit.sigma_estimated).dtype == bool,
+         "sigma_estimated that is not true or false"),
         *((name in known, f"an estimate of {name!r}, which is no parameter of the model")
           for name in estimated),
         (fit.dataset.channels == fit.model.channels, "records with other channels than the model"),
