@@ -22,7 +22,7 @@ import json
 import math
 import shlex
 import sys
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import MISSING, fields, is_dataclass
 from operator import attrgetter
 from pathlib import Path
@@ -416,13 +416,7 @@ def check_fit(fit: Estimate, where: str) -> None:
     where : str
         The file, for the message.
     """
-    n, records, n_outputs = len(fit.names), tuple(fit.dataset), len(fit.model.outputs)
-    information, each, forces = fit.information, (n_outputs,), (len(fit.noise.places),)
-    shapes = {"estimates": (n,), "covariance": (n, n), "sigma": each, "sigma_estimated": each}
-    shapes |= dict.fromkeys(("noise.white", "noise.colour", "noise.colour_time"), each)
-    shapes |= {"noise.force": forces, "noise.force_time": forces}
-    shapes |= {"information.scales": (len(information.names),)}
-    arrays = {name: (attrgetter(name)(fit), shape) for name, shape in shapes.items()}
+    records, n_outputs, information = tuple(fit.dataset), len(fit.model.outputs), fit.information
     per_record = ["predictions", "residuals", "states", "initial_states", "local_values"]
     sampled = ["predictions", "residuals"]
     if fit.innovations is not None:
@@ -431,9 +425,7 @@ def check_fit(fit: Estimate, where: str) -> None:
     known = fit.model.parameter_names
     estimated = [*fit.names, *(name for local in fit.local_values for name in local)]
     checks = [
-        *((isinstance(found, np.ndarray) and found.shape == shape,
-           f"{name} of shape {np.shape(found)}, expected {shape}")
-          for name, (found, shape) in arrays.items()),
+        *_shaped(fit),
         (np.asarray(fit.sigma_estimated).dtype == bool,
          "sigma_estimated that is not true or false"),
         *((name in known, f"an estimate of {name!r}, which is no parameter of the model")
@@ -459,6 +451,19 @@ def check_fit(fit: Estimate, where: str) -> None:
             f"{where} is damaged, or was changed by hand: it holds {faults[0]}. Use a copy of it, "
             "or make it again."
         )
+
+
+def _shaped(fit: Estimate) -> Iterator[tuple[bool, str]]:
+    """Whether the arrays of a fit have their shapes, and what is wrong where not."""
+    n, each, forces = len(fit.names), (len(fit.model.outputs),), (len(fit.noise.places),)
+    shapes = {"estimates": (n,), "covariance": (n, n), "sigma": each, "sigma_estimated": each}
+    shapes |= dict.fromkeys(("noise.white", "noise.colour", "noise.colour_time"), each)
+    shapes |= {"noise.force": forces, "noise.force_time": forces}
+    shapes |= {"information.scales": (len(fit.information.names),)}
+    for name, shape in shapes.items():
+        found = attrgetter(name)(fit)
+        right = isinstance(found, np.ndarray) and found.shape == shape
+        yield right, f"{name} of shape {np.shape(found)}, expected {shape}"
 
 
 def read_json(path: str | Path) -> Any:

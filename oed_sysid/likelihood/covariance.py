@@ -487,7 +487,8 @@ def clear_peaks(
     """
     found: dict[str, Peak] = {}
     for group in sampled_alike(records):
-        regular = [i for i in group if _is_regular(records[i])]
+        steps = {i: np.diff(records[i].times) for i in group if records[i].n_samples > 2}
+        regular = [i for i, own in steps.items() if np.ptp(own) < REGULAR * np.median(own)]
         for column, name in enumerate(outputs):
             series, time = _own_samples([whitened[i][:, column] for i in regular])
             if not series:
@@ -498,11 +499,6 @@ def clear_peaks(
             ):
                 found[name] = peak
     return sorted(found.values(), key=lambda peak: peak.chance)
-
-
-def _is_regular(record: Record) -> bool:
-    steps = np.diff(record.times)
-    return len(steps) > 1 and float(np.ptp(steps)) < REGULAR * float(np.median(steps))
 
 
 def _own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:

@@ -223,7 +223,7 @@ def gathered(shooting: Shooting, point: Point) -> Iterate | None:
         n_full = nodes.shape[1]
         follows.append((map_[1:, :n_full, :-1], map_[1:, :n_full, -1]))
     found_equations = Equations(matrix, right, closed, tuple(follows))
-    cost = squares + shooting.prior_cost(point.unknowns)
+    cost = squares + shooting.limits.prior_cost(point.unknowns)
     return Iterate(shooting, point, cost, lambda _: found_equations, defect)
 
 
@@ -710,7 +710,9 @@ def solve_filtered(
     if reason != "interrupted" and polish and descent.refine(differentiated, exact_control):
         last = descent.run(polish, enough=lambda progress: progress.decrement < NEAR)
         if last == "enough":  # the equations before hold where so small a step has led
-            equations = _shifted(descent.before, descent.now.point)
+            before = descent.before.equations
+            step = descent.now.point.unknowns - descent.before.point.unknowns
+            equations = before.matrix, before.right - before.matrix @ step
         # The exact gradient has the last word, whatever the frozen one ended with.
         if last == "interrupted":
             reason = last
@@ -722,9 +724,3 @@ def solve_filtered(
     now = descent.now
     matrix, right = equations or (now.equations.matrix, now.equations.right)
     return FilteredSolution(problem, now.point, now.cost, matrix, right, descent.steps + 1, reason)
-
-
-def _shifted(before: Iterate, point: Point) -> tuple[np.ndarray, np.ndarray]:
-    """Equations of an iterate as they hold at a point close by, for the cost of a product."""
-    matrix, right = before.equations.matrix, before.equations.right
-    return matrix, right - matrix @ (point.unknowns - before.point.unknowns)

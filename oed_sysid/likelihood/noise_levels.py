@@ -172,18 +172,14 @@ def noisy_inputs(dataset: Dataset) -> dict[str, float]:
 def signal_spread(dataset: Dataset) -> np.ndarray:
     """Standard deviation of each measured signal, at least a tiny positive number."""
     stacked = np.vstack([record.outputs - _first(record.outputs) for record in dataset])
-    present = np.isfinite(stacked)
-    count = np.maximum(present.sum(axis=0), 1)
-    mean = np.where(present, stacked, 0.0).sum(axis=0) / count
-    variance = (np.where(present, stacked - mean, 0.0) ** 2).sum(axis=0) / count
-    return np.maximum(np.sqrt(variance), 1e-12)
+    with np.errstate(invalid="ignore"):
+        mean = np.nansum(stacked, axis=0) / np.maximum(np.isfinite(stacked).sum(axis=0), 1)
+    return np.maximum(np.nan_to_num(root_mean_square([stacked - mean])), 1e-12)
 
 
 def _first(outputs: np.ndarray) -> np.ndarray:
-    present = np.isfinite(outputs)
-    rows = np.argmax(present, axis=0)
-    values = outputs[rows, np.arange(outputs.shape[1])]
-    return np.where(np.isfinite(values), values, 0.0)
+    rows = np.argmax(np.isfinite(outputs), axis=0)
+    return np.nan_to_num(outputs[rows, np.arange(outputs.shape[1])])
 
 
 def given_levels(outputs: Sequence[Output]) -> np.ndarray:
@@ -247,7 +243,7 @@ def start_levels(
 
 def _check_positive(names: Sequence[str], levels: np.ndarray) -> None:
     for name, level in zip(names, levels, strict=True):
-        if not (level > 0 and np.isfinite(level)):
+        if not 0 < level < np.inf:
             raise DataError(
                 f"The noise level of output {name!r} is {level}; residuals are divided by it. "
                 "Give a positive standard deviation, or noise='estimate'."

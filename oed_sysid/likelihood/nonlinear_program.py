@@ -474,11 +474,7 @@ def _samples(shooting: Shooting, index: int) -> tuple[np.ndarray, np.ndarray]:
 
 def _point(shooting: Shooting, found: np.ndarray) -> Point:
     """Split the unknowns of the program into those of the condensed problem and nodes."""
-    n = shooting.layout.n_unknowns
-    limits = shooting.limits
-    nodes, position = [], n
-    for count in shooting.interval_counts:
-        size = (count - 1) * shooting.kernel.n_full
-        nodes.append(found[position : position + size].reshape(count - 1, shooting.kernel.n_full))
-        position += size
+    n, n_full, limits = shooting.layout.n_unknowns, shooting.kernel.n_full, shooting.limits
+    stops = np.cumsum([(count - 1) * n_full for count in shooting.interval_counts])[:-1]
+    nodes = (part.reshape(-1, n_full) for part in np.split(found[n:], stops))
     return Point(np.clip(found[:n], limits.lower, limits.upper), tuple(nodes))

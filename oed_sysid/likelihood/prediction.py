@@ -16,7 +16,7 @@ Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +28,7 @@ from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.unknowns import KnownStarts, Layout, StartState
+from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
 
@@ -69,10 +69,6 @@ class Spread:
     covariance: np.ndarray
     other_covariance: np.ndarray
     bounds: tuple[np.ndarray, np.ndarray]
-
-    def with_others_known(self) -> Spread:
-        """The same with start states and parameters of the record exact at given shared ones."""
-        return replace(self, other_covariance=np.zeros_like(self.other_covariance))
 
     def draw(self, n_draws: int, rng: np.random.Generator) -> np.ndarray:
         """Unknowns, ``(n_draws, n_unknowns)``."""
@@ -344,7 +340,9 @@ def _variance(
         return run.outputs + away
 
     if not noise.is_white:
-        given = spread if answer is None else spread.with_others_known()
+        given = spread
+        if answer is not None:  # start states follow from the rest
+            given = replace(spread, other_covariance=0.0 * spread.other_covariance)
         drawn = given.mean_square(disturbed, run.outputs)
         drawn += noise.colour**2 if answer is None else of_start
         return np.where(np.isfinite(variance), drawn, variance)
@@ -355,8 +353,7 @@ def _variance(
             spread.mean_square(runs, run.outputs, CHUNK).mean(axis=0, keepdims=True)
             for runs in (linear, alone)
         )
-        names = run.shooting.layout.shared_names
-        if _poorly_known(run.shooting.model, names, covariance) or misleads(first, few):
+        if _poorly_known(run.shooting.model, covariance) or misleads(first, few):
             drawn = spread.mean_square(alone, run.outputs)
             variance = np.where(np.isfinite(variance), drawn, variance)
     return variance
@@ -383,31 +380,24 @@ def _spread(
         elif known is not None:
             own_variance = known.std[0] ** 2
         other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
+    # Of the shared unknowns, from that of the values of shared parameters.
+    slopes = layout.shared_values(run.unknowns)[1]
     spread = Spread(
         run.unknowns,
         shared,
         others,
         gain,
-        _of_unknowns(covariance, layout, run.unknowns),
+        covariance / slopes[:, None] / slopes,
         other_covariance,
         (shooting.limits.lower, shooting.limits.upper),
     )
     return spread, answer
 
 
-def _of_unknowns(covariance: np.ndarray, layout: Layout, unknowns: np.ndarray) -> np.ndarray:
-    """Covariance of the shared unknowns from that of the values of shared parameters."""
-    if layout.logged is None:
-        return covariance
-    slopes = layout.shared_values(unknowns)[1]
-    return covariance / slopes[:, None] / slopes
-
-
-def _poorly_known(model: Model, names: Sequence[str], covariance: np.ndarray) -> bool:
-    """Whether some unknown's error is too large for a first-order band."""
-    errors = np.sqrt(np.diag(covariance))
-    parameters = [model.parameter(name) for name in names]
-    sizes = np.array([1.0 if p.log else abs(p.value) for p in parameters])
+def _poorly_known(model: Model, covariance: np.ndarray) -> bool:
+    """Whether some shared parameter's error is too large for a first-order band."""
+    errors, shared = np.sqrt(np.diag(covariance)), model.free_parameters
+    sizes = np.array([1.0 if p.log else abs(p.value) for p in shared if not p.per_record])
     return bool(np.any(np.isfinite(errors) & (errors > DRAWN * sizes)))
 
 

@@ -27,7 +27,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import disturbance_names
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
 # Share of the level of process noise that is left to it, and whole-run error over that of a fit
@@ -83,24 +83,17 @@ def _white(fit: Fit) -> Fit | None:
 def _weak(fit: Fit, white: Fit) -> Fit | None:
     """The fit with process noise held at a small share of its level; None where it fails."""
     began, noise = time.perf_counter(), fit.noise
-    weak = NoiseModel(
+    weak = replace(
+        noise,
         white=fit.whole_runs.noise,
         colour=np.zeros(len(noise.white)),
         force=WEAK * noise.force,
-        force_time=noise.force_time,
-        outputs=noise.outputs,
-        places=noise.places,
-        seas=tuple(sea.with_levels(WEAK * np.asarray(sea.level)) for sea in noise.seas),
+        seas=tuple(sea.with_levels(WEAK * sea.level) for sea in noise.seas),
     )
     nothing = np.zeros(len(noise.white), dtype=bool)
+    names, none = disturbance_names(noise.places), np.zeros(len(noise.force), dtype=bool)
     levels = Levels.of(
-        weak,
-        weak,
-        tuple(f"disturbance_{place.replace(' ', '_', 1)}" for place in noise.places),
-        white=nothing,
-        colour=nothing,
-        force=np.zeros(len(noise.force), dtype=bool),
-        seas=weak.seas,
+        weak, weak, names, white=nothing, colour=nothing, force=none, seas=weak.seas
     ).held()
     problem = Filtered(white.model, fit.dataset, levels)
     try:

@@ -27,7 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.signal import lfilter
@@ -308,18 +308,14 @@ def score_test(
         Correlation times that are tried, s; by default :data:`TIMES`, in samples.
     """
     sample = float(np.median([record.sample_time for record in dataset]))
-    best: ScoreTest | None = None
-    for time in times or [count * sample for count in TIMES]:
-        found = _score_at(model, dataset, setting, initial, local, time, kernel)
-        if best is None or found.gain > best.gain:
-            best = found
-    assert best is not None
+    look = partial(_score_at, model, setting, initial, local, kernel)
+    tried = [look(dataset, time) for time in times or [count * sample for count in TIMES]]
+    best = max(tried, key=lambda one: one.gain)
     if np.isfinite(best.gain):
         return best
     # The model on its own diverges: sizes from where it has not yet done so.
     for length in HEADS:
-        heads = Dataset(tuple(_head(record, length) for record in dataset))
-        found = _score_at(model, heads, setting, initial, local, TIMES[0] * sample, kernel)
+        found = look(Dataset(tuple(_head(one, length) for one in dataset)), TIMES[0] * sample)
         if np.isfinite(found.gain):
             return replace(found, gain=np.inf)
     raise SimulationError(
@@ -338,12 +334,12 @@ def _head(record: Record, length: int) -> Record:
 
 def _score_at(
     model: Model,
-    dataset: Dataset,
     setting: Setting,
     initial: Sequence[np.ndarray],
     local: Sequence[Mapping[str, float]],
-    time: float,
     kernel: FilterKernel | None,
+    dataset: Dataset,
+    time: float,
 ) -> ScoreTest:
     quiet = setting.noise(model, time)
     n_forces, n_outputs = len(quiet.force), len(quiet.white)

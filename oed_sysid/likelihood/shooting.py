@@ -372,13 +372,9 @@ class Shooting(Posed):
             return 0.5 * float(np.sum(self.loss(scaled)[0]))
         return 0.5 * float(np.vdot(scaled, scaled))
 
-    def prior_cost(self, unknowns: np.ndarray) -> float:
-        """Half the weighted sum of squares of the departures from the priors."""
-        return self.limits.prior_cost(unknowns)
-
     def cost(self, lin: Linearisation, unknowns: np.ndarray) -> float:
         """Half the (robust) sum of squares of residuals and priors; defects excluded."""
-        return self.prior_cost(unknowns) + sum(map(self._misfit, lin.residuals))
+        return self.limits.prior_cost(unknowns) + sum(map(self._misfit, lin.residuals))
 
     def closed_cost(self, lin: Linearisation) -> float:
         """Half the (robust) sum of squares once the defects are closed, to first order."""

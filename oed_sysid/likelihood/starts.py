@@ -111,7 +111,7 @@ def warm_point(shooting: Shooting, warm: Fit | None) -> Point:
 
 def misfit(shooting: Shooting, point: Point) -> float:
     """Mean square residual in units of noise; infinite where the model diverges."""
-    squares, count = 2.0 * shooting.prior_cost(point.unknowns), 0
+    squares, count = 2.0 * shooting.limits.prior_cost(point.unknowns), 0
     for index, record in enumerate(shooting.records):
         run = shooting.run(point.unknowns, index, point.nodes[index])
         present = np.isfinite(record.outputs)
