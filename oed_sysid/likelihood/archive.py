@@ -417,13 +417,11 @@ def check_fit(fit: Estimate, where: str) -> None:
         The file, for the message.
     """
     records, n_outputs, information = tuple(fit.dataset), len(fit.model.outputs), fit.information
-    per_record = ["predictions", "residuals", "states", "initial_states", "local_values"]
-    sampled = ["predictions", "residuals"]
-    if fit.innovations is not None:
-        per_record, sampled = ([*names, "innovations", "innovation_std"]
-                               for names in (per_record, sampled))  # fmt: skip
+    filtered = [] if fit.innovations is None else ["innovations", "innovation_std"]
+    sampled = ["predictions", "residuals", *filtered]
+    per_record = [*sampled, "states", "initial_states", "local_values"]
     known = fit.model.parameter_names
-    estimated = [*fit.names, *(name for local in fit.local_values for name in local)]
+    estimated = sorted({*fit.names}.union(*fit.local_values))
     checks = [
         *_shaped(fit),
         (np.asarray(fit.sigma_estimated).dtype == bool,
@@ -435,10 +433,12 @@ def check_fit(fit: Estimate, where: str) -> None:
         (np.ndim(information.factor) == 2
          and np.shape(information.factor)[-1] == len(information.names),
          f"information of shape {np.shape(information.factor)}"),
-        *((len(getattr(fit, name) or ()) == len(records),
-           f"{len(getattr(fit, name) or ())} {name} for {len(records)} records")
-          for name in per_record),
     ]  # fmt: skip
+    counts = {name: len(getattr(fit, name) or ()) for name in per_record}
+    checks += [
+        (count == len(records), f"{count} {name} for {len(records)} records")
+        for name, count in counts.items()
+    ]
     faults = [fault for right, fault in checks if not right]
     faults += [
         f"{name} of shape {np.shape(part)} for record {record.name!r}"

@@ -33,13 +33,12 @@ from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError, UnitWarning
 from oed_sysid.likelihood.estimate import CaptiveErrors
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.noise_levels import EXACT
 from oed_sysid.likelihood.unknowns import StartState
 from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 
 TOWED = "towed"
-# Numbers that agree to so many digits are those of one test.
-EQUAL = 1e-9
 _FORCE = "force_{}"
 _HELD = "{}_held"
 _OWN = "{}_free"
@@ -154,11 +153,11 @@ class CaptiveTests:
             for name in {*own, *others}:
                 mine = own.get(name, np.zeros(self.n_tests))
                 theirs = others.get(name, np.zeros(other.n_tests))
-                same &= np.isclose(mine[:, None], theirs, rtol=EQUAL, atol=0.0)
+                same &= np.isclose(mine[:, None], theirs, rtol=EXACT, atol=0.0)
         alike = np.zeros_like(same)
         for axis in self.forces.keys() & other.forces.keys():
             mine, theirs = self.forces[axis], other.forces[axis]
-            alike |= np.isclose(mine[:, None], theirs, rtol=EQUAL, atol=0.0)
+            alike |= np.isclose(mine[:, None], theirs, rtol=EXACT, atol=0.0)
         return int((same & alike).any(axis=1).sum())
 
     def towed(self, model: Model) -> Model:

@@ -350,8 +350,9 @@ UNITS: dict[str, tuple[tuple[float, str], ...]] = {
     "1/s": ((1.0 / 60.0, "rpm read as 1/s"), (60.0, "1/s read as rpm")),
     "N": ((1e3, "kN read as N"), (1e-3, "N read as kN")),
 }
-# Factor within which a start value has to be what the other unit would give.
-NEAR = 2.0
+# Factor within which a start value has to be what the other unit would give, noise of an input what
+# its log shows, and an error that of another fit.
+TWOFOLD = 2.0
 # Change of the outputs, in noise levels, below which two runs are the same.
 SAME = 0.1
 
@@ -418,7 +419,7 @@ def other_way(fit: Estimate, nominal: Mapping[str, float]) -> tuple[OtherWay, ..
             if factor < 0.0:
                 moved = [name for name, ratio in ratios.items() if ratio < 0.0]
             else:
-                moved = [n for n, r in ratios.items() if 1.0 / NEAR < r / factor < NEAR]
+                moved = [n for n, r in ratios.items() if 1.0 / TWOFOLD < r / factor < TWOFOLD]
             if moved and _is_the_same(fit, column, factor, moved, loose):
                 values = {n: (float(fit.values[n]), nominal[n]) for n in moved}
                 found.append(OtherWay(channel, factor, unit, values))

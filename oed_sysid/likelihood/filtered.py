@@ -39,9 +39,9 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import both_cores
 
-# Most that a variance clear of zero by so many standard deviations, or a time, grows or shrinks in
-# one step.
-FARTHEST, CLEAR_OF_ZERO, LONGER = 10.0, 1.0, 3.0
+# Most that a variance clear of zero by its standard deviation, or a time, grows or shrinks in one
+# step.
+FARTHEST, LONGER = 10.0, 3.0
 # Ratio of periods of a sea that are tried, and most that one changes in a step: a wave of bandwidth
 # 0.3 is half as strong at the next one.
 NEXT_PERIOD = 1.4
@@ -165,7 +165,7 @@ class Filtered(Posed):
         block = self.layout.levels
         here = unknowns[block]
         variance = self.levels.are_variances
-        clear = variance & (here * np.sqrt(np.diag(matrix)[block]) > CLEAR_OF_ZERO)
+        clear = variance & (here * np.sqrt(np.diag(matrix)[block]) > 1.0)
         lower, upper = lower.copy(), upper.copy()
         least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
         most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)

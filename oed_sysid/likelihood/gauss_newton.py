@@ -60,12 +60,12 @@ from oed_sysid.likelihood.unknowns import Limits, node_maps
 
 # Lengths of a step that are tried, and the ratio of one to the one before.
 LINE_SEARCH_STEPS, SHORTER = 5, 0.4
-# A trajectory whose scaled jumps sum to less is continuous.
-CLOSED = 1e-8
+# A trajectory whose scaled jumps sum to less is continuous; and a share of a cost that is rounding.
+ROUNDING = 1e-8
 # Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
 # shrink are theirs, and then so are gains below a share of the cost, or the tolerance at frozen
 # gain, of the others: estimates are within 0.04 standard errors of where they would end.
-NEARLY_CLOSED, ROUNDING_SHARE = 1e-6, 1e-8
+NEARLY_CLOSED = 1e-6
 # With disturbance forces: the step that ends the iterations at frozen gain, and most steps of the
 # exact one.
 FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
@@ -76,13 +76,13 @@ NEAR = 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING = 10.0
 # Lengths that are tried there, and steps after which one looks back, and the fall of the cost over
-# these that is too small to go on for, least and in tolerances: its gradient leads to and fro.
-FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
+# these, in tolerances, that is too small to go on for: its gradient leads to and fro.
+FEW, FALL_TOLERANCES = 3, 10.0
 # Information by differences of whole filters over that at frozen gain beyond which it is rounding
 # that an unstable model amplifies. Rounding falls with the square of the step, information does
-# not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
-# smaller than with steps so many times longer, it is rounding as well.
-AMPLIFIED, SMALLER, FARTHER = 1.2, 0.8, 3.0
+# not: where a standard deviation is smaller than at frozen gain by that factor, and as much smaller
+# than with steps so many times longer, it is rounding as well.
+AMPLIFIED, FARTHER = 1.2, 3.0
 
 
 # -- points ------------------------------------------------------------------------
@@ -309,11 +309,11 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
     if (np.diag(whole[0])[known] > AMPLIFIED * np.diag(frozen)[known]).any():
         return frozen, right
     found = _shared_std(problem, whole[0])
-    if (found < SMALLER * _shared_std(problem, frozen)).any():
+    if (AMPLIFIED * found < _shared_std(problem, frozen)).any():
         farther, _ = problem.differentiated(unknowns, base, FARTHER * step)
         if not np.isfinite(farther).all():
             return frozen, right
-        if (found < SMALLER * _shared_std(problem, farther)).any():
+        if (AMPLIFIED * found < _shared_std(problem, farther)).any():
             return frozen, right
     return whole
 
@@ -388,7 +388,7 @@ class Convergence:
     def gain(self, cost: float, *, at_floor: bool) -> float:
         """Gain that is none; more where rounding errors have been reached."""
         least = max(self.tolerance, self.share * cost)
-        floor = min(ROUNDING_SHARE * abs(cost), FROZEN_TOLERANCE)
+        floor = min(ROUNDING * abs(cost), FROZEN_TOLERANCE)
         return max(least, floor) if at_floor else least
 
 
@@ -490,7 +490,7 @@ class Descent:
         if share > 0.0 and self.steps and self.before.cost - now.cost < share * now.cost:
             return True
         least = self.convergence.gain(now.cost, at_floor=self._at_floor)
-        if not (now.defect < CLOSED or self._at_floor) or not abs(self.decrease) < least:
+        if not (now.defect < ROUNDING or self._at_floor) or not abs(self.decrease) < least:
             return False
         # A damped step is short everywhere; only a full one proves the end.
         full = self._damping == 0.0
@@ -696,7 +696,7 @@ def solve_filtered(
         return None
     control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)
     descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)
-    fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
+    fall = max(NEAR, FALL_TOLERANCES * tolerance)
     lowest = [begin.cost]
 
     def to_and_fro(progress: Progress) -> bool:

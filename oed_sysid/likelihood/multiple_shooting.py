@@ -34,6 +34,7 @@ from oed_sysid.likelihood.horizons import (
 )
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
+    EXACT,
     credible_levels,
     residual_levels,
     signal_spread,
@@ -44,6 +45,7 @@ from oed_sysid.likelihood.noise_levels import (
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
 from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
 from oed_sysid.likelihood.random_forces import (
+    FIRST_STEPS,
     Start,
     fit_disturbed,
 )
@@ -69,8 +71,8 @@ from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.threads import one_thread
 
 # Iterations of a white fit after which residuals that are no noise end it where disturbance forces
-# are looked for, or known from an earlier fit, and the share of the cost that has to be left.
-PATIENCE, KNOWN, ENOUGH = 8, 2, 0.7
+# are known from an earlier fit, and the share of the cost that has to be left.
+KNOWN, ENOUGH = 2, 0.7
 # Ends of a white fit that are where it was going.
 ENDED = ("converged", "enough")
 # Ends of a fit whose values are not returned where another fit has ended well.
@@ -78,8 +80,9 @@ FAILED = ("stalled", "diverged", "runaway", "integration", "degenerate")
 # Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
 # leaves this share of an output's motion is doubted.
 WORSE, HALF = 1.2, 0.5
-# Most alternations between noise levels and parameters; three or four suffice as a rule.
-NOISE_ROUNDS = 12
+# Most alternations between noise levels and parameters (three or four suffice as a rule), doublings
+# of a step before a side of a profile is open, and refinements of its end.
+MOST_ROUNDS = 12
 
 # Most rounds in which spikes are looked for; large ones hide small ones.
 SPIKE_ROUNDS = 4
@@ -329,7 +332,7 @@ class MultipleShooting:
     ) -> _End:
         """Iterations and levels of white noise; they end early where process noise may follow."""
         minimise = self._minimiser(shooting)
-        patience = PATIENCE if carried is None else KNOWN
+        patience = FIRST_STEPS if carried is None else KNOWN
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
         solution = None if carried is None else first(shooting, point)
         iterations = 0 if solution is None else solution.iterations
@@ -504,8 +507,8 @@ class MultipleShooting:
     ) -> tuple[Shooting, Ended, int]:
         """Alternate between noise levels and everything else until the levels stay."""
         iterations = 0
-        least = 1e-9 * signal_spread(shooting.dataset)
-        for _ in range(NOISE_ROUNDS):
+        least = EXACT * signal_spread(shooting.dataset)
+        for _ in range(MOST_ROUNDS):
             levels = np.maximum(solution.levels(shooting), least)
             sigma = np.where(estimated, levels, shooting.sigma)
             change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))

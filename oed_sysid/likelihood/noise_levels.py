@@ -23,14 +23,14 @@ from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 
 # A residual this much smaller than the signal's own spread is numerically exact.
-SMALLEST_SHARE = 1e-9
+EXACT = 1e-9
 # Orders of differences in which white noise is looked for, and the share of one order's level
 # below which the next one's means that motion was seen, not noise.
 LOWEST_ORDER, HIGHEST_ORDER, STILL_FALLING = 3, 12, 0.85
 # Standard error of the logarithm of such a level, times the root of the number of samples.
 DIFFERENCE_ERROR = 1.5
 # White noise of a logged input, as a share of its spread: above, it is an excitation.
-INPUT_SHARE = (1e-5, 0.3)
+INPUT_SHARE = 0.3
 # White noise below this share of the signal is the last digit of a file, not a sensor; and where
 # no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
 LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
@@ -79,7 +79,7 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
             levels[column] = finer
     spread = signal_spread(dataset)
     known = np.isfinite(levels)
-    return np.where(known, np.maximum(levels, SMALLEST_SHARE * spread), spread), seen & known
+    return np.where(known, np.maximum(levels, EXACT * spread), spread), seen & known
 
 
 def credible_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -157,14 +157,13 @@ def noisy_inputs(dataset: Dataset) -> dict[str, float]:
     """
     found: dict[str, float] = {}
     records = [record for record in dataset if not record.independent]
-    low, high = INPUT_SHARE
     for column, name in enumerate(dataset[0].channels.input_names if records else ()):
         series = [record.inputs[:, column] for record in records]
         level = fast_level(series)
         spread = float(np.std(np.concatenate(series)))
         # Noise is what no longer falls with the order of the differences.
         noise = fast_level(series, LOWEST_ORDER + 1) > STILL_FALLING * level
-        if noise and low * spread < level < high * spread:
+        if noise and LAST_DIGIT * spread < level < INPUT_SHARE * spread:
             found[name] = level
     return found
 

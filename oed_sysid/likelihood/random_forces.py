@@ -33,8 +33,10 @@ from scipy.stats import chi2
 from oed_sysid.compiled.filtering import FilterKernel
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
+from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
+    NEAR,
     POLISH_STEPS,
     FilteredSolution,
     Progress,
@@ -48,12 +50,10 @@ from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, moved, po
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.physics.model import Model
 
-# Gain in twice the log-likelihood from which another kind of noise is worth its freedom; and the
-# same of a sea over forces of first order, of which the choice among periods and shapes may be
-# worth two or three nats. Below the first, two starts are one.
-WORTH, WORTH_SEA = 10.0, 20.0
-# Correlation of neighbouring innovations, in standard errors, that asks for a coloured sensor.
-COLOURED = 4.0
+# Gain in twice the log-likelihood from which another kind of noise is worth its freedom, twice that
+# of a sea, whose choice among periods and shapes may be worth two or three nats. Below, two starts
+# are one.
+WORTH = 10.0
 # Colour below this share of the white level has vanished.
 VANISHED = 0.02
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
@@ -63,10 +63,9 @@ DECADES, STRIDE = 21, 3
 # to overtake, and at frozen gain before the exact ones where those before did not converge; and
 # steps of everything else before levels move too.
 FEW_STEPS, HELD_STEPS = 3, 2
-# Steps with forces of first order before a sea is asked for: under swell they do not converge.
-BEFORE_SEA = 8
-# Fall of the cost promised where an earlier fit ended, below which no step is taken at frozen gain.
-ARRIVED = 0.2
+# Steps with white noise before process noise is asked for, and with forces of first order before a
+# sea is: without it they do not converge.
+FIRST_STEPS = 8
 # Probability of a test above its threshold where no sea acts.
 FALSE_SEA = 0.005
 # Bandwidth that is tried, and the share of the shortest record up to which periods are.
@@ -172,9 +171,9 @@ def _raced_to_sea(
     begun: Sequence[_Begun], setting: Setting, progress: Callable[[Progress], None] | None
 ) -> FilteredSolution | None:
     """The likeliest end with forces of first order, or with a sea where there is one."""
-    best = _raced(begun, min(setting.max_iterations, BEFORE_SEA), progress)
+    best = _raced(begun, min(setting.max_iterations, FIRST_STEPS), progress)
     best = None if best is None else with_sea(best, setting)
-    left = setting.max_iterations - BEFORE_SEA
+    left = setting.max_iterations - FIRST_STEPS
     if best is not None and best.reason == "iterations" and left > 0:
         again = _Begun(best.problem, best.point, best.objective).solved(left, progress)
         if again is not None:
@@ -296,7 +295,7 @@ def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseM
 def _stayed(begun: _Begun) -> FilteredSolution | None:
     """The beginning itself, where an earlier fit ended and steps promise next to nothing."""
     found = begun.solved(0)
-    near = found is not None and found.promise <= ARRIVED
+    near = found is not None and found.promise <= NEAR
     return replace(found, reason="converged") if found is not None and near else None
 
 
@@ -491,7 +490,7 @@ def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
                 lag_one[column] += seen * float(autocorrelation(white[:, column], 1)[1])
                 count[column] += seen
     share = lag_one / np.maximum(count, 1.0)
-    return np.abs(share) > COLOURED / np.sqrt(np.maximum(count, 1.0))
+    return np.abs(share) > CLEAR / np.sqrt(np.maximum(count, 1.0))
 
 
 # -- a sea -------------------------------------------------------------------------
@@ -561,7 +560,7 @@ def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Sett
     calm = _calm(setting.at_sea, period)
     first = _again(found, setting, replace(found.noise, seas=(calm,)), calm)
     rival = found if first is None or first.objective > found.objective else first
-    return rival.objective - 2.0 * rival.promise - sea.objective >= WORTH_SEA
+    return rival.objective - 2.0 * rival.promise - sea.objective >= 2.0 * WORTH
 
 
 def _likeliest_period(

@@ -22,6 +22,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
@@ -30,9 +31,9 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import disturbance_names
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
-# Share of the level of process noise that is left to it, and whole-run error over that of a fit
-# without from which none is. Both were chosen on cases with physics hidden, no more than that.
-WEAK, TWICE = 0.03, 2.0
+# Share of the level of process noise that is left to it; chosen on cases with physics hidden, no more
+# than that, as is the whole-run error over that of a fit without (twofold) from which none is.
+WEAK = 0.03
 
 
 def replayed(fit: Fit) -> Fit:
@@ -56,7 +57,7 @@ def replayed(fit: Fit) -> Fit:
     if white is None or not _error(white, fit) < own:
         return fit
     weak, chosen = _weak(fit, white), white
-    if weak is not None and _error(weak, fit) < min(TWICE * _error(white, fit), own):
+    if weak is not None and _error(weak, fit) < min(TWOFOLD * _error(white, fit), own):
         chosen = weak
     return replace(chosen, purpose="replay")
 

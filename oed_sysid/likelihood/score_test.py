@@ -35,6 +35,7 @@ from scipy.signal import lfilter
 from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterKernel, FilterPass
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
+from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place, disturbance
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
@@ -54,8 +55,6 @@ COLOUR_SEEN = 0.1
 # it is none: noise with correlation 0.9 from sample to sample is at 4 times its high-frequency
 # content, with 0.98 at 10.
 DRIFTS = 10.0
-# Noise of a logged input, over what the high-frequency content of the log shows, that is believed.
-INPUT_SEEN = 2.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +123,7 @@ class Setting:
     def most_input(self) -> dict[str, float]:
         """Level above which noise of a logged input would show in the log itself, by place."""
         return {
-            place.name: INPUT_SEEN * shown_in_log(self.dataset, place.channel)
-            for place in self.logged
+            place.name: TWOFOLD * shown_in_log(self.dataset, place.channel) for place in self.logged
         }
 
     @property

@@ -36,7 +36,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_batch
-from oed_sysid.likelihood.between_records import WORTH_TELLING
+from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.gauss_newton import solve
@@ -59,9 +59,6 @@ from oed_sysid.text.units import shown_unit
 DRAWS, CHUNK = 120, 20
 # Widths beyond which runs are no chance: one in some ten thousand were they normal.
 BEYOND = 4.0
-# Share of drawn runs below whose whole-run error, over that of a fit without process noise, the
-# values of one with it are those of the runs that it was fitted to.
-SELDOM = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -649,7 +646,7 @@ def _departure(
         z = distance / np.hypot(np.where(distance > 0, high - middle, middle - low), error)
         count = sum((run.weights() > 0).sum(axis=0) for run in runs)
         means = [np.nanmean(part / count, axis=1) for part in (np.concatenate(scattered), drawn)]
-        usual = float(np.sqrt(np.quantile(means[0] / means[1], SELDOM)))
+        usual = float(np.sqrt(np.quantile(means[0] / means[1], 1.0 - CHANCE)))
     return np.where(count > 0, z, np.nan), usual, ""
 
 
