@@ -76,8 +76,8 @@ NEAR = 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING = 10.0
 # Lengths that are tried there, and steps after which one looks back, and the fall of the cost over
-# these, in tolerances, that is too small to go on for: its gradient leads to and fro.
-FEW, FALL_TOLERANCES = 3, 10.0
+# these that is too small to go on for, least and in tolerances: its gradient leads to and fro.
+FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # Information by differences of whole filters over that at frozen gain beyond which it is rounding
 # that an unstable model amplifies. Rounding falls with the square of the step, information does
 # not: where a standard deviation is smaller than at frozen gain by that factor, and as much smaller
@@ -696,7 +696,7 @@ def solve_filtered(
         return None
     control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)
     descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)
-    fall = max(NEAR, FALL_TOLERANCES * tolerance)
+    fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
     lowest = [begin.cost]
 
     def to_and_fro(progress: Progress) -> bool:

@@ -265,6 +265,9 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
     return np.sqrt(np.nansum(stacked**2, axis=0) / np.maximum(share, 1e-9))
 
 
+# Widths beyond which runs, or a correlation of neighbours, are no chance: one in some ten thousand
+# were they normal.
+BEYOND = 4.0
 # Chance that noise as declared is taken for spikes in a data set, or for a scatter of tests.
 RARE = 1e-3
 # Where residuals are structured, only what is this many deviations off stands out as a spike.

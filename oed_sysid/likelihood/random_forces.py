@@ -33,7 +33,6 @@ from scipy.stats import chi2
 from oed_sysid.compiled.filtering import FilterKernel
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
-from oed_sysid.likelihood.departures import CLEAR
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
     NEAR,
@@ -43,7 +42,7 @@ from oed_sysid.likelihood.gauss_newton import (
     solve_filtered,
 )
 from oed_sysid.likelihood.information import autocorrelation
-from oed_sysid.likelihood.noise_levels import credible_levels
+from oed_sysid.likelihood.noise_levels import BEYOND, credible_levels
 from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel, Sea
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, moved, posed
@@ -490,7 +489,7 @@ def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
                 lag_one[column] += seen * float(autocorrelation(white[:, column], 1)[1])
                 count[column] += seen
     share = lag_one / np.maximum(count, 1.0)
-    return np.abs(share) > CLEAR / np.sqrt(np.maximum(count, 1.0))
+    return np.abs(share) > BEYOND / np.sqrt(np.maximum(count, 1.0))
 
 
 # -- a sea -------------------------------------------------------------------------

@@ -31,8 +31,8 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import disturbance_names
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
-# Share of the level of process noise that is left to it; chosen on cases with physics hidden, no more
-# than that, as is the whole-run error over that of a fit without (twofold) from which none is.
+# Share of the level of process noise that is left to it; chosen on cases with physics hidden, no
+# more than that, as is the whole-run error over that of a fit without from which none is (twofold).
 WEAK = 0.03
 
 

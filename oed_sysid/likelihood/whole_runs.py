@@ -41,6 +41,7 @@ from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_in
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.gauss_newton import solve
 from oed_sysid.likelihood.noise_levels import (
+    BEYOND,
     DIFFERENCE_ERROR,
     given_levels,
     signal_spread,
@@ -57,8 +58,6 @@ from oed_sysid.text.units import shown_unit
 
 # Runs drawn, the widths that z is in are then known to a tenth; and those at once.
 DRAWS, CHUNK = 120, 20
-# Widths beyond which runs are no chance: one in some ten thousand were they normal.
-BEYOND = 4.0
 
 
 @dataclass(frozen=True, eq=False)
