@@ -15,11 +15,13 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.optimize import lsq_linear
 
-# Scaled information, an eigenvalue of an equilibrated matrix, below this share of the largest is
-# none but rounding.
+# Scaled information below this share of the largest is none.
 NOTHING = 1e-12
 # Singular directions below this share of the largest are not projected out, nor answered.
 BLIND = 1e-10
+# Below this share of the largest eigenvalue of the equilibrated matrix, a direction is rounding
+# error: the square of the information's null tolerance.
+NULL_EIGENVALUE = 1e-13
 
 
 def bounded_step(
@@ -56,11 +58,11 @@ def bounded_step(
     # LAPACK itself: SciPy's checks of its arguments take longer than a small factorization.
     triangle, failed = dpotrf(scaled)
     # Rounding errors, not the data, decide along directions with a smaller pivot.
-    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NOTHING:
+    if not failed and np.min(np.diag(triangle)) ** 2 >= 10 * NULL_EIGENVALUE:
         step[open_] = scale * dpotrs(triangle, target)[0]
     else:
         values, vectors = np.linalg.eigh(scaled)
-        seen = values > NOTHING * values[-1]
+        seen = values > NULL_EIGENVALUE * values[-1]
         vectors, roots = vectors[:, seen], np.sqrt(values[seen])
         step[open_] = scale * (vectors @ ((vectors.T @ target) / roots**2))
         triangle = roots[:, None] * vectors.T
