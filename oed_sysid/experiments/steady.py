@@ -151,7 +151,7 @@ def equilibrium(
     def slopes(trial: np.ndarray) -> np.ndarray:
         return settled(trial)[2][np.ix_(rows, columns)] / scales[rows, np.newaxis]
 
-    bounds = _bounds(limits or Limits(), unknowns)
+    bounds = _bounds(limits, unknowns)
     best = _zero(misses, slopes, point[columns], scales[columns], bounds)
     full, found, _ = settled(best)
     left, rates = np.abs(misses(best)), dict(zip(names, found.tolist(), strict=True))
@@ -285,8 +285,8 @@ def _settled(graph: Graph, step: float) -> ca.Function:
     return ca.Function("settled", [x, u, p], [rates, *slopes])
 
 
-def _bounds(limits: Limits, unknowns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    ranges = dict(limits.inputs) | dict(limits.signals)
+def _bounds(limits: Limits | None, unknowns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    ranges = {} if limits is None else dict(limits.inputs) | dict(limits.signals)
     pairs = [ranges.get(name, (-np.inf, np.inf)) for name in unknowns]
     lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
     return lower, upper
