@@ -20,6 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.truth import gauss_markov
 from oed_sysid import (
     Dataset,
     Input,
@@ -318,10 +319,7 @@ def log(
         times = fine[::FINE]
         columns = []
         for name in vehicle.model.output_names:
-            white = rng.standard_normal(times.size)
-            if colour:
-                for k in range(1, times.size):
-                    white[k] = colour * white[k - 1] + math.sqrt(1.0 - colour**2) * white[k]
+            white = gauss_markov(rng.standard_normal(times.size), colour)
             columns.append(here[name][::FINE] + vehicle.noise[name] * white)
         rows = slice(round(3.0 / vehicle.step), None)
         matrix = np.column_stack(columns)[rows]

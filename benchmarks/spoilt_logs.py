@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, check
 from oed_sysid.errors import OedSysidError
 
@@ -68,11 +69,13 @@ class Craft:
             command = self.angle * np.sign(np.sin(2.0 * np.pi * t / period))
             force += -force * h / 4.0 + np.sqrt(2.0 * h / 4.0) * rng.standard_normal(3)
             push = np.array(self.force) * force
-            a = self.rates(x, command, push, speed)
-            b = self.rates(x + 0.5 * h * a, command, push, speed)
-            c = self.rates(x + 0.5 * h * b, command, push, speed)
-            d = self.rates(x + h * c, command, push, speed)
-            x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+
+            def rate(
+                y: np.ndarray, _: int, command: float = command, push: np.ndarray = push
+            ) -> np.ndarray:
+                return self.rates(y, command, push, speed)
+
+            x = runge_kutta(rate, x, h)
         return {name: rows[60 * FINER :, i] for i, name in enumerate(self.units)}
 
 
@@ -328,13 +331,9 @@ def written(
             spoil.make(signals, fine, steps, k)
         log = {}
         for i, name in enumerate(craft.units):
-            e = (
-                rng.standard_t(5, SAMPLES) * 0.775
-                if noise == "Student 5"
-                else rng.standard_normal(SAMPLES)
-            )
-            for j in range(1, SAMPLES) if colour else ():
-                e[j] = colour * e[j - 1] + np.sqrt(1.0 - colour**2) * e[j]
+            heavy = noise == "Student 5"
+            e = rng.standard_t(5, SAMPLES) * 0.775 if heavy else rng.standard_normal(SAMPLES)
+            e = gauss_markov(e, colour)
             log[name] = signals[name][::FINER][:SAMPLES] + craft.noise[name] * e
             if noise == "two rates" and i % 2:
                 log[name][np.arange(SAMPLES) % 5 > 0] = np.nan

@@ -16,8 +16,7 @@ from oed_sysid.baselines.regression import (
     prior_rows,
 )
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.estimate import Posterior
-from oed_sysid.likelihood.fit import Status
+from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.physics.model import Model
 

@@ -1,28 +1,32 @@
 r"""Effects of the library as rows of one table, and the builder that makes effects of them.
 
-A row says at which stage an effect acts, its terms, the unit of its amplitude, where it comes from
+A row of ``effects.toml`` says an effect's terms, the unit of its amplitude, where it comes from
 and what a manoeuvre must contain for it to show. Braces hold the arguments of the constructor, so
 that one row serves every axis, velocity or signal:
 
-.. code-block:: python
+.. code-block:: toml
 
-    @Row(Force, {"{axis}": "-{E}*sin({angle})"}, "N m", FOSSEN, "righting moment ...", "large ...")
-    def metacentric_moment(name: str, axis: str, angle: str, *, value: float = 0.0) -> None: ...
+    [metacentric_moment]
+    terms = { "{axis}" = "-{E}*sin({angle})" }
+    unit = "N m"
 
-``{E}`` is the amplitude. The function below a row states the arguments and the paragraph; where
-names have to be worked out it returns them: a :class:`~oed_sysid.physics.parameters.Parameter`
-becomes one of the effect's, and anything else stands for its name in the texts.
+``{E}`` is the amplitude. The constructor of the same name states the stage, the arguments and the
+paragraph; where names have to be worked out it returns them: a
+:class:`~oed_sysid.physics.parameters.Parameter` becomes one of the effect's, and anything else
+stands for its name in the texts.
 
-Hydrodynamic derivatives (:func:`derivative_row`) need less: axis, factors and unit follow from
-the name of the coefficient, SNAME (1950).
+Hydrodynamic derivatives need less: axis, factors and unit follow from the name of the
+coefficient, SNAME (1950).
 """
 
 from __future__ import annotations
 
 import inspect
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
+from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
 from oed_sysid.errors import ModelError
@@ -30,8 +34,11 @@ from oed_sysid.physics.base import Effect, ExtraState, Force, Memory, amplitude
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text import notation
 
+_TABLE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
+#: Citations by the names that rows use.
+SOURCES: Mapping[str, str] = _TABLE.pop("sources")
 SNAME = "SNAME (1950), Technical and Research Bulletin 1-5."
-ABKOWITZ = "Abkowitz (1964), Lectures on ship hydrodynamics, report Hy-5, Lyngby."
+ABKOWITZ = SOURCES["ABKOWITZ"]
 #: Source of a term that fits and is no physics with a name.
 POLYNOMIAL = "Taylor series: no physics of its own."
 
@@ -45,18 +52,18 @@ Derived = Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Row(Generic[Kind]):
-    """One effect of the library, as a decorator of the function that states its arguments.
+    """One effect of the library.
 
     Parameters
     ----------
     kind : type of Effect
         Stage at which it acts.
+    source, needs, description : str
+        Citation, what shows it, and words.
     terms : mapping
         What it contributes, as of :class:`~oed_sysid.physics.Effect`.
     unit : str or None
         Of the amplitude; None where the constructor gives the amplitudes itself.
-    source, description, needs : str
-        Citation, words, and what shows it.
     size : mapping
         Further facts of the amplitude: ``positive``, ``bound``, ``description``.
     each : str
@@ -64,42 +71,30 @@ class Row(Generic[Kind]):
         ``{_c}`` tells their names apart.
     definitions, memory : mapping
         As of an effect; memory begins at the signal.
-    states : tuple of tuple of str
+    states : sequence of sequence of str
         Name, rate, start and unit of continuous states.
-    derivative, symbols
-        Coefficient and signals of its factors, as of :func:`derivative_row`.
+    derivative : str
+        Name of a hydrodynamic derivative, with arguments in braces; signals as their letters.
+        Everything else follows from it.
+    symbols : mapping or None
+        Signals for factors, as of :func:`derivative`; None for velocities through the water.
     """
 
     kind: type[Kind]
-    terms: Mapping[Any, str]
-    unit: str | None
     source: str
-    description: str
     needs: str
+    description: str = ""
+    terms: Mapping[str, str] = field(default_factory=dict)
+    unit: str | None = None
     size: Mapping[str, Any] = field(default_factory=dict)
     each: str = ""
     definitions: Mapping[str, str] = field(default_factory=dict)
     memory: Mapping[str, str] = field(default_factory=dict)
-    states: tuple[tuple[str, ...], ...] = ()
+    states: Sequence[Sequence[str]] = ()
     derivative: str = ""
     symbols: Mapping[str, str] | None = None
 
-    def __call__(self, function: Callable[Arguments, Derived]) -> Callable[Arguments, Kind]:
-        """Return the constructor with a function's arguments, and enter it into the library."""
-        stated = inspect.signature(function).replace(return_annotation=self.kind.__name__)
-        make = self._derivative if self.derivative else self._effect
-
-        @wraps(function)
-        def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Any:
-            bound = stated.bind(*args, **kwargs)
-            bound.apply_defaults()
-            return make(bound.arguments, function(*args, **kwargs) or {})
-
-        construct.__signature__ = stated  # type: ignore[attr-defined]
-        LIBRARY[function.__name__] = Entry(self, construct)
-        return construct
-
-    def _effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
+    def effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
         """The effect for the arguments of a constructor and what follows from them."""
         # What the constructor worked out goes before the argument of the same name.
         known = {**arguments, **derived}
@@ -140,7 +135,7 @@ class Row(Generic[Kind]):
         unit = self.unit.format(**known)
         return {"E": amplitude(known["name"], unit, **{**given, **self.size}), **others}
 
-    def _derivative(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
+    def force(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
         """The effect of one hydrodynamic derivative."""
         # The name of a derivative has the letter of the velocity, the term has the signal: w, w_r.
         letters = {k: factor_of(v) for k, v in arguments.items() if isinstance(v, str)}
@@ -171,25 +166,28 @@ class Entry:
 LIBRARY: dict[str, Entry] = {}
 
 
-def derivative_row(
-    coefficient: str,
-    symbols: Mapping[str, str] | None,
-    source: str,
-    needs: str,
-    description: str = "",
-) -> Row[Force]:
-    """Row of one hydrodynamic derivative.
+def row(
+    kind: type[Kind],
+) -> Callable[[Callable[Arguments, Derived]], Callable[Arguments, Kind]]:
+    """Make a constructor of the function that states the arguments of the row of its name."""
 
-    Parameters
-    ----------
-    coefficient : str
-        Name of the derivative, with arguments in braces; signals as their letters.
-    symbols : mapping or None
-        Signals for factors, as of :func:`derivative`; None for velocities through the water.
-    source, needs, description : str
-        As of a :class:`Row`.
-    """
-    return Row(Force, {}, None, source, description, needs, derivative=coefficient, symbols=symbols)
+    def enter(function: Callable[Arguments, Derived]) -> Callable[Arguments, Kind]:
+        facts = _TABLE[function.__name__]
+        own = Row(kind, **{**facts, "source": SOURCES[facts["source"]]})
+        stated = inspect.signature(function).replace(return_annotation=kind.__name__)
+        make = own.force if own.derivative else own.effect
+
+        @wraps(function)
+        def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Any:
+            bound = stated.bind(*args, **kwargs)
+            bound.apply_defaults()
+            return make(bound.arguments, function(*args, **kwargs) or {})
+
+        construct.__signature__ = stated  # type: ignore[attr-defined]
+        LIBRARY[function.__name__] = Entry(own, construct)
+        return construct
+
+    return enter
 
 
 def _amplitudes(parameters: Mapping[str, Parameter]) -> tuple[str, ...] | None:

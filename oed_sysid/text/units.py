@@ -426,6 +426,30 @@ def same_dimension(a: str, b: str) -> bool:
     return dimension(a) == dimension(b)
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit that is known."""
+    try:
+        return dimension(text) is not None and bool(text)
+    except DataError:
+        return False
+
+
+def converts(unit: str, needed: str) -> bool:
+    """Whether numbers in a unit can be given in another one.
+
+    Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
+    """
+    found, wanted = dimension(unit), dimension(needed)
+    return found == wanted and found.radian == wanted.radian
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two texts mean one unit; what is none of the package's does not."""
+    if not (is_unit(one) and is_unit(other) and same_dimension(one, other)):
+        return False
+    return bool(np.isclose(to_si(1.0, one)[0], to_si(1.0, other)[0], rtol=1e-12, atol=0.0))
+
+
 def to_si(values: ArrayLike, unit: str) -> tuple[np.ndarray, str]:
     """Convert values to SI.
 
