@@ -169,7 +169,7 @@ class Stability:
 
     report = as_text
 
-    to_dict = as_dict("states", "poles", "criterion", "stable")
+    to_dict = as_dict()
 
 
 def _mode(pole: complex) -> str:
