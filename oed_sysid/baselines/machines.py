@@ -10,14 +10,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
 from oed_sysid.baselines.regression import (
     Regression,
     RegressionEstimator,
     SeparateSolution,
     separate,
 )
-from oed_sysid.baselines.support_vectors import KernelFunction, LinearKernel, check_weight
+from oed_sysid.baselines.support_vectors import (
+    WEIGHT,
+    KernelFunction,
+    LinearKernel,
+    check_weight,
+)
 from oed_sysid.errors import ModelError, PrecisionWarning
 
 
@@ -126,7 +131,7 @@ class RecursiveLSSVM(OnlineMachine):
     [2.] 1.0
     """
 
-    def __init__(self, *, C: float = 3e4, window: int | None = None) -> None:
+    def __init__(self, *, C: float = WEIGHT, window: int | None = None) -> None:
         check_weight(C)
         check_window(window)
         self.C, self.window = C, window
@@ -323,7 +328,7 @@ class IncrementalLSSVM(OnlineMachine):
     def __init__(
         self,
         *,
-        C: float = 3e4,
+        C: float = WEIGHT,
         kernel: KernelFunction | None = None,
         bias: bool = True,
         method: str = "cholesky",
@@ -331,8 +336,7 @@ class IncrementalLSSVM(OnlineMachine):
         refresh: int = 20,
     ) -> None:
         check_weight(C)
-        if method not in ("cholesky", "inverse"):
-            raise ModelError(f"method is {method!r}. Choose cholesky or inverse.")
+        check_choice("method", method, ("cholesky", "inverse"))
         check_window(window)
         self.C, self.bias_wanted, self.method = C, bias, method
         self.kernel = kernel or LinearKernel()
@@ -428,10 +432,7 @@ class IncrementalLSSVM(OnlineMachine):
 
     def _residual(self, multipliers: np.ndarray, bias: float) -> float:
         support, targets = self._features[: self._n], self._targets[: self._n]
-        if isinstance(self.kernel, LinearKernel):
-            again = support @ (support.T @ multipliers)
-        else:
-            again = self.kernel(support, support) @ multipliers
+        again = self.kernel(support, support) @ multipliers
         left = np.abs(again + multipliers / self.C + bias - targets).max()
         size = np.abs(targets).max()
         return float(left / size) if size > 0 else float(left)
@@ -517,7 +518,7 @@ class OnlineRegression(RegressionEstimator):
     """
 
     method: str = "recursive"
-    C: float = 3e4
+    C: float = WEIGHT
     start: int = 2
     window: int | None = None
     forgetting: float = 0.99
@@ -529,8 +530,7 @@ class OnlineRegression(RegressionEstimator):
     def __post_init__(self) -> None:
         check_weight(self.C)
         check_rule(self.rule, WINDOW)
-        if self.method not in METHODS:
-            raise ModelError(f"method is {self.method!r}. Choose one of {', '.join(METHODS)}.")
+        check_choice("method", self.method, METHODS)
         if self.start < 1:
             raise ModelError(f"start is {self.start}. Begin with at least one sample.")
         if self.rule == "local":

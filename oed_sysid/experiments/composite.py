@@ -279,20 +279,18 @@ class _Shaper(Controller):
         return self._shape(self._ordering.command(time, signals), time)
 
 
-def _parts(owner: str, manoeuvres: abc.Iterable[object]) -> tuple[Manoeuvre, ...]:
+def _parts(owner: str, manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[Manoeuvre, ...]:
     """Return the manoeuvres as a tuple that is not empty."""
     parts = tuple(manoeuvres)
     if not parts:
         raise ModelError(f"{owner} has no manoeuvres. Give at least one.")
-    found = []
     for part in parts:
         if not isinstance(part, Manoeuvre):
             raise ModelError(
                 f"{owner} got a {type(part).__name__}; it takes manoeuvres on one input each, "
                 "such as ZigZag or Constant."
             )
-        found.append(part)
-    return tuple(found)
+    return parts
 
 
 def _signals(manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[str, ...]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from copy import copy
 from dataclasses import KW_ONLY, dataclass
 from typing import Any, ClassVar
 
@@ -60,39 +61,26 @@ class SlopeLimit:
                 f"A controller was asked for {time:g} s after {self._time:g} s. Call it with "
                 "increasing times, and make a fresh controller() for each run."
             )
-        self._command = self._moved(self._command, self._order, order, self._time, time)
+        if self._rate is None:
+            self._command = order
+        elif self._time is not None:
+            reach = self._rate * (time - self._time)
+            self._command += min(max(self._order - self._command, -reach), reach)
         self._order, self._time = order, time
         return self._command
 
-    def _moved(
-        self, command: float, standing: float, order: float, before: float | None, time: float
-    ) -> float:
-        """The command at a time, towards the order that stood since the time before."""
-        if self._rate is None:
-            return order
-        if before is None:
-            return command
-        reach = self._rate * (time - before)
-        return command + min(max(standing - command, -reach), reach)
-
     def foreseen(self, order: float, times: FloatArray) -> FloatArray:
         """Commands ``(n_times,)`` at later times [s] while one order stands; nothing is kept."""
-        found = np.full(len(times), float(order))
-        command, standing, before = self._command, self._order, self._time
-        for index, time in enumerate(times.tolist() if self._rate is not None else ()):
-            # By the same steps as follow(), so that the same numbers come out.
-            command = self._moved(command, standing, order, before, time)
-            standing, before = order, time
-            found[index] = command
-            if command == order:
-                break
-        return found
+        if self._rate is None:
+            return np.full(len(times), float(order))
+        # By the same steps, so that the same numbers come out.
+        ahead = copy(self)
+        return np.array([ahead.follow(order, time) for time in times.tolist()], dtype=float)
 
     def skip(self, order: float, times: FloatArray) -> None:
         """Go on past later times [s] at which one order stood."""
-        if len(times):
-            self._command = float(self.foreseen(order, times)[-1])
-            self._order, self._time = order, float(times[-1])
+        for time in times.tolist():
+            self.follow(order, time)
 
 
 class _Reversing(Stepwise):
