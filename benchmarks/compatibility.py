@@ -9,7 +9,6 @@ integrals. Nothing of them is shared with the package.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import tempfile
@@ -20,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import command, known
 from benchmarks.truth import gauss_markov
 from oed_sysid import (
     Dataset,
@@ -377,15 +377,15 @@ def measured() -> None:
             print(f"     {'*' if one.suspect else ' '} {one.says}", flush=True)
 
 
-def main() -> None:
+PARTS = {"spoilt": spoilt, "measured": measured}
+
+
+def main(parts: Sequence[str] = tuple(PARTS)) -> None:
     """Run the parts that are asked for."""
-    parts = {"spoilt": spoilt, "measured": measured}
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", default=list(parts))
-    for name in parser.parse_args().parts:
+    for name in parts:
         print(f"\n-- {name}", flush=True)
-        parts[name]()
+        PARTS[known(name, PARTS, "part")]()
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

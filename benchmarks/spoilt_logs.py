@@ -11,13 +11,13 @@ in sizes; ``named`` is the right kind and signal as a suspect finding (or among 
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from benchmarks.harness import command, known
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, check
 from oed_sysid.errors import OedSysidError
@@ -416,18 +416,28 @@ def clean(seeds: range, only: str) -> None:
             )
 
 
-def main() -> None:
-    """Run the parts that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", default=["faults", "clean"])
-    parser.add_argument("--seeds", type=int, default=2, help="logs of each kind")
-    parser.add_argument("--first", type=int, default=1000, help="first seed")
-    parser.add_argument("--kind", default="", help="only kinds of fault or noise with this word")
-    options = parser.parse_args()
-    seeds = range(options.first, options.first + options.seeds)
-    for part in options.parts:
-        {"faults": faults, "clean": clean}[part](seeds, options.kind)
+PARTS = {"faults": faults, "clean": clean}
+
+
+def main(
+    parts: Sequence[str] = tuple(PARTS), *, seeds: int = 2, first: int = 1000, kind: str = ""
+) -> None:
+    """Run the parts that are asked for.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        faults, clean
+    seeds : int
+        logs of each kind
+    first : int
+        first seed
+    kind : str
+        only kinds of fault or noise with this word
+    """
+    for part in parts:
+        PARTS[known(part, PARTS, "part")](range(first, first + seeds), kind)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)
