@@ -314,7 +314,7 @@ def package_digest() -> str:
             digest.update(f"{name} {version(name)}".encode())
     folder = Path(__file__).resolve().parents[1]
     for path in sorted(folder.rglob("*")):
-        if path.suffix in (".py", ".c"):
+        if path.suffix in (".py", ".c", ".toml"):
             digest.update(path.relative_to(folder).as_posix().encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
