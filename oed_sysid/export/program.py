@@ -27,7 +27,9 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
+from string import Template
 
 import casadi as ca
 import numpy as np
@@ -201,6 +203,22 @@ class Program:
         return f"{origin}; fitted to {records} ({safe(self.fit.estimator)})"
 
     @property
+    def head(self) -> dict[str, object]:
+        """What templates of every language fill in: origin, names and sizes."""
+        name = self.identifier
+        return {
+            **{"origin": self.origin, "name": name, "upper": name.upper()},
+            **{"step": repr(self.model.step), "own": self.n_own, "nz": self.n_full},
+            **{"na": self.n_actuator, "ns": self.n_sensor, "nx": len(self.state_names)},
+        }
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard errors of the estimated parameters."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.free, errors.tolist(), strict=True))
+
+    @property
     def is_plain(self) -> bool:
         """Whether code can carry every name as it is."""
         model, records = self.model, () if self.fit is None else self.fit.dataset.names
@@ -210,8 +228,7 @@ class Program:
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
         model = self.model
-        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        std = dict(zip(self.free, errors.tolist(), strict=True))
+        std = self.std_errors
         return {
             "model": model.name,
             "made_by": f"oed_sysid {__version__}",
@@ -367,6 +384,11 @@ def _routine(function: ca.Function) -> Routine:
         tuple(operations),
         flat.sz_w(),
     )
+
+
+def template(name: str) -> Template:
+    """Text around the functions, kept in a file of its own."""
+    return Template(files("oed_sysid.export").joinpath("templates", name).read_text("utf-8"))
 
 
 def python_function(dialect: Dialect, routine: Routine, zero: str) -> str:
