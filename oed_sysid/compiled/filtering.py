@@ -653,17 +653,8 @@ class FilterKernel:
         x0, q_variance, q_time, white, c_variance, c_time = doubles(
             first, noise.variance, q_time, noise.white, noise.colour_variance, c_time
         )
-        work = np.empty(
-            self._library.kernel_filter_work(
-                n_active,
-                len(passing),
-                n_random,
-                len(coloured),
-                noise.n_second,
-                first.shape[1],
-                len(levels),
-            )
-        )
+        sizes = (n_random, len(coloured), noise.n_second, first.shape[1], len(levels))
+        work = np.empty(self._library.kernel_filter_work(n_active, len(passing), *sizes))
         h_max = float(self.model.step)
         failed = call(
             self._library.kernel_filter, n, times, inputs, values, h_max, longest_step,
