@@ -542,7 +542,7 @@ def search_zigzags(
         made = motion(model, plan(numbers))
         score = None
         if made is not None:
-            score = objective.score_commands(made.inputs, numbers, with_scenarios=False)
+            score = objective.score(numbers, commands=made.inputs, with_scenarios=False)
         if score is None or not np.isfinite(score.value):
             continue
         nearest = score if nearest is None else min(nearest, score, key=lambda one: one.excess)
