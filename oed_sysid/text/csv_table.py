@@ -17,6 +17,7 @@ import csv
 import io
 import os
 import re
+import tomllib
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
@@ -189,49 +190,17 @@ def complaint(cell: str) -> str:
 # -- the text of a file ----------------------------------------------------------------
 
 
-_EXPORT = "Open it there and save it as CSV (comma separated, UTF-8)"
 _IMPORT = "Turn it into CSV with: oed-sysid import"
 # Sentences of instruments, and what a line of a program's messages looks like.
 _SENTENCE = re.compile(r"[$!][A-Z]{2}[A-Z0-9]{3},")
 _PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+([,;\s]+[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+)+\s*")
 _MESSAGE = re.compile(r"\[?\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S*\s+\[?[A-Z]{3,}\b.*")
 # How files that are often taken for tables begin, what they are, and what to do.
-_KINDS: tuple[tuple[bytes, str, str], ...] = (
-    (b"PK\x03\x04", "an Excel workbook, or another ZIP archive", _EXPORT),
-    (b"\xd0\xcf\x11\xe0", "an old Excel workbook (XLS)", _EXPORT),
-    (b"\x1f\x8b", "a gzip archive", "Unpack it first"),
-    (b"BZh", "a bzip2 archive", "Unpack it first"),
-    (b"\xfd7zXZ", "an xz archive", "Unpack it first"),
-    (b"7z\xbc\xaf", "a 7-Zip archive", "Unpack it first"),
-    (b"%PDF", "a PDF document", "Export the table as CSV"),
-    (b"\x89PNG", "a picture", "Give the numbers that it was drawn from"),
-    (b"\xff\xd8\xff", "a picture", "Give the numbers that it was drawn from"),
-    (b"\x89HDF", "an HDF5 or MATLAB 7.3 file", "Export the table as CSV"),
-    (
-        b"MATLAB 5.0",
-        "a MATLAB file",
-        f"{_IMPORT}, or export the table with writetable(T, 'file.csv')",
-    ),
-    (b"\x93NUMPY", "a NumPy array", "Make a Record of it, or write it as CSV with headers"),
-    (b"PAR1", "a Parquet file", _IMPORT),
-    (b"SQLite format 3", "an SQLite database, such as a ROS 2 bag", _IMPORT),
-    (b"#ROSBAG", "a ROS bag", _IMPORT),
-    (b"ULog\x01", "a PX4 log (ULog)", _IMPORT),
-    (b"\x89MCAP", "a ROS bag (MCAP)", _IMPORT),
-    (b"\xa3\x95", "an ArduPilot log (DataFlash)", _IMPORT),
-    (b"FMT, 128,", "an ArduPilot log (DataFlash)", _IMPORT),
-    (b"ARROW1", "an Arrow (Feather) file", "Export the table as CSV"),
-    (b"CDF\x01", "a NetCDF file", "Export the table as CSV"),
-    (b"CDF\x02", "a NetCDF file", "Export the table as CSV"),
-    (b"TDSm", "a LabVIEW file (TDMS)", "Export the table as CSV"),
-    (b"bplist", "a binary property list", "Export the table as CSV"),
-    (b"-----BEGIN ", "an encrypted or signed message", "Decrypt it first"),
-    (
-        b"version https://git-lfs",
-        "the pointer that Git LFS keeps in place of a file",
-        "Fetch the file itself with: git lfs pull",
-    ),
-    (b"\x80\x04\x95", "a Python pickle", "Write the table as CSV"),
+_KINDS = tuple(
+    (start.encode("latin-1"), what, advice)
+    for start, what, advice in tomllib.loads(
+        Path(__file__).with_name("file_kinds.toml").read_text(encoding="utf-8")
+    )["kinds"]
 )
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
