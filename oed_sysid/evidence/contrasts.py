@@ -578,23 +578,6 @@ def _cost(power: np.ndarray, left: np.ndarray, variance: np.ndarray) -> float:
 # -- regression ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class System:
-    """Normal equations of all candidates, whitened.
-
-    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width
-    of what noise in a regressor may have added to ``right``; ``evidence`` is the information that
-    the equations give about their left sides, ``levels`` are the variances in each piece.
-    """
-
-    gram: np.ndarray
-    right: np.ndarray
-    limits: np.ndarray
-    doubt: np.ndarray
-    evidence: float
-    levels: tuple[np.ndarray, ...]
-
-
 def assemble(
     pieces: Sequence[Piece],
     relations: tuple[Relation, ...],
@@ -609,12 +592,11 @@ def assemble(
     """
     n = len(faults)
     gram, right, doubt = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    relative, evidence = np.zeros(n), 0.0
+    relative = np.zeros(n)
     levels: dict[int, np.ndarray] = {}
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
-        shares, variance, law, about = _noise(mine, faults, nuisance)
-        evidence += about
+        shares, variance, law, _ = _noise(mine, faults, nuisance)
         active = shares > 1e-6 * shares.max()
         fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
         begin = 0
@@ -637,9 +619,7 @@ def assemble(
     limits = stdtrit(freedom, 1.0 - 0.5 * ALPHA / (n + n_more)) ** 2
     # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
     limits = limits * np.where([f.kind in LOCAL for f in faults], VARYING, 1.0)
-    return System(
-        gram, right, limits, doubt, evidence, tuple(levels[id(piece)] for piece in pieces)
-    )
+    return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
 
 
 def _noise(
@@ -756,78 +736,80 @@ def _from(piece: Piece, name: str, ramp: np.ndarray | None, rows: np.ndarray) ->
 
 
 @dataclass(frozen=True)
-class Selection:
-    """Candidates that may be chosen: what each gains beside others, and whether it may."""
+class System:
+    """Normal equations of all candidates, whitened: what each gains beside others.
 
-    system: System
-    right: np.ndarray
+    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width
+    of what noise in a regressor may have added to ``right``; ``levels`` are the variances in each
+    piece.
+    """
+
     faults: Sequence[Candidate]
+    gram: np.ndarray
+    right: np.ndarray
+    limits: np.ndarray
+    doubt: np.ndarray
+    levels: tuple[np.ndarray, ...]
 
-    def __post_init__(self) -> None:
-        ridge = np.array([f.plausible for f in self.faults]) ** -2.0
-        object.__setattr__(self, "ridge", ridge)
+    def of(self, what: str) -> np.ndarray:
+        """A number of every candidate."""
+        return np.array([getattr(fault, what) for fault in self.faults])
+
+    def _inverse(self, chosen: Sequence[int]) -> np.ndarray:
+        """Covariance of the sizes of some; a usual size is what is known of each before."""
+        a = list(chosen)
+        return np.linalg.inv(self.gram[np.ix_(a, a)] + np.diag(self.of("plausible")[a] ** -2.0))
 
     def beside(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Statistic, size and standard deviation of every candidate beside some, ``(n,)`` each."""
-        gram, a = self.system.gram, list(chosen)
-        ridge = self.ridge  # type: ignore[attr-defined]
-        inner = gram[np.ix_(a, a)] + np.diag(ridge[a])
-        across = np.linalg.solve(inner, gram[a]) if a else np.zeros((0, len(gram)))
-        left = gram.diagonal() + ridge - np.einsum("ij,ij->j", gram[a], across)
+        gram, a, own = self.gram, list(chosen), self.gram.diagonal()
+        across = self._inverse(a) @ gram[a]
+        left = own - np.einsum("ij,ij->j", gram[a], across)
         score = self.right - across.T @ self.right[a]
-        told = gram.diagonal() - np.einsum("ij,ij->j", gram[a], across) > APART * gram.diagonal()
-        left = np.where(told & (gram.diagonal() > 0.0), left, np.inf)
+        told = (left > APART * own) & (own > 0.0)
+        left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 
     def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
-        least = np.array([f.material for f in self.faults]) + 1.5 * std**2 * self.system.doubt
-        most = LARGEST * np.array([f.plausible for f in self.faults])
-        result = (np.abs(size) >= least) & (np.abs(size) <= most)
+        least = self.of("material") + 1.5 * std**2 * self.doubt
+        result = (np.abs(size) >= least) & (np.abs(size) <= LARGEST * self.of("plausible"))
         result[list(chosen)] = False
         return result
 
     def sizes(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Size, covariance diagonal and own statistic of each chosen candidate."""
-        a = list(chosen)
-        ridge = self.ridge  # type: ignore[attr-defined]
-        inverse = np.linalg.inv(self.system.gram[np.ix_(a, a)] + np.diag(ridge[a]))
+        a, inverse = list(chosen), self._inverse(chosen)
         size = inverse @ self.right[a]
         # A doubt is uniform, with the variance of a third of its half-width squared.
-        unsure = ((inverse * self.system.doubt[a]) ** 2).sum(axis=1) / 3.0
+        unsure = ((inverse * self.doubt[a]) ** 2).sum(axis=1) / 3.0
         return size, np.sqrt(inverse.diagonal() + unsure), size**2 / inverse.diagonal()
 
-    def price(self, total: float) -> np.ndarray:
-        """What each has to gain in a set that gains this much."""
-        return np.maximum(self.system.limits, CURVED * total)
-
-    def total(self, chosen: Sequence[int]) -> float:
-        """Statistic of a set."""
-        return float(self.sizes(chosen)[0] @ self.right[list(chosen)]) if len(chosen) else 0.0
+    def price(self, chosen: Sequence[int]) -> np.ndarray:
+        """What each has to gain beside a set that gains so much."""
+        a = list(chosen)
+        return np.maximum(self.limits, CURVED * float(self.sizes(a)[0] @ self.right[a]))
 
     def chosen(self, start: Sequence[int]) -> list[int]:
         """Forward selection with exchange and drop."""
-        now = [k for k in start if self.system.gram[k, k] > 0.0]
+        now = [k for k in start if self.gram[k, k] > 0.0]
         seen: set[frozenset[int]] = set()
         while frozenset(now) not in seen:
             seen.add(frozenset(now))
             now = self._dropped(self._exchanged(self._added(now)))
         return now
 
-    def _rare(self) -> np.ndarray:
-        return np.array([f.rare for f in self.faults])
-
     def _added(self, now: list[int]) -> list[int]:
         gain, size, std = self.beside(now)
-        pays = self.able(now, size, std) & (gain > self.price(self.total(now)))
-        best = int(np.argmax(np.where(pays, gain - self._rare(), -np.inf)))
+        pays = self.able(now, size, std) & (gain > self.price(now))
+        best = int(np.argmax(np.where(pays, gain - self.of("rare"), -np.inf)))
         return [*now, best] if pays[best] and len(now) < MOST_FAULTS else now
 
     def _exchanged(self, now: list[int]) -> list[int]:
         for k in tuple(now):
             rest = [j for j in now if j != k]
             gain, size, std = self.beside(rest)
-            worth = gain - self._rare()
+            worth = gain - self.of("rare")
             better = np.where(self.able(rest, size, std), worth, -np.inf)
             best = int(np.argmax(better))
             if better[best] > worth[k] + 0.1 and self.faults[k].material > 0.0:
@@ -837,7 +819,7 @@ class Selection:
     def _dropped(self, now: list[int]) -> list[int]:
         while now:
             size, _, own = self.sizes(now)
-            short = own - self.price(self.total(now))[now]
+            short = own - self.price(now)[now]
             small = [
                 short[i] < 0.0 or not f.material <= abs(size[i]) <= 1.5 * LARGEST * f.plausible
                 for i, f in enumerate(self.faults[k] for k in now)
@@ -849,10 +831,8 @@ class Selection:
 
     def _without_pairs(self, now: list[int]) -> list[int]:
         """The set without two that only hold each other up: together they do not pay."""
-        a = list(now)
-        ridge = self.ridge  # type: ignore[attr-defined]
-        inverse = np.linalg.inv(self.system.gram[np.ix_(a, a)] + np.diag(ridge[a]))
-        size, price = inverse @ self.right[a], self.price(self.total(now))[a]
+        a, inverse, price = list(now), self._inverse(now), self.price(now)[now]
+        size = inverse @ self.right[a]
         for pair in combinations(range(len(a)), 2):
             both = list(pair)
             joint = size[both] @ np.linalg.solve(inverse[np.ix_(both, both)], size[both])
@@ -942,8 +922,7 @@ def search(
         now = [place[f] for f in active]
         inside = np.array(sorted({*range(len(words.common)), *now}))
         system = assemble(pieces, relations, faults, inside, n_more)
-        right = system.right + system.gram[:, now] @ np.array([*active.values()])
-        bench = Selection(system, right, faults)
+        bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
         found = scanned(undone, pieces, system, now, words.local) if single else []
         least = VARYING * float(np.min(system.limits))
@@ -1034,7 +1013,7 @@ def _as_units(one: Found) -> list[Reading]:
     return near[:1]
 
 
-def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
+def _described(bench: System, chosen: list[int]) -> tuple[Found, ...]:
     """Accepted faults with errors, statistics and rivals, the strongest first."""
     if not chosen:
         return ()
