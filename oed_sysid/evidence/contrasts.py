@@ -47,7 +47,7 @@ the Jacobian without which the smallest unit would win.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -57,9 +57,9 @@ from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
-from oed_sysid.evidence.relations import Relation
+from oed_sysid.evidence.relations import Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import Trace
+from oed_sysid.evidence.traces import Trace, units_of
 
 # False alarms a log, shared by all candidates; halved and doubled it moves the limit by 1.4.
 ALPHA = 0.01
@@ -110,6 +110,8 @@ UNITS: dict[str, tuple[tuple[float, str], ...]] = {
         (3.6, "converted from km/h twice"),
         (1e-3, "mm/s"),
     ),
+    "1/s": ((1.0 / 60.0, "rpm"), (60.0, "converted from rpm twice")),
+    "N": ((1e3, "kN"), (1e-3, "mN"), (4.4482216, "lbf")),
 }
 
 
@@ -172,13 +174,13 @@ class Motion:
     """
 
     def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
-        names = dict.fromkeys(n for r in relations for n in (r.target, *r.signals))
+        names = names_of(relations)
         self.trace = trace
         self.raw, _ = trace.filled(n for n in names if n in trace.values)
         self.values, self.rates = dict(self.raw), dict[str, np.ndarray]()
         self.right: dict[int, np.ndarray] = {}
         for index, one in enumerate(relations):
-            if any(name not in self.raw for name in (one.target, *one.signals)):
+            if not self.raw.keys() >= {*one.names}:
                 continue
             self.right[index] = one({n: self.raw[n] for n in one.signals}, trace.times)
             if one.is_rate:
@@ -249,16 +251,20 @@ def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
 # -- candidates ------------------------------------------------------------------------------
 
 
-def positions_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> tuple[str, ...]:
+def _displacements(relations: Sequence[Relation], units: Mapping[str, str]) -> list[Relation]:
+    """Equations of positions: their rates are velocities along fixed axes."""
+    return [r for r in relations if r.is_rate and units[r.target] == "m"]
+
+
+def positions_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tuple[str, ...]:
     """Signals whose rates are velocities along fixed axes."""
-    return tuple(r.target for r in relations if r.is_rate and units[r.target] == "m")
+    return tuple(r.target for r in _displacements(relations, units))
 
 
-def velocities_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> tuple[str, ...]:
+def velocities_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tuple[str, ...]:
     """Velocities that positions are the integrals of, in the order u, v, w."""
-    rates = [r for r in relations if r.is_rate and units[r.target] == "m"]
     order = ("u", "v", "w")
-    found = dict.fromkeys(n for r in rates for n in r.signals if units[n] == "m/s")
+    found = [n for n in names_of(_displacements(relations, units)) if units[n] == "m/s"]
     return tuple(sorted(found, key=lambda n: order.index(n) if n in order else len(order)))
 
 
@@ -271,36 +277,21 @@ class Dictionary:
     local: Mapping[str, Candidate]
 
 
-@dataclass(frozen=True)
 class Facts:
     """What usual sizes follow from: units, sizes and noise of signals, and who integrates whom."""
 
-    units: Mapping[str, str]
-    size: Mapping[str, float]
-    noise: Mapping[str, float]
-    step: float
-    length: float
-    integrated: frozenset[str]
-    positions: tuple[str, ...]
-    velocities: tuple[str, ...]
-
-    @classmethod
-    def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Facts:
-        """Gather them from records and the equations between their signals."""
-        units = {n: u for trace in traces for n, u in trace.units.items()}
+    def __init__(self, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> None:
         inner = {n for r in relations for n in r.signals}
-        names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
-        levels = {n: [t.noise[n] for t in traces if n in t.noise] for n in names}
-        return cls(
-            units,
-            {n: _rms(traces, n) for n in names},
-            {n: float(np.median(level)) for n, level in levels.items()},
-            float(np.median([t.step for t in traces])),
-            max(float(t.times[-1] - t.times[0]) for t in traces),
-            frozenset({r.target for r in relations if r.is_rate} - inner),
-            positions_of(relations, units),
-            velocities_of(relations, units),
-        )
+        self.units = units_of(traces)
+        self.size = {n: _rms(traces, n) for n in names_of(relations)}
+        self.noise = {
+            n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in self.size
+        }
+        self.step = float(np.median([t.step for t in traces]))
+        self.length = max(float(t.times[-1] - t.times[0]) for t in traces)
+        self.integrated = {r.target for r in relations if r.is_rate} - inner
+        self.positions = positions_of(relations, self.units)
+        self.velocities = velocities_of(relations, self.units)
 
     def least(self, name: str) -> float:
         """Least constant error that matters."""
@@ -348,7 +339,7 @@ class Facts:
 
 def candidates(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Dictionary:
     """Faults that these signals may have, with usual sizes."""
-    facts = Facts.of(traces, relations)
+    facts = Facts(traces, relations)
     drifts = tuple(facts.drifts())
     # One position alone drifts as a misaligned velocity does.
     plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
@@ -421,17 +412,15 @@ def contrasts(
     here = [k for k, f in enumerate(faults) if f.record in ("", trace.name)]
     here = [k for k in here if set((*faults[k].signals, *faults[k].other)) <= set(motion.raw)]
     shapes = {k: SHAPES[faults[k].kind](faults[k], motion) for k in here}
-    for index, relation in enumerate(relations):
-        if index not in motion.right:
-            continue
-        related = {relation.target, *relation.signals}
-        used = [k for k in here if related & set(shapes[k])]
+    for index, right in motion.right.items():
+        relation = relations[index]
+        used = [k for k in here if shapes[k].keys() & {*relation.names}]
         _, usable = trace.filled(relation.signals)
         inner = {n: motion.raw[n] for n in relation.signals}
         slopes = {n: partial(relation, inner, trace.times, n) for n in relation.signals}
         direct = np.zeros((trace.times.size, len(used)))
         under = np.zeros((trace.times.size, len(used) + 1))
-        under[:, 0] = motion.right[index]
+        under[:, 0] = right
         for i, k in enumerate(used):
             direct[:, i] = shapes[k].get(relation.target, 0.0)
             under[:, i + 1] = sum(
@@ -686,8 +675,8 @@ def scanned(
     system: System,
     chosen: Sequence[int],
     local: Mapping[str, Candidate],
-) -> list[tuple[float, Candidate]]:
-    """Statistic of the best step and burst of every signal in every record, beside what is in."""
+) -> list[Candidate]:
+    """The likeliest steps and bursts, beside what is in, of all signals in all records."""
     a = list(chosen)
     inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
     places = np.arange(1, PLACES) / PLACES
@@ -721,7 +710,9 @@ def scanned(
             until = places[k] + 1.0 / PLACES if kind == "burst" else 1.0
             found = replace(one, kind=kind, record=trace.name, at=places[k], until=until)
             result.append((float(gain[i, k]), found))
-    return sorted(result, key=lambda pair: -pair[0])
+    least = VARYING * float(np.min(system.limits))
+    likely = sorted((pair for pair in result if pair[0] > least), key=lambda pair: -pair[0])
+    return [fault for _, fault in likely[:MOST_FAULTS]]
 
 
 def _from(piece: Piece, name: str, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
@@ -912,26 +903,24 @@ def search(
     active = _begun(words, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
     for turn in range(ROUNDS):
-        moving = [f for f in active if f.kind in LOCAL and f.material > 0.0]
-        near = [_moved(f, d * shift) for f in moving for d in (-1, 1)]
+        near = [*_beside(active, shift)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
         place = {f: k for k, f in enumerate(faults)}
         undone, pieces = _linearised(traces, relations, faults, active)
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
         now = [place[f] for f in active]
-        inside = np.array(sorted({*range(len(words.common)), *now}))
+        inside = np.union1d(np.arange(len(words.common)), now).astype(int)
         system = assemble(pieces, relations, faults, inside, n_more)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
         found = scanned(undone, pieces, system, now, words.local) if single else []
-        least = VARYING * float(np.min(system.limits))
-        picked = [f for gain, f in found[:MOST_FAULTS] if gain > least and f not in place]
+        picked = [f for f in found if f not in place]
         chosen = bench.chosen(now)
         size, std, _ = bench.sizes(chosen)
         before, active = active, {faults[k]: float(v) for k, v in zip(chosen, size, strict=True)}
-        moved = [abs(active[f] - before.get(f, np.inf)) for f in active]
-        still = active.keys() == before.keys() and np.all(moved < 0.1 * std + 1e-9)
+        moved = np.array([abs(active[f] - before.get(f, np.inf)) for f in active])
+        still = active.keys() == before.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
         if still and not picked and (shift < 1e-3 or not near):
             break
         shift *= 0.5 if near else 1.0
@@ -969,9 +958,12 @@ def _linearised(
     return undone, [p for t in undone for p in contrasts(t, relations, faults, factors)]
 
 
-def _moved(one: Candidate, shift: float) -> Candidate:
-    """A step or burst a little earlier or later."""
-    return replace(one, at=one.at + shift, until=one.until + shift * (one.kind == "burst"))
+def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
+    """Steps and bursts a little earlier and later, where their places are not known."""
+    for one in active:
+        if one.kind in LOCAL and one.material > 0.0:
+            for by in (-shift, shift):
+                yield replace(one, at=one.at + by, until=one.until + by * (one.kind == "burst"))
 
 
 def diagnosed(
@@ -1039,33 +1031,30 @@ def _described(bench: System, chosen: list[int]) -> tuple[Found, ...]:
 
 def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:
     """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
-    units = {n: u for trace in traces for n, u in trace.units.items()}
-    names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
-    yield from _signs_and_units(relations, names, units)
-    for pair in combinations(names, 2):
-        yield Reading(Correction("swap", pair))
-    velocities = velocities_of(relations, units)
-    positions = [r for r in relations if r.is_rate and units[r.target] == "m"]
+    units, names = units_of(traces), names_of(relations)
+    angles = [r.names for r in relations if r.is_rate and units[r.target] == "rad"]
+    for group in [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]:
+        yield Reading(Correction("sign", group, -1.0))
+        if len({units[n].partition("/")[0] for n in group}) == 1:
+            for factor, meaning in UNITS.get(units[group[0]], ()):
+                yield Reading(Correction("unit", group, factor), meaning)
+    yield from (Reading(Correction("swap", pair)) for pair in combinations(names, 2))
+    yield from _axes(traces, relations, units)
+
+
+def _axes(
+    traces: Sequence[Trace], relations: tuple[Relation, ...], units: dict[str, str]
+) -> Iterator[Reading]:
+    """Velocities along the axes of the positions, and headings that count from elsewhere."""
+    velocities, positions = velocities_of(relations, units), _displacements(relations, units)
     level = (level_axis(r, traces[0].values, units, traces[0].times, velocities) for r in positions)
-    if any(level) and all(name in trace.values for trace in traces for name in velocities):
+    if any(level) and all(trace.values.keys() >= {*velocities} for trace in traces):
         yield Reading(Correction("frame", velocities))
     if len(positions) > 1:
         shared = set.intersection(*(set(r.signals) for r in positions))
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
             turn = Correction("offset", (angle,), quarter * math.pi / 2.0)
             yield Reading(turn, f"{90 * quarter} deg")
-
-
-def _signs_and_units(
-    relations: tuple[Relation, ...], names: Sequence[str], units: Mapping[str, str]
-) -> Iterator[Reading]:
-    """Of every signal, and of an angle together with its rate."""
-    pairs = [(r.target, *r.signals) for r in relations if r.is_rate and units[r.target] == "rad"]
-    for group in [*((n,) for n in names), *(p for p in pairs if len(p) == 2)]:
-        yield Reading(Correction("sign", group, -1.0))
-        if len({units[n].partition("/")[0] for n in group}) == 1:
-            for factor, meaning in UNITS.get(units[group[0]], ()):
-                yield Reading(Correction("unit", group, factor), meaning)
 
 
 def evidence(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> np.ndarray:
@@ -1095,53 +1084,45 @@ def misread(
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
     if np.any((evidence(coarse, relations) == 0.0) & (evidence(traces, relations) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
+    delays = [f for f in candidates(coarse, relations).common if f.kind == "delay"]
     late = [
         Reading(Correction("delay", f.signals, d))
-        for f in candidates(coarse, relations).common
-        if f.kind == "delay"
-        for d in DELAYS
+        for f, d in product(delays, DELAYS)
         if abs(d) > 2.0 * f.material
     ]
     found: list[Reading] = []
     for _ in range(3):
         least, scored = _scored(coarse, relations, late)
-        if not scored:
-            break
         best = scored[0]
-        if best.correction.kind == "delay" and best.gain > _limit(scored):
+        # What chance exceeds rarely, however many readings are tried.
+        limit = 2.0 * math.log(len(scored) / ALPHA)
+        if best.correction.kind == "delay" and best.gain > limit:
             return found, [best.correction]
-        if best.gain < least:
+        if best.gain < limit + least:
             break
-        rivals = [o for o in scored[1:] if o.gain > best.gain - CLOSE]
-        found.append(replace(best, rivals=tuple(o for o in rivals if o.correction.kind != "delay")))
+        rivals = (o for o in scored[1:] if o.correction.kind != "delay")
+        close = tuple(o for o in rivals if o.gain > best.gain - CLOSE)
+        found.append(replace(best, rivals=close))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
-
-
-def _limit(trials: Sequence[Reading]) -> float:
-    """What chance exceeds rarely, however many readings are tried."""
-    return 2.0 * math.log(len(trials) / ALPHA)
 
 
 def _scored(
     coarse: Sequence[Trace], relations: tuple[Relation, ...], late: Sequence[Reading]
 ) -> tuple[float, list[Reading]]:
-    """What a reading has to tell at least, and all readings, those that tell most first."""
-    trials = [*readings(coarse, relations), *late]
+    """What faults with a size tell, and all readings, those that tell most first."""
     now = evidence(coarse, relations)
     sized = [one.correction for one in search(coarse, relations, single=False).found]
     mended = [undo(t, sized, relations) for t in coarse]
     told = float(np.sum(evidence(mended, relations) - now))
     scored = []
-    for one in trials:
+    for one in (*readings(coarse, relations), *late):
         touched = {*one.correction.signals}
-        mine = [i for i, r in enumerate(relations) if touched & {r.target, *r.signals}]
+        mine = [i for i, r in enumerate(relations) if touched & {*r.names}]
         some = tuple(relations[i] for i in mine)
         changed = [undo(t, (one.correction,), relations) for t in coarse]
         scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
-    if not scored:
-        return np.inf, []
-    return _limit(trials) + max(0.0, told), sorted(scored, key=lambda one: -one.gain)
+    return max(0.0, told), sorted(scored, key=lambda one: -one.gain)
 
 
 def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:

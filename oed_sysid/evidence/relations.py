@@ -74,6 +74,11 @@ class Relation:
     steps: tuple[tuple[str, str], ...] = field(repr=False)
     constants: Mapping[str, float] = field(repr=False)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All signals, the left side first."""
+        return (self.target, *self.signals)
+
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
 
@@ -83,6 +88,11 @@ class Relation:
         for name, text in self.steps:
             scope[name] = expressions.to_numpy(text, scope)
         return np.broadcast_to(np.asarray(scope[self.steps[-1][0]], dtype=float), times.shape)
+
+
+def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:
+    """All signals of some equations."""
+    return tuple(dict.fromkeys(n for r in relations for n in r.names))
 
 
 def relations(

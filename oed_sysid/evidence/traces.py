@@ -154,6 +154,11 @@ class Trace:
         return [piece for piece in whole if usable[piece].all()]
 
 
+def units_of(traces: Iterable[Trace]) -> dict[str, str]:
+    """Units of the signals of some records."""
+    return {name: unit for trace in traces for name, unit in trace.units.items()}
+
+
 def after_steps(series: np.ndarray) -> np.ndarray:
     """Samples right after the steps of an input that is mostly held, ``(n_times,)``.
 
