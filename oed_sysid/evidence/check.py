@@ -30,7 +30,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import product
+from itertools import chain, product
 from time import perf_counter
 
 import numpy as np
@@ -121,15 +121,7 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
-    faults, traces = screened(traces)
-    findings = screen_findings(dataset, traces, faults)
-    mute = (fault.signal for fault in faults if fault.kind in ("dead", "copied"))
-    dead = {name for said in mute for name in said.split(" = ")}
-    equations = tuple(r for r in equations if not dead & {*r.names})
-    clean = [t.blank(marked(faults, t.name, BLANKED)) for t in traces]
-    findings = [_caught_up(f, clean, equations) for f in findings]
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
-    clean = [undo(t, jumps) for t in clean]
+    findings, traces, clean, equations = _screened(dataset, traces, equations)
     balances: tuple[Balance, ...] = ()
     ended = None
     if equations:
@@ -141,19 +133,39 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
         judged, reason = input_findings(dataset, model, known, ranges)
         findings += judged
     asked = _asked(model, traces, equations, ended, reason if inputs else "not asked")
-    found = {(f.kind, n) for f in findings for n in f.signals}
     return LogCheck(
         tuple(_ordered(findings)),
         dataset.names,
         tuple(str(one) for one in equations),
         balances,
         (*_shared(equations, traces), *filter(None, (reason,))),
-        tuple(
-            replace(one, state="found", says="") if (one.fault, one.signal) in found else one
-            for one in asked
-        ),
+        _answered(asked, findings),
         perf_counter() - began,
     )
+
+
+def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Judged, ...]:
+    """What was asked, with what was found."""
+    found = {(f.kind, n) for f in findings for n in f.signals}
+    return tuple(
+        replace(one, state="found", says="") if (one.fault, one.signal) in found else one
+        for one in asked
+    )
+
+
+def _screened(
+    dataset: Dataset, traces: Sequence[Trace], equations: tuple[Relation, ...]
+) -> tuple[list[Finding], list[Trace], list[Trace], tuple[Relation, ...]]:
+    """Findings in single signals, records, these with them undone, and equations that hold."""
+    faults, marked_traces = screened(traces)
+    findings = screen_findings(dataset, marked_traces, faults)
+    mute = (fault.signal for fault in faults if fault.kind in ("dead", "copied"))
+    dead = {name for said in mute for name in said.split(" = ")}
+    equations = tuple(r for r in equations if not dead & {*r.names})
+    clean = [t.blank(marked(faults, t.name, BLANKED)) for t in marked_traces]
+    findings = [_caught_up(f, clean, equations) for f in findings]
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
+    return findings, marked_traces, [undo(t, jumps) for t in clean], equations
 
 
 def _related(
@@ -275,7 +287,7 @@ def _merged(
         fix = one.correction
         if one.kind == "step" and fix is not None:
             sizes = {n: tuple(float(s + next(extra)) for s in fix.sizes[n]) for n in fix.rows}
-            largest = max((s for every in sizes.values() for s in every), key=abs)
+            largest = max(chain.from_iterable(sizes.values()), key=abs)
             one = replace(one, size=largest, correction=replace(fix, sizes=sizes))
         result.append(one)
     done = [about[key] for key in mine if key in about]

@@ -59,7 +59,7 @@ from scipy.special import stdtrit
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
 from oed_sysid.evidence.relations import Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import Trace, units_of
+from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
 
 # False alarms a log, shared by all candidates; halved and doubled it moves the limit by 1.4.
 ALPHA = 0.01
@@ -74,13 +74,13 @@ APART = 0.01
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
 CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
-# Sizes that count: of the signal's noise, of its value, of a sample.
-MATERIAL, RELATIVE, SAMPLES = 0.15, 0.01, 0.3
+# Sizes that count: of the signal's noise, of a sample.
+MATERIAL, SAMPLES = 0.15, 0.3
 # A size beyond this many usual ones is none that such faults have.
 LARGEST = 4.0
 # What an equation may leave: of the changes of its left side, and of what noise makes (power).
 UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
-MOST_FAULTS, ROUNDS, SWEEPS = 6, 9, 12
+MOST_FAULTS, SWEEPS = 6, 12
 # Statistic over its limit from which on linearised scores mislead.
 STRAINED = 10.0
 # Explanations within this likelihood ratio of each other are one group.
@@ -396,6 +396,13 @@ class Piece:
         """Power of changes over about a second, of each coefficient's square."""
         return 2.0 - 2.0 * np.cos(max(1, round(1.0 / self.span)) * self.angle)
 
+    def columns_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Columns of some candidates, ``(n, n_chosen)``; zero where one says nothing here."""
+        result = np.zeros((self.residual.size, chosen.size))
+        into, here = np.nonzero(chosen[:, None] == self.used)
+        result[:, into] = self.columns[:, here]
+        return result
+
 
 def contrasts(
     trace: Trace,
@@ -619,13 +626,7 @@ def _noise(
     y = np.concatenate([p.residual for p in mine])
     target = np.concatenate([p.target for p in mine])
     used = np.intersect1d(nuisance, np.concatenate([p.used for p in mine]))
-    matrix = np.zeros((y.size, used.size))
-    begin = 0
-    for p in mine:
-        at = np.searchsorted(used, p.used)
-        inside = np.isin(p.used, used)
-        matrix[begin : begin + p.residual.size, at[inside]] = p.columns[:, inside]
-        begin += p.residual.size
+    matrix = np.concatenate([p.columns_of(used) for p in mine])
     matrix *= np.array([faults[k].plausible for k in used])
     floor = np.zeros(len(law))
     floor[0] = max(0.5 * float(np.mean([p.level for p in mine])), 3e-5 * float(np.std(target))) ** 2
@@ -692,11 +693,7 @@ def scanned(
             row = np.searchsorted(piece.times, at)
             ended = row + max(1, round(piece.times.size / PLACES))
             steps = [_from(piece, name, ramp, k) for k in (row, ended)]
-            position = {k: i for i, k in enumerate(piece.used)}
-            beside = np.zeros((level.size, len(a)))
-            for i, k in enumerate(a):
-                if k in position:
-                    beside[:, i] = piece.columns[:, position[k]]
+            beside = piece.columns_of(np.array(a, dtype=int))
             for i, shape in enumerate((steps[0], steps[0] - steps[1])):
                 waves = dct(shape, axis=0, norm="ortho")[1:]
                 score[i] += (piece.residual / level) @ waves
@@ -898,11 +895,11 @@ def search(
     improving: signal, record and share of it.
     """
     words = candidates(traces, relations)
-    faults = [*words.common, *(words.single if single else ())]
+    faults = [*words.common, *words.single * single]
     n_more = 2 * PLACES * len(words.local) * len(traces) * single
     active = _begun(words, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
-    for turn in range(ROUNDS):
+    for turn in range(SWEEPS):
         near = [*_beside(active, shift)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
         place = {f: k for k, f in enumerate(faults)}
@@ -919,14 +916,20 @@ def search(
         chosen = bench.chosen(now)
         size, std, _ = bench.sizes(chosen)
         before, active = active, {faults[k]: float(v) for k, v in zip(chosen, size, strict=True)}
-        moved = np.array([abs(active[f] - before.get(f, np.inf)) for f in active])
-        still = active.keys() == before.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
-        if still and not picked and (shift < 1e-3 or not near):
+        if _settled(before, active, std) and not picked and (shift < 1e-3 or not near):
             break
         shift *= 0.5 if near else 1.0
     error = bench.beside(chosen)[2]
     visible = np.sqrt(system.limits) * np.where(error > 0.0, error, np.inf)
     return Result(_described(bench, chosen), tuple(faults), visible, strained)
+
+
+def _settled(
+    before: Mapping[Candidate, float], now: Mapping[Candidate, float], std: np.ndarray
+) -> bool:
+    """Whether faults are the same, and their sizes within a tenth of their errors."""
+    moved = np.array([abs(size - before.get(fault, np.inf)) for fault, size in now.items()])
+    return before.keys() == now.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
 
 
 def _begun(
@@ -1084,12 +1087,7 @@ def misread(
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
     if np.any((evidence(coarse, relations) == 0.0) & (evidence(traces, relations) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
-    delays = [f for f in candidates(coarse, relations).common if f.kind == "delay"]
-    late = [
-        Reading(Correction("delay", f.signals, d))
-        for f, d in product(delays, DELAYS)
-        if abs(d) > 2.0 * f.material
-    ]
+    late = _late(coarse, relations)
     found: list[Reading] = []
     for _ in range(3):
         least, scored = _scored(coarse, relations, late)
@@ -1105,6 +1103,16 @@ def misread(
         found.append(replace(best, rivals=close))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
+
+
+def _late(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Reading]:
+    """Large delays, as rivals of readings."""
+    delays = [f for f in candidates(traces, relations).common if f.kind == "delay"]
+    return [
+        Reading(Correction("delay", f.signals, d))
+        for f, d in product(delays, DELAYS)
+        if abs(d) > 2.0 * f.material
+    ]
 
 
 def _scored(

@@ -113,7 +113,7 @@ def relations(
     # A state is measured where an output shows it and nothing else.
     shown = {o.source: o.name for o in model.outputs if o.name not in absent}
     measured = {state: shown[state] for state in model.state_names if state in shown}
-    touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
+    touched = _touched(model)
     rates = [
         _declared(model, measured[state], text, measured, is_rate=True)
         for state, text in model.kinematics.items()
@@ -128,13 +128,17 @@ def relations(
     return (*found, *_standard(model, set(spare), absent, {r.target for r in found}))
 
 
+def _touched(model: Model) -> set[str]:
+    """States and signals to which an effect adds something."""
+    return {key for e in model.effects for key in e.terms if isinstance(key, str)}
+
+
 def _declared(
     model: Model, target: str, text: str, measured: Mapping[str, str], *, is_rate: bool
 ) -> Relation | None:
     """Equation of the model over measured signals; None if anything unknown enters it."""
-    touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
     constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    signals_of = {name: part for name, part in model.signals.items() if name not in touched}
+    signals_of = {name: part for name, part in model.signals.items() if name not in _touched(model)}
     needed = _needed(text, {*measured}, {*constants, "t"}, signals_of)
     if needed is None:
         return None
@@ -186,23 +190,22 @@ def _needed(
 
 def _standard(
     model: Model, spare: set[str], absent: set[str], related: set[str]
-) -> tuple[Relation, ...]:
+) -> Iterator[Relation]:
     """Equations of a rigid body for signals with standard names and units."""
-    units = {o.name: o.unit for o in model.outputs if o.name not in absent}
-    plain = {o.name for o in model.outputs if o.expression in (None, o.name)}
-    own = {n for n in plain & set(units) if STANDARD_UNITS.get(n) == units[n]}
-    known = own | ((spare & set(STANDARD_UNITS)) - set(units))
+    measured = [o for o in model.outputs if o.name not in absent]
+    plain = {o.name: o.unit for o in measured if o.expression in (None, o.name)}
+    own = {name for name, unit in plain.items() if STANDARD_UNITS.get(name) == unit}
+    known = own | ((spare & set(STANDARD_UNITS)) - {o.name for o in measured})
     # Where the model has an equation for one of these states, it knows better.
     mine = set(model.kinematics) | related
-    found = []
     for target in (n for n in _TABLE["equations"] if n in known - mine):
-        # The first form whose other signals are known.
-        forms = ((text, need.split()) for need, text in _TABLE["equations"][target])
-        text, names = next((form for form in forms if known.issuperset(form[1])), ("", []))
-        signals = tuple(n for n in (*names, target) if n in expressions.names(text))
-        step = (f"{target}_prime_", text)
-        found += [Relation(target, signals, text, True, False, (step,), {})] if names else []
-    return tuple(found)
+        for need, text in _TABLE["equations"][target]:
+            names = (*need.split(), target)
+            if known.issuperset(names):
+                signals = tuple(n for n in names if n in expressions.names(text))
+                step = (f"{target}_prime_", text)
+                yield Relation(target, signals, text, True, False, (step,), {})
+                break
 
 
 def standard_name(header: str) -> tuple[str, str] | None:

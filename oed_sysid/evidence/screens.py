@@ -58,7 +58,7 @@ from itertools import combinations
 import numpy as np
 from scipy.special import bdtrc
 
-from oed_sysid.evidence.traces import QUARTILE, Trace, fast_noise
+from oed_sysid.evidence.traces import QUARTILE, RELATIVE, Trace, fast_noise
 
 # False alarms a signal of a record; what rounding repeats is counted, not assumed.
 ALPHA = 0.001
@@ -73,8 +73,6 @@ UNEVEN = 0.2
 SIDE = 5
 # Shares of samples and values from which on a signal is coarse, held or interpolated.
 COARSE, UNIQUE, HELD = 0.2, 0.6, 0.5
-# A shape below this share of a signal's range is immaterial.
-SMALL = 0.01
 # Faults that may be answers to the inputs.
 ANSWERS = ("spikes", "step")
 
@@ -137,16 +135,7 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """
     faults = [fault for trace in traces for fault in screen(trace)]
     after = {trace.name: trace.pushed for trace in traces}
-    share = float(np.concatenate(list(after.values())).mean())
-    answers: dict[str, list[bool]] = {}
-    for fault in (one for one in faults if one.kind in ANSWERS):
-        begins = [fault.rows[group[0]] for group in fault.groups()]
-        answers.setdefault(fault.signal, []).extend(after[fault.record][begins].tolist())
-    fast = {
-        name
-        for name, said in answers.items()
-        if any(said) and bdtrc(sum(said) - 1, len(said), share) < 0.2
-    }
+    fast = _fast([one for one in faults if one.kind in ANSWERS], after)
     kept: list[Fault] = []
     for fault in faults:
         if fault.kind not in ANSWERS or fault.signal not in fast:
@@ -156,6 +145,20 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
         left = [group for group in fault.groups() if not pushed[group[0]]]
         kept += [fault.only(np.concatenate(left))] if left else []
     return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
+
+
+def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
+    """Signals whose faults follow steps of the inputs more often than chance would have it."""
+    share = float(np.concatenate(list(after.values())).mean())
+    answers: dict[str, list[bool]] = {}
+    for fault in faults:
+        begins = [fault.rows[group[0]] for group in fault.groups()]
+        answers.setdefault(fault.signal, []).extend(after[fault.record][begins].tolist())
+    return {
+        name
+        for name, said in answers.items()
+        if any(said) and bdtrc(sum(said) - 1, len(said), share) < 0.2
+    }
 
 
 def screen(trace: Trace) -> list[Fault]:
@@ -207,7 +210,7 @@ class Signal:
         self.coarse |= few and self.step > trace.noise[name] > 0.0
         self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
         # The least size that is material.
-        self.least = max(SMALL * self.reach, 4.0 * self.step if self.coarse else 0.0)
+        self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)
 
     def dead(self) -> Stopped | None:
         """All samples are equal."""
