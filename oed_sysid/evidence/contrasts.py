@@ -57,7 +57,7 @@ from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
-from oed_sysid.evidence.relations import Relation, names_of
+from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
 
@@ -91,28 +91,6 @@ WIDER = 1.15
 CURVED = 1e-3
 # Delays from which the search begins, s: the linearised score does not reach so far.
 DELAYS = (-2.4, -1.2, -0.6, -0.3, 0.3, 0.6, 1.2, 2.4)
-
-DEGREE = math.pi / 180.0
-# Factor that turns the logged number into the right one, and what it means.
-UNITS: dict[str, tuple[tuple[float, str], ...]] = {
-    "rad": ((DEGREE, "deg"), (1.0 / DEGREE, "converted from deg twice")),
-    "rad/s": (
-        (DEGREE, "deg/s"),
-        (1.0 / DEGREE, "converted from deg/s twice"),
-        (2.0 * math.pi / 60.0, "rpm"),
-    ),
-    "m": ((0.3048, "ft"), (1.0 / 0.3048, "converted from ft twice"), (1e-3, "mm"), (1e3, "km")),
-    "m/s": (
-        (1852.0 / 3600.0, "kn"),
-        (3600.0 / 1852.0, "converted from kn twice"),
-        (0.3048, "ft/s"),
-        (1.0 / 3.6, "km/h"),
-        (3.6, "converted from km/h twice"),
-        (1e-3, "mm/s"),
-    ),
-    "1/s": ((1.0 / 60.0, "rpm"), (60.0, "converted from rpm twice")),
-    "N": ((1e3, "kN"), (1e-3, "mN"), (4.4482216, "lbf")),
-}
 
 
 @dataclass(frozen=True)
@@ -999,7 +977,7 @@ def diagnosed(
 def _as_units(one: Found) -> list[Reading]:
     """A scale that is that of a unit within its error, as another reading."""
     fault = one.candidate
-    units = UNITS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
+    units = READINGS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
     near = [
         Reading(Correction("unit", fault.signals, factor), meaning, one.gain)
         for factor, meaning in units
@@ -1039,7 +1017,7 @@ def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterat
     for group in [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]:
         yield Reading(Correction("sign", group, -1.0))
         if len({units[n].partition("/")[0] for n in group}) == 1:
-            for factor, meaning in UNITS.get(units[group[0]], ()):
+            for factor, meaning in READINGS.get(units[group[0]], ()):
                 yield Reading(Correction("unit", group, factor), meaning)
     yield from (Reading(Correction("swap", pair)) for pair in combinations(names, 2))
     yield from _axes(traces, relations, units)

@@ -33,8 +33,8 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.contrasts import UNITS
 from oed_sysid.evidence.corrections import ORDER, corrected
+from oed_sysid.evidence.relations import READINGS
 from oed_sysid.evidence.result import Correction, Finding
 from oed_sysid.evidence.words import COPY
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
@@ -141,7 +141,7 @@ def _beyond(
         limit = min(limit, np.pi) if channel.unit == "rad" else limit
         if largest <= limit:
             continue
-        units = [m for f, m in UNITS.get(channel.unit, ()) if f * largest <= limit]
+        units = [m for f, m in READINGS.get(channel.unit, ()) if f * largest <= limit]
         about = f", as if it were in {' or '.join(units)}" if units else ""
         allowed = f"{declared:.3g}" if np.isfinite(declared) else "half a turn"
         result.append(
@@ -203,7 +203,7 @@ def _trials(dataset: Dataset, model: Model) -> Iterator[_Trial]:
         if np.ptp(column) > 0.0:
             yield _Trial("sign", (name,), "sign", -1.0)
         if np.any(column):
-            for factor, meaning in UNITS.get(units[name], ()):
+            for factor, meaning in READINGS.get(units[name], ()):
                 yield _Trial("unit", (name,), meaning, factor)
     moving = [name for name, column in zip(units, values.T, strict=True) if np.ptp(column) > 0.0]
     for pair in combinations(moving, 2):

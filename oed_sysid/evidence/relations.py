@@ -42,6 +42,8 @@ from oed_sysid.text.units import parse_header, to_si
 
 _TABLE = tomllib.loads(files(__package__).joinpath("kinematics.toml").read_text("utf-8"))
 STANDARD_UNITS: dict[str, str] = _TABLE["units"]
+# Factor and meaning of the units that numbers may be in, by the unit that they should be in.
+READINGS: dict[str, list[tuple[float, str]]] = _TABLE["readings"]
 
 
 @dataclass(frozen=True)
