@@ -20,9 +20,9 @@ import numpy as np
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
+from oed_sysid.design.criteria import SURE, Detection, missing_physics, told_apart
 from oed_sysid.design.library import Candidate, Reference
-from oed_sysid.design.limits import between, outside, percent, quantity, span, units_of
-from oed_sysid.design.missing_effects import SURE, Detection, missing_physics, told_apart
+from oed_sysid.design.vehicles import between, outside, percent, quantity, span, units_of
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory, simulate
 from oed_sysid.information.noise import sea_words
