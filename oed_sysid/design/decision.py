@@ -34,7 +34,7 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
@@ -685,11 +685,6 @@ def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, .
 
 NAME = "journal.json"
 _FIT = "fit.json"
-# What the journal holds of a logbook.
-_KEPT = (
-    "problem", "variant", "goals", "hours", "sea", "records", "runs", "proposed", "seed",
-    "candidates",
-)  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -888,6 +883,10 @@ class Logbook:
         if self.model is None:
             raise DesignError("The logbook has no model yet. Give it with Logbook.of(model).")
         return self.model
+
+
+# What the journal holds of a logbook.
+_KEPT = [one.name for one in fields(Logbook) if one.name not in ("folder", "model", "fit")]
 
 
 def _noise(data: Mapping[str, Any]) -> NoiseModel:
