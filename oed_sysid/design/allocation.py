@@ -35,8 +35,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
-from oed_sysid.design.missing_effects import ByShifts
+from oed_sysid.design.criteria import NOTHING, AOptimal, ByShifts, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 
 GAP = 2e-4

@@ -39,7 +39,7 @@ import numpy as np
 from oed_sysid.data.log import library
 from oed_sysid.design.assurance import AbortRule
 from oed_sysid.design.library import as_piecewise
-from oed_sysid.design.limits import outside, quantity, units_of
+from oed_sysid.design.vehicles import outside, quantity, units_of
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike

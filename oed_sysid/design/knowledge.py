@@ -9,7 +9,7 @@ sizes and on absent effects in units of theirs,
     \qquad \text{worth} = \varphi(M)
 
 with the criterion :math:`\varphi` of :mod:`oed_sysid.design.criteria` or
-:mod:`oed_sysid.design.missing_effects`. Designs, programmes and decisions all take the expected
+:mod:`oed_sysid.design.criteria`. Designs, programmes and decisions all take the expected
 information from here; disturbance forces and autocorrelated sensors are in :math:`F`
 (:mod:`oed_sysid.information.bound`).
 
@@ -27,8 +27,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.design.criteria import Criterion, Measure, Setting, log_determinant
-from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
+from oed_sysid.design.criteria import (
+    ByShifts,
+    Criterion,
+    Detect,
+    Detection,
+    Discriminate,
+    Measure,
+    Setting,
+    log_determinant,
+)
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information.bound import (

@@ -15,11 +15,11 @@ import numpy as np
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.library import as_piecewise
-from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.objective import Objective, Score, VehicleInformation
 from oed_sysid.design.search import ZigZags
 from oed_sysid.design.vehicles import (
     Caution,
+    LimitBounds,
     Robust,
     Scenarios,
     draw_models,

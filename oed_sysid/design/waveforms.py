@@ -115,20 +115,16 @@ class Shape(Protocol):
     @property
     def size(self) -> int:
         """How many numbers describe one member."""
-        ...
 
     @property
     def edges(self) -> np.ndarray:
         """Samples at which single numbers begin to act, the first is 0."""
-        ...
 
     def commands(self, numbers: np.ndarray) -> np.ndarray:
         """Commands ``(n_batch, n_times, n_inputs)`` of numbers ``(n_batch, size)``."""
-        ...
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
         """Numbers of the member nearest to given commands; None if the family is too narrow."""
-        ...
 
 
 @runtime_checkable
@@ -138,11 +134,9 @@ class Parametrisation(Protocol):
     @property
     def name(self) -> str:
         """Name for reports."""
-        ...
 
     def on(self, grid: Grid) -> Shape:
         """Return the family on a grid."""
-        ...
 
 
 @dataclass(frozen=True)
