@@ -399,6 +399,16 @@ class ByShifts(Protocol):
         """Return the function to maximise, of the information on ``[parameters, shifts]``."""
 
 
+def _check(what: str, names: Sequence[str], size: float) -> None:
+    """Refuse effects that are named twice, and amplitudes that are none."""
+    if not names or len(set(names)) < len(names):
+        raise DesignError(
+            f"The {what} are {', '.join(names) or 'none'}; give one or more, each once."
+        )
+    if not size > 0:
+        raise DesignError(f"size is {size}. Give a share of the scale above zero.")
+
+
 @dataclass(frozen=True)
 class Discriminate:
     r"""Maximise the misfit that remains when the wrong rival has been refitted.
@@ -446,14 +456,8 @@ class Discriminate:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "rivals", tuple(self.rivals))
-        names = self.rival_names
-        if not names or len(set(names)) < len(names):
-            raise DesignError(
-                f"The rivals are {', '.join(names) or 'none'}; give one or more, each once."
-            )
-        if not self.size > 0:
-            raise DesignError(f"size is {self.size}. Give a share of the scale above zero.")
-        if len(names) == 1 and not self.against_believed:
+        _check("rivals", self.rival_names, self.size)
+        if len(self.rivals) == 1 and not self.against_believed:
             raise DesignError("One rival alone can only be told from the nominal model.")
 
     @property
@@ -565,7 +569,6 @@ def pair_misfits(
     return pairs
 
 
-FALSE_CLAIMS = 0.01
 # Beyond this expected gain everything shows; the distribution is not evaluated.
 _CERTAIN = 300.0
 # Share of an effect that parameters cannot imitate, below which no run of this kind shows it.
@@ -596,20 +599,13 @@ class Detect:
     candidates: Sequence[Effect]
     worst: bool = False
     size: float = 1.0
-    false_claims: float = FALSE_CLAIMS
+    false_claims: float = 0.01
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "candidates", tuple(self.candidates))
-        names = [effect.name for effect in self.candidates]
-        if not names or len(set(names)) < len(names):
-            raise DesignError(
-                f"The candidates are {', '.join(names) or 'none'}; give one or more, each once."
-            )
-        if not self.size > 0 or not 0 < self.false_claims < 1:
-            raise DesignError(
-                f"size is {self.size}, false_claims {self.false_claims}. Give a share of the scale "
-                "above zero, and a probability."
-            )
+        _check("candidates", [effect.name for effect in self.candidates], self.size)
+        if not 0 < self.false_claims < 1:
+            raise DesignError(f"false_claims is {self.false_claims}. Give a probability.")
 
     @property
     def name(self) -> str:
@@ -670,7 +666,11 @@ class Detect:
         for group in shifts.groups:
             gain = self.needed(group.freedom)
             first, last = (noncentrality(gram, group)[0] for gram in grams)
-            least = float(np.sqrt(_for_power(group.freedom, gain) / max(last, 1e-300)))
+
+            def short(value: float, freedom: int = group.freedom, gain: float = gain) -> float:
+                return log_power(value, freedom, gain)[0] - float(np.log(SURE))
+
+            least = float(np.sqrt(brentq(short, 0.0, _CERTAIN) / max(last, 1e-300)))
             rare, sure = (
                 float(np.exp(log_power(v, group.freedom, gain)[0])) for v in (first, last)
             )
@@ -717,14 +717,12 @@ def missing_physics(
         f"told apart with {told_apart(misfit):.0%}."
         for (first, second), misfit in misfits.items()
     ]
-    return lines + (chance_table(chances) if chances else [])
-
-
-def chance_table(chances: Sequence[Detection], *, most: int = 12) -> list[str]:
-    """Lines with the effects that a run makes visible, and those that stay hidden."""
-    lines = [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
+    if not chances:
+        return lines
+    # The effects that a run makes visible, and those that stay hidden.
+    lines += [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
     gained = sorted(chances, key=lambda one: one.before - one.after)
-    for one in gained[:most]:
+    for one in gained[:12]:
         least = f"{one.least:.2g} of usual" if one.least < 1e3 else "-"
         lines.append(f"  {one.name:<32} {one.before:>13.0%} {one.after:>7.0%} {least:>14}")
     hidden = [one.name for one in chances if one.after < 0.5]
@@ -762,8 +760,3 @@ def log_power(gain: float, freedom: int, needed: float) -> tuple[float, float]:
     more = 1.0 - float(chndtr(needed, freedom + 2, gain))
     # d/dlambda of the survival function is half of what two degrees of freedom more add.
     return float(np.log(max(power, 1e-300))), 0.5 * max(more - power, 0.0) / max(power, 1e-300)
-
-
-def _for_power(freedom: int, needed: float) -> float:
-    """Non-centrality at which a test is sure."""
-    return float(brentq(lambda one: log_power(one, freedom, needed)[0] - np.log(SURE), 0, _CERTAIN))

@@ -152,34 +152,27 @@ class LimitBounds:
     ) -> LimitBounds:
         """Return the bounds of a model's states (before outputs of the same name)."""
         states, n_full = state_names(model), kernel(model).n_full
-        names, columns, ranges, at_end = [], [], [], []
-        for group, last in ((limits.signals, False), (end or {}, True)):
-            for name, pair in group.items():
-                if name in states:
-                    column = states.index(name)
-                elif name in model.output_names:
-                    column = n_full + model.output_names.index(name)
-                else:
-                    raise DesignError(
-                        f"The limit of {name!r} is on nothing: model {model.name!r} has the states "
-                        f"and outputs {', '.join(dict.fromkeys((*states, *model.output_names)))}."
-                    )
-                if not float(pair[0]) < float(pair[1]):
-                    raise DesignError(
-                        f"The limit of {name!r} is {pair}; lower has to be below upper."
-                    )
-                names.append(name)
-                columns.append(column)
-                ranges.append((float(pair[0]), float(pair[1])))
-                at_end.append(last)
-        lower, upper = np.array(ranges, dtype=float).reshape(-1, 2).T
-        width = np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-        one_sided = ~np.isfinite(upper - lower)
+        known = {name: n_full + i for i, name in enumerate(model.output_names)}
+        known |= {name: i for i, name in enumerate(states)}
+        limited = [*limits.signals.items(), *(end or {}).items()]
+        for name, pair in limited:
+            if name not in known:
+                raise DesignError(
+                    f"The limit of {name!r} is on nothing: model {model.name!r} has the states "
+                    f"and outputs {', '.join(dict.fromkeys((*states, *model.output_names)))}."
+                )
+            if not float(pair[0]) < float(pair[1]):
+                raise DesignError(f"The limit of {name!r} is {pair}; lower has to be below upper.")
+        lower, upper = np.array([pair for _, pair in limited], dtype=float).reshape(-1, 2).T
         bound = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 1.0))
-        width = np.where(one_sided, np.maximum(np.abs(bound), 1e-3), width)
+        width = upper - lower
+        width = np.where(np.isfinite(width), width, np.maximum(np.abs(bound), 1e-3))
+        units = units_of(model)
         return cls(
-            tuple(names), np.array(columns, dtype=int), lower, upper, width,
-            np.array(at_end, dtype=bool), n_full, tuple(units_of(model)[n] for n in names),
+            tuple(name for name, _ in limited),
+            np.array([known[name] for name, _ in limited], dtype=int), lower, upper, width,
+            np.arange(len(limited)) >= len(limits.signals), n_full,
+            tuple(units[name] for name, _ in limited),
         )  # fmt: skip
 
     def excess(self, signals: np.ndarray, *, first: int = 0, n_times: int) -> np.ndarray:
