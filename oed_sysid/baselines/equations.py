@@ -108,6 +108,14 @@ class RegressionForm:
         shaped = np.array(flat).reshape(*shape[::-1], n)
         return np.array(target).T, shaped.transpose(2, 1, 0)
 
+    def anywhere(self, n: int) -> np.ndarray:
+        """Regressors ``(n, n_equations, n_free)`` at random motions, to see what they hold."""
+        rng = np.random.default_rng(0)
+        states, rates = rng.uniform(0.5, 1.5, (2, n, len(self.graph.state_names)))
+        signals = rng.uniform(0.5, 1.5, (n, self.graph.actuate.size1_out(0)))
+        times = (np.arange(n) + 0.5) * self.model.step
+        return self.evaluate(states, rates, signals, times)[1]
+
 
 def regression_form(model: Model) -> RegressionForm:
     """Derive targets and regressors of a model.
@@ -235,6 +243,8 @@ STENCILS: Mapping[str, tuple[tuple[float, int, str], ...]] = {
 # Samples that a difference reaches over.
 SPANS = {"euler": 1, "trapezoid": 1, "simpson": 2}
 RULES = (*STENCILS, "exact")
+# Samples of a local cubic, unless said otherwise.
+WINDOW = 9
 
 Rates = Mapping[str, np.ndarray]
 
@@ -247,6 +257,8 @@ class Rows:
     ----------
     form : RegressionForm
         Equations and names.
+    dataset : Dataset
+        The records.
     targets : tuple of ndarray (n_rows, n_equations)
         One array per record; NaN where a measurement is missing.
     regressors : tuple of ndarray (n_rows, n_equations, n_free)
@@ -254,6 +266,7 @@ class Rows:
     """
 
     form: RegressionForm
+    dataset: Dataset
     targets: tuple[np.ndarray, ...]
     regressors: tuple[np.ndarray, ...]
 
@@ -293,7 +306,7 @@ def rows_of(
     dataset: Dataset,
     *,
     rule: str = "local",
-    window: int = 9,
+    window: int = WINDOW,
     rates: Rates | None = None,
 ) -> Rows:
     """Build the rows of all records.
@@ -327,7 +340,7 @@ def rows_of(
         pair = rows_from(form, record.times, states, record.inputs, rule, window, given)
         targets.append(pair[0])
         regressors.append(pair[1])
-    return Rows(form, tuple(targets), tuple(regressors))
+    return Rows(form, dataset, tuple(targets), tuple(regressors))
 
 
 def rows_from(
@@ -336,7 +349,7 @@ def rows_from(
     states: np.ndarray,
     inputs: np.ndarray,
     rule: str,
-    window: int = 9,
+    window: int = WINDOW,
     rates: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Targets and regressors of one run, see :func:`rows_of`."""

@@ -10,22 +10,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from oed_sysid.baselines.equations import Rates, Rows, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
 from oed_sysid.baselines.regression import (
     Regression,
+    RegressionEstimator,
     SeparateSolution,
-    regress,
     separate,
 )
-from oed_sysid.baselines.support_vectors import (
-    KernelFunction,
-    LinearKernel,
-    check_weight,
-)
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.baselines.support_vectors import KernelFunction, LinearKernel, check_weight
 from oed_sysid.errors import ModelError, PrecisionWarning
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.physics.model import Model
 
 
 class OnlineMachine:
@@ -68,6 +61,27 @@ class OnlineMachine:
         """Values ``(n,)`` at features ``(n, n_features)``."""
         coefficients, bias = self.linear()
         return np.atleast_2d(features) @ coefficients + bias
+
+
+def check_window(window: int | None) -> None:
+    """Raise :class:`ModelError` for a window of fewer than two samples."""
+    if window is not None and window < 2:
+        raise ModelError(f"window is {window}. Keep at least two samples.")
+
+
+def learn(
+    values: np.ndarray, inverse: np.ndarray, row: np.ndarray, target: float, forgetting: float = 1.0
+) -> None:
+    r"""Add one row to least squares, in place: values ``(n,)`` and inverse normal matrix.
+
+    .. math:: k = \frac{Sz}{\lambda + z^TSz},\quad
+              \theta \leftarrow \theta + k\,(y - z^T\theta),\quad S \leftarrow S - k\,(z^TS)
+    """
+    gain = inverse @ row
+    share = 1.0 / (forgetting + row @ gain)
+    values += gain * ((target - row @ values) * share)
+    # Exactly symmetric, or rounding errors grow.
+    inverse -= share * np.outer(gain, gain)
 
 
 class RecursiveLSSVM(OnlineMachine):
@@ -114,41 +128,34 @@ class RecursiveLSSVM(OnlineMachine):
 
     def __init__(self, *, C: float = 3e4, window: int | None = None) -> None:
         check_weight(C)
-        if window is not None and window < 2:
-            raise ModelError(f"window is {window}. Keep at least two samples.")
+        check_window(window)
         self.C, self.window = C, window
-        self._inverse: np.ndarray | None = None
-        self._normal: np.ndarray | None = None
-        self._moment = np.empty(0)
-        self._values = np.empty(0)
-        self._kept: deque[tuple[np.ndarray, float]] = deque()
-        self.n_samples = 0
+        self.forget()
 
     def forget(self) -> None:
         """Forget all samples."""
-        self._inverse = self._normal = None
-        self._kept.clear()
+        self._inverse: np.ndarray | None = None
+        self._normal: np.ndarray | None = None
+        self._moment = self._values = np.empty(0)
+        self._kept: deque[tuple[np.ndarray, float]] = deque()
         self.n_samples = 0
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
-        x = np.asarray(features, dtype=float)
-        z = np.empty(x.size + 1)
-        z[:-1] = x
-        z[-1] = 1.0
+        z = np.append(np.asarray(features, dtype=float), 1.0)
         self.n_samples += 1
         if self.window is not None:
-            self._slide(z, target)
+            self._slide(z, target, self.window)
         elif self._inverse is None:
-            self._begin(z, target)
+            # No slope yet: A = zz' + diag(I/C, 0) has this inverse, and the bias is the target.
+            x, slopes = z[:-1], self.C * np.eye(z.size - 1)
+            corner = 1.0 + self.C * (x @ x)
+            self._inverse = np.block([[slopes, -self.C * x[:, None]], [-self.C * x, corner]])
+            self._values = np.append(np.zeros(x.size), target)
         else:
-            gain = self._inverse @ z
-            share = 1.0 / (1.0 + z @ gain)
-            self._values += gain * ((target - z @ self._values) * share)
-            # Exactly symmetric, or rounding errors grow.
-            self._inverse -= share * np.outer(gain, gain)
+            learn(self._values, self._inverse, z, target)
 
-    def _slide(self, z: np.ndarray, target: float) -> None:
+    def _slide(self, z: np.ndarray, target: float, window: int) -> None:
         """Add one sample to the normal equations and take the oldest away."""
         if self._normal is None:
             self._normal = np.diag(np.append(np.full(z.size - 1, 1.0 / self.C), 0.0))
@@ -156,26 +163,11 @@ class RecursiveLSSVM(OnlineMachine):
         self._normal += np.outer(z, z)
         self._moment += z * target
         self._kept.append((z, target))
-        if len(self._kept) > (self.window or 0):
+        if len(self._kept) > window:
             old, old_target = self._kept.popleft()
             self._normal -= np.outer(old, old)
             self._moment -= old * old_target
             self.n_samples -= 1
-
-    def _begin(self, z: np.ndarray, target: float) -> None:
-        """State after one sample: no slope yet, and a bias equal to the target.
-
-        ``A = zz' + diag(I/C, 0)`` has the inverse
-        ``[[C I, -C x], [-C x', 1 + C x'x]]``.
-        """
-        x = z[:-1]
-        inverse = np.empty((z.size, z.size))
-        inverse[:-1, :-1] = self.C * np.eye(x.size)
-        inverse[:-1, -1] = inverse[-1, :-1] = -self.C * x
-        inverse[-1, -1] = 1.0 + self.C * (x @ x)
-        self._inverse = inverse
-        self._values = np.zeros(z.size)
-        self._values[-1] = target
 
     def linear(self) -> tuple[np.ndarray, float]:
         """Coefficients and bias, at the cost of one solution."""
@@ -252,11 +244,7 @@ class RecursiveLeastSquares(OnlineMachine):
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
         x = np.asarray(features, dtype=float)
-        gain = self._inverse @ x
-        share = 1.0 / (self.forgetting + x @ gain)
-        self._values += gain * ((target - x @ self._values) * share)
-        # Exactly symmetric, or forgetting lets rounding errors grow.
-        self._inverse -= share * np.outer(gain, gain)
+        learn(self._values, self._inverse, x, target, self.forgetting)
         if self.forgetting < 1:
             self._inverse /= self.forgetting
             excess = np.trace(self._inverse) / (len(x) * self.largest_std**2)
@@ -345,8 +333,7 @@ class IncrementalLSSVM(OnlineMachine):
         check_weight(C)
         if method not in ("cholesky", "inverse"):
             raise ModelError(f"method is {method!r}. Choose cholesky or inverse.")
-        if window is not None and window < 2:
-            raise ModelError(f"window is {window}. Keep at least two samples.")
+        check_window(window)
         self.C, self.bias_wanted, self.method = C, bias, method
         self.kernel = kernel or LinearKernel()
         self.window, self.refresh = window, refresh
@@ -364,7 +351,7 @@ class IncrementalLSSVM(OnlineMachine):
         row = np.asarray(features, dtype=float).ravel()
         if self._n == 0:
             self._features = np.empty((0, len(row)))
-        self._reserve(len(row))
+        self._reserve()
         border = self.kernel(self._features[: self._n], row[None])[:, 0]
         corner = float(self.kernel(row[None], row[None])[0, 0]) + 1.0 / self.C
         n = self._n
@@ -420,8 +407,7 @@ class IncrementalLSSVM(OnlineMachine):
         .. math::
             \max|K\alpha + \alpha/C + b - y| \,/\, \max|y|
         """
-        multipliers, bias = self._solve()
-        return self._residual(multipliers, bias)
+        return self._residual(*self._solve())
 
     def solution(self) -> tuple[np.ndarray, float]:
         """Multipliers and bias, at the cost of one solution."""
@@ -464,18 +450,13 @@ class IncrementalLSSVM(OnlineMachine):
         bias = float(solved[:, 0].sum() / solved[:, 1].sum()) if self.bias_wanted else 0.0
         return solved[:, 0] - bias * solved[:, 1], bias
 
-    def _reserve(self, n_features: int) -> None:
+    def _reserve(self) -> None:
         """Double the room when it is full, so that a step copies nothing on average."""
-        if self._n < len(self._targets):
-            return
-        size = max(16, 2 * self._n)
-        matrix = np.zeros((size, size))
-        matrix[: self._n, : self._n] = self._matrix[: self._n, : self._n]
-        features = np.zeros((size, n_features))
-        features[: self._n] = self._features[: self._n]
-        targets = np.zeros(size)
-        targets[: self._n] = self._targets[: self._n]
-        self._matrix, self._features, self._targets = matrix, features, targets
+        if self._n == len(self._targets):
+            more = max(16, self._n)
+            self._matrix = np.pad(self._matrix, (0, more))
+            self._features = np.pad(self._features, ((0, more), (0, 0)))
+            self._targets = np.pad(self._targets, (0, more))
 
     def _drop_oldest(self) -> None:
         n = self._n
@@ -483,7 +464,9 @@ class IncrementalLSSVM(OnlineMachine):
         if self.method == "inverse":
             kept = old[1:, 1:] - np.outer(old[1:, 0], old[0, 1:]) / old[0, 0]
         else:
-            kept = _raised(old[1:, 1:], old[1:, 0])
+            # Lower factor of what is left plus the oldest column's square.
+            upper = np.asarray(np.linalg.qr(np.vstack([old[1:, 1:].T, old[1:, 0]]), mode="r"))
+            kept = (upper * np.where(np.diag(upper) < 0, -1.0, 1.0)[:, None]).T
         self._features[: n - 1] = self._features[1:n]
         self._targets[: n - 1] = self._targets[1:n]
         self._n = n - 1
@@ -494,19 +477,11 @@ class IncrementalLSSVM(OnlineMachine):
         self._matrix[: n - 1, : n - 1] = kept
 
 
-def _raised(factor: np.ndarray, vector: np.ndarray) -> np.ndarray:
-    """Lower factor of ``factor factor' + vector vector'``."""
-    both = np.vstack([factor.T, vector])
-    upper = np.asarray(np.linalg.qr(both, mode="r"))
-    signs = np.where(np.diag(upper) < 0, -1.0, 1.0)
-    return (upper * signs[:, None]).T
-
-
 METHODS = ("recursive", "incremental", "forgetting")
 
 
 @dataclass(frozen=True)
-class OnlineRegression:
+class OnlineRegression(RegressionEstimator):
     """Play records back through an online regression, one equation at a time.
 
     The result is the last state of the recursion; ``extras["history"]`` holds,
@@ -553,7 +528,7 @@ class OnlineRegression:
 
     def __post_init__(self) -> None:
         check_weight(self.C)
-        check_rule(self.rule, 9)
+        check_rule(self.rule, WINDOW)
         if self.method not in METHODS:
             raise ModelError(f"method is {self.method!r}. Choose one of {', '.join(METHODS)}.")
         if self.start < 1:
@@ -570,22 +545,11 @@ class OnlineRegression:
         )
         return f"online regression ({self.method}, {setting}{memory})"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters, samples in the order of the records.
+    def _solve(self, rows: Rows) -> Regression:
+        found = separate(rows, self._play, scale=self.scale, bias=self.bias)
+        return replace(found, iterations=sum(map(len, rows.targets)))
 
-        Raises
-        ------
-        ModelError
-            As :meth:`EquationError.fit`, and where equations share a parameter.
-        """
-
-        def solve(rows: Rows) -> Regression:
-            found = separate(rows, self._solve, scale=self.scale, bias=self.bias)
-            return replace(found, iterations=sum(map(len, rows.targets)))
-
-        return regress(self, model, dataset, solve)
-
-    def _solve(self, features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
+    def _play(self, features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
         columns = features
         machine: OnlineMachine
         if self.method == "recursive":
@@ -604,11 +568,11 @@ class OnlineRegression:
                 machine.update(columns[k], targets[k])
             # A machine that forgets has the constant among its coefficients.
             track[k] = np.append(*machine.linear())[: n + 1]
-        ridge = 0.0 if self.method == "forgetting" else 1.0 / self.C
         age = np.arange(len(targets))[::-1]
-        weights = self.forgetting**age if self.method == "forgetting" else np.ones(len(targets))
-        if self.window is not None and self.method != "forgetting":
-            weights = (age < self.window).astype(float)
+        if self.method == "forgetting":
+            ridge, weights = 0.0, self.forgetting**age
+        else:
+            ridge, weights = 1.0 / self.C, (age < (self.window or np.inf)).astype(float)
         return SeparateSolution(
             track[-1, :n], float(track[-1, n]), ridge, weights=weights, track=track
         )

@@ -155,21 +155,10 @@ class EquationStream:
             raise ModelError(f"rule is {rule!r}. A stream knows {', '.join(SPANS)}.")
         self.model, self.rule = model, rule
         self.form = streamed_form(model)
-        self._owners = self._find_owners()
+        # Positions of the free parameters that each equation holds.
+        found = self.form.anywhere(8).transpose(1, 0, 2)
+        self._owners = tuple(np.flatnonzero(block.any(axis=0)) for block in found)
         self._samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)
-
-    def _find_owners(self) -> tuple[np.ndarray, ...]:
-        """Positions of the free parameters that each equation holds."""
-        form, model = self.form, self.model
-        rng = np.random.default_rng(0)
-        n, n_states = 8, len(form.graph.state_names)
-        _, regressors = form.evaluate(
-            rng.uniform(0.5, 1.5, (n, n_states)),
-            rng.uniform(0.5, 1.5, (n, n_states)),
-            rng.uniform(0.5, 1.5, (n, form.graph.actuate.size1_out(0))),
-            np.arange(n, dtype=float) + 0.5 * model.step,
-        )
-        return tuple(np.flatnonzero(block.any(axis=0)) for block in regressors.transpose(1, 0, 2))
 
     @property
     def equations(self) -> tuple[str, ...]:
@@ -191,17 +180,20 @@ class EquationStream:
         sample : mapping of str to float
             Measured outputs and commands by name; a missing output is NaN.
         """
-        inputs, outputs = read_sample(
+        now, measured = read_sample(
             self.model,
             time,
             sample,
             after=self._samples[-1][0] if self._samples else None,
             anew="Start a new stream for a new run.",
         )
-        self._samples.append((time, inputs, outputs))
+        self._samples.append((time, now, measured))
         if len(self._samples) <= SPANS[self.rule]:
             return []
-        targets, regressors = self._latest()
+        times, inputs, outputs = (np.array(part) for part in zip(*self._samples, strict=True))
+        states = states_of(self.form, outputs)
+        rows = rows_from(self.form, times, states, inputs, self.rule)
+        targets, regressors = rows[0][-1], rows[1][-1]
         return [
             StreamRow(equation, regressors[i, owners], float(targets[i]))
             for i, (equation, owners) in enumerate(
@@ -209,13 +201,6 @@ class EquationStream:
             )
             if np.isfinite(targets[i]) and np.isfinite(regressors[i, owners]).all()
         ]
-
-    def _latest(self) -> tuple[np.ndarray, np.ndarray]:
-        """Newest row of targets ``(n_equations,)`` and regressors ``(n_equations, n_free)``."""
-        times, inputs, outputs = (np.array(part) for part in zip(*self._samples, strict=True))
-        states = states_of(self.form, outputs)
-        targets, regressors = rows_from(self.form, times, states, inputs, self.rule)
-        return targets[-1], regressors[-1]
 
 
 class KalmanStream:
@@ -264,8 +249,7 @@ class KalmanStream:
 
     def start(self) -> None:
         """Begin a new run: states anew from its first sample, parameters as known by now."""
-        if self.n_samples:
-            self._parameters, self._covariance = self._filter.parameters(self._mean, self._spread)
+        self._parameters, self._covariance = self._known()
         self._last = None
 
     def update(self, time: float, sample: Mapping[str, float]) -> None:
@@ -291,16 +275,12 @@ class KalmanStream:
                 for state, column in measured_columns(self.model).items()
                 if np.isfinite(outputs[column])
             }
-            self._mean, self._spread = self._filter.begin(
-                time, inputs, seen, self._parameters, self._covariance
-            )
+            self._filter.begin(time, inputs, seen, self._parameters, self._covariance)
             times, commands = np.array([time, time + 1.0]), np.array([inputs, inputs])
         else:
             times = np.array([self._last[0], time])
             commands = np.array([self._last[1], inputs])
-        self._mean, self._spread = self._filter.learn(
-            self._mean, self._spread, times, commands, outputs, first=self._last is None
-        )
+        self._filter.learn(times, commands, outputs, first=self._last is None)
         self._last = (time, inputs)
         self.n_samples += 1
 
@@ -319,4 +299,4 @@ class KalmanStream:
     def _known(self) -> tuple[np.ndarray, np.ndarray]:
         if self._last is None:
             return self._parameters, self._covariance
-        return self._filter.parameters(self._mean, self._spread)
+        return self._filter.parameters

@@ -38,13 +38,14 @@ from scipy.fft import idct
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Result
-from oed_sysid.evidence.corrections import clock_findings, corrected_copies, undo, why_not_more
+from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import input_findings
 from oed_sysid.evidence.relations import Relation, relations, spare_signals
 from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogCheck
 from oed_sysid.evidence.screens import marked, screened
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.evidence.words import (
+    clock_findings,
     misfit_finding,
     reading_finding,
     screen_findings,
