@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
 from oed_sysid.baselines.regression import (
     CONVERGED,
     EquationSolution,
@@ -222,8 +222,7 @@ def sample_posterior(
     Geman & Geman (1984), IEEE Trans. PAMI 6; Chen, Deng & Xu (2023), Ship
     Engineering 45(2), for the use on manoeuvring derivatives.
     """
-    if draw not in DRAWS:
-        raise ModelError(f"draw is {draw!r}. Choose one of {', '.join(DRAWS)}.")
+    check_choice("draw", draw, DRAWS)
     n = features.shape[1]
     mean0 = np.zeros(n) if mean is None else np.asarray(mean, dtype=float)
     gram, moment = features.T @ features, features.T @ targets
@@ -236,8 +235,6 @@ def sample_posterior(
     variance = start * np.exp(rng.uniform(-1, 1, n_chains))
     kept = np.empty((n_chains, n_draws, n))
     variances = np.empty((n_chains, n_draws))
-    if conjugate:
-        factor = _Joint(gram + np.diag(precision), moment + precision * mean0)
     for index in range(burn_in + n_draws):
         weight = 1.0 / variance if conjugate else np.ones(n_chains)
         prior = precision * weight[:, None]  # (n_chains, n)
@@ -247,13 +244,14 @@ def sample_posterior(
                 others = c @ gram[j] - c[:, j] * gram[j, j]
                 mu = ((moment[j] - others) / variance + prior[:, j] * mean0[j]) / pi
                 c[:, j] = mu + rng.standard_normal(n_chains) / np.sqrt(pi)
-        elif conjugate:
-            c = factor.draw(variance, rng)
         else:
-            for chain in range(n_chains):
-                inner = gram / variance[chain] + np.diag(precision)
-                right = moment / variance[chain] + precision * mean0
-                c[chain] = _Joint(inner, right).draw(np.ones(1), rng)[0]
+            # All chains at once: mean of the normal distribution, and a draw about it.
+            inner = gram / variance[:, None, None] + prior[:, :, None] * np.eye(n)
+            right = moment / variance[:, None] + prior * mean0
+            upper = np.linalg.cholesky(inner).transpose(0, 2, 1)
+            unit = rng.standard_normal((n_chains, n))
+            c = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
+            c = c + np.linalg.solve(upper, unit[:, :, None])[:, :, 0]
         sse = energy - 2 * c @ moment + np.einsum("ci,ij,cj->c", c, gram, c)
         sse = np.maximum(sse, 1e-14 * energy)
         if conjugate:
@@ -263,20 +261,6 @@ def sample_posterior(
             kept[:, index - burn_in] = c
             variances[:, index - burn_in] = variance
     return Chains(kept, variances)
-
-
-class _Joint:
-    """Draws from a normal distribution with a given precision, up to a variance."""
-
-    def __init__(self, precision: np.ndarray, right: np.ndarray) -> None:
-        self._lower = np.linalg.cholesky(precision)
-        self._mean = np.linalg.solve(precision, right)
-
-    def draw(self, variance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """One draw per variance, shape ``(n, n_coefficients)``."""
-        unit = rng.standard_normal((len(variance), len(self._mean)))
-        moved = np.linalg.solve(self._lower.T, unit.T).T
-        return self._mean + np.sqrt(variance)[:, None] * moved
 
 
 @dataclass(frozen=True)
@@ -317,8 +301,7 @@ class GibbsRegression(RegressionEstimator):
 
     def __post_init__(self) -> None:
         check_rule(self.rule, self.window)
-        if self.draw not in DRAWS:
-            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(DRAWS)}.")
+        check_choice("draw", self.draw, DRAWS)
         if self.n_draws < 100 or self.n_chains < 2 or self.burn_in < 0:
             raise ModelError(
                 f"{self.n_chains} chains of {self.n_draws} draws cannot be judged. Give at least 2 "

@@ -12,7 +12,7 @@ For a record with states ``x``, outputs ``y`` and inputs ``u``
 ``c`` coloured and ``v`` white errors of the sensors (Gelb 1974, *Applied optimal estimation*,
 section 3.8). Waves are forces of second order instead: a :class:`Sea` of some period and width
 acts on several equations, each with a level of its own
-(:mod:`oed_sysid.compiled.filter_pass` has the equations). A :class:`NoiseModel` holds all levels
+(:mod:`oed_sysid.compiled.filtering` has the equations). A :class:`NoiseModel` holds all levels
 and times; white noise alone is its simplest case.
 """
 

@@ -5,7 +5,7 @@ noise of logged inputs and times of their own are admitted one after the other, 
 worth it.
 
 *Is what disturbs a vehicle a sea?* At the estimate with forces of first order, resonators
-(:mod:`oed_sysid.compiled.filter_pass`) are admitted with variance zero in every equation at once.
+(:mod:`oed_sysid.compiled.filtering`) are admitted with variance zero in every equation at once.
 With the score ``s`` and the information ``I`` of everything unknown, resonators last,
 
 .. math:: T = \max_{d \ge 0} (2 s' d - d' I d) - \max_{d_r = 0} (2 s' d - d' I d)

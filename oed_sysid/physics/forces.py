@@ -26,6 +26,7 @@ from oed_sysid.physics.table import (
     Derived,
     derivative_group,
     row,
+    within,
 )
 from oed_sysid.text import notation
 
@@ -483,8 +484,7 @@ def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str
     >>> hidden_lag("tank", "K", "p", unit="N m s/rad").terms
     {'K': 'E_tank*z_tank'}
     """
-    tau = Parameter(f"tau_{name}", time_constant, "s", time_constant / span, time_constant * span,
-                    log=True, description="time constant")
+    tau = within(f"tau_{name}", time_constant, "s", span, "time constant")
     return {"tau": tau, "z": f"z_{name}"}
 
 
@@ -498,8 +498,7 @@ def hidden_oscillator(name: str, axis: str, signal: str, *, unit: str, signal_un
 
     What an anti-roll tank, sloshing or a flexible mast does; frequency and damping are estimated.
     """
-    omega = Parameter(f"omega_{name}", frequency, "rad/s", frequency / span, frequency * span,
-                      log=True, description="natural frequency")
+    omega = within(f"omega_{name}", frequency, "rad/s", span, "natural frequency")
     zeta = Parameter(f"zeta_{name}", damping, "1", 0.02, 2.0, log=True, description="damping ratio")
     return {"omega": omega, "zeta": zeta, "z": f"z_{name}", "rate": f"y_{name}"}
 

@@ -12,8 +12,7 @@ import math
 from collections.abc import Sequence
 
 from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
-from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import Derived, channels, row
+from oed_sysid.physics.table import Derived, channels, row, within
 
 # Rows of a table: laid out to be read as such.
 # fmt: off
@@ -116,8 +115,7 @@ def actuator_start(name: str, signal: str, unit: str = "rad", *, time_constant: 
     Another size in every record; the time constant is estimated.
     """
     size = amplitude(name, unit, scale=scale, per_record=True)
-    tau = Parameter(f"tau_{name}", time_constant, "s", time_constant / span, time_constant * span,
-                    log=True, description="time constant")
+    tau = within(f"tau_{name}", time_constant, "s", span, "time constant")
     return {"E": size, "tau": tau, "fading": f"fading_{name}",
             "memory": (Memory(f"fading_{name}", f"fading_{name}*exp(-h/{tau.name})", "1"),),
             "amplitudes": (size.name,)}
