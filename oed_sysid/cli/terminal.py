@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from oed_sysid.cli import INTERRUPTED
 from oed_sysid.cli.arguments import FORM, QUIET
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
 # A file name that means standard output.
 STANDARD = Path("-")
-# Exit code of a command that Ctrl-C ended.
-INTERRUPTED = 130
 # Promised decrease of the cost below which a fit ends.
 TOLERANCE = 1e-6
 
