@@ -8,7 +8,7 @@ holds 95 % of new measurements (1.96 standard deviations either way).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from html import escape
 from importlib import import_module
@@ -37,7 +37,7 @@ COMMANDED = "#6b737b"
 DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
 # Samples of one line that a browser draws without stutter.
 _MOST = 4000
-_ROW, _EDGES = 150, 90  # px
+_ROW = 150  # px
 
 
 def name_of(channel: Input | Output | State) -> str:
@@ -82,7 +82,7 @@ def signals(
     outputs, inputs = record.channels.outputs, record.channels.inputs
     rows = len(outputs) + len(inputs)
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
-    kept = _kept(record.times)
+    kept = slice(None, None, max(-(-record.times.size // _MOST), 1))  # every n-th of a long one
     for row, channel in enumerate(outputs, start=1):
         turn, column = shown_unit(channel.unit)[0], row - 1
         figure.add_scatter(
@@ -90,11 +90,10 @@ def signals(
             marker={"size": 3, "color": MEASURED}, name="measured", legendgroup="measured",
             showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
-        for index, (name, (said, std)) in enumerate((models or {}).items()):
-            _model(
-                figure, record.times[kept], turn * said[kept, column], turn * std[kept, column],
-                name, index, row,
-            )  # fmt: skip
+        for index, (name, parts) in enumerate((models or {}).items()):
+            mean, std = (turn * part[kept, column] for part in parts)
+            for trace in _traces(record.times[kept], mean, std, name, index):
+                figure.add_trace(trace.update(showlegend=row == 1), row=row, col=1)
     for row, command in enumerate(inputs, start=len(outputs) + 1):
         values = shown_unit(command.unit)[0] * record.inputs[kept, row - rows - 1]
         figure.add_scatter(
@@ -104,8 +103,8 @@ def signals(
             name="commanded", legendgroup="commanded", showlegend=row == len(outputs) + 1,
             row=row, col=1,
         )  # fmt: skip
-    signals: tuple[Input | Output, ...] = (*outputs, *inputs)
-    for row, signal in enumerate(signals, start=1):
+    channels: tuple[Input | Output, ...] = (*outputs, *inputs)
+    for row, signal in enumerate(channels, start=1):
         words = f"{signal.name} [{_unit(signal)}]"
         figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
         if signal.label and signal.label != signal.name:
@@ -114,35 +113,30 @@ def signals(
                 yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
             )  # fmt: skip
     figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
-    return laid_out(figure, max(_ROW * rows, 240) + _EDGES)
+    return laid_out(figure, _ROW * (rows + 1))
 
 
-def _model(
-    figure: go.Figure,
-    times: np.ndarray,
-    mean: np.ndarray,
-    std: np.ndarray,
-    name: str,
-    index: int,
-    row: int,
-) -> None:
-    """A line with its band."""
+def line_of_model(index: int) -> tuple[str, str]:
+    """Colour and dashes of the model at a position in a comparison."""
     look = model_style(index)
-    half = np.where(np.isfinite(std), TWO_SIDED_95 * std, np.nan)
+    return look.colour, DASHES.get(str(look.dashes), "longdash")
+
+
+def _traces(
+    times: np.ndarray, mean: np.ndarray, std: np.ndarray, name: str, index: int
+) -> Iterator[go.Scatter]:
+    """The band of a model, where it is known, and its line."""
+    colour, dash = line_of_model(index)
+    half, words = TWO_SIDED_95 * std, f"95 % ({name})"
     if np.isfinite(half).all():
-        figure.add_scatter(
-            x=np.concatenate([times, times[::-1]]),
-            y=np.concatenate([mean + half, (mean - half)[::-1]]),
-            fill="toself", fillcolor=_faint(look.colour), line={"width": 0}, hoverinfo="skip",
-            name=f"95 % ({name})", legendgroup=f"95 % ({name})", showlegend=row == 1,
-            row=row, col=1,
+        red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        yield go.Scatter(
+            x=[*times, *times[::-1]], y=[*(mean + half), *(mean - half)[::-1]], fill="toself",
+            fillcolor=f"rgba({red},{green},{blue},0.18)", line={"width": 0}, hoverinfo="skip",
+            name=words, legendgroup=words,
         )  # fmt: skip
-    figure.add_scatter(
-        x=times, y=mean, mode="lines", name=name, legendgroup=name, showlegend=row == 1,
-        line={"color": look.colour, "width": 1.8,
-              "dash": DASHES.get(str(look.dashes), "longdash")},
-        row=row, col=1,
-    )  # fmt: skip
+    line = {"color": colour, "width": 1.8, "dash": dash}
+    yield go.Scatter(x=times, y=mean, mode="lines", name=name, legendgroup=name, line=line)
 
 
 def against(
@@ -239,24 +233,11 @@ def _box(located: Located, place: Place, top: float) -> str:
 
 # Shares of the best gain that a place may be behind for the two stronger colours.
 _NEAR = (0.1, 0.5)
+# Stages of the chain, and what they are called.
 _STAGES = {
-    "command": "command",
-    "actuator": "actuator",
-    "flow": "flow",
-    "force": "forces",
-    "kinematics": "kinematics",
-    "sensor": "sensors",
-}
-
-
-def _kept(times: np.ndarray) -> Sequence[int] | slice:
-    """Every n-th sample of a long record."""
-    return slice(None, None, max(-(-times.size // _MOST), 1))
-
-
-def _faint(colour: str) -> str:
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.18)"
+    "command": "command", "actuator": "actuator", "flow": "flow", "force": "forces",
+    "kinematics": "kinematics", "sensor": "sensors",
+}  # fmt: skip
 
 
 def laid_out(figure: go.Figure, height: int) -> go.Figure:
@@ -296,9 +277,10 @@ def tabs_of(outcome: Outcome, train: Dataset | None, key: str) -> Tabs:
     tabs: Tabs = {}
     found, located = outcome.comparison, getattr(outcome.result, "location", None)
     if found is not None:
-        models = {part.label: part.prediction for part in found.models}
         said = "The band holds 95 % of new measurements: uncertain parameters and noise together."
-        rows: dict[str, Any] = {n: (one.outputs, one.std) for n, one in models.items()}
+        rows: dict[str, Any] = {
+            part.label: (part.prediction.outputs, part.prediction.std) for part in found.models
+        }
         tabs["Signals"] = partial(_signals, found.dataset, rows, said, key)
         if any(_replays().can_replay(record) for record in found.dataset):
             tabs["Replay"] = partial(_replay, found, key)
@@ -311,7 +293,9 @@ def tabs_of(outcome: Outcome, train: Dataset | None, key: str) -> Tabs:
         fit = getattr(outcome.result, "base_fit", None)
         train = train if fit is None else fit.dataset
         tabs["Signal chain"] = partial(_chain, located)
-        if located.force_names and train is not None and _same_times(located.forces, train):
+        lengths = [one.times.size for one in located.forces]
+        same = train is not None and lengths == [one.times.size for one in train]
+        if located.force_names and train is not None and same:
             tabs["Residual force"] = partial(_force, located, train, fit, key)
     return tabs
 
@@ -389,24 +373,18 @@ def _axes(
     """Signals at all times of all records: states of the fit, commands, measurements."""
     found: dict[str, tuple[Input | Output | State, np.ndarray]] = {}
 
-    def add(kind: str, channels: Sequence[Input | Output | State], rows: Sequence[Any]) -> None:
+    kinds: list[tuple[str, Sequence[Input | Output | State], Sequence[Any]]] = [
+        ("command", dataset.channels.inputs, [record.inputs for record in dataset]),
+        ("measured", dataset.channels.outputs, [record.outputs for record in dataset]),
+    ]
+    if fit is not None and [*map(len, fit.states)] == [record.times.size for record in dataset]:
+        kinds.insert(0, ("state", fit.model.states, fit.states))
+    for kind, channels, rows in kinds:
         for column, channel in enumerate(channels):
             values = np.concatenate([one[:, column] for one in rows])
             if np.isfinite(values).any():
                 found[f"{name_of(channel)}, {kind}"] = channel, values
-
-    if fit is not None and all(
-        len(one) == record.times.size for one, record in zip(fit.states, dataset, strict=False)
-    ):
-        add("state", fit.model.states, fit.states)
-    add("command", dataset.channels.inputs, [record.inputs for record in dataset])
-    add("measured", dataset.channels.outputs, [record.outputs for record in dataset])
     return found
-
-
-def _same_times(forces: Sequence[Any], dataset: Dataset) -> bool:
-    """Whether residual forces stand at the times of the records."""
-    return [one.times.size for one in forces] == [record.times.size for record in dataset]
 
 
 def look_at(dataset: Dataset, key: str) -> None:

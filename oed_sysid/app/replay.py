@@ -19,14 +19,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
-from oed_sysid.app.charts import DASHES, MEASURED, laid_out, name_of
+from oed_sysid.app.charts import MEASURED, laid_out, line_of_model, name_of
 from oed_sysid.data.dataset import Record
-from oed_sysid.results.style import model_style
 
 # A track: outputs on the upward and on the rightward axis, the first pair that is measured.
 TRACKS = (("x", "y"), ("north", "east"), ("x0", "y0"), ("z", "x"))
@@ -36,14 +36,7 @@ ANGLES: Mapping[str, tuple[tuple[str, ...], str]] = {
     "theta": (("theta", "pitch"), "pitch"),
     "psi": (("psi", "heading", "yaw"), "heading"),
 }
-_BOW, _STERN, _BEAM, _KEEL, _MAST = 0.5, -0.45, 0.11, 0.12, -0.3
-# Lines of a hull in body axes (forward, starboard, down), in hull lengths; NaN lifts the pen.
-HULL = np.array([
-    (_BOW, 0.0, 0.0), (0.25, _BEAM, 0.0), (_STERN, _BEAM, 0.0), (_STERN, -_BEAM, 0.0),
-    (0.25, -_BEAM, 0.0), (_BOW, 0.0, 0.0), (0.3, 0.0, _KEEL), (_STERN, 0.0, _KEEL),
-    (_STERN, _BEAM, 0.0), (np.nan, np.nan, np.nan), (_STERN, -_BEAM, 0.0), (_STERN, 0.0, _KEEL),
-    (np.nan, np.nan, np.nan), (0.0, 0.0, 0.0), (0.0, 0.0, _MAST),
-])  # fmt: skip
+HULL = np.loadtxt(Path(__file__).with_name("hull.csv"), delimiter=",")
 
 
 def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
@@ -88,14 +81,10 @@ def angles_of(record: Record) -> dict[str, str]:
     >>> angles_of(Record("a", np.arange(5.0), [], np.zeros((5, 2)), channels))
     {'theta': 'pitch'}
     """
-    names = record.channels.output_names
-    found = {}
-    for angle, (spellings, _) in ANGLES.items():
-        for name in spellings:
-            if name in names and np.isfinite(record.output(name)).any():
-                found[angle] = name
-                break
-    return found
+    measured = {*record.channels.output_names} - {*record.missing_outputs}
+    found = {angle: next(filter(measured.__contains__, names), "")
+             for angle, (names, _) in ANGLES.items()}  # fmt: skip
+    return {angle: name for angle, name in found.items() if name}
 
 
 def can_replay(record: Record) -> bool:
@@ -160,7 +149,10 @@ def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -
     axes, turned = track_axes(record), bool(angles_of(record))
     kinds = ([{"type": "xy"}] if axes else []) + ([{"type": "scene"}] if turned else [])
     figure = make_subplots(1, len(kinds), specs=[kinds], horizontal_spacing=0.04)
-    paths = list(_paths(record, models))
+    paths = [_Path("measured", record, record.outputs, MEASURED, "solid")]
+    for number, (name, rows) in enumerate(models.items()):
+        colour, dash = line_of_model(number)
+        paths.append(_Path(name, record, np.asarray(rows), colour, dash))
     if axes:
         for path in paths:
             x, y = (path.rows[:, record.channels.output_names.index(one)] for one in axes[::-1])
@@ -177,12 +169,11 @@ def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -
     figure.frames = [
         go.Frame(
             data=[trace for trace, _ in _vehicles(paths, axes, turned, float(moment))],
-            traces=moved,
-            name=f"{moment:.1f}",
+            traces=moved, name=f"{moment:.1f}",
             layout={"annotations": _words(paths, float(moment), axes) if turned else []},
         )
         for moment in moments
-    ]
+    ]  # fmt: skip
     if turned:
         figure.update_layout(annotations=_words(paths, float(moments[0]), axes))
         _scene(figure)
@@ -193,14 +184,6 @@ def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -
     return figure
 
 
-def _paths(record: Record, models: Mapping[str, np.ndarray]) -> Iterator[_Path]:
-    yield _Path("measured", record, record.outputs, MEASURED, "solid")
-    for number, (name, rows) in enumerate(models.items()):
-        look = model_style(number)
-        dash = DASHES.get(str(look.dashes), "longdash")
-        yield _Path(name, record, np.asarray(rows), look.colour, dash)
-
-
 def _vehicles(
     paths: list[_Path], axes: tuple[str, str] | None, turned: bool, moment: float
 ) -> Iterator[tuple[go.Scatter | go.Scatter3d, int]]:
@@ -208,30 +191,24 @@ def _vehicles(
     for path in paths:
         attitude = path.attitude(moment)
         if axes:
+            # The arrow shows the heading, or in a vertical plane the pitch.
             vertical = axes[0] == "z"
             angle = attitude.get("theta" if vertical else "psi")
             points = 0.0 if angle is None else float(np.degrees(angle))
-            yield (
-                go.Scatter(
-                    x=[path.at(moment, axes[1])], y=[path.at(moment, axes[0])], mode="markers",
-                    showlegend=False, hoverinfo="skip", legendgroup=path.name,
-                    marker={"size": 16, "symbol": "circle" if angle is None else "arrow",
-                            "angle": 90.0 - points if vertical and angle is not None else points,
-                            "color": path.colour},
-                ),
-                1,
-            )  # fmt: skip
+            if vertical and angle is not None:
+                points = 90.0 - points
+            look = {"size": 16, "symbol": "circle" if angle is None else "arrow",
+                    "angle": points, "color": path.colour}  # fmt: skip
+            x, y = ([path.at(moment, name)] for name in axes[::-1])
+            yield go.Scatter(x=x, y=y, mode="markers", showlegend=False, hoverinfo="skip",
+                             legendgroup=path.name, marker=look), 1  # fmt: skip
         if turned:
             north, east, down = rotation(*(attitude.get(name, 0.0) for name in ANGLES)) @ HULL.T
-            yield (
-                go.Scatter3d(
-                    x=east, y=north, z=-down, mode="lines", name=path.name,
-                    legendgroup=path.name, showlegend=axes is None, hoverinfo="skip",
-                    line={"color": path.colour, "width": 6,
-                          "dash": path.dash if path.dash in ("solid", "dash", "dot") else "dash"},
-                ),
-                2 if axes else 1,
-            )  # fmt: skip
+            dash = path.dash if path.dash in ("solid", "dash", "dot") else "dash"
+            line = {"color": path.colour, "width": 6, "dash": dash}
+            yield go.Scatter3d(x=east, y=north, z=-down, mode="lines", name=path.name, line=line,
+                               legendgroup=path.name, showlegend=axes is None,
+                               hoverinfo="skip"), 2 if axes else 1  # fmt: skip
 
 
 def _words(paths: list[_Path], moment: float, axes: tuple[str, str] | None) -> list[dict]:
