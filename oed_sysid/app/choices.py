@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import streamlit as st
@@ -110,14 +111,11 @@ def study() -> Study:
     origin = chosen("origin", source, variant) or first_origin(source, problem)
     held = stock(source, variant, origin)
     learn, judge = selection(source, variant, origin, held.names)
-    return Study(
-        source,
-        variant,
-        problem,
-        _subset(held.records, learn),
-        _subset(held.records, judge),
-        bool(chosen("known_noise", source)),
+    train, test = (
+        Dataset(tuple(held.records[name] for name in names)) if held.records and names else None
+        for names in (learn, judge)
     )
+    return Study(source, variant, problem, train, test, bool(chosen("known_noise", source)))
 
 
 def selection(
@@ -158,12 +156,6 @@ def open_measured(source: str) -> None:
     st.session_state[kept("origin", source, DEFAULT_MODEL)] = WITH_PROBLEM
 
 
-def _subset(records: Dataset | None, names: tuple[str, ...]) -> Dataset | None:
-    if records is None or not names:
-        return None
-    return Dataset(tuple(records[name] for name in names))
-
-
 def _stamp(source: str) -> float:
     """Time of the last change of a folder's Python files; zero for a shipped problem."""
     folder = folder_of(source)
@@ -194,20 +186,12 @@ def _mapped(source: str, problem: Problem) -> Stock:
     if not opened.logs:
         return Stock(None, dict(opened.refused))
     made = mapping.asked(source, problem)
-    return _imported(
-        source, visit.edition(), mapping.time_column(source), made.text(), made, problem
-    )
+    asked = (visit.edition(), mapping.time_column(source), made.text())
+    return _imported(source, asked, made, problem)
 
 
 @st.cache_resource(show_spinner="Making records", max_entries=10)
-def _imported(
-    source: str,
-    edition: str,
-    time: tuple[str, str] | None,
-    text: str,
-    _made: LogMapping,
-    _problem: Problem,
-) -> Stock:
+def _imported(source: str, asked: tuple[Any, ...], _made: LogMapping, _problem: Problem) -> Stock:
     return Stock(*mapping.imported(mapping.opened_logs(source), _made, _problem.channels))
 
 
@@ -215,9 +199,7 @@ def _imported(
 def _uploaded(source: str, variant: str, stamp: float, edition: str) -> Stock:
     files: dict[str, bytes] = st.session_state.get(visit.FILES + source, {})
     check_uploads(files)
-    return (
-        Stock(*read_uploads(_loaded(source, variant, stamp), files)) if files else Stock(None, {})
-    )
+    return Stock(*read_uploads(_loaded(source, variant, stamp), files))
 
 
 @st.cache_resource(show_spinner="Reading the records", max_entries=10)

@@ -145,10 +145,8 @@ class Job:
                 f"The work ended without a result (exit code {code}). It was ended from outside, "
                 "or the memory did not suffice: take fewer or shorter records, or try again."
             )
-        elif said.failure:
-            self.fail(said.failure)
-        elif (result := fetch()) is None:
-            self.fail("The result could not be read back. Try again.")
+        elif said.failure or (result := fetch()) is None:
+            self.fail(said.failure or "The result could not be read back. Try again.")
         else:
             self.result = result
             self.end("done")
@@ -201,14 +199,11 @@ class Desk:
         request : Request
             The work.
         """
-        found = self.find(owner, key)
-        if found is not None and found.state in ("running", "done"):
+        if (found := self.find(owner, key)) is not None and found.state in ("running", "done"):
             return found
         with self._lock:
             job = self._hold(owner, key, Job())
-        threading.Thread(
-            target=self._run, args=(job, key, request), daemon=True, name="oed_sysid job"
-        ).start()
+        threading.Thread(target=self._run, args=(job, key, request), daemon=True).start()
         return job
 
     def wait(self) -> None:

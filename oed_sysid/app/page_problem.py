@@ -14,7 +14,7 @@ import streamlit as st
 from oed_sysid.app import choices, mapping, visit
 from oed_sysid.app.charts import look_at
 from oed_sysid.app.mapping import NothingMappedError, headers, plain_name
-from oed_sysid.app.panels import message, part
+from oed_sysid.app.panels import message, part, tabs
 from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
 from oed_sysid.cli.study import DEFAULT_MODEL
 from oed_sysid.data.csv_columns import TIME_NAMES
@@ -59,7 +59,7 @@ def show() -> None:
         st.write(problem.description)
     lines = tuple(run.describe() for run in problem.experiments.values())
     units = ("Amplitudes without a unit are in SI units; angles then in radians.",) if lines else ()
-    tabs: dict[str, Callable[[], object]] = {
+    parts: dict[str, Callable[[], object]] = {
         "Records": partial(_records, problem, source, variant),
         "Equations": partial(st.code, problem.model.equations(), language=None, wrap_lines=True),
         "Parameters": partial(part, Section("", tables=(parameter_table(problem.model),))),
@@ -67,9 +67,7 @@ def show() -> None:
         "Experiments": partial(part, Section("", (*lines, *units) or ("None.",))),
         "Sources": partial(part, Section("", problem.references or ("None stated.",))),
     }
-    for tab, draw in zip(st.tabs(list(tabs)), tabs.values(), strict=True):
-        with tab:
-            draw()
+    tabs(list(parts.items()))
     with st.expander("The same on the command line"):
         model = "" if variant == DEFAULT_MODEL else f" --model {variant}"
         st.code(f"oed-sysid problems {shlex.quote(source)}{model}", language="bash")

@@ -35,13 +35,14 @@ def check(study: Study) -> None:
     outcome = result_of(study, "check", {}, "Check", unasked=True)
     if outcome is not None and outcome.result.suspect:
         st.error(outcome.result.verdict, icon=":material/warning:")
-        download(
-            "Corrected copies (ZIP)",
-            lambda: zipped(lambda place: [*Corrected(place).write(outcome, study, Shown())]),
-            "corrected.zip",
-        )
+        _files("Corrected copies (ZIP)", Corrected, outcome, study, "corrected.zip")
         if reason := why_not_more(outcome.result):
             st.warning(f"Not corrected: {reason}.")
+
+
+def _files(label: str, kind: Any, outcome: Outcome, study: Study, file: str) -> None:
+    """Offer the files that the command writes into a folder."""
+    download(label, lambda: zipped(lambda to: [*kind(to).write(outcome, study, Shown())]), file)
 
 
 def fit(study: Study) -> None:
@@ -65,17 +66,14 @@ def improve(study: Study) -> None:
     """Find the missing effects, or keep a choice of them."""
     study.training()
     if study.test is None:
-        kept = prepared(study.training(), None, enough=sys.maxsize).notes
-        st.warning(
-            kept[0]
-            if kept
-            else "There is no validation record, so what is found cannot be tested. Choose one on "
+        none = (
+            "There is no validation record, so what is found cannot be tested. Choose one on "
             "the page Problem."
         )
+        st.warning([*prepared(study.training(), None, enough=sys.maxsize).notes, none][0])
     most = int(ask("improve", study, "max_effects", place=st.columns(3)[0], max_value=6))
-    outcome = result_of(
-        study, "improve", {"max_effects": most}, "Find what is missing", lead=2
-    )  # fmt: skip
+    options = {"max_effects": most}
+    outcome = result_of(study, "improve", options, "Find what is missing", lead=2)
     if outcome is not None:
         _tell_apart(study, outcome.result)
         if study.test is not None:
@@ -103,13 +101,12 @@ def _view(name: str, *options: str) -> str:
 def _tell_apart(study: Study, found: Improvement) -> None:
     """Lead from effects that cannot be told apart to the trial that tells them apart."""
     known = {effect.name for effect in study.effects}
+    key = visit.kept(study.source, study.variant, "design", "discriminate")
     for step in found.steps:
         group = [name for name in step.group if name in known]
         words = f"Design the trial that tells {' and '.join(group)} apart"
         if len(group) > 1 and st.button(words, key=f"apart:{step.added}"):
-            key = visit.kept(study.source, study.variant, "design", "discriminate")
-            st.session_state[key] = group
-            st.session_state[visit.kept("plan")] = "Design"
+            st.session_state.update({key: group, visit.kept("plan"): "Design"})
             st.switch_page(st.session_state["pages"]["Plan the next trial"])
 
 
@@ -175,13 +172,13 @@ def _rank(study: Study) -> None:
     if not picked:
         st.caption("Choose a planned experiment, or the training records.")
         return
-    if _RECORDS in picked and len(picked) > 1:
-        raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
-    if _RECORDS in picked:
-        result_of(study, "rank", {}, "Rank")
-        return
     runs = tuple(name for name in names if name in picked)
-    result_of(study.without_records(), "rank", {"experiment": runs}, "Rank")
+    if _RECORDS not in picked:
+        result_of(study.without_records(), "rank", {"experiment": runs}, "Rank")
+    elif runs:
+        raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
+    else:
+        result_of(study, "rank", {}, "Rank")
 
 
 def _ask_all(task: str, study: Study, names: str, offers: dict[str, Any]) -> dict[str, Any]:
@@ -244,11 +241,7 @@ def _programme(study: Study) -> None:
     options["runs"] = options["runs"] or 4
     outcome = _planned(study, "programme", options, "Plan the runs")
     if outcome is not None:
-        download(
-            "Commands of all runs (ZIP)",
-            lambda: zipped(lambda place: [*Tables(place).write(outcome, study, Shown())]),
-            "runs.zip",
-        )
+        _files("Commands of all runs (ZIP)", Tables, outcome, study, "runs.zip")
 
 
 def risk(design: Any) -> str:

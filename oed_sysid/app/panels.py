@@ -206,21 +206,20 @@ def show(page: Report, pictures: Pictures, *, lead: int = 0) -> None:
     """
     st.caption(page.subtitle)
     st.html(f'<div class="oed">{page.summary_html()}</div>')
-    parts: list[tuple[str, Callable[[], None]]] = [
-        (section.title, partial(_beneath, page, section)) for section in page.sections
-    ]
+    parts: list[tuple[str, Callable[[], None]]] = []
+    for section in page.sections:  # what stands above the tabs need not be said again
+        words = tuple(text for text in section.paragraphs if text not in page.first)
+        parts.append((section.title, partial(part, replace(section, paragraphs=words))))
     parts[lead:lead] = pictures.items()
-    if not parts:
-        return
-    for tab, (_, draw) in zip(st.tabs([title for title, _ in parts]), parts, strict=True):
+    tabs(parts)
+
+
+def tabs(parts: Sequence[tuple[str, Callable[[], object]]]) -> None:
+    """Draw parts in tabs, by their titles."""
+    made = st.tabs([title for title, _ in parts]) if parts else ()
+    for tab, (_, draw) in zip(made, parts, strict=True):
         with tab:
             draw()
-
-
-def _beneath(page: Report, section: Section) -> None:
-    """Show a section; what stands above the tabs need not be said again."""
-    words = tuple(text for text in section.paragraphs if text not in page.first)
-    part(replace(section, paragraphs=words))
 
 
 def part(section: Section) -> None:

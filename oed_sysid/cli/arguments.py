@@ -9,14 +9,15 @@ and, where a trial is planned, the limits of the problem that is named: ``--max-
 from __future__ import annotations
 
 import inspect
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 import typer.main
 from typer.core import TyperCommand
 
-from oed_sysid.cli.options import declared, row_of
+import oed_sysid
+from oed_sysid.cli.options import declared, row_of, signed
 from oed_sysid.cli.study import Option
 
 # Older words that are still understood: for an option, or for the files after the problem.
@@ -92,8 +93,7 @@ class Command(TyperCommand):
         reads = any(param.name in ("files", "validate") for param in self.params)
         told = any(param.name == "html_file" for param in self.params)
         self._shared = (*(_OF_RECORDS if reads else ()), *(_OF_TABLES if told else ()), *_EVERY)
-        made = declared(lambda **_: None, "", self._shared)
-        self.params = [*self.params, *_parameters(inspect.signature(made))]
+        self.params = [*self.params, *_parameters(declared(lambda **_: None, "", self._shared))]
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Options of the command, and limits of the problem that its line names."""
@@ -152,18 +152,15 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
 
     None if the line names no problem that can be loaded: the command says why.
     """
-    from oed_sysid.errors import OedSysidError
-
     named = _value_of("--problem", args)
     named = named or next((word for word in args if not word.startswith("-")), None)
     if named is None:
         return [], {}
     from oed_sysid.cli.limit_words import limit_words
-    from oed_sysid.experiments.problem import load_problem
 
     try:
-        problem = load_problem(named, variant=_value_of("--model", args))
-    except OedSysidError:
+        problem = oed_sysid.load_problem(named, variant=_value_of("--model", args))
+    except oed_sysid.OedSysidError:
         return [], {}
     panel = f"Limits of {problem.name}: angles in degrees, the rest in SI units"
     offered: list[inspect.Parameter] = []
@@ -174,18 +171,15 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
             if written in taken:
                 continue
             option = typer.Option(
-                written,
-                metavar="VALUE" if side else "LOW:HIGH",
-                help=says,
+                written, metavar="VALUE" if side else "LOW:HIGH", help=says, show_default=False,
                 hidden=word != words[0],  # of several words for one channel the first is shown
-                show_default=False,
                 rich_help_panel=panel,
-            )
+            )  # fmt: skip
             name, kind = f"limit_{len(offered)}", Annotated[str | None, option]
             meant[name] = f"{side}:{word}" if side else word
             keyword = inspect.Parameter.KEYWORD_ONLY
             offered.append(inspect.Parameter(name, keyword, default=None, annotation=kind))
-    return _parameters(inspect.Signature(offered)), meant
+    return _parameters(signed(lambda **_: None, offered)), meant
 
 
 def _value_of(option: str, args: Sequence[str]) -> str | None:
@@ -198,14 +192,8 @@ def _value_of(option: str, args: Sequence[str]) -> str | None:
     return None
 
 
-def _parameters(signature: inspect.Signature) -> list[Any]:
+def _parameters(command: Callable[..., None]) -> list[Any]:
     """Parameters of a command, as typer makes them of a signature."""
-
-    def command(**_: Any) -> None:
-        pass
-
-    command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__annotations__ = {n: one.annotation for n, one in signature.parameters.items()}
     app = typer.Typer(add_completion=False, rich_markup_mode="rich")
     app.command()(command)
     return list(typer.main.get_command(app).params)
