@@ -147,31 +147,29 @@ def _work(
     job = desk.find(name, key)
     if job is None and unasked:
         job = desk.ask(name, key, request)
+    asked = visit.asked()
     if job is not None and (job.at_work or unasked):
-        visit.note(key, about)
+        asked[key] = about
     if job is not None and job.at_work:
         _progress(job)
         return None
-    if job is not None and job.state == "done" and key in visit.asked():
-        visit.note(key, about)
+    if job is not None and job.state == "done" and key in asked:
+        asked[key] = about
         outcome: Outcome = job.result
         return outcome
-    _say_ended(job, asked=key in visit.asked())
+    state = job.state if job is not None else "lost" if key in asked else ""
+    says: dict[str, tuple[Callable[[str], object], str]] = {
+        "lost": (st.caption, "This was asked for, but the program ended before it was done."),
+        "failed": (message, getattr(job, "failure", "")),
+        "stopped": (st.info, "Stopped. Press again to begin anew."),
+    }
+    if state in says:
+        says[state][0](says[state][1])
     if st.button(button, type="primary", key=f"ask:{about.file}"):
-        visit.note(key, about)
+        asked[key] = about
         desk.ask(name, key, request)
         st.rerun()
     return None
-
-
-def _say_ended(job: Job | None, *, asked: bool) -> None:
-    """Say how work ended that has no result."""
-    if job is None and asked:
-        st.caption("This was asked for, but the program ended before it was done.")
-    elif job is not None and job.state == "failed":
-        message(job.failure)
-    elif job is not None and job.state == "stopped":
-        st.info("Stopped. Press again to begin anew.")
 
 
 @st.fragment(run_every=_POLL)

@@ -315,11 +315,6 @@ def asked() -> dict[str, Asked]:
     return found
 
 
-def note(key: str, about: Asked) -> None:
-    """Remember that work was asked for."""
-    asked()[key] = about
-
-
 def kept(*names: str) -> str:
     """Key of a widget whose value outlives its page."""
     key = KEEP + ":".join(names)
