@@ -433,24 +433,30 @@ def _vehicles(
     for path in paths:
         attitude = path.attitude(moment)
         if axes:
-            # The arrow shows the heading, or in a vertical plane the pitch.
-            vertical = axes[0] == "z"
-            angle = attitude.get("theta" if vertical else "psi")
-            points = 0.0 if angle is None else float(np.degrees(angle))
-            if vertical and angle is not None:
-                points = 90.0 - points
-            look = {"size": 16, "symbol": "circle" if angle is None else "arrow",
-                    "angle": points, "color": path.colour}  # fmt: skip
-            x, y = ([path.at(moment, name)] for name in axes[::-1])
-            yield go.Scatter(x=x, y=y, mode="markers", showlegend=False, hoverinfo="skip",
-                             legendgroup=path.name, marker=look), 1  # fmt: skip
+            yield _mark(path, attitude, axes, moment), 1
         if turned:
             north, east, down = rotation(*(attitude.get(name, 0.0) for name in ANGLES)) @ HULL.T
             dash = path.dash if path.dash in ("solid", "dash", "dot") else "dash"
             line = {"color": path.colour, "width": 6, "dash": dash}
-            yield go.Scatter3d(x=east, y=north, z=-down, mode="lines", name=path.name, line=line,
-                               legendgroup=path.name, showlegend=axes is None,
-                               hoverinfo="skip"), 2 if axes else 1  # fmt: skip
+            hull = go.Scatter3d(x=east, y=north, z=-down, mode="lines", name=path.name, line=line,
+                                legendgroup=path.name, showlegend=axes is None,
+                                hoverinfo="skip")  # fmt: skip
+            yield hull, 2 if axes else 1
+
+
+def _mark(
+    path: _Path, attitude: Mapping[str, float], axes: tuple[str, str], moment: float
+) -> go.Scatter:
+    """A vehicle on its track: an arrow along its heading or, in a vertical plane, its pitch."""
+    vertical = axes[0] == "z"
+    angle = attitude.get("theta" if vertical else "psi")
+    look = {"size": 16, "symbol": "circle", "color": path.colour}
+    if angle is not None:
+        points = float(np.degrees(angle))
+        look |= {"symbol": "arrow", "angle": 90.0 - points if vertical else points}
+    x, y = ([path.at(moment, name)] for name in axes[::-1])
+    return go.Scatter(x=x, y=y, mode="markers", showlegend=False, hoverinfo="skip",
+                      legendgroup=path.name, marker=look)  # fmt: skip
 
 
 def _words(paths: list[_Path], moment: float, axes: tuple[str, str] | None) -> list[dict]:
@@ -536,29 +542,32 @@ def tabs_of(outcome: Outcome, train: Dataset | None, key: str) -> Tabs:
     key : str
         Of the widgets.
     """
-    tabs: Tabs = {}
     found, located = outcome.comparison, getattr(outcome.result, "location", None)
+    tabs: Tabs = {}
     if found is not None:
         said = "The band holds 95 % of new measurements: uncertain parameters and noise together."
         rows: dict[str, Any] = {
             part.label: (part.prediction.outputs, part.prediction.std) for part in found.models
         }
         tabs["Signals"] = partial(_signals, found.dataset, rows, said, key)
-        if any(can_replay(record) for record in found.dataset):
+        if any(map(can_replay, found.dataset)):
             tabs["Replay"] = partial(_replay, found, key)
     elif isinstance(fit := outcome.result, Fit):
         bands = [np.broadcast_to(fit.sigma, said.shape) for said in fit.predictions]
-        rows = {"nominal": (fit.predictions, bands)}
         said = "The band holds 95 % of the noise."
+        rows = {"nominal": (fit.predictions, bands)}
         tabs["Signals"] = partial(_signals, fit.dataset, rows, said, key)
-    if located is not None:
-        fit = getattr(outcome.result, "base_fit", None)
-        train = train if fit is None else fit.dataset
-        tabs["Signal chain"] = partial(_chain, located)
-        lengths = [one.times.size for one in located.forces]
-        same = train is not None and lengths == [one.times.size for one in train]
-        if located.force_names and train is not None and same:
-            tabs["Residual force"] = partial(_force, located, train, fit, key)
+    return tabs if located is None else tabs | _located(outcome.result, located, train, key)
+
+
+def _located(result: Any, located: Located, train: Dataset | None, key: str) -> Tabs:
+    """Tabs on where a model fails."""
+    tabs: Tabs = {"Signal chain": partial(_chain, located)}
+    fit = getattr(result, "base_fit", None)
+    records = train if fit is None else fit.dataset
+    lengths = [one.times.size for one in located.forces]
+    if located.force_names and records and lengths == [one.times.size for one in records]:
+        tabs["Residual force"] = partial(_force, located, records, fit, key)
     return tabs
 
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -124,24 +124,27 @@ def selection(
     """Names of the training and the validation records; those that exist."""
     guess = likely_test(names)
     defaults = {"train": [n for n in names if n not in guess], "test": list(guess)}
-    found = []
-    for part, default in defaults.items():
-        key = kept(part, source, variant, origin)
-        # A new file joins the training or the validation records, by its name.
-        known = set(st.session_state.get(visit.SEEN + key, ()))
-        picked = st.session_state.get(key, [])
-        now = [n for n in names if (n in picked if n in known else n in default)]
-        st.session_state[visit.SEEN + key] = list(names)
-        if now != picked or key not in st.session_state:
-            st.session_state[key] = now
-        found.append(tuple(now))
-    learn, judge = found
+    learn, judge = (
+        _picked(kept(part, source, variant, origin), names, default)
+        for part, default in defaults.items()
+    )
     if both := [name for name in learn if name in judge]:
         raise DataError(
             f"{', '.join(both)} is chosen for training and for validation. An error on records "
             "that a model was fitted to proves nothing: take it out on one side."
         )
     return learn, judge
+
+
+def _picked(key: str, names: tuple[str, ...], default: Sequence[str]) -> tuple[str, ...]:
+    """What is picked of records; a new file joins by its name."""
+    known = set(st.session_state.get(visit.SEEN + key, ()))
+    picked = st.session_state.get(key, [])
+    now = [n for n in names if (n in picked if n in known else n in default)]
+    st.session_state[visit.SEEN + key] = list(names)
+    if now != picked or key not in st.session_state:
+        st.session_state[key] = now
+    return tuple(now)
 
 
 def measured() -> tuple[str, ...]:

@@ -196,9 +196,8 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         st.info(str(error))
         return
     said = mapping.opened_logs(source).refused if origin == choices.MAPPED else {}
-    for name, refusal in stock.refused.items():
-        if said.get(name) != refusal:
-            message(f"**{name}** was refused. {refusal}")
+    for name in sorted(stock.refused.keys() - said.keys()):
+        message(f"**{name}** was refused. {stock.refused[name]}")
     if stock.refused and origin == choices.UPLOADED:
         st.caption(f"*{choices.MAPPED}* takes files with other names of columns, units and signs.")
     if stock.notes:

@@ -42,14 +42,7 @@ def problems(
     [bold]Example[/bold]: oed-sysid problems remus_diving_plane
     """
     if problem is not None:
-        chosen = oed_sysid.load_problem(problem, variant=model)
-        equations = chosen.model.equations().splitlines()
-        runs = [run.describe() for run in chosen.experiments.values()] or ["none"]
-        _answer(chosen.describe())
-        for title, lines in (("Equations of motion", equations), ("Experiments", runs)):
-            say("\n".join([f"\n{title}", *(f"  {line}" for line in lines)]))
-        notes = {"notes": list(chosen.notes())} if chosen.notes() else {}
-        store({**_summary(chosen), "equations": equations, **notes}, json_file)
+        store(_described(oed_sysid.load_problem(problem, variant=model)), json_file)
         return
     found = []
     for name in oed_sysid.list_problems():
@@ -65,6 +58,17 @@ def problems(
         headers = ("problem", "parameters", "candidates", "title")
         say("\n".join(Table(headers, rows, words=(3,)).lines()))
     store({"problems": [_summary(one) for one in found]}, json_file)
+
+
+def _described(problem: Problem) -> dict[str, object]:
+    """Describe a problem, and return the facts."""
+    equations = problem.model.equations().splitlines()
+    runs = [run.describe() for run in problem.experiments.values()] or ["none"]
+    _answer(problem.describe())
+    for title, lines in (("Equations of motion", equations), ("Experiments", runs)):
+        say("\n".join([f"\n{title}", *(f"  {line}" for line in lines)]))
+    notes = {"notes": list(problem.notes())} if problem.notes() else {}
+    return {**_summary(problem), "equations": equations, **notes}
 
 
 def _answer(text: str) -> None:
