@@ -7,7 +7,7 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -23,6 +23,7 @@ from oed_sysid.runtime.display import Figure, Table, counted
 from oed_sysid.runtime.files import check_place, make_folder
 
 if TYPE_CHECKING:
+    from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.logs import Imported, Log, LogMapping
     from oed_sysid.design import Candidate
@@ -124,7 +125,7 @@ def simulate(
 
     chosen = oed_sysid.load_problem(problem, variant=model)
     simulated = chosen.true_model() if truth else chosen.model
-    wanted = patterns_of(chosen, experiment or [])
+    wanted = patterns_of(chosen, experiment)
     files = _files(wanted, out)
     for file in files:
         check_place(file)
@@ -343,26 +344,21 @@ def watch(
 
     [bold]Example[/bold]: oed-sysid watch remus_diving_plane --source dive_1.csv --silence 0.5
     """
-    from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.data.live import Place, samples
 
     study = Study.named(problem, model)
-    if not study.problem.experiments and None in (duration, period):
-        raise DesignError("The problem has no experiment. Give --duration and --period.")
-    run = next(iter(study.problem.experiments.values()), None)
-    length = duration or float(getattr(run, "duration", None) or 0.0)
-    step = period or float(getattr(run, "sample_time", 1.0))
-    stream = FourierStream(
-        study.problem.model, duration=length, period=step,
+    stream = _stream(
+        study.problem, duration, period,
         band=band_of("--band", band) if band else None,
         without=(band_of("--waves", waves),) if waves else (),
     )  # fmt: skip
     pairs = (text.partition("=") for text in places or ())
     found = {name: Place.of(place) for name, _, place in pairs}
     channels, told = study.problem.model.channels, -float("inf")
+    step, pause = stream.period, max(0.05 * stream.duration, stream.period)
     for time, sample in samples(source, channels, places=found, period=step, silence=silence):
         stream.push(time, sample)
-        if time - told >= max(0.05 * length, step) and stream.n_samples > 2:
+        if time - told >= pause and stream.n_samples > 2:
             told = time
             note(f"{time:6.0f} s  {stream.advice(goal / 100)}")
             _live_page(stream.document(title=study.problem.title, goal=goal / 100), html_file)
@@ -372,6 +368,20 @@ def watch(
     _live_page(document, html_file, over=True)
     answer(document.answer, document.text())
     store(stream.to_dict(), json_file)
+
+
+def _stream(
+    problem: Problem, duration: float | None, period: float | None, **bands: Any
+) -> FourierStream:
+    """The estimator of a run that lasts as long as an experiment of the problem, if none says."""
+    from oed_sysid.baselines.fourier import FourierStream
+
+    run = next(iter(problem.experiments.values()), None)
+    if run is None and None in (duration, period):
+        raise DesignError("The problem has no experiment. Give --duration and --period.")
+    length = duration or float(getattr(run, "duration", None) or 0.0)
+    step = period or float(getattr(run, "sample_time", 1.0))
+    return FourierStream(problem.model, duration=length, period=step, **bands)
 
 
 def _live_page(document: Report, path: Path | None, *, over: bool = False) -> None:
@@ -424,9 +434,7 @@ def campaign(
     else:
         study = Study.named(problem, model)
         with progress("Making candidate runs") as show:
-            runs = _candidates(
-                study.problem, patterns or [], bounds, weather, turnaround, seed, show
-            )
+            runs = _candidates(study.problem, patterns, bounds, weather, turnaround, seed, show)
             journal = Logbook.begin(
                 folder, study.problem.model, problem=problem, variant=model, candidates=runs,
                 goals={n: v / 100.0 for n, v in numbers("--goal", goal).items()}, hours=hours,
@@ -451,7 +459,7 @@ def campaign(
 
 def _candidates(
     problem: Problem,
-    patterns: list[str],
+    patterns: list[str] | None,
     bounds: Bounds,
     weather: Weather,
     turnaround: float,
@@ -515,7 +523,7 @@ def estimators(
 
         result = benchmark(
             problems or list(PROBLEMS), chosen, seeds=seeds, sampling=sampling or [1],
-            noise=[0.0, 0.5, 1.0, 3.0] if noise is None else noise,
+            noise=noise or [0.0, 0.5, 1.0, 3.0],
             noise_unit="declared" if declared else "peak",
             store=out / "runs", n_jobs=jobs, progress=tell,
         )  # fmt: skip

@@ -204,7 +204,7 @@ def band(option: str, text: str) -> tuple[float, float]:
     return low, high
 
 
-def patterns_of(problem: Problem, names: Sequence[str]) -> list[Experiment]:
+def patterns_of(problem: Problem, names: Sequence[str] | None) -> list[Experiment]:
     """Experiments that lend settings: those named, or all of the problem."""
     if not (names or problem.experiments):
         raise ProblemError(
@@ -729,12 +729,12 @@ class Played(Files):
                 spread=closed.spread, prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
             )  # fmt: skip
             yield f"Played as a table, without its feedback: {kept.report()}."
+        rules = None if closed is None else closed.rules
         for kind, place in self._controllers().items():
             servos = self._servos(limits) if kind == "ardupilot" else {}
             design.write_controller(
-                place, found.model, found.experiment, kind, servos=servos,
-                aborts=None if closed is None else closed.rules,
-            )  # fmt: skip
+                place, found.model, found.experiment, kind, aborts=rules, servos=servos
+            )
             yield f"Written: {place}"
 
     def _controllers(self) -> dict[str, Path]:

@@ -158,7 +158,8 @@ class LiveParameters:
         values, stds : mapping of str to float
             Estimates and standard errors; what is not known is left out.
         """
-        if unknown := [name for name in (*values, *(stds or {})) if name not in self.names]:
+        stds = stds or {}
+        if unknown := [name for name in (*values, *stds) if name not in self.names]:
             raise DataError(
                 f"The live plot has no parameter {unknown[0]!r}, only {', '.join(self.names)}."
             )
@@ -167,7 +168,7 @@ class LiveParameters:
                 f"The estimates at t = {t:g} s are not later than those at {self._times[-1]:g} s."
             )
         self._times.append(float(t))
-        for kept, given in ((self._values, values), (self._stds, stds or {})):
+        for kept, given in ((self._values, values), (self._stds, stds)):
             kept.append([float(given.get(name, np.nan)) for name in self.names])
         if self._clock() - self._drawn_at >= self._every:
             self.draw()
