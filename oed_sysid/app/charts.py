@@ -44,7 +44,7 @@ from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.improvement_plots import force_against
-from oed_sysid.results.style import model_style
+from oed_sysid.results.style import model_style, shown, signal_of
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
@@ -100,24 +100,21 @@ def signals(
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
     kept = slice(None, None, max(-(-record.times.size // _MOST), 1))  # every n-th of a long one
     for row, channel in enumerate(outputs, start=1):
-        turn, column = shown_unit(channel.unit)[0], row - 1
         figure.add_scatter(
-            x=record.times[kept], y=turn * record.outputs[kept, column], mode="markers",
+            x=record.times[kept], y=signal_of(record, channel)[kept], mode="markers",
             marker={"size": 3, "color": MEASURED}, name="measured", legendgroup="measured",
             showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
         for index, (name, parts) in enumerate((models or {}).items()):
-            mean, std = (turn * part[kept, column] for part in parts)
+            mean, std = (shown(channel, part[kept, row - 1]) for part in parts)
             for trace in _traces(record.times[kept], mean, std, name, index):
                 figure.add_trace(trace.update(showlegend=row == 1), row=row, col=1)
     for row, command in enumerate(inputs, start=len(outputs) + 1):
-        values = shown_unit(command.unit)[0] * record.inputs[kept, row - rows - 1]
+        shape = "hv" if command.interpolation == "hold" else "linear"
         figure.add_scatter(
-            x=record.times[kept], y=values,
-            mode="lines", line={"color": COMMANDED, "width": 1.5,
-                                "shape": "hv" if command.interpolation == "hold" else "linear"},
-            name="commanded", legendgroup="commanded", showlegend=row == len(outputs) + 1,
-            row=row, col=1,
+            x=record.times[kept], y=signal_of(record, command)[kept], mode="lines",
+            line={"color": COMMANDED, "width": 1.5, "shape": shape}, name="commanded",
+            legendgroup="commanded", showlegend=row == len(outputs) + 1, row=row, col=1,
         )  # fmt: skip
     channels: tuple[Input | Output, ...] = (*outputs, *inputs)
     for row, signal in enumerate(channels, start=1):
@@ -396,31 +393,23 @@ def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -
         colour, dash = line_of_model(number)
         paths.append(_Path(name, record, np.asarray(rows), colour, dash))
     if axes:
-        for path in paths:
-            x, y = (path.rows[:, record.channels.output_names.index(one)] for one in axes[::-1])
-            seen = np.isfinite(x) & np.isfinite(y)
-            figure.add_scatter(
-                x=x[seen], y=y[seen], mode="lines", name=path.name, legendgroup=path.name,
-                line={"color": path.colour, "dash": path.dash, "width": 1.6}, row=1, col=1,
-            )  # fmt: skip
+        _map(figure, paths, axes)
     still = len(figure.data)
-    moments = np.linspace(record.times[0], record.times[-1], frames)
-    for trace, column in _vehicles(paths, axes, turned, float(moments[0])):
+    moments = np.linspace(record.times[0], record.times[-1], frames).tolist()
+    for trace, column in _vehicles(paths, axes, turned, moments[0]):
         figure.add_trace(trace, row=1, col=column)
     moved = list(range(still, len(figure.data)))
     figure.frames = [
         go.Frame(
-            data=[trace for trace, _ in _vehicles(paths, axes, turned, float(moment))],
+            data=[trace for trace, _ in _vehicles(paths, axes, turned, moment)],
             traces=moved, name=f"{moment:.1f}",
-            layout={"annotations": _words(paths, float(moment), axes) if turned else []},
+            layout={"annotations": _words(paths, moment, axes) if turned else []},
         )
         for moment in moments
     ]  # fmt: skip
     if turned:
-        figure.update_layout(annotations=_words(paths, float(moments[0]), axes))
+        figure.update_layout(annotations=_words(paths, moments[0], axes))
         _scene(figure)
-    if axes:
-        _map(figure, record, axes)
     _controls(figure, redraw=turned)
     figure.update_layout(margin={"l": 70, "r": 20, "t": 40 + 20 * len(paths) * turned, "b": 60})
     return figure
@@ -488,9 +477,16 @@ def _scene(figure: go.Figure) -> None:
     )
 
 
-def _map(figure: go.Figure, record: Record, axes: tuple[str, str]) -> None:
-    """Axes of the track: the same scale on both, names with units, depth downwards."""
-    by_name = {channel.name: channel for channel in record.channels.outputs}
+def _map(figure: go.Figure, paths: Sequence[_Path], axes: tuple[str, str]) -> None:
+    """The tracks: the same scale on both axes, names with units, depth downwards."""
+    by_name = {channel.name: channel for channel in paths[0].record.channels.outputs}
+    for path in paths:
+        x, y = (path.rows[:, list(by_name).index(one)] for one in axes[::-1])
+        seen = np.isfinite(x) & np.isfinite(y)
+        figure.add_scatter(
+            x=x[seen], y=y[seen], mode="lines", name=path.name, legendgroup=path.name,
+            line={"color": path.colour, "dash": path.dash, "width": 1.6}, row=1, col=1,
+        )  # fmt: skip
     figure.update_xaxes(title_text=name_of(by_name[axes[1]]))
     figure.update_yaxes(title_text=name_of(by_name[axes[0]]), scaleanchor="x", scaleratio=1)
     if axes[0] == "z":

@@ -5,7 +5,6 @@ Records come with the problem, are simulated, or are uploaded.
 
 from __future__ import annotations
 
-import tempfile
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -19,7 +18,7 @@ from oed_sysid.app import mapping, visit
 from oed_sysid.app.trust import check_trusted, check_uploads, consent
 from oed_sysid.app.visit import chosen, kept
 from oed_sysid.cli.study import DEFAULT_MODEL, Study
-from oed_sysid.data.dataset import Dataset, Record, read_csv
+from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.data.logs import LogMapping
 from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
@@ -235,19 +234,12 @@ def read_uploads(
     notes : tuple of str
         What looks odd in those that can.
     """
-    read: list[Record] = []
-    refused: dict[str, str] = {}
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as odd:
+    with warnings.catch_warnings(record=True) as odd:
         warnings.simplefilter("always", UserWarning)
-        for name, content in files.items():
-            path = Path(folder) / mapping.plain_name(name)
-            path.write_bytes(content)
-            try:
-                read += read_csv(path, problem.channels)
-            except DataError as error:
-                refused[name] = str(error).replace(f"{folder}/", "")
+        found, refused = mapping.read_each(files, lambda path: read_csv(path, problem.channels))
     notes = tuple(str(one.message) for one in odd if issubclass(one.category, UserWarning))
-    return (Dataset(tuple(read)) if read else None), refused, notes
+    records = tuple(record for dataset in found.values() for record in dataset)
+    return (Dataset(records) if records else None), refused, notes
 
 
 def simulated(problem: Problem, *, seed: int = 0) -> Dataset:

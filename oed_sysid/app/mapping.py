@@ -11,12 +11,12 @@ import io
 import json
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import streamlit as st
 
@@ -63,16 +63,30 @@ def open_files(files: Mapping[str, bytes], time: tuple[str, str] | None = None) 
     >>> opened.logs["run.csv"].names, opened.logs["run.csv"].span
     (('run.yaw [deg]',), (0.0, 0.5))
     """
-    logs, refused = {}, {}
+    given = {
+        name: renamed(content, *time) if time and is_table(name) else content
+        for name, content in files.items()
+    }
+    return Opened(*read_each(given, open_log))
+
+
+Read = TypeVar("Read")
+
+
+def read_each(
+    files: Mapping[str, bytes], read: Callable[[Path], Read]
+) -> tuple[dict[str, Read], dict[str, str]]:
+    """Read uploaded files: what each one holds, and why the others cannot be read."""
+    found, refused = {}, {}
     with tempfile.TemporaryDirectory() as folder:
         for name, content in files.items():
             path = Path(folder) / plain_name(name)
-            path.write_bytes(renamed(content, *time) if time and is_table(name) else content)
+            path.write_bytes(content)
             try:
-                logs[name] = open_log(path)
+                found[name] = read(path)
             except DataError as error:
                 refused[name] = str(error).replace(f"{folder}/", "")
-    return Opened(logs, refused)
+    return found, refused
 
 
 def is_table(name: str) -> bool:

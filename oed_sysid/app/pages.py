@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -271,23 +272,26 @@ def _limits(study: Study, like: str) -> Iterator[str]:
             continue
         left, right = st.columns([2, 1], vertical_alignment="bottom")
         yield from _range(left, channel, limits.inputs[channel.name], keys(channel.name, "range"))
-        turn, unit = shown_unit(channel.unit)
-        declared = limits.rates.get(channel.name)
-        first = None if declared is None else turn * declared
-        rate = right.number_input(
-            f"Largest rate [{unit or '1'}/s]", min_value=0.0, format="%.4g",
-            placeholder="no limit" if first is None else "as in the problem",
-            key=visit.preset(keys(channel.name, "rate"), first),
-        )  # fmt: skip
-        if rate is not None and rate != first:
-            yield f"{channel.name}-rate={rate:.12g}"
+        yield from _rate(right, channel, limits.rates.get(channel.name), keys(channel.name, "rate"))
     signals: dict[str, State | Output] = {one.name: one for one in model.states}
     signals |= {one.name: one for one in model.outputs}
-    bounded = [n for n, ends in limits.signals.items() if n in signals and np.isfinite(ends).all()]
-    columns = st.columns(2)
-    for place, name in enumerate(bounded):
-        key = keys("corridor", name)
-        yield from _range(columns[place % 2], signals[name], limits.signals[name], key)
+    bounded = {n: ends for n, ends in limits.signals.items() if np.isfinite(ends).all()}
+    columns = cycle(st.columns(2))
+    for name in filter(signals.__contains__, bounded):
+        yield from _range(next(columns), signals[name], bounded[name], keys("corridor", name))
+
+
+def _rate(place: Any, channel: Input, declared: float | None, key: str) -> Iterator[str]:
+    """Ask for the largest rate of a command; nothing if it is as before."""
+    turn, unit = shown_unit(channel.unit)
+    first = None if declared is None else turn * declared
+    rate = place.number_input(
+        f"Largest rate [{unit or '1'}/s]", min_value=0.0, format="%.4g",
+        placeholder="no limit" if first is None else "as in the problem",
+        key=visit.preset(key, first),
+    )  # fmt: skip
+    if rate is not None and rate != first:
+        yield f"{channel.name}-rate={rate:.12g}"
 
 
 def _range(

@@ -157,19 +157,22 @@ def _work(
         asked[key] = about
         outcome: Outcome = job.result
         return outcome
-    state = job.state if job is not None else "lost" if key in asked else ""
-    says: dict[str, tuple[Callable[[str], object], str]] = {
-        "lost": (st.caption, "This was asked for, but the program ended before it was done."),
-        "failed": (message, getattr(job, "failure", "")),
-        "stopped": (st.info, "Stopped. Press again to begin anew."),
-    }
-    if state in says:
-        says[state][0](says[state][1])
+    _say_ended(job, asked=key in asked)
     if st.button(button, type="primary", key=f"ask:{about.file}"):
         asked[key] = about
         desk.ask(name, key, request)
         st.rerun()
     return None
+
+
+def _say_ended(job: Job | None, *, asked: bool) -> None:
+    """Say how work ended that has no result."""
+    if job is None and asked:
+        st.caption("This was asked for, but the program ended before it was done.")
+    elif job is not None and job.state == "failed":
+        message(job.failure)
+    elif job is not None and job.state == "stopped":
+        st.info("Stopped. Press again to begin anew.")
 
 
 @st.fragment(run_every=_POLL)

@@ -266,11 +266,10 @@ def begin() -> None:
     """Open the study that the address names, or a new one."""
     state = st.session_state
     if "study" not in state:
-        name = st.query_params.get(_ADDRESS)
-        left = shelf().find(name) if name else None
+        name = str(st.query_params.get(_ADDRESS, ""))
         state["study"] = name if is_id(name) else new_id()
         state["edition"] = secrets.token_hex(4)
-        if left is not None:
+        if (left := shelf().find(name)) is not None:
             _restore(left)
     if st.query_params.get(_ADDRESS) != state["study"]:
         st.query_params[_ADDRESS] = state["study"]  # for a reload of any page
@@ -281,10 +280,8 @@ def begin() -> None:
     for key, value in state.get("held", {}).items():
         if key not in state or _elsewhere(key):
             state[key] = value
-    for key in list(state):
-        if str(key).startswith(KEEP):
-            state[key] = state[key]
     _hold()
+    state.update(state["held"])
     if "kept text" in state:  # before anything is drawn: a reload may come at once
         end(str(state.get("title", "")))
 
