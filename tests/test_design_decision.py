@@ -187,7 +187,7 @@ def test_runs_that_may_leave_their_limits_are_refused(fit, candidates) -> None:
     words = found.answer(1, 0.1)
     assert words.startswith(f"GO ON after 1 run, 0.1 h: {found.next_run.name} next (0.094 h)")
     assert f"limits kept on {found.kept:.0%} of 201 possible vehicles" in words
-    assert f"kept on {found.kept:.0%} of 201 vehicles" in found.report()
+    assert f"kept on {found.kept:.0%} of 201 possible vehicles" in found.report()
     none = Limits(signals={"psi": (-1e-6, 1e-6)})
     closed = decide(fit, [c for c in candidates if c.kind != "straight"], goals,
                     rng=np.random.default_rng(0), limits=none)  # fmt: skip

@@ -24,7 +24,7 @@ are unbiased for smooth motion and noise-free states.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -108,6 +108,14 @@ class RegressionForm:
         shaped = np.array(flat).reshape(*shape[::-1], n)
         return np.array(target).T, shaped.transpose(2, 1, 0)
 
+    def anywhere(self, n: int) -> np.ndarray:
+        """Regressors ``(n, n_equations, n_free)`` at random motions, to see what they hold."""
+        rng = np.random.default_rng(0)
+        states, rates = rng.uniform(0.5, 1.5, (2, n, len(self.graph.state_names)))
+        signals = rng.uniform(0.5, 1.5, (n, self.graph.actuate.size1_out(0)))
+        times = (np.arange(n) + 0.5) * self.model.step
+        return self.evaluate(states, rates, signals, times)[1]
+
 
 def regression_form(model: Model) -> RegressionForm:
     """Derive targets and regressors of a model.
@@ -118,15 +126,9 @@ def regression_form(model: Model) -> RegressionForm:
         If the equations are not linear in the free parameters; the message
         names the parameters and the equations.
     """
-    free = model.free_parameters
-    if not free:
+    if not model.free_parameters:
         raise ModelError(f"Model {model.name!r} has no free parameter. Free some with model.free.")
-    local = [p.name for p in free if p.per_record]
-    if local:
-        raise ModelError(
-            f"{', '.join(local)} differ from record to record, which regressions do not know: "
-            f"{INSTEAD}."
-        )
+    check_together(model, "a regression")
     graph = build(model)
     x, rate, d, p, t = (graph.balance.sx_in(i) for i in range(5))
     p_free = p[list(graph.free_indices), 0]
@@ -235,6 +237,8 @@ STENCILS: Mapping[str, tuple[tuple[float, int, str], ...]] = {
 # Samples that a difference reaches over.
 SPANS = {"euler": 1, "trapezoid": 1, "simpson": 2}
 RULES = (*STENCILS, "exact")
+# Samples of a local cubic, unless said otherwise.
+WINDOW = 9
 
 Rates = Mapping[str, np.ndarray]
 
@@ -247,6 +251,8 @@ class Rows:
     ----------
     form : RegressionForm
         Equations and names.
+    dataset : Dataset
+        The records.
     targets : tuple of ndarray (n_rows, n_equations)
         One array per record; NaN where a measurement is missing.
     regressors : tuple of ndarray (n_rows, n_equations, n_free)
@@ -254,6 +260,7 @@ class Rows:
     """
 
     form: RegressionForm
+    dataset: Dataset
     targets: tuple[np.ndarray, ...]
     regressors: tuple[np.ndarray, ...]
 
@@ -293,7 +300,7 @@ def rows_of(
     dataset: Dataset,
     *,
     rule: str = "local",
-    window: int = 9,
+    window: int = WINDOW,
     rates: Rates | None = None,
 ) -> Rows:
     """Build the rows of all records.
@@ -327,7 +334,7 @@ def rows_of(
         pair = rows_from(form, record.times, states, record.inputs, rule, window, given)
         targets.append(pair[0])
         regressors.append(pair[1])
-    return Rows(form, tuple(targets), tuple(regressors))
+    return Rows(form, dataset, tuple(targets), tuple(regressors))
 
 
 def rows_from(
@@ -336,7 +343,7 @@ def rows_from(
     states: np.ndarray,
     inputs: np.ndarray,
     rule: str,
-    window: int = 9,
+    window: int = WINDOW,
     rates: np.ndarray | None = None,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Targets and regressors of one run, see :func:`rows_of`."""
@@ -362,10 +369,24 @@ def rows_from(
     return np.sum(targets, axis=0), np.sum(regressors, axis=0)
 
 
+def check_choice(name: str, value: str, options: Iterable[str]) -> None:
+    """Raise :class:`ModelError` for a setting that is none of the options."""
+    if value not in options:
+        raise ModelError(f"{name} is {value!r}. Choose one of {', '.join(options)}.")
+
+
+def check_together(model: Model, who: str) -> None:
+    """Raise :class:`ModelError` for parameters that differ from record to record."""
+    if local := [p.name for p in model.free_parameters if p.per_record]:
+        raise ModelError(
+            f"{', '.join(local)} differ from record to record, which {who} does not know: "
+            f"{INSTEAD}."
+        )
+
+
 def check_rule(rule: str, window: int) -> None:
     """Raise :class:`ModelError` for an unknown rule or an impossible window."""
-    if rule not in RULES:
-        raise ModelError(f"rule is {rule!r}. Choose one of {', '.join(RULES)}.")
+    check_choice("rule", rule, RULES)
     if window < 5 or window % 2 == 0:
         raise ModelError(f"window is {window}. Give an odd number of samples, 5 or more.")
 

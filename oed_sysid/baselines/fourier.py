@@ -45,7 +45,7 @@ from oed_sysid.baselines.equations import (
     states_of,
 )
 from oed_sysid.baselines.online import read_sample, streamed_form
-from oed_sysid.baselines.regression import fit_from_values
+from oed_sysid.baselines.regression import Regression, fit_from_values, prior_rows, weighed
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.fit import Fit
@@ -69,7 +69,6 @@ SMOOTH = 0.2
 BEYOND = 2.0
 # Neighbouring frequencies of one value of the coherence; its bias is one over them.
 NEIGHBOURS = 5
-ROUNDS = 20
 
 Band = tuple[float, float]
 
@@ -132,11 +131,8 @@ class FourierRegression:
             spectra = Spectra.none(form, frequencies)
             spectra = spectra.plus(record.times - record.times[0], targets, regressors)
             total = total.plus(spectra, factor=1.0)
-        estimates, covariance = total.solve(model)
-        return fit_from_values(
-            model, dataset, estimator=self.name, estimates=estimates, covariance=covariance,
-            began=began, extras={"n_frequencies": total.n_frequencies},
-        )  # fmt: skip
+        found = Regression(*total.solve(model), extras={"n_frequencies": total.n_frequencies})
+        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
 
 
 def frequencies_of(
@@ -175,13 +171,8 @@ def frequencies_of(
 
 def _is_constant(form: RegressionForm) -> bool:
     """Whether a parameter stands in an equation without a signal, as an offset does."""
-    n = len(form.graph.state_names)
-    rng = np.random.default_rng(0)
-    signals = rng.uniform(0.5, 1.5, (2, form.graph.actuate.size1_out(0)))
-    states, rates = rng.uniform(0.5, 1.5, (2, 2, n))
-    _, regressors = form.evaluate(states, rates, signals, np.array([0.3, 1.7]))
-    constant = (regressors[0] == regressors[1]) & (regressors[0] != 0)
-    return bool(constant.any())
+    first, second = form.anywhere(2)
+    return bool(((first == second) & (first != 0)).any())
 
 
 def _fastest(form: RegressionForm, highest: float) -> float:
@@ -293,30 +284,27 @@ class Moments:
 
     def solve(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
         """Estimates ``(n_free,)`` and their covariance, priors of the model included."""
-        free = model.free_parameters
-        scale = np.array([p.magnitude for p in free])
+        scale = np.array([p.magnitude for p in model.free_parameters])
         matrix = self.matrix * scale[:, None] * scale
         right = self.right * scale
-        prior = np.array([0.0 if p.prior_spread is None else scale[i] / p.prior_spread
-                          for i, p in enumerate(free)])  # fmt: skip
-        mean = np.array([(p.prior_mean or 0.0) / scale[i] for i, p in enumerate(free)])
+        rows, means = prior_rows(model)
+        known, known_right = (rows * scale).T @ (rows * scale), (rows * scale).T @ means
         holds = np.diagonal(matrix, axis1=1, axis2=2) > 0
         freedom = np.maximum(self.count - holds.sum(axis=1), 1.0)
-        level = np.maximum(self.square, 1e-300) / freedom
-        for _ in range(ROUNDS):
-            weighed = np.tensordot(1 / level, matrix, axes=1) + np.diag(prior**2)
-            values = np.linalg.pinv(weighed, hermitian=True) @ (
-                np.tensordot(1 / level, right, axes=1) + prior**2 * mean
-            )
+
+        def curvature(variances: np.ndarray) -> np.ndarray:
+            return np.tensordot(1 / variances, matrix, axes=1) + known
+
+        def estimated(variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            aims = np.tensordot(1 / variances, right, axes=1) + known_right
+            values = np.linalg.pinv(curvature(variances), hermitian=True) @ aims
             left = self.square - 2 * right @ values
             left = left + np.einsum("iab,a,b->i", matrix, values, values)
-            new = np.maximum(left / freedom, 1e-20 * np.maximum(self.square, 1e-280))
-            change = np.abs(np.log(new / level)).max()
-            level = new
-            if change < 1e-6:
-                break
+            return values, np.maximum(left / freedom, 1e-20 * np.maximum(self.square, 1e-280))
+
+        values, variances = weighed(estimated, np.maximum(self.square, 1e-300) / freedom)
         information = Information.from_matrix(
-            model.free_names, weighed / scale[:, None] / scale, scale
+            model.free_names, curvature(variances) / scale[:, None] / scale, scale
         )
         return values * scale, information.covariance
 
@@ -376,6 +364,7 @@ class FourierStream:
         self._spectra = Spectra.none(self.form, self.frequencies)
         self._signals = np.zeros((len(self.frequencies), n_signals), complex)
         self._last: tuple[float, np.ndarray, np.ndarray] | None = None
+        self._solved: tuple[np.ndarray, np.ndarray] | None = None
         self._start = 0.0
 
     def start(self) -> None:
@@ -410,7 +399,7 @@ class FourierStream:
             change = np.concatenate([inputs - first_inputs, outputs - first_outputs])
             turned = np.exp(-2j * np.pi * self.frequencies * (0.5 * (before + time) - self._start))
             self._signals += np.outer(turned, np.nan_to_num(change))
-        self._last = (time, inputs, outputs)
+        self._last, self._solved = (time, inputs, outputs), None
         self.n_samples += 1
 
     def _moments(self) -> Moments:
@@ -422,21 +411,28 @@ class FourierStream:
 
     def estimate(self) -> tuple[np.ndarray, np.ndarray]:
         """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
-        return self._moments().solve(self.model)
+        if self._solved is None:
+            self._solved = self._moments().solve(self.model)
+        return self._solved
 
     @property
     def values(self) -> dict[str, float]:
         """Estimates by name."""
-        return dict(zip(self.model.free_names, map(float, self.estimate()[0]), strict=True))
+        return {name: value for name, (value, _) in self._known().items()}
 
     @property
     def relative_errors(self) -> dict[str, float]:
         """Standard errors as shares of the estimates; infinite where nothing is known."""
+        return {name: error for name, (_, error) in self._known().items()}
+
+    def _known(self) -> dict[str, tuple[float, float]]:
+        """Estimate and relative standard error of each parameter."""
         estimates, covariance = self.estimate()
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / np.abs(estimates)
         shares = np.where(np.isfinite(shares), shares, np.inf)
-        return dict(zip(self.model.free_names, map(float, shares), strict=True))
+        pairs = zip(estimates.tolist(), shares.tolist(), strict=True)
+        return dict(zip(self.model.free_names, pairs, strict=True))
 
     def coherence(self) -> dict[tuple[str, str], float]:
         """Coherence of every response with every input over the band, weighed by its power."""

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.baselines.equations import Rates, Rows, check_rule
-from oed_sysid.baselines.regression import CONVERGED, Regression, regress
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
+from oed_sysid.baselines.regression import (
+    CONVERGED,
+    EquationSolution,
+    Regression,
+    RegressionEstimator,
+    each_equation,
+    prior_rows,
+)
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.estimate import Posterior
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.physics.model import Model
 
@@ -217,8 +222,7 @@ def sample_posterior(
     Geman & Geman (1984), IEEE Trans. PAMI 6; Chen, Deng & Xu (2023), Ship
     Engineering 45(2), for the use on manoeuvring derivatives.
     """
-    if draw not in DRAWS:
-        raise ModelError(f"draw is {draw!r}. Choose one of {', '.join(DRAWS)}.")
+    check_choice("draw", draw, DRAWS)
     n = features.shape[1]
     mean0 = np.zeros(n) if mean is None else np.asarray(mean, dtype=float)
     gram, moment = features.T @ features, features.T @ targets
@@ -231,8 +235,6 @@ def sample_posterior(
     variance = start * np.exp(rng.uniform(-1, 1, n_chains))
     kept = np.empty((n_chains, n_draws, n))
     variances = np.empty((n_chains, n_draws))
-    if conjugate:
-        factor = _Joint(gram + np.diag(precision), moment + precision * mean0)
     for index in range(burn_in + n_draws):
         weight = 1.0 / variance if conjugate else np.ones(n_chains)
         prior = precision * weight[:, None]  # (n_chains, n)
@@ -242,13 +244,14 @@ def sample_posterior(
                 others = c @ gram[j] - c[:, j] * gram[j, j]
                 mu = ((moment[j] - others) / variance + prior[:, j] * mean0[j]) / pi
                 c[:, j] = mu + rng.standard_normal(n_chains) / np.sqrt(pi)
-        elif conjugate:
-            c = factor.draw(variance, rng)
         else:
-            for chain in range(n_chains):
-                inner = gram / variance[chain] + np.diag(precision)
-                right = moment / variance[chain] + precision * mean0
-                c[chain] = _Joint(inner, right).draw(np.ones(1), rng)[0]
+            # All chains at once: mean of the normal distribution, and a draw about it.
+            inner = gram / variance[:, None, None] + prior[:, :, None] * np.eye(n)
+            right = moment / variance[:, None] + prior * mean0
+            upper = np.linalg.cholesky(inner).transpose(0, 2, 1)
+            unit = rng.standard_normal((n_chains, n))
+            c = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
+            c = c + np.linalg.solve(upper, unit[:, :, None])[:, :, 0]
         sse = energy - 2 * c @ moment + np.einsum("ci,ij,cj->c", c, gram, c)
         sse = np.maximum(sse, 1e-14 * energy)
         if conjugate:
@@ -260,22 +263,8 @@ def sample_posterior(
     return Chains(kept, variances)
 
 
-class _Joint:
-    """Draws from a normal distribution with a given precision, up to a variance."""
-
-    def __init__(self, precision: np.ndarray, right: np.ndarray) -> None:
-        self._lower = np.linalg.cholesky(precision)
-        self._mean = np.linalg.solve(precision, right)
-
-    def draw(self, variance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """One draw per variance, shape ``(n, n_coefficients)``."""
-        unit = rng.standard_normal((len(variance), len(self._mean)))
-        moved = np.linalg.solve(self._lower.T, unit.T).T
-        return self._mean + np.sqrt(variance)[:, None] * moved
-
-
 @dataclass(frozen=True)
-class GibbsRegression:
+class GibbsRegression(RegressionEstimator):
     """Bayesian regression of each equation of motion by Gibbs sampling.
 
     Estimates are posterior means and the covariance is that of the draws. The
@@ -306,14 +295,13 @@ class GibbsRegression:
     n_chains: int = 4
     draw: str = "joint"
     rule: str = "local"
-    window: int = 9
+    window: int = WINDOW
     rates: Rates | None = None
     seed: int = 0
 
     def __post_init__(self) -> None:
         check_rule(self.rule, self.window)
-        if self.draw not in DRAWS:
-            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(DRAWS)}.")
+        check_choice("draw", self.draw, DRAWS)
         if self.n_draws < 100 or self.n_chains < 2 or self.burn_in < 0:
             raise ModelError(
                 f"{self.n_chains} chains of {self.n_draws} draws cannot be judged. Give at least 2 "
@@ -325,39 +313,23 @@ class GibbsRegression:
         """Name and settings, for reports."""
         return f"Gibbs sampling ({self.draw} draws, {self.n_chains} x {self.n_draws})"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Sample the posterior of each equation.
-
-        Returns
-        -------
-        Fit
-            ``fit.posterior`` holds the draws, and by parameter how far they can be trusted.
-
-        Raises
-        ------
-        ModelError
-            As :meth:`EquationError.fit`, and where equations share a parameter.
-        """
-        return regress(self, model, dataset, self._solve, window=self.window)
-
     def _solve(self, rows: Rows) -> Regression:
+        """Draw from each equation; the posterior holds the draws, and how far to trust them."""
         rng = np.random.default_rng(self.seed)
-        names = rows.form.names
-        estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
+        drawn: dict[str, np.ndarray] = {}
         r_hat: dict[str, float] = {}
         effective: dict[str, float] = {}
-        drawn: dict[str, np.ndarray] = {}
-        for index in range(len(rows.form.equations)):
-            features, targets, own = rows.equation(index)
-            where = [names.index(name) for name in own]
-            chains, units = self._sample(rows.form.model, features, targets, own, rng)
-            draws = chains.coefficients * units
-            flat = draws.reshape(-1, len(own))
-            estimates[where] = flat.mean(axis=0)
-            covariance[np.ix_(where, where)] = np.atleast_2d(np.cov(flat.T))
-            r_hat |= zip(own, map(float, split_r_hat(draws)), strict=True)
-            effective |= zip(own, map(float, effective_draws(draws)), strict=True)
-            drawn |= zip(own, np.moveaxis(draws, 2, 0), strict=True)
+
+        def solve(index: int) -> EquationSolution:
+            features, targets, names = rows.equation(index)
+            draws = self._draws(rows.form.model, features, targets, names, rng)
+            flat = draws.reshape(-1, len(names))
+            drawn.update(zip(names, np.moveaxis(draws, 2, 0), strict=True))
+            r_hat.update(zip(names, map(float, split_r_hat(draws)), strict=True))
+            effective.update(zip(names, map(float, effective_draws(draws)), strict=True))
+            return EquationSolution(names, flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)))
+
+        found = each_equation(rows, solve)
         worst = max(r_hat, key=lambda name: r_hat[name])
         status = CONVERGED
         if r_hat[worst] > R_HAT_LIMIT:
@@ -366,38 +338,35 @@ class GibbsRegression:
                 f"the chains disagree in {worst} (R-hat {r_hat[worst]:.3f}). Raise "
                 "n_draws, or use draw='joint'.",
             )
-        return Regression(
-            estimates,
-            covariance,
+        return replace(
+            found,
             status=status,
             iterations=self.n_draws + self.burn_in,
             posterior=Posterior(drawn, r_hat, effective),
         )
 
-    def _sample(
+    def _draws(
         self,
         model: Model,
         features: np.ndarray,
         targets: np.ndarray,
-        own: tuple[str, ...],
+        names: tuple[str, ...],
         rng: np.random.Generator,
-    ) -> tuple[Chains, np.ndarray]:
-        """Chains in scaled units, and the unit of each coefficient."""
+    ) -> np.ndarray:
+        """Draws ``(n_chains, n_draws, n_names)``."""
         size = float(np.sqrt(np.mean(targets**2))) or 1.0
         units = size / np.sqrt(np.mean(features**2, axis=0))
-        parameters = [model.parameter(name) for name in own]
-        precision = np.array(
-            [
-                (unit / p.prior_spread) ** 2 if p.prior_spread is not None else WIDE**-2
-                for p, unit in zip(parameters, units, strict=True)
-            ]
-        )
-        mean = [0.0 if p.prior_spread is None else float(p.prior_mean or 0.0) for p in parameters]
+        # Known parameters as whitened rows; the others have a wide prior.
+        known, means = prior_rows(model)
+        columns = [model.free_names.index(name) for name in names]
+        weights, aims = known.sum(axis=0)[columns], (known.T @ means)[columns]
+        precision = np.where(weights > 0, (weights * units) ** 2, WIDE**-2)
+        mean = np.divide(aims, weights**2, out=np.zeros(len(names)), where=weights > 0)
         chains = sample_posterior(
             features * units / size,
             targets / size,
             precision=precision,
-            mean=np.array(mean) / units,
+            mean=mean / units,
             # A variance below rounding cannot be told from none.
             shape=1e-3,
             rate=1e-18,
@@ -407,4 +376,4 @@ class GibbsRegression:
             n_chains=self.n_chains,
             rng=rng,
         )
-        return chains, units
+        return chains.coefficients * units

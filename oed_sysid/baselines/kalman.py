@@ -7,19 +7,28 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from oed_sysid.baselines.regression import fit_from_values
+from oed_sysid.baselines.equations import check_choice, check_together
+from oed_sysid.baselines.regression import (
+    CONVERGED,
+    Regression,
+    assumed_levels,
+    fit_from_values,
+)
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import Fit, Status
-from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
+from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels, measured_states
 from oed_sysid.physics.model import Model
 
 KINDS = ("extended", "unscented")
 # A measured start state is known this many noise levels well before its first measurement.
 START_SPREAD = 10.0
+# A start value without a prior is known to this share of its magnitude.
+RELATIVE_PRIOR = 0.5
 # Of a normal distribution, as it enters the covariance of the points of the unscented filter.
 PEAKEDNESS = 2.0
 DIVERGED = Status(
@@ -89,8 +98,7 @@ class JointKalmanFilter:
     passes: int = 1
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ModelError(f"kind is {self.kind!r}. Choose one of {', '.join(KINDS)}.")
+        check_choice("kind", self.kind, KINDS)
         if not self.reach > 0:
             raise ModelError(f"reach is {self.reach}. Give a positive number of deviations.")
         if self.passes < 1:
@@ -121,38 +129,27 @@ class JointKalmanFilter:
         began = time.perf_counter()
         check_channels(model, dataset)
         self.check(model)
-        levels = given_levels(model.outputs)
-        sigma = np.where(np.isfinite(levels), levels, noise_floor(dataset))
-        filter_ = JointFilter(self, model, sigma)
-        values, covariance = filter_.first_values()
-        prior = covariance
-        for index in range(self.passes):
+        filter_ = JointFilter(self, model, assumed_levels(model, dataset))
+        values, prior = filter_.first_values()
+        for _ in range(self.passes):
             covariance = prior
-            filter_.restart()
+            if np.isfinite(values).all():
+                filter_.restart()
             for record in dataset:
                 values, covariance = filter_.run(record, values, covariance)
-                if not np.isfinite(values).all():
-                    break
-            if index + 1 < self.passes and not np.isfinite(values).all():
-                break
-        ok = bool(np.isfinite(values).all())
-        last = values if ok else np.array([p.value for p in model.free_parameters])
-        tracks, spreads = np.array(filter_.track), np.array(filter_.spread)
+        status = consistency(filter_.innovation**2, filter_.count)
+        if not np.isfinite(values).all():
+            values = np.array([p.value for p in model.free_parameters])
+            covariance, status = np.diag(np.full(len(values), np.inf)), DIVERGED
+        tracks, spreads = np.array(filter_.track), np.array(filter_.spreads)
+        extras = {
+            "history": dict(zip(model.free_names, tracks.T, strict=True)),
+            "history_std": dict(zip(model.free_names, spreads.T, strict=True)),
+            "innovation": filter_.innovation,
+        }
+        found = Regression(values, covariance, status=status, iterations=len(tracks), extras=extras)
         return fit_from_values(
-            model,
-            dataset,
-            estimator=self.name,
-            estimates=last,
-            covariance=covariance if ok else np.diag(np.full(len(last), np.inf)),
-            began=began,
-            status=consistency(filter_.innovation**2, filter_.count) if ok else DIVERGED,
-            iterations=len(tracks),
-            known=self.initial,
-            extras={
-                "history": dict(zip(model.free_names, tracks.T, strict=True)),
-                "history_std": dict(zip(model.free_names, spreads.T, strict=True)),
-                "innovation": filter_.innovation,
-            },
+            model, dataset, found, estimator=self.name, began=began, known=self.initial
         )
 
     def check(self, model: Model) -> None:
@@ -171,11 +168,7 @@ class JointKalmanFilter:
                 )
         if not model.free_names:
             raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
-        if local := [p.name for p in model.free_parameters if p.per_record]:
-            raise ModelError(
-                f"{', '.join(local)} differ from record to record, which a filter does not know. "
-                "Use MultipleShooting."
-            )
+        check_together(model, "a filter")
 
 
 def consistency(square: float, count: int) -> Status:
@@ -194,7 +187,7 @@ def consistency(square: float, count: int) -> Status:
         Number of measured values.
     """
     if count < ENOUGH or 1.0 / INCONSISTENT <= square <= INCONSISTENT:
-        return Status("converged", "")
+        return CONVERGED
     found = f"the normalised innovations squared are {square:.3g} on average (expected 1): "
     if square < 1.0:  # values can be used, their errors are on the safe side
         todo = "the stated errors are too large. Declare less noise_std or process_std."
@@ -207,7 +200,18 @@ def consistency(square: float, count: int) -> Status:
 
 
 class JointFilter:
-    """Mean and covariance of ``[full state, free parameters]``, in scaled units."""
+    """Mean and covariance of ``[full state, free parameters]``, in scaled units.
+
+    Attributes
+    ----------
+    mean : ndarray (n,)
+    spread : ndarray (n, n)
+        Covariance.
+    track, spreads : list of ndarray (n_free,)
+        Parameters and their standard deviations after every sample of the records gone through.
+    count : int
+        Number of measured values so far.
+    """
 
     def __init__(self, settings: JointKalmanFilter, model: Model, sigma: np.ndarray) -> None:
         self.settings, self.model, self.sigma = settings, model, sigma
@@ -218,85 +222,57 @@ class JointFilter:
         self.scale = np.array(
             [*(s.scale for s in model.states), *np.ones(n_extra), *(p.magnitude for p in free)]
         )
+        self.unit = self.scale[self.n_z :]
         self.columns = [model.parameter_names.index(name) for name in model.free_names]
         self.lower = np.array([p.lower for p in free])
         self.upper = np.array([p.upper for p in free])
         rates = [settings.process_std.get(s.name, 0.0) for s in model.states]
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
+        self.mean, self.spread = np.empty(0), np.empty((0, 0))
         self.restart()
 
     def restart(self) -> None:
         """Forget the track of an earlier pass."""
         self.track: list[np.ndarray] = []
-        self.spread: list[np.ndarray] = []
-        self._squares, self._count = 0.0, 0
-
-    @property
-    def count(self) -> int:
-        """Number of measured values so far."""
-        return self._count
+        self.spreads: list[np.ndarray] = []
+        self._squares, self.count = 0.0, 0
 
     @property
     def innovation(self) -> float:
         """Root mean square innovation in units of its stated deviation."""
-        return float(np.sqrt(self._squares / max(self._count, 1)))
+        return float(np.sqrt(self._squares / max(self.count, 1)))
 
     def first_values(self) -> tuple[np.ndarray, np.ndarray]:
         """Start values of the parameters and their covariance."""
-        free = self.model.free_parameters
-        stds = [
-            self.settings.parameter_std.get(p.name, p.prior_spread or 0.5 * p.magnitude)
-            for p in free
-        ]
+        free, given = self.model.free_parameters, self.settings.parameter_std
+        stds = [given.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
         values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
         return np.array(values, dtype=float), np.diag(np.square(stds))
+
+    @property
+    def parameters(self) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters and their covariance, in their own units."""
+        block = self.spread[self.n_z :, self.n_z :] * self.unit[:, None] * self.unit
+        return self.mean[self.n_z :] * self.unit, block
 
     def run(
         self, record: Record, values: np.ndarray, covariance: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Filter one record; return the parameters and their covariance after it."""
+        if not np.isfinite(values).all():
+            return values, covariance
         measured = {i: series[0] for i, series in measured_states(self.model, record).items()}
-        mean, spread = self.begin(record.times[0], record.inputs[0], measured, values, covariance)
-        times, inputs = record.times, record.inputs
-        for k in range(len(times)):
+        self.begin(record.times[0], record.inputs[0], measured, values, covariance)
+        for k in range(len(record.times)):
             window = slice(max(k - 1, 0), max(k - 1, 0) + 2)
-            mean, spread = self.learn(
-                mean, spread, times[window], inputs[window], record.outputs[k], first=k == 0
-            )
-            if not np.isfinite(mean).all():
+            self.learn(record.times[window], record.inputs[window], record.outputs[k], first=k == 0)
+            if not np.isfinite(self.mean).all():
                 break
-            self.track.append((mean * self.scale)[self.n_z :])
-            variance = np.diag(spread)[self.n_z :]
-            self.spread.append(np.sqrt(np.maximum(variance, 0.0)) * self.scale[self.n_z :])
-        return self.parameters(mean, spread)
-
-    def learn(
-        self,
-        mean: np.ndarray,
-        spread: np.ndarray,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        outputs: np.ndarray,
-        *,
-        first: bool,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled mean and covariance after the sample at the later of two times.
-
-        The first sample is at the earlier one, where the mean is already.
-        """
-        step = self._extended if self.settings.kind == "extended" else self._unscented
-        with np.errstate(all="ignore"):
-            mean, spread, predicted, cross, expected = step(
-                mean, spread, times, inputs, first=first
-            )
-            return self._correct(mean, spread, outputs - predicted, cross, expected)
-
-    def parameters(self, mean: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters and their covariance, in their own units."""
-        unit = self.scale[self.n_z :]
-        block = spread[self.n_z :, self.n_z :] * unit[:, None] * unit
-        return (mean * self.scale)[self.n_z :], block
+            values, covariance = self.parameters
+            self.track.append(values)
+            self.spreads.append(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
+        return self.parameters
 
     def begin(
         self,
@@ -305,9 +281,9 @@ class JointFilter:
         measured: Mapping[int, float],
         values: np.ndarray,
         covariance: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Scaled mean and covariance before the first measurement."""
-        model, n_own = self.model, self.kernel.n_own
+    ) -> None:
+        """Mean and covariance before the first measurement of a run."""
+        model, n_own, n_free = self.model, self.kernel.n_own, len(values)
         own = np.zeros(n_own)
         std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
         sources = {output.source: i for i, output in enumerate(model.outputs)}
@@ -317,15 +293,22 @@ class JointFilter:
         for name, value in self.settings.initial.items():
             own[model.state_names.index(name)] = value
         z, dz = self.kernel.start(own, inputs, self._all(values), time)
-        n_free = len(values)
-        shape = np.zeros((self.n_z + n_free, n_own + n_free))
-        shape[: self.n_z] = dz
-        shape[self.n_z :, n_own:] = np.eye(n_free)
-        before = np.zeros((n_own + n_free, n_own + n_free))
-        before[:n_own, :n_own] = np.diag(std**2)
-        before[n_own:, n_own:] = covariance
-        spread = shape @ before @ shape.T
-        return np.concatenate([z, values]) / self.scale, spread / self.scale[:, None] / self.scale
+        shape = np.vstack([dz, np.eye(n_own + n_free)[n_own:]])
+        spread = shape @ block_diag(np.diag(std**2), covariance) @ shape.T
+        self.mean = np.concatenate([z, values]) / self.scale
+        self.spread = spread / self.scale[:, None] / self.scale
+
+    def learn(
+        self, times: np.ndarray, inputs: np.ndarray, outputs: np.ndarray, *, first: bool
+    ) -> None:
+        """Go to the later of two times and learn the sample there.
+
+        The first sample of a run is at the earlier one, where the mean is already.
+        """
+        predict = self._extended if self.settings.kind == "extended" else self._unscented
+        with np.errstate(all="ignore"):
+            predicted, cross, expected = predict(times, inputs, 0 if first else 1)
+            self._correct(outputs - predicted, cross, expected)
 
     def _all(self, values: np.ndarray) -> np.ndarray:
         """All parameter values, the free ones within their bounds."""
@@ -334,17 +317,10 @@ class JointFilter:
         return complete
 
     def _extended(
-        self,
-        mean: np.ndarray,
-        spread: np.ndarray,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        *,
-        first: bool,
-    ) -> tuple[np.ndarray, ...]:
-        """Prediction over one step with exact derivatives, and the expected measurement."""
-        n_z = self.n_z
-        full = mean * self.scale
+        self, times: np.ndarray, inputs: np.ndarray, row: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Predict with exact derivatives: measurement, its covariances with all and its own."""
+        n_z, full = self.n_z, self.mean * self.scale
         run = self.kernel.run(
             times,
             inputs,
@@ -356,41 +332,31 @@ class JointFilter:
         )
         assert run.output_sensitivities is not None
         assert run.end_sensitivities is not None
-        if first:
-            row = 0
-        else:
-            row = 1
+        if row:
             transition = np.eye(len(full))
             transition[:n_z] = run.end_sensitivities[0]
             transition = transition * self.scale / self.scale[:, None]
-            mean = np.concatenate([run.states[1], full[n_z:]]) / self.scale
-            spread = transition @ spread @ transition.T
-            spread = spread + np.diag(self.intensity * (times[1] - times[0]))
+            self.mean = np.concatenate([run.states[1], full[n_z:]]) / self.scale
+            self.spread = transition @ self.spread @ transition.T
+            self.spread = self.spread + np.diag(self.intensity * (times[1] - times[0]))
         slope = run.output_sensitivities[row] * self.scale
-        cross = spread @ slope.T
-        return mean, spread, run.outputs[row], cross, slope @ cross
+        cross = self.spread @ slope.T
+        return run.outputs[row], cross, slope @ cross
 
     def _unscented(
-        self,
-        mean: np.ndarray,
-        spread: np.ndarray,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        *,
-        first: bool,
-    ) -> tuple[np.ndarray, ...]:
-        """Prediction over one step with the mean and two points per direction."""
-        n, n_z, reach = len(mean), self.n_z, self.settings.reach
-        values, vectors = np.linalg.eigh(0.5 * (spread + spread.T))
+        self, times: np.ndarray, inputs: np.ndarray, row: int
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Predict with the mean and two points per direction: as :meth:`_extended`."""
+        mean, n, n_z, reach = self.mean, len(self.mean), self.n_z, self.settings.reach
+        values, vectors = np.linalg.eigh(0.5 * (self.spread + self.spread.T))
         offsets = vectors * (reach * np.sqrt(np.maximum(values, 0.0)))
         points = np.vstack([mean, mean + offsets.T, mean - offsets.T])
         outputs = np.empty((2 * n + 1, len(self.sigma)))
-        row = 0 if first else 1
         for i, point in enumerate(points):
             full = point * self.scale
             run = self.kernel.run(times, inputs, self._all(full[n_z:]), full[:n_z])
             outputs[i] = run.outputs[row]
-            if not first:
+            if row:
                 points[i, :n_z] = run.states[1] / self.scale[:n_z]
         # Moments about the image of the mean: the weights of Wan & van der Merwe, summed so that
         # no negative weight of the middle point can make a covariance indefinite.
@@ -398,38 +364,30 @@ class JointFilter:
         weight = 0.5 / reach**2
         shift, expected = weight * away.sum(axis=0), weight * change.sum(axis=0)
         both = PEAKEDNESS - reach**2 / n
-        spread = weight * away.T @ away + both * np.outer(shift, shift)
-        if not first:
-            spread = spread + np.diag(self.intensity * (times[1] - times[0]))
+        self.mean = points[0] + shift
+        self.spread = weight * away.T @ away + both * np.outer(shift, shift)
+        if row:
+            self.spread = self.spread + np.diag(self.intensity * (times[1] - times[0]))
         cross = weight * away.T @ change + both * np.outer(shift, expected)
         own = weight * change.T @ change + both * np.outer(expected, expected)
-        return points[0] + shift, spread, outputs[0] + expected, cross, own
+        return outputs[0] + expected, cross, own
 
-    def _correct(
-        self,
-        mean: np.ndarray,
-        spread: np.ndarray,
-        innovation: np.ndarray,
-        cross: np.ndarray,
-        expected: np.ndarray,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and covariance after one measurement; missing outputs are passed over."""
+    def _correct(self, innovation: np.ndarray, cross: np.ndarray, expected: np.ndarray) -> None:
+        """Learn one measurement; missing outputs are passed over."""
         seen = np.flatnonzero(np.isfinite(innovation))
         if not len(seen):
-            return mean, spread
+            return
         total = expected[np.ix_(seen, seen)] + np.diag(self.sigma[seen] ** 2)
         unit = np.sqrt(np.diag(total))
         scaled = total / unit[:, None] / unit
         if not np.isfinite(scaled).all():
-            return np.full_like(mean, np.nan), spread
+            self.mean = np.full_like(self.mean, np.nan)
+            return
         gain = np.linalg.solve(scaled, (cross[:, seen] / unit).T).T / unit
-        mean = mean + gain @ innovation[seen]
-        spread = spread - gain @ cross[:, seen].T
-        spread = 0.5 * (spread + spread.T)
+        self.mean = self.mean + gain @ innovation[seen]
+        spread = self.spread - gain @ cross[:, seen].T
+        self.spread = 0.5 * (spread + spread.T)
         free = slice(self.n_z, None)
-        mean[free] = np.clip(
-            mean[free], self.lower / self.scale[free], self.upper / self.scale[free]
-        )
+        self.mean[free] = np.clip(self.mean[free], self.lower / self.unit, self.upper / self.unit)
         self._squares += float(innovation[seen] @ np.linalg.solve(total, innovation[seen]))
-        self._count += len(seen)
-        return mean, spread
+        self.count += len(seen)

@@ -4,34 +4,39 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from oed_sysid.baselines.equations import (
+    WINDOW,
     Rates,
-    RegressionForm,
     Rows,
+    check_choice,
     check_rule,
     regression_form,
     rows_of,
 )
 from oed_sysid.baselines.regression import (
+    EquationSolution,
     Regression,
+    RegressionEstimator,
+    assumed_levels,
+    column_norms,
+    each_equation,
     fit_from_values,
-    regress,
     residual_covariance,
     solve_rows,
 )
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 
 
 @dataclass(frozen=True)
-class EquationError:
+class EquationError(RegressionEstimator):
     r"""Least squares on measured states and the derivatives taken from them.
 
     Inertia times measured rate is explained by forces at the measured states,
@@ -83,15 +88,15 @@ class EquationError:
     {'T': 10.0, 'K': 0.1}
     """
 
+    apart: ClassVar[bool] = False
     rule: str = "local"
-    window: int = 9
+    window: int = WINDOW
     rates: Rates | None = None
     coloured: str = "auto"
 
     def __post_init__(self) -> None:
         check_rule(self.rule, self.window)
-        if self.coloured not in ("auto", "never", "always"):
-            raise ModelError(f"coloured is {self.coloured!r}. Choose auto, never or always.")
+        check_choice("coloured", self.coloured, ("auto", "never", "always"))
         if (self.rule == "exact") != (self.rates is not None):
             raise ModelError("Exact rates and rule='exact' belong together: give both or none.")
 
@@ -101,25 +106,8 @@ class EquationError:
         window = f", {self.window} samples" if self.rule == "local" else ""
         return f"equation error ({self.rule} derivatives{window})"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters or a state is not
-            measured; the message says which and what to do.
-        DataError
-            If data and model do not belong together.
-        """
-        return regress(
-            self,
-            model,
-            dataset,
-            lambda rows: solve_rows(rows, model, coloured=self.coloured),
-            window=self.window,
-            apart=False,
-        )
+    def _solve(self, rows: Rows) -> Regression:
+        return solve_rows(rows, coloured=self.coloured)
 
 
 def is_linear(model: Model) -> bool:
@@ -148,7 +136,7 @@ COPIES = 12
 
 
 @dataclass(frozen=True)
-class TotalLeastSquares:
+class TotalLeastSquares(RegressionEstimator):
     r"""Generalised total least squares, one equation at a time.
 
     With ``D = [regressors, target]`` and ``W`` the covariance of the errors of
@@ -175,7 +163,7 @@ class TotalLeastSquares:
     """
 
     rule: str = "local"
-    window: int = 9
+    window: int = WINDOW
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -188,64 +176,45 @@ class TotalLeastSquares:
         """Name and settings, for reports."""
         return f"total least squares ({self.rule} derivatives)"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters of each equation.
+    def _solve(self, rows: Rows) -> Regression:
+        column_errors = self._column_errors(rows)
 
-        Raises
-        ------
-        ModelError
-            As :meth:`EquationError.fit`, and where equations share a parameter.
-        """
-        return regress(
-            self, model, dataset, lambda rows: self._solve(rows, dataset), window=self.window
-        )
-
-    def _solve(self, rows: Rows, dataset: Dataset) -> Regression:
-        form = rows.form
-        sigma = given_levels(form.model.outputs)
-        sigma = np.where(np.isfinite(sigma), sigma, noise_floor(dataset))
-        column_errors = self._column_errors(form, dataset, rows, sigma)
-        estimates = np.zeros(len(form.names))
-        covariance = np.zeros((len(form.names), len(form.names)))
-        ratios: dict[str, float] = {}
-        coloured = False
-        for index, equation in enumerate(form.equations):
+        def solve(index: int) -> EquationSolution:
             regressors, target, names = rows.equation(index)
             if len(target) <= len(names):
                 raise ModelError(
-                    f"The equation of {equation} has {len(target)} complete rows for "
-                    f"{len(names)} parameters. Give a longer record."
+                    f"The equation of {rows.form.equations[index]} has {len(target)} complete rows "
+                    f"for {len(names)} parameters. Give a longer record."
                 )
             values, ratio = generalised_tls(regressors, target, column_errors[index])
             errors = ratio * column_errors[index]
-            block, use = _covariance(regressors, target, values, errors)
-            where = [form.names.index(name) for name in names]
-            estimates[where] = values
-            covariance[np.ix_(where, where)] = block
-            ratios[equation] = float(np.sqrt(ratio))
-            coloured |= use
-        return Regression(estimates, covariance, coloured=coloured, extras={"noise_ratio": ratios})
+            covariance, coloured = _covariance(regressors, target, values, errors)
+            facts = {"noise_ratio": float(np.sqrt(ratio))}
+            return EquationSolution(names, values, covariance, coloured, facts)
 
-    def _column_errors(
-        self, form: RegressionForm, dataset: Dataset, rows: Rows, sigma: np.ndarray
-    ) -> list[np.ndarray]:
+        return each_equation(rows, solve)
+
+    def _column_errors(self, rows: Rows) -> list[np.ndarray]:
         """Covariance of the errors of ``[regressors, target]`` per row, by equation."""
-        rng = np.random.default_rng(self.seed)
+        form, rng = rows.form, np.random.default_rng(self.seed)
+        sigma = assumed_levels(form.model, rows.dataset)
         sums = [np.zeros(()) for _ in form.equations]
-        used = [rows.equation(i)[2] for i in range(len(form.equations))]
+        used = [
+            [form.names.index(name) for name in rows.equation(index)[2]]
+            for index in range(len(form.equations))
+        ]
         targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
         for _ in range(COPIES):
             copies = [
                 record.with_outputs(
                     record.outputs + sigma * rng.standard_normal(record.outputs.shape)
                 )
-                for record in dataset
+                for record in rows.dataset
             ]
             moved = rows_of(form, Dataset(tuple(copies)), rule=self.rule, window=self.window)
             by_target = np.vstack(moved.targets) - targets
             by_regressor = np.vstack(moved.regressors) - regressors
-            for index, names in enumerate(used):
-                columns = [form.names.index(name) for name in names]
+            for index, columns in enumerate(used):
                 change = np.column_stack([by_regressor[:, index, columns], by_target[:, index]])
                 change = change[np.isfinite(change).all(axis=1)]
                 sums[index] = sums[index] + change.T @ change / max(len(change), 1)
@@ -279,8 +248,7 @@ def generalised_tls(
     [2.]
     """
     matrix = np.column_stack([regressors, target])
-    norms = np.linalg.norm(matrix, axis=0)
-    norms[norms == 0] = 1.0
+    norms = column_norms(matrix)
     _, values, vectors = np.linalg.svd(matrix / norms, full_matrices=False)
     # Rounding is the smallest misfit that can be told from none.
     values = np.maximum(values, 1e-14 * values[0])
@@ -305,8 +273,7 @@ def _covariance(
     n, n_parameters = regressors.shape
     residual = target - regressors @ values
     variance = float(residual @ residual) / max(n - n_parameters, 1)
-    norms = np.linalg.norm(regressors, axis=0)
-    norms[norms == 0] = 1.0
+    norms = column_norms(regressors)
     curvature = regressors.T @ regressors - n * errors[:-1, :-1]
     bread = np.linalg.pinv(curvature / norms[:, None] / norms, hermitian=True)
     bread = bread / norms[:, None] / norms
@@ -350,8 +317,7 @@ class HeadingDifferences:
     time_constant: str = "T"
 
     def __post_init__(self) -> None:
-        if self.scheme not in SCHEMES:
-            raise ModelError(f"scheme is {self.scheme!r}. Choose one of {', '.join(SCHEMES)}.")
+        check_choice("scheme", self.scheme, SCHEMES)
 
     @property
     def name(self) -> str:
@@ -395,14 +361,9 @@ class HeadingDifferences:
             self.gain: np.array([-1.0 / second, first / second**2]),
         }
         jacobian = np.array([slopes[name] for name in model.free_names])
-        return fit_from_values(
-            model,
-            dataset,
-            estimator=self.name,
-            estimates=np.array([values[name] for name in model.free_names]),
-            covariance=jacobian @ inner @ jacobian.T,
-            began=began,
-        )
+        estimates = np.array([values[name] for name in model.free_names])
+        found = Regression(estimates, jacobian @ inner @ jacobian.T)
+        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
 
     def _rows(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
         """Rows ``(n, 2)`` and right-hand sides ``(n,)`` of a record, as accelerations."""
@@ -411,10 +372,8 @@ class HeadingDifferences:
                 f"Record {record.name!r} is not sampled uniformly, which differences need."
             )
         heading, rudder = record.output(self.heading), record.input(self.rudder)
-        step = record.sample_time
-        right = (heading[2:] - 2 * heading[1:-1] + heading[:-2]) / step**2
+        steps = np.diff(heading) / record.sample_time
+        right = np.diff(steps) / record.sample_time
         if self.scheme == "forward":
-            rate = (heading[1:-1] - heading[:-2]) / step
-            return np.column_stack([rudder[:-2], rate]), right
-        rate = (heading[2:] - heading[:-2]) / (2 * step)
-        return np.column_stack([rudder[1:-1], rate]), right
+            return np.column_stack([rudder[:-2], steps[:-1]]), right
+        return np.column_stack([rudder[1:-1], (steps[1:] + steps[:-1]) / 2]), right

@@ -3,28 +3,35 @@
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from types import ModuleType
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from oed_sysid.baselines.equations import check_choice, check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
+    Regression,
     are_coloured,
+    assumed_levels,
     fit_from_values,
+    root_mean_square,
     sandwich,
 )
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.information.response import by_unknowns
+from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
-from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
+from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 
@@ -60,6 +67,7 @@ UNFINISHED = Status(
     "the limit of generations was reached before the search had gathered. Raise n_generations, or "
     "start MultipleShooting from here with warm=fit.",
 )
+DIVERGED = Status("diverged", "every candidate diverged. Narrow the bounds, or reduce model.step.")
 
 
 # A diverging candidate costs this much, because the libraries want finite numbers.
@@ -157,43 +165,18 @@ class TrajectoryCost:
         self.n_evaluations += len(population)
         return np.where(np.isfinite(total), total / count, np.inf)
 
-    def fit(
-        self,
-        best: np.ndarray,
-        *,
-        estimator: str,
-        began: float,
-        iterations: int,
-        status: Status,
-        extras: Mapping[str, Any] | None = None,
-    ) -> Fit:
-        """Build the result from the best candidate ``(n_free,)``.
+    def errors(self, best: np.ndarray) -> tuple[Information, np.ndarray, bool]:
+        """Errors of the best candidate ``(n_free,)``: those of least squares at the optimum.
 
-        The covariance is that of least squares at the optimum, widened by the
-        noise of the measured start states.
+        Returns
+        -------
+        information : Information
+            As if residuals were white.
+        covariance : ndarray (n_free, n_free)
+            Widened by the noise of the measured start states.
+        coloured : bool
+            Whether it accounts for errors correlated in time.
         """
-        if not np.isfinite(self(best)[0]):
-            status = Status(
-                "diverged",
-                "every candidate diverged. Narrow the bounds, or reduce model.step.",
-            )
-        information, covariance, coloured = self._errors(best)
-        return fit_from_values(
-            self.model,
-            self.dataset,
-            estimator=estimator,
-            estimates=best,
-            covariance=covariance,
-            information=information,
-            coloured=coloured,
-            began=began,
-            status=status,
-            iterations=iterations,
-            known=self.initial,
-            extras={"evaluations": self.n_evaluations, **(extras or {})},
-        )
-
-    def _errors(self, best: np.ndarray) -> tuple[Information, np.ndarray, bool]:
         model, runner = self.model, kernel(self.model)
         values = model.value_vector
         values[self._columns] = best
@@ -202,60 +185,45 @@ class TrajectoryCost:
             z, dz = runner.start(own, record.inputs[0], values, record.times[0])
             run = runner.run(record.times, record.inputs, values, z, sensitivities=True)
             assert run.output_sensitivities is not None
-            by_state = run.output_sensitivities[:, :, : runner.n_full] @ dz
-            by_free = by_state[:, :, runner.n_own :]
-            by_free += run.output_sensitivities[:, :, runner.n_full :]
-            residual = record.outputs - run.outputs
-            present = np.isfinite(residual)[:, :, None]
-            jacobians.append(np.where(present & np.isfinite(by_free), by_free, 0.0))
-            starts.append(np.where(present, np.nan_to_num(by_state[:, :, : runner.n_own]), 0.0))
-            residuals.append(residual)
-        stacked = np.vstack(residuals)
+            slopes = by_unknowns(run.output_sensitivities, dz, runner.n_own)
+            residuals.append(record.outputs - run.outputs)
+            seen = np.isfinite(residuals[-1])[:, :, None] & np.isfinite(slopes)
+            by_start, by_free = np.split(np.where(seen, slopes, 0.0), [runner.n_own], axis=2)
+            jacobians.append(by_free)
+            starts.append(by_start)
         levels = given_levels(model.outputs)
-        with np.errstate(invalid="ignore"):
-            rms = np.sqrt(np.nanmean(np.where(np.isfinite(stacked), stacked, np.nan) ** 2, axis=0))
-        sigma = np.where(np.isfinite(levels), levels, np.maximum(rms, 1e-9 * self.scales))
-        sigma = np.where(np.isfinite(sigma), sigma, self.scales)
-        # The search weighed outputs by its own scales; errors follow from these weights.
-        weights = 1.0 / self.scales
+        found = np.maximum(root_mean_square(np.vstack(residuals)), 1e-9 * self.scales)
+        sigma = np.where(np.isfinite(levels), levels, found)
         magnitudes = np.array([p.magnitude for p in model.free_parameters])
-        whitened = np.vstack(
-            [(j / sigma[:, None]).reshape(-1, len(self._columns)) for j in jacobians]
-        )
-        information = Information.from_jacobian(model.free_names, whitened, magnitudes)
-        weighted = [j * weights[:, None] for j in jacobians]
-        rows = np.vstack([j.reshape(-1, len(self._columns)) for j in weighted])
-        bread = Information.from_jacobian(model.free_names, rows, magnitudes).covariance
-        scaled = [r * weights for r in residuals]
-        coloured = are_coloured(scaled)
-        shares = (sigma * weights)[:, None]
-        noisy = np.vstack([(j * shares).reshape(-1, rows.shape[1]) for j in weighted])
-        middle = coloured_score_covariance(weighted, scaled) if coloured else noisy.T @ noisy
-        middle = middle + self._start_noise(weighted, starts, weights, sigma)
-        return information, sandwich(bread, middle), coloured
 
-    def _start_noise(
-        self,
-        weighted: list[np.ndarray],
-        starts: list[np.ndarray],
-        weights: np.ndarray,
-        sigma: np.ndarray,
-    ) -> np.ndarray:
-        """Covariance of the score that comes from the noise of the start states."""
-        n_free = len(self._columns)
-        total = np.zeros((n_free, n_free))
-        sources = {output.source: i for i, output in enumerate(self.model.outputs)}
-        spread = np.array(
-            [
-                sigma[sources[name]] if name in sources and name not in self.initial else 0.0
-                for name in self.model.state_names
-            ]
-        )
-        for jacobian, start in zip(weighted, starts, strict=True):
-            whitened = (start * weights[:, None]).reshape(-1, start.shape[2])
-            mixed = jacobian.reshape(-1, n_free).T @ (whitened * spread)
-            total += mixed @ mixed.T
-        return total
+        def stacked(parts: list[np.ndarray], units: np.ndarray) -> np.ndarray:
+            return np.vstack([(part / units[:, None]).reshape(-1, part.shape[2]) for part in parts])
+
+        def informed(units: np.ndarray) -> Information:
+            return Information.from_jacobian(
+                model.free_names, stacked(jacobians, units), magnitudes
+            )
+
+        # The search weighed outputs by its own scales; errors follow from these weights.
+        scaled = [residual / self.scales for residual in residuals]
+        coloured = are_coloured(scaled)
+        if coloured:
+            middle = coloured_score_covariance(
+                [j / self.scales[:, None] for j in jacobians], scaled
+            )
+        else:
+            noisy = stacked(jacobians, self.scales**2 / sigma)
+            middle = noisy.T @ noisy
+        # What the noise of the measured start states adds to the covariance of the score.
+        sources = {output.source: i for i, output in enumerate(model.outputs)}
+        measured = {name: sigma[column] for name, column in sources.items()}
+        measured |= dict.fromkeys(self.initial, 0.0)
+        spread = np.array([measured.get(name, 0.0) for name in model.state_names])
+        for jacobian, start in zip(jacobians, starts, strict=True):
+            mixed = stacked([jacobian], self.scales).T @ (stacked([start], self.scales) * spread)
+            middle = middle + mixed @ mixed.T
+        covariance = sandwich(informed(self.scales).covariance, middle)
+        return informed(sigma), covariance, coloured
 
 
 def _check_searchable(model: Model) -> None:
@@ -269,11 +237,7 @@ def _check_searchable(model: Model) -> None:
             "lower and upper with model.with_parameter(replace(parameter, lower=..., "
             "upper=...)), or use MultipleShooting, which needs none."
         )
-    if local := [p.name for p in free if p.per_record]:
-        raise ModelError(
-            f"{', '.join(local)} differ from record to record, which a search does not know. "
-            "Use MultipleShooting."
-        )
+    check_together(model, "a search")
 
 
 def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, float]) -> np.ndarray:
@@ -287,8 +251,7 @@ def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, floa
             )
         return np.array([scale[name] for name in names], dtype=float)
     if scale == "noise":
-        levels = given_levels(model.outputs)
-        return np.where(np.isfinite(levels), levels, noise_floor(dataset))
+        return assumed_levels(model, dataset)
     if scale != "peak":
         raise ModelError(f"scale is {scale!r}. Choose noise, peak or a number per output.")
     peaks = np.nanmax(np.abs(np.vstack([record.outputs for record in dataset])), axis=0)
@@ -307,65 +270,68 @@ class Found:
     best : ndarray (n_free,)
     iterations : int
         Generations.
-    gathered : bool
+    status : Status
         Whether it ended by itself.
+    extras : mapping
+        What else there is to tell.
     """
 
     best: np.ndarray
     iterations: int
-    gathered: bool
+    status: Status
+    extras: Mapping[str, Any] = field(default_factory=dict)
 
 
-class PopulationSearch(Protocol):
-    """Settings that all searches share; see :class:`DifferentialSwarm`."""
+class TrajectorySearch(ABC):
+    """Search of the least misfit of trajectories: settings and the way to a fit that all share."""
+
+    scale: str | Mapping[str, float]
+    initial: Mapping[str, float] | None
+    n_workers: int | None
 
     @property
+    @abstractmethod
     def name(self) -> str:
         """Name and settings, for reports."""
-        ...
 
-    @property
-    def scale(self) -> str | Mapping[str, float]:
-        """Scale of the residuals of each output."""
-        ...
+    @abstractmethod
+    def _search(self, cost: TrajectoryCost) -> Found:
+        """Search the region for the least cost."""
 
-    @property
-    def initial(self) -> Mapping[str, float] | None:
-        """Known start of some states."""
-        ...
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Search the free parameters within their bounds.
 
-    @property
-    def n_workers(self) -> int | None:
-        """Threads."""
-        ...
+        Returns
+        -------
+        Fit
+            ``extras["evaluations"]`` says how many candidates were simulated.
 
-
-def searched(
-    method: PopulationSearch,
-    model: Model,
-    dataset: Dataset,
-    search: Callable[[TrajectoryCost], Found],
-) -> Fit:
-    """Build the misfit, search, and simulate what was found: the adapter of all searches."""
-    began = time.perf_counter()
-    cost = TrajectoryCost(
-        model, dataset, scale=method.scale, initial=method.initial, n_workers=method.n_workers
-    )
-    found = search(cost)
-    return cost.fit(
-        found.best,
-        estimator=method.name,
-        began=began,
-        iterations=found.iterations,
-        status=CONVERGED if found.gathered else UNFINISHED,
-    )
+        Raises
+        ------
+        ModelError
+            If a free parameter has no finite bounds, or an optional library is not installed.
+        """
+        began = time.perf_counter()
+        cost = TrajectoryCost(
+            model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
+        )
+        end = self._search(cost)
+        status = end.status if np.isfinite(cost(end.best)[0]) else DIVERGED
+        extras = {"evaluations": cost.n_evaluations, **end.extras}
+        information, covariance, coloured = cost.errors(end.best)
+        found = Regression(
+            end.best, covariance, information, coloured, status, end.iterations, extras=extras
+        )
+        return fit_from_values(
+            model, dataset, found, estimator=self.name, began=began, known=cost.initial
+        )
 
 
 UPDATES = ("particle", "dimension")
 
 
 @dataclass(frozen=True)
-class DifferentialSwarm:
+class DifferentialSwarm(TrajectorySearch):
     r"""Search by a swarm that mixes personal bests, the best of all, and differences.
 
     .. math::
@@ -425,8 +391,7 @@ class DifferentialSwarm:
     progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.draw not in UPDATES:
-            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(UPDATES)}.")
+        check_choice("draw", self.draw, UPDATES)
         if self.n_particles < 4 or self.n_generations < 1:
             raise ModelError(
                 f"A swarm of {self.n_particles} particles and {self.n_generations} generations is "
@@ -440,23 +405,8 @@ class DifferentialSwarm:
             f"differential swarm ({self.n_particles} particles, {self.n_generations} generations)"
         )
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Search the free parameters within their bounds.
-
-        Returns
-        -------
-        Fit
-            ``extras["history"]`` holds the least cost of each generation.
-
-        Raises
-        ------
-        ModelError
-            If a free parameter has no finite bounds.
-        """
-        began = time.perf_counter()
-        cost = TrajectoryCost(
-            model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
-        )
+    def _search(self, cost: TrajectoryCost) -> Found:
+        """Move the swarm; ``extras["history"]`` holds the least cost of each generation."""
         rng = np.random.default_rng(self.seed)
         best = rng.uniform(cost.lower, cost.upper, (self.n_particles, len(cost.lower)))
         values = cost(best)
@@ -478,23 +428,16 @@ class DifferentialSwarm:
             if converged:
                 break
         status = CONVERGED
-        if not converged:
-            spread = best.std(axis=0) / np.maximum(cost.upper - cost.lower, 1e-300)
-            wide = [n for n, s in zip(model.free_names, spread, strict=True) if s > 0.05]
-            if wide:
-                status = Status(
-                    "iterations",
-                    f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
-                    "narrow the bounds, or start MultipleShooting from here with warm=fit.",
-                )
-        return cost.fit(
-            best[np.argmin(values)],
-            estimator=self.name,
-            began=began,
-            iterations=generation,
-            status=status,
-            extras={"history": np.array(history)},
-        )
+        spread = best.std(axis=0) / np.maximum(cost.upper - cost.lower, 1e-300)
+        wide = [n for n, s in zip(cost.model.free_names, spread, strict=True) if s > 0.05]
+        if wide and not converged:
+            status = Status(
+                "iterations",
+                f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
+                "narrow the bounds, or start MultipleShooting from here with warm=fit.",
+            )
+        extras = {"history": np.array(history)}
+        return Found(best[np.argmin(values)], generation, status, extras)
 
     def _moved(self, best: np.ndarray, leader: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """New positions ``(n_particles, n_free)``."""
@@ -526,7 +469,7 @@ def redrawn(
 
 
 @dataclass(frozen=True)
-class DifferentialEvolution:
+class DifferentialEvolution(TrajectorySearch):
     """Differential evolution of SciPy on the trajectory misfit, whole generations at once.
 
     Parameters
@@ -558,29 +501,24 @@ class DifferentialEvolution:
         """Name and settings, for reports."""
         return f"differential evolution ({self.n_particles} members)"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Search the free parameters within their bounds."""
-
-        def search(cost: TrajectoryCost) -> Found:
-            n_free = len(cost.lower)
-            found = differential_evolution(
-                lambda shares: cost.finite(cost.at(shares.T)),
-                [(0.0, 1.0)] * n_free,
-                maxiter=self.n_generations,
-                popsize=max(1, round(self.n_particles / n_free)),
-                tol=self.tolerance,
-                rng=np.random.default_rng(self.seed),
-                vectorized=True,
-                updating="deferred",
-                polish=False,
-            )
-            return Found(cost.at(found.x), int(found.nit), bool(found.success))
-
-        return searched(self, model, dataset, search)
+    def _search(self, cost: TrajectoryCost) -> Found:
+        n_free = len(cost.lower)
+        found = differential_evolution(
+            lambda shares: cost.finite(cost.at(shares.T)),
+            [(0.0, 1.0)] * n_free,
+            maxiter=self.n_generations,
+            popsize=max(1, round(self.n_particles / n_free)),
+            tol=self.tolerance,
+            rng=np.random.default_rng(self.seed),
+            vectorized=True,
+            updating="deferred",
+            polish=False,
+        )
+        return Found(cost.at(found.x), int(found.nit), CONVERGED if found.success else UNFINISHED)
 
 
 @dataclass(frozen=True)
-class CovarianceMatrixAdaptation:
+class CovarianceMatrixAdaptation(TrajectorySearch):
     """CMA-ES of the package cma on the trajectory misfit.
 
     Parameters
@@ -612,8 +550,7 @@ class CovarianceMatrixAdaptation:
         """Name and settings, for reports."""
         return "CMA-ES"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Search the free parameters within their bounds, from the middle of these."""
+    def _search(self, cost: TrajectoryCost) -> Found:
         cma = optional("cma", "cma", wanted_by="CovarianceMatrixAdaptation")
         options: dict[str, Any] = {
             "bounds": [0.0, 1.0],
@@ -624,21 +561,18 @@ class CovarianceMatrixAdaptation:
         }
         if self.n_particles is not None:
             options["popsize"] = self.n_particles
-
-        def search(cost: TrajectoryCost) -> Found:
-            middle = np.full(len(cost.lower), 0.5)
-            run = cma.CMAEvolutionStrategy(middle, self.spread, options)
-            while not run.stop():
-                members = np.array(run.ask())
-                run.tell(list(members), list(cost.finite(cost.at(members))))
-            best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
-            return Found(best, int(run.result.iterations), "maxiter" not in run.stop())
-
-        return searched(self, model, dataset, search)
+        # From the middle of the bounds.
+        run = cma.CMAEvolutionStrategy(np.full(len(cost.lower), 0.5), self.spread, options)
+        while not run.stop():
+            members = np.array(run.ask())
+            run.tell(list(members), list(cost.finite(cost.at(members))))
+        best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
+        status = UNFINISHED if "maxiter" in run.stop() else CONVERGED
+        return Found(best, int(run.result.iterations), status)
 
 
 @dataclass(frozen=True)
-class ParticleSwarm:
+class ParticleSwarm(TrajectorySearch):
     """Particle swarm of the package pymoo on the trajectory misfit.
 
     Parameters
@@ -666,26 +600,23 @@ class ParticleSwarm:
         """Name and settings, for reports."""
         return f"particle swarm ({self.n_particles} particles)"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Search the free parameters within their bounds."""
-        swarm = optional("pymoo.algorithms.soo.nonconvex.pso", "pymoo", wanted_by="ParticleSwarm")
-        problems = optional("pymoo.core.problem", "pymoo", wanted_by="ParticleSwarm")
-        optimize = optional("pymoo.optimize", "pymoo", wanted_by="ParticleSwarm")
+    def _search(self, cost: TrajectoryCost) -> Found:
+        swarm, problems, optimize = (
+            optional(f"pymoo.{part}", "pymoo", wanted_by="ParticleSwarm")
+            for part in ("algorithms.soo.nonconvex.pso", "core.problem", "optimize")
+        )
 
-        def search(cost: TrajectoryCost) -> Found:
-            def evaluate(_: object, x: np.ndarray, out: dict[str, np.ndarray], *__: object) -> None:
-                out["F"] = cost.finite(x)[:, None]
+        def evaluate(_: object, x: np.ndarray, out: dict[str, np.ndarray], *__: object) -> None:
+            out["F"] = cost.finite(x)[:, None]
 
-            kind = type("Misfit", (problems.Problem,), {"_evaluate": evaluate})
-            found = optimize.minimize(
-                kind(n_var=len(cost.lower), n_obj=1, xl=cost.lower, xu=cost.upper),
-                swarm.PSO(pop_size=self.n_particles),
-                ("n_gen", self.n_generations),
-                seed=self.seed,
-                verbose=False,
-            )
-            values = found.pop.get("F").ravel()
-            gathered = np.ptp(values) <= 1e-3 * values.min()
-            return Found(np.asarray(found.X, dtype=float), self.n_generations, bool(gathered))
-
-        return searched(self, model, dataset, search)
+        kind = type("Misfit", (problems.Problem,), {"_evaluate": evaluate})
+        found = optimize.minimize(
+            kind(n_var=len(cost.lower), n_obj=1, xl=cost.lower, xu=cost.upper),
+            swarm.PSO(pop_size=self.n_particles),
+            ("n_gen", self.n_generations),
+            seed=self.seed,
+            verbose=False,
+        )
+        values = found.pop.get("F").ravel()
+        status = CONVERGED if np.ptp(values) <= 1e-3 * values.min() else UNFINISHED
+        return Found(np.asarray(found.X, dtype=float), self.n_generations, status)

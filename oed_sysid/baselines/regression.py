@@ -15,27 +15,28 @@ with :math:`S` from the residuals' own autocorrelation
 from __future__ import annotations
 
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from dataclasses import dataclass, field, replace
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed_sysid.baselines.equations import Rows, regression_form, rows_of
+from oed_sysid.baselines.equations import WINDOW, Rows, regression_form, rows_of
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.covariance import sandwich
-from oed_sysid.likelihood.estimate import Posterior
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Posterior, Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
     Information,
     coloured_score_covariance,
     effective_sample_size,
 )
-from oed_sysid.likelihood.noise_levels import given_levels
+from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
 from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 
@@ -47,138 +48,9 @@ DIVERGED = (
 )
 
 
-def fit_from_values(
-    model: Model,
-    dataset: Dataset,
-    *,
-    estimator: str,
-    estimates: np.ndarray,
-    covariance: np.ndarray,
-    began: float,
-    information: Information | None = None,
-    coloured: bool = False,
-    status: Status = CONVERGED,
-    iterations: int = 1,
-    known: Mapping[str, float] | None = None,
-    posterior: Posterior | None = None,
-    extras: Mapping[str, Any] | None = None,
-) -> Fit:
-    """Simulate every record with the estimated values and build the result.
-
-    Parameters
-    ----------
-    model : Model
-        The model that was fitted, at its start values.
-    dataset : Dataset
-        The records.
-    estimator : str
-        Name for reports.
-    estimates : ndarray (n_free,)
-        Values in the order of ``model.free_names``.
-    covariance : ndarray (n_free, n_free)
-        Of the estimates.
-    began : float
-        ``time.perf_counter()`` at the start.
-    information : Information, optional
-        By default the inverse of the covariance.
-    coloured : bool
-        Whether the covariance accounts for coloured errors.
-    status : Status, optional
-        Divergence in simulation overrides it.
-    iterations : int
-        Iterations or samples.
-    known : mapping of str to float, optional
-        Known start of some states in all records; others are measured, or zero.
-    posterior : Posterior, optional
-        Draws, of a sampler.
-    extras : mapping, optional
-        What else the estimator has to tell.
-    """
-    check_channels(model, dataset)
-    names = model.free_names
-    values = np.array([float(value) for value in estimates])
-    fitted = model.with_values(_within_bounds(model, dict(zip(names, values, strict=True))))
-    runner = kernel(fitted)
-    predictions, residuals, states, initial = [], [], [], []
-    diverged = False
-    for record in dataset:
-        own = first_state(model, record, known)
-        z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
-        run = runner.run(record.times, record.inputs, fitted.value_vector, z)
-        diverged |= not run.ok
-        predictions.append(run.outputs)
-        residuals.append(record.outputs - run.outputs)
-        states.append(run.states)
-        initial.append(own)
-    declared = given_levels(model.outputs)
-    stacked = np.vstack(residuals)
-    present = np.isfinite(stacked)
-    squares = np.where(present, stacked, 0.0) ** 2
-    found = np.sqrt(squares.sum(axis=0) / np.maximum(present.sum(axis=0), 1))
-    found = np.where(found > 0, found, 1e-12)
-    estimated = ~np.isfinite(declared)
-    sigma = np.where(estimated, found, declared)
-    if information is None:
-        information = information_from_covariance(model, covariance)
-    if diverged:
-        status = Status("diverged", DIVERGED)
-    return Fit(
-        model=fitted,
-        dataset=dataset,
-        estimator=estimator,
-        names=names,
-        estimates=values,
-        information=information,
-        covariance=np.asarray(covariance, dtype=float),
-        coloured=coloured,
-        sigma=sigma,
-        sigma_estimated=estimated,
-        predictions=tuple(predictions),
-        residuals=tuple(residuals),
-        states=tuple(states),
-        initial_states=tuple(initial),
-        local_values=tuple({} for _ in dataset),
-        cost=0.5 * float(np.sum(squares / sigma**2)) if not diverged else np.inf,
-        status=status,
-        iterations=iterations,
-        seconds=time.perf_counter() - began,
-        posterior=posterior,
-        extras=dict(extras or {}),
-    )
-
-
-def information_from_covariance(model: Model, covariance: np.ndarray) -> Information:
-    """Information whose covariance is the given one; nothing where that is infinite."""
-    scales = np.array([p.magnitude for p in model.free_parameters])
-    scaled = np.asarray(covariance) / scales[:, None] / scales
-    finite = np.isfinite(np.diag(scaled))
-    matrix = np.zeros_like(scaled)
-    block = np.ix_(finite, finite)
-    matrix[block] = np.linalg.pinv(scaled[block], hermitian=True)
-    inner = matrix / scales[:, None] / scales
-    return Information.from_matrix(model.free_names, inner, scales)
-
-
-def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Values that a parameter can carry: a bound where an unbounded method left it."""
-    inside = {}
-    for name, value in values.items():
-        parameter = model.parameter(name)
-        finite = value if np.isfinite(value) else parameter.value
-        inside[name] = float(np.clip(finite, parameter.lower, parameter.upper))
-    return inside
-
-
-# Errors of an equation below this share of its target are rounding.
-ROUNDING = 1e-10
-
-
-ROUNDS = 20
-
-
 @dataclass(frozen=True, eq=False)
 class Regression:
-    """What a regression found, in the order of the model's free parameters.
+    """What an estimator found, in the order of the model's free parameters.
 
     Attributes
     ----------
@@ -207,101 +79,254 @@ class Regression:
     extras: Mapping[str, Any] = field(default_factory=dict)
 
 
-class RegressionMethod(Protocol):
-    """An estimator that takes rates by a rule; see :class:`.EquationError`."""
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        ...
-
-    @property
-    def rule(self) -> str:
-        """Where derivatives come from."""
-        ...
-
-
-def regress(
-    method: RegressionMethod,
+def fit_from_values(
     model: Model,
     dataset: Dataset,
-    solve: Callable[[Rows], Regression],
+    found: Regression,
     *,
-    window: int = 9,
-    apart: bool = True,
+    estimator: str,
+    began: float,
+    known: Mapping[str, float] | None = None,
 ) -> Fit:
-    """Derive the rows of all records, solve them, and simulate what was found.
+    """Simulate every record with the estimated values and build the result.
 
     Parameters
     ----------
-    method : estimator
-        With its ``rule``, and ``rates`` where it can be given them.
-    solve : callable
-        From the rows to the result.
-    window : int
-        Samples of a local cubic.
-    apart : bool
-        Whether each equation is solved alone, so that none may share a parameter.
-
-    Raises
-    ------
-    ModelError
-        If the model is not linear in its free parameters, a state is not measured, or equations
-        that are solved apart share a parameter.
-    DataError
-        If data and model do not belong together.
+    model : Model
+        The model that was fitted, at its start values.
+    dataset : Dataset
+        The records.
+    found : Regression
+        Values and their covariance; divergence in simulation overrides its status.
+    estimator : str
+        Name for reports.
+    began : float
+        ``time.perf_counter()`` at the start.
+    known : mapping of str to float, optional
+        Known start of some states in all records; others are measured, or zero.
     """
-    began = time.perf_counter()
-    rates = getattr(method, "rates", None)
-    rows = rows_of(regression_form(model), dataset, rule=method.rule, window=window, rates=rates)
-    if apart:
-        rows.check_separate()
-    found = vars(solve(rows))
-    return fit_from_values(model, dataset, estimator=method.name, began=began, **found)
+    check_channels(model, dataset)
+    names, values = model.free_names, np.asarray(found.estimates, dtype=float)
+    fitted = model.with_values(_within_bounds(model, dict(zip(names, values, strict=True))))
+    runner = kernel(fitted)
+    runs, initial = [], []
+    for record in dataset:
+        own = first_state(model, record, known)
+        z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
+        runs.append(runner.run(record.times, record.inputs, fitted.value_vector, z))
+        initial.append(own)
+    residuals = [record.outputs - run.outputs for record, run in zip(dataset, runs, strict=True)]
+    declared, stacked = given_levels(model.outputs), np.vstack(residuals)
+    estimated = ~np.isfinite(declared)
+    sigma = np.where(estimated, np.maximum(root_mean_square(stacked), 1e-12), declared)
+    diverged = not all(run.ok for run in runs)
+    return Fit(
+        model=fitted,
+        dataset=dataset,
+        estimator=estimator,
+        names=names,
+        estimates=values,
+        information=found.information or information_from_covariance(model, found.covariance),
+        covariance=np.asarray(found.covariance, dtype=float),
+        coloured=found.coloured,
+        sigma=sigma,
+        sigma_estimated=estimated,
+        predictions=tuple(run.outputs for run in runs),
+        residuals=tuple(residuals),
+        states=tuple(run.states for run in runs),
+        initial_states=tuple(initial),
+        local_values=tuple({} for _ in dataset),
+        cost=np.inf if diverged else 0.5 * float(np.nansum((stacked / sigma) ** 2)),
+        status=Status("diverged", DIVERGED) if diverged else found.status,
+        iterations=found.iterations,
+        seconds=time.perf_counter() - began,
+        posterior=found.posterior,
+        extras=dict(found.extras),
+    )
 
 
-def solve_rows(rows: Rows, model: Model, *, coloured: str = "auto") -> Regression:
+def root_mean_square(values: np.ndarray) -> np.ndarray:
+    """Of the finite numbers of each column, shape ``(n_columns,)``; zero where there are none."""
+    present = np.isfinite(values)
+    squares = np.where(present, values, 0.0) ** 2
+    return np.sqrt(squares.sum(axis=0) / np.maximum(present.sum(axis=0), 1))
+
+
+def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:
+    """Standard deviations ``(n_outputs,)``: as declared, else from differences of the samples."""
+    levels = given_levels(model.outputs)
+    return np.where(np.isfinite(levels), levels, noise_floor(dataset))
+
+
+def information_from_covariance(model: Model, covariance: np.ndarray) -> Information:
+    """Information whose covariance is the given one; nothing where that is infinite."""
+    scales = np.array([p.magnitude for p in model.free_parameters])
+    scaled = np.asarray(covariance) / scales[:, None] / scales
+    finite = np.isfinite(np.diag(scaled))
+    matrix = np.zeros_like(scaled)
+    block = np.ix_(finite, finite)
+    matrix[block] = np.linalg.pinv(scaled[block], hermitian=True)
+    inner = matrix / scales[:, None] / scales
+    return Information.from_matrix(model.free_names, inner, scales)
+
+
+def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """Values that a parameter can carry: a bound where an unbounded method left it."""
+    inside = {}
+    for name, value in values.items():
+        parameter = model.parameter(name)
+        finite = value if np.isfinite(value) else parameter.value
+        inside[name] = float(np.clip(finite, parameter.lower, parameter.upper))
+    return inside
+
+
+# Errors of an equation below this share of its target are rounding.
+ROUNDING = 1e-10
+# Most rounds of weighing equations by their own errors.
+ROUNDS = 20
+
+
+class RegressionEstimator(ABC):
+    """An estimator of linear equations of motion, by rows whose rates come from its ``rule``.
+
+    A kind has the settings ``rule`` and, where it knows them, ``window`` (of a local cubic) and
+    ``rates``; its
+    ``apart`` says whether it solves each equation alone, so that none may share a parameter.
+    """
+
+    rule: str
+    apart: ClassVar[bool] = True
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name and settings, for reports."""
+
+    @abstractmethod
+    def _solve(self, rows: Rows) -> Regression:
+        """Solve the rows of all records."""
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters from all records at once.
+
+        Raises
+        ------
+        ModelError
+            If the model is not linear in its free parameters, a state is not measured, or
+            equations that are solved apart share a parameter; the message says which and what
+            to do.
+        DataError
+            If data and model do not belong together.
+        """
+        began = time.perf_counter()
+        rows = rows_of(
+            regression_form(model),
+            dataset,
+            rule=self.rule,
+            window=getattr(self, "window", WINDOW) if self.rule == "local" else WINDOW,
+            rates=getattr(self, "rates", None),
+        )
+        if self.apart:
+            rows.check_separate()
+        return fit_from_values(model, dataset, self._solve(rows), estimator=self.name, began=began)
+
+
+@dataclass(frozen=True, eq=False)
+class EquationSolution:
+    """What was found of the parameters of one equation.
+
+    Attributes
+    ----------
+    names : sequence of str
+    values : ndarray (n_names,)
+    covariance : ndarray (n_names, n_names)
+    coloured : bool
+        Whether the covariance accounts for errors correlated in time.
+    facts : mapping
+        What else there is to tell about the equation.
+    """
+
+    names: Sequence[str]
+    values: np.ndarray
+    covariance: np.ndarray
+    coloured: bool = False
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+
+def each_equation(rows: Rows, solve: Callable[[int], EquationSolution]) -> Regression:
+    """Solve equation by equation; ``extras`` holds the facts, by the state of the equation."""
+    names = rows.form.names
+    estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
+    extras: dict[str, dict[str, Any]] = {}
+    coloured = False
+    for index, equation in enumerate(rows.form.equations):
+        found = solve(index)
+        where = [names.index(name) for name in found.names]
+        estimates[where] = found.values
+        covariance[np.ix_(where, where)] = found.covariance
+        coloured |= found.coloured
+        for key, fact in found.facts.items():
+            extras.setdefault(key, {})[equation] = fact
+    return Regression(estimates, covariance, coloured=coloured, extras=extras)
+
+
+def weighed(
+    solve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], levels: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Solve equations weighed by levels of their errors, which follow, until these settle.
+
+    Returns
+    -------
+    estimates : ndarray (n_free,)
+    levels : ndarray (n_equations,)
+    """
+    for _ in range(ROUNDS):
+        estimates, new = solve(levels)
+        change = np.abs(np.log(new / levels)).max()
+        levels = new
+        if change < 1e-6:
+            break
+    return estimates, levels
+
+
+def solve_rows(rows: Rows, *, coloured: str = "auto") -> Regression:
     """Solve all equations together, each weighted by the spread of its own errors.
 
     Where no parameter is shared this is ordinary least squares of each equation.
     Priors enter as observations; bounds are kept.
     """
-    n_free, n_equations = len(rows.form.names), len(rows.form.equations)
-    targets = np.vstack(rows.targets)
-    regressors = np.vstack(rows.regressors)
+    model, n_free, n_equations = rows.form.model, len(rows.form.names), len(rows.form.equations)
+    targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
     valid = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
-    spread = np.array([_rms(targets[valid[:, i], i]) for i in range(n_equations)])
+    # A row with a gap is one of zeros, which says nothing.
+    targets = np.where(valid, targets, 0.0)
+    regressors = np.where(valid[:, :, None], regressors, 0.0)
+    spread = np.sqrt((targets**2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1))
     levels = np.where(spread > 0, spread, 1.0)
     floor = ROUNDING * levels
-    prior_rows, prior_targets = _priors(model)
-    estimates = np.zeros(n_free)
-    for _ in range(ROUNDS):
-        flat = np.where(valid[:, :, None], regressors / levels[:, None], 0.0)
-        right = np.where(valid, targets / levels, 0.0).ravel()
-        matrix = np.vstack([flat.reshape(-1, n_free), prior_rows])
-        estimates = bounded_least_squares(matrix, np.concatenate([right, prior_targets]), model)
-        errors = np.where(valid, targets - regressors @ estimates, 0.0)
-        freedom = np.maximum(valid.sum(axis=0) - n_free / n_equations, 1.0)
-        new = np.maximum(np.sqrt((errors**2).sum(axis=0) / freedom), floor)
-        change = np.max(np.abs(np.log(new / levels)))
-        levels = new
-        if change < 1e-6:
-            break
-    residuals = tuple(t - r @ estimates for t, r in zip(rows.targets, rows.regressors, strict=True))
+    freedom = np.maximum(valid.sum(axis=0) - n_free / n_equations, 1.0)
+    known, known_targets = prior_rows(model)
+
+    def whitened(levels: np.ndarray) -> np.ndarray:
+        return np.vstack([(regressors / levels[:, None]).reshape(-1, n_free), known])
+
+    def solve(levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        right = np.concatenate([(targets / levels).ravel(), known_targets])
+        found = bounded_least_squares(whitened(levels), right, model)
+        errors = targets - regressors @ found
+        return found, np.maximum(np.sqrt((errors**2).sum(axis=0) / freedom), floor)
+
+    estimates, levels = weighed(solve, levels)
     scales = np.array([p.magnitude for p in model.free_parameters])
-    whitened = np.where(valid[:, :, None], regressors / levels[:, None], 0.0)
-    stacked = np.vstack([whitened.reshape(-1, n_free), prior_rows])
-    information = Information.from_jacobian(rows.form.names, stacked, scales)
+    information = Information.from_jacobian(rows.form.names, whitened(levels), scales)
+    residuals = tuple(t - r @ estimates for t, r in zip(rows.targets, rows.regressors, strict=True))
     scaled = [residual / levels for residual in residuals]
     use = coloured == "always" or (coloured == "auto" and are_coloured(scaled))
     covariance = information.covariance
     if use:
-        pairs = zip(rows.regressors, residuals, strict=True)
-        jacobians = [
-            np.where(np.isfinite(r) & np.isfinite(error)[:, :, None], r, 0.0) / levels[:, None]
-            for r, error in pairs
-        ]
-        middle = coloured_score_covariance(jacobians, scaled) + prior_rows.T @ prior_rows
+        ends = np.cumsum([len(t) for t in rows.targets])[:-1]
+        jacobians = np.split(regressors / levels[:, None], ends)
+        middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
         covariance = sandwich(covariance, middle)
     extras = {
         "equation_errors": dict(zip(rows.form.equations, map(float, levels), strict=True)),
@@ -310,10 +335,15 @@ def solve_rows(rows: Rows, model: Model, *, coloured: str = "auto") -> Regressio
     return Regression(estimates, covariance, information, use, extras=extras)
 
 
+def column_norms(matrix: np.ndarray) -> np.ndarray:
+    """Norms of the columns, one of empty ones: what brings columns to one size."""
+    norms = np.linalg.norm(matrix, axis=0)
+    return np.where(norms > 0, norms, 1.0)
+
+
 def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -> np.ndarray:
     """Least squares of smallest scaled norm, within the bounds of the free parameters."""
-    norms = np.linalg.norm(matrix, axis=0)
-    scale = 1.0 / np.where(norms > 0, norms, 1.0)
+    scale = 1.0 / column_norms(matrix)
     solution = scale * np.linalg.lstsq(matrix * scale, right, rcond=1e-13)[0]
     lower = np.array([p.lower for p in model.free_parameters])
     upper = np.array([p.upper for p in model.free_parameters])
@@ -361,19 +391,13 @@ def are_coloured(residuals: Sequence[np.ndarray]) -> bool:
     return total > 0 and effective < COLOUR_LIMIT * total
 
 
-def _priors(model: Model) -> tuple[np.ndarray, np.ndarray]:
-    """Priors as whitened rows ``(n_priors, n_free)`` and targets."""
-    known = [(i, p) for i, p in enumerate(model.free_parameters) if p.prior_spread is not None]
-    rows = np.zeros((len(known), len(model.free_parameters)))
-    targets = np.zeros(len(known))
-    for row, (index, parameter) in enumerate(known):
-        rows[row, index] = 1.0 / float(parameter.prior_spread or 1.0)
-        targets[row] = float(parameter.prior_mean or 0.0) * rows[row, index]
-    return rows, targets
-
-
-def _rms(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2))) if len(values) else 0.0
+def prior_rows(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Priors as whitened rows ``(n_priors, n_free)`` and targets ``(n_priors,)``."""
+    free = model.free_parameters
+    weights = np.array([1.0 / p.prior_spread if p.prior_spread else 0.0 for p in free])
+    means = np.array([p.prior_mean or 0.0 for p in free])
+    known = np.flatnonzero(weights)
+    return np.diag(weights)[known], (weights * means)[known]
 
 
 @dataclass(frozen=True, eq=False)
@@ -497,30 +521,25 @@ def separate(
         ``extras``: ``bias`` and whatever the solver tells, by the state of the equation, and
         ``history``, the value of each parameter after every row, of recursive solvers.
     """
-    names = rows.form.names
-    estimates = np.zeros(len(names))
-    covariance = np.zeros((len(names), len(names)))
-    extras: dict[str, dict[str, Any]] = {"bias": {}}
-    coloured = False
-    for index, equation in enumerate(rows.form.equations):
+    history: dict[str, np.ndarray] = {}
+
+    def solve(index: int) -> EquationSolution:
         part = scaled_equation(rows, index, scale)
         with_bias = bias or part.constant is not None
         solution = solver(part.features, part.targets, with_bias)
-        extras["bias"][equation] = solution.bias * part.target_unit
-        for key, fact in solution.facts.items():
-            extras.setdefault(key, {})[equation] = fact
-        block, use = equation_covariance(part, solution, with_bias)
-        coloured |= use
+        block, coloured = equation_covariance(part, solution, with_bias)
         # Coefficients and the bias, which stands for the constant parameter where there is one.
-        involved = [*part.names, part.constant] if part.constant else list(part.names)
-        where, n = [names.index(name) for name in involved], len(involved)
-        units = np.append(part.units, part.constant_unit)
-        estimates[where] = (np.append(solution.coefficients, solution.bias) * units)[:n]
-        covariance[np.ix_(where, where)] = (block * units[:, None] * units)[:n, :n]
+        names = [*part.names, part.constant] if part.constant else list(part.names)
+        n, units = len(names), np.append(part.units, part.constant_unit)
+        values = (np.append(solution.coefficients, solution.bias) * units)[:n]
         if solution.track is not None:
-            tracks = dict(zip(involved, (solution.track * units).T, strict=False))
-            extras.setdefault("history", {}).update(tracks)
-    return Regression(estimates, covariance, coloured=coloured, extras=extras)
+            history.update(zip(names, (solution.track * units).T, strict=False))
+        facts = {"bias": solution.bias * part.target_unit, **solution.facts}
+        covariance = (block * units[:, None] * units)[:n, :n]
+        return EquationSolution(names, values, covariance, coloured, facts)
+
+    found = each_equation(rows, solve)
+    return replace(found, extras={**found.extras, "history": history}) if history else found
 
 
 def equation_covariance(
@@ -533,8 +552,7 @@ def equation_covariance(
     errors = part.targets - part.features @ solution.coefficients - solution.bias
     freedom = max(float(weights.sum()) - n_features - with_bias, 1.0)
     variance = float(weights @ errors**2) / freedom
-    norms = np.linalg.norm(matrix, axis=0)
-    scale = 1.0 / np.where(norms > 0, norms, 1.0)
+    scale = 1.0 / column_norms(matrix)
     matrix = matrix * scale
     penalty = np.diag([*np.full(n_features, solution.ridge), 0.0]) * scale**2
     bread = np.linalg.pinv((matrix.T * weights) @ matrix + penalty, hermitian=True, rcond=1e-15)

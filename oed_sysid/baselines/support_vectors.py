@@ -9,20 +9,21 @@ from typing import Protocol
 
 import numpy as np
 
-from oed_sysid.baselines.equations import Rates, Rows, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
 from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.regression import (
     Regression,
+    RegressionEstimator,
     SeparateSolution,
-    regress,
+    column_norms,
     separate,
 )
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import Fit, Status
-from oed_sysid.physics.model import Model
+from oed_sysid.likelihood.estimate import Status
 
 FORMS = ("primal", "dual")
+# Published weight of the errors.
+WEIGHT = 3e4
 
 
 # A dual system of more samples than this is larger than 800 MB.
@@ -148,8 +149,7 @@ def train(
     check_weight(C)
     chosen = kernel or LinearKernel()
     linear = isinstance(chosen, LinearKernel)
-    if form not in FORMS:
-        raise ModelError(f"form is {form!r}. Choose one of {', '.join(FORMS)}.")
+    check_choice("form", form, FORMS)
     if form == "primal":
         if not linear:
             raise ModelError("Only the linear kernel has a primal form. Use form='dual'.")
@@ -181,8 +181,7 @@ def ridge(features: np.ndarray, targets: np.ndarray, C: float, *, bias: bool) ->
     upper = np.hstack([features, constant])
     lower = np.hstack([np.eye(n_features) / np.sqrt(C), np.zeros((n_features, 1))])
     matrix = np.vstack([upper, lower])
-    norms = np.linalg.norm(matrix, axis=0)
-    scale = 1.0 / np.where(norms > 0, norms, 1.0)
+    scale = 1.0 / column_norms(matrix)
     right = np.concatenate([targets, np.zeros(n_features)])
     return scale * np.linalg.lstsq(matrix * scale, right, rcond=None)[0]
 
@@ -194,7 +193,7 @@ def check_weight(C: float) -> None:
 
 
 @dataclass(frozen=True)
-class LeastSquaresSVM:
+class LeastSquaresSVM(RegressionEstimator):
     r"""Separate linear least-squares support vector regressions, one per equation.
 
     A parameter whose regressor is constant, such as a steady thrust, is taken
@@ -226,34 +225,25 @@ class LeastSquaresSVM:
     LS-SVM, J. Hydrodynamics 24(5), doi 10.1016/S1001-6058(11)60299-0.
     """
 
-    C: float = 3e4
+    C: float = WEIGHT
     form: str = "primal"
     scale: str | Mapping[str, float] = "raw"
     bias: bool = True
     rule: str = "simpson"
-    window: int = 9
+    window: int = WINDOW
     rates: Rates | None = None
 
     def __post_init__(self) -> None:
         check_weight(self.C)
         check_rule(self.rule, self.window)
-        if self.form not in FORMS:
-            raise ModelError(f"form is {self.form!r}. Choose one of {', '.join(FORMS)}.")
+        check_choice("form", self.form, FORMS)
 
     @property
     def name(self) -> str:
         """Name and settings, for reports."""
         return f"LS-SVM ({self.form}, C {self.C:g}, {self.rule} derivatives)"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters of each equation.
-
-        Raises
-        ------
-        ModelError
-            As :meth:`EquationError.fit`, and where equations share a parameter.
-        """
-
+    def _solve(self, rows: Rows) -> Regression:
         def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
             machine = train(features, targets, C=self.C, form=self.form, bias=bias)
             assert machine.coefficients is not None  # the kernel is linear
@@ -266,13 +256,7 @@ class LeastSquaresSVM:
                 facts={"condition": condition if self.form == "dual" else np.sqrt(condition)},
             )
 
-        return regress(
-            self,
-            model,
-            dataset,
-            lambda rows: separate(rows, solve, scale=self.scale, bias=self.bias),
-            window=self.window,
-        )
+        return separate(rows, solve, scale=self.scale, bias=self.bias)
 
 
 ITERATIONS = Status(
@@ -281,7 +265,7 @@ ITERATIONS = Status(
 
 
 @dataclass(frozen=True)
-class SupportVectorRegression:
+class SupportVectorRegression(RegressionEstimator):
     r"""Linear :math:`\varepsilon`-support vector regression, one equation at a time.
 
     .. math:: \min \tfrac12|w|^2 + C\sum_i \max(0, |y_i - w^Tx_i - b| - \varepsilon)
@@ -314,7 +298,7 @@ class SupportVectorRegression:
     epsilon: float = 1e-3
     scale: str | Mapping[str, float] = "unit"
     rule: str = "simpson"
-    window: int = 9
+    window: int = WINDOW
     rates: Rates | None = None
     max_iterations: int = 200_000
 
@@ -329,15 +313,7 @@ class SupportVectorRegression:
         """Name and settings, for reports."""
         return f"support vector regression (C {self.C:g}, epsilon {self.epsilon:g})"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters of each equation.
-
-        Raises
-        ------
-        ModelError
-            As :meth:`EquationError.fit`, where equations share a parameter, or
-            if scikit-learn is not installed.
-        """
+    def _solve(self, rows: Rows) -> Regression:
         svm = optional("sklearn.svm", "scikit-learn", wanted_by="SupportVectorRegression")
         unfinished: list[int] = []
 
@@ -361,8 +337,5 @@ class SupportVectorRegression:
                 facts={"support_vectors": len(machine.support_)},
             )
 
-        def solve_all(rows: Rows) -> Regression:
-            found = separate(rows, solve, scale=self.scale)
-            return replace(found, status=ITERATIONS) if unfinished else found
-
-        return regress(self, model, dataset, solve_all, window=self.window)
+        found = separate(rows, solve, scale=self.scale)
+        return replace(found, status=ITERATIONS) if unfinished else found

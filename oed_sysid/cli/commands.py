@@ -417,7 +417,7 @@ def campaign(
     [bold]Example[/bold]: oed-sysid campaign trial --problem remus_diving_plane --goal all=5
     --hours 2
     """
-    from oed_sysid.design.logbook import Logbook
+    from oed_sysid.design.decision import Logbook
 
     if Logbook.exists(folder):
         if problem is not None or goal:

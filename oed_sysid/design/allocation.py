@@ -31,11 +31,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
-from oed_sysid.design.missing_effects import ByShifts
+from oed_sysid.design.criteria import NOTHING, AOptimal, ByShifts, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 
 GAP = 2e-4
@@ -193,28 +193,23 @@ def weights(
     """
     time = None if budget is None else library.costs / budget
     count = None if n_runs is None else np.full(library.n_runs, 1.0 / n_runs)
-    if time is None or count is None:
-        only = time if time is not None else count
-        if only is None:
-            raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
-        return relaxed(library, only, tolerance=tolerance)
-    first = relaxed(library, time, tolerance=tolerance)
-    if count @ first.repetitions <= 1 + 1e-9:
-        return first
-    last = relaxed(library, count, tolerance=tolerance)
-    if time @ last.repetitions <= 1 + 1e-9:
-        return last
+    limits = [one for one in (time, count) if one is not None]
+    if not limits:
+        raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
+    found = []
+    for limit in limits:
+        found.append(relaxed(library, limit, tolerance=tolerance))
+        if all(other @ found[-1].repetitions <= 1 + 1e-9 for other in limits):
+            return found[-1]
+    time, count = limits
     low, high = 0.0, 1.0
-    found = [first, last]
     for _ in range(8):
         theta = 0.5 * (low + high)
         middle = relaxed(library, theta * time + (1 - theta) * count, tolerance=tolerance)
         found.append(middle)
         # More weight on whichever limit is passed.
-        if time @ middle.repetitions > count @ middle.repetitions:
-            low = theta
-        else:
-            high = theta
+        over_time = time @ middle.repetitions > count @ middle.repetitions
+        low, high = (theta, high) if over_time else (low, theta)
     bound = min(one.bound for one in found)
     inside = [
         Weights(x, library.value(x), bound, one.sweeps)
@@ -279,29 +274,22 @@ class _Search:
         counts = self.filled(counts, per_cost=True)
         value = self.library.value(counts)
         while True:
-            options = [
-                self.filled(trial, per_cost=flag)
-                for fewer in self._fewer(counts)
-                for trial in (fewer, *self._best_added(fewer))
-                for flag in (True, False)
+            chosen = np.repeat(np.arange(len(counts)), counts).tolist()
+            fewer = [
+                counts - np.bincount(pick, minlength=len(counts))
+                for pick in {*combinations(chosen, 1), *combinations(chosen, 2)}
             ]
+            trials = [trial for one in fewer for trial in (one, *self._best_added(one))]
+            options = [self.filled(one, per_cost=flag) for one in trials for flag in (True, False)]
             found = [self.library.value(option) for option in options]
             if not found or max(found) <= value + 1e-9:
                 return counts
             counts = options[int(np.argmax(found))]
             value = max(found)
 
-    def _fewer(self, counts: np.ndarray) -> list[np.ndarray]:
-        """One run left out, or two."""
-        chosen = np.repeat(np.arange(len(counts)), counts)
-        out: set[tuple[int, ...]] = {(int(i),) for i in chosen}
-        out |= {(int(i), int(j)) for n, i in enumerate(chosen) for j in chosen[n + 1 :]}
-        return [counts - np.bincount(pick, minlength=len(counts)) for pick in out]
-
     def _best_added(self, fewer: np.ndarray) -> list[np.ndarray]:
         """With the few runs added that tell most on their own."""
-        runs = self.fits(fewer)
-        if not len(runs):
+        if not len(runs := self.fits(fewer)):
             return []
         best = runs[np.argsort(-self.added(fewer, runs))[:_TRIED]]
         return [fewer + np.bincount([run], minlength=len(fewer)) for run in best]

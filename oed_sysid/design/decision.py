@@ -22,41 +22,67 @@ everything is called known. Another run must have had the chance to contradict t
 has, the one that tells most is the next. And what was known before and every record must agree
 (:mod:`oed_sysid.likelihood.between_records`), apart from differences of a tenth of the goals. Where
 they do not, no stated error holds, and no number of further runs mends it.
+
+A campaign on disk: candidates, goals and records of a trial that may be broken off at any time.
+
+Every step ends by writing ``journal.json`` as a whole; what was being done when the power failed is
+simply done again. Records are copied into the folder, so that it can be carried home.
 """
 
 from __future__ import annotations
 
+import json
 import time
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.design.choices import UNCERTAINTY
 from oed_sysid.design.criteria import DOptimal, quick_inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
-from oed_sysid.design.limits import LimitBounds, percent, quantity, units_of
-from oed_sysid.design.vehicles import at_least, draw_models, kept_on
-from oed_sysid.errors import DesignError
+from oed_sysid.design.result import write_commands
+from oed_sysid.design.search import WORTH
+from oed_sysid.design.vehicles import (
+    CHECKED,
+    LimitBounds,
+    at_least,
+    draw_models,
+    kept_on,
+    percent,
+    quantity,
+    units_of,
+)
+from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import plays, respond
 from oed_sysid.likelihood.between_records import CHANCE
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, counted
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_text,
+    counted,
+    plain,
+)
+from oed_sysid.runtime.files import write_bytes, write_text
 
-# A run that lowers what is missing by less than this per goal is not worth its fuel.
-WORTH = 0.01
 # Share of a goal's tolerance by which records may differ without a word.
 IMMATERIAL = 0.1
-# Parameters that are named where records contradict one another, and standard errors from which on.
-NAMED, APART = 3, 2.0
-_VEHICLES = 200
+# Parameters that are named where records contradict one another.
+NAMED = 3
 
 
 @runtime_checkable
@@ -66,20 +92,16 @@ class Goal(Protocol):
     @property
     def name(self) -> str:
         """Name for reports."""
-        ...
 
     @property
     def tolerance(self) -> float:
         """Largest standard deviation that is good enough."""
-        ...
 
     def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
         """Derivatives of the functions by the parameters, ``(n_functions, n_names)``."""
-        ...
 
     def words(self, model: Model, deviation: float) -> str:
         """Return a standard deviation as people say it."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -317,27 +339,29 @@ class Decision:
                 "WARNING: the records contradict one another, so that the errors do not hold; look "
                 f"for what the model lacks (improve) first; {words}"
             )
-        if self.is_check:
-            words += " checks what one run alone has said"
-        else:
+        brings = "checks what one run alone has said"
+        if not self.is_check:
             unmet = (one for one in self.goals if not one.is_met)
             far = max(unmet, key=lambda one: one.now / one.goal.tolerance)
             now, then = (far.goal.words(self.model, value) for value in (far.now, far.then))
-            words += f" brings {far.goal.name} from {now} to {then}"
+            brings = f"brings {far.goal.name} from {now} to {then}"
+        left = "not all goals can be planned for"
         if np.isfinite(self.hours_left):
-            words += f"; {counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
-        else:
-            words += "; not all goals can be planned for"
-        if self.kept is not None:
-            words += (
-                f"; limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles (at least "
-                f"{self.at_least:.0%} with 95 % confidence)"
-            )
-        elif run.experiment.limits.signals:
-            words += "; whether other vehicles keep the limits is not known"
-        else:
-            words += "; no limit on the motion was given"
-        return f"{words}."
+            left = f"{counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
+        safe = self._safety or "no limit on the motion was given"
+        if self.kept is None and run.experiment.limits.signals:
+            safe = "whether other vehicles keep the limits is not known"
+        return f"{words} {brings}; {left}; {safe}."
+
+    @property
+    def _safety(self) -> str:
+        """How surely the next run keeps its limits; empty where that is not known."""
+        if self.kept is None:
+            return ""
+        return (
+            f"limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles (at least "
+            f"{self.at_least:.0%} with 95 % confidence)"
+        )
 
     def document(self) -> Report:
         """Return the decision, the verdict first."""
@@ -350,36 +374,23 @@ class Decision:
             words = (one.goal.words(self.model, value) for value in values)
             rows.append((one.goal.name, *words, "met" if one.is_met else ""))
         headers = ("goal", "wanted", "now", "after next", "")
-        facts = list(self._next_words()) if self.action == "go on" else []
-        if self.contradiction is not None:
-            facts.insert(0, ("WARNING", self.contradiction.text))
+        facts = [] if self.contradiction is None else [("WARNING", self.contradiction.text)]
+        if self.next_run is not None:
+            left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
+            far = "more than can be planned: lower a goal"
+            facts += [
+                ("next", self.next_run.name),
+                *([("limits", self._safety.removeprefix("limits "))] if self._safety else []),
+                ("to go", left if np.isfinite(self.hours_left) else far),
+            ]
+            if self.hours_available is not None and self.hours_left > self.hours_available:
+                short = f"only {self.hours_available:.2g} h are left: not all goals will be met"
+                facts.append(("WARNING", short))
         refused = [f"Not run: {name!r} may leave its limits." for name in self.refused]
         section = Section("Goals", refused, (Table(headers, rows),), indent=2)
         return Report(head, answer=head, head=facts, sections=(section,))
 
     report = as_text
-
-    def _next_words(self) -> Iterator[tuple[str, str]]:
-        """Facts about the next run, and what is left after it."""
-        if self.next_run is None:
-            return
-        yield "next", self.next_run.name
-        if self.kept is not None:
-            kept = (
-                f"kept on {self.kept:.0%} of {self.n_checked} vehicles that remain possible, "
-                f"at least {self.at_least:.0%} with 95 % confidence"
-            )
-            yield "limits", kept
-        left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
-        yield (
-            "to go",
-            left if np.isfinite(self.hours_left) else "more than can be planned: lower a goal",
-        )
-        if self.hours_available is not None and self.hours_left > self.hours_available:
-            yield (
-                "WARNING",
-                f"only {self.hours_available:.2g} h are left: not all goals will be met",
-            )
 
     to_dict = as_dict(
         "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",
@@ -441,51 +452,52 @@ def decide(
     # Nothing but one run has told the parameters, so that nothing could contradict it.
     is_alone = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
     needs_check = outlook.is_met and contradiction is None and is_alone
-    refused: list[str] = []
-    checked: tuple[float | None, int] = (None, 0)
-    chosen = None
+    safe = _Safe(outlook, None, None, 0, ())
     if needs_check or not outlook.is_met:
-        vehicles = (expected.model, *_possible(expected, rng))
-        while chosen is None and (best := outlook.best(check=needs_check)) is not None:
-            kept = _kept(outlook.runs[best], vehicles, limits, certainty)
-            if kept is None:
-                refused.append(outlook.runs[best].name)
-                outlook = outlook.without(best)
-            else:
-                chosen, checked = best, kept
-    next_run, then, steps = outlook.after(chosen, check=needs_check)
+        safe = _safe_run(outlook, expected, limits, certainty, rng, check=needs_check)
+    outlook, next_run = safe.outlook, safe.run
+    steps = outlook.path() if safe.chosen is not None and not needs_check else safe.steps
     action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
         model=expected.model,
         action=action,
-        goals=tuple(
-            Progressed(goal, float(a), float(b))
-            for goal, a, b in zip(goals, outlook.now, then, strict=True)
-        ),
+        goals=tuple(map(Progressed, goals, outlook.now.tolist(), safe.then.tolist())),
         next_run=next_run if action == "go on" else None,
         runs_left=len(steps),
         hours_left=outlook.hours(steps),
         hours_available=hours,
-        refused=tuple(dict.fromkeys(refused)),
+        refused=safe.refused,
         seconds=time.perf_counter() - began,
-        kept=checked[0],
-        n_checked=checked[1],
+        kept=safe.kept,
+        n_checked=safe.n_checked,
         contradiction=contradiction,
     )
 
 
-def _kept(
-    run: Candidate, vehicles: Sequence[Model], limits: Limits | None, certainty: float
-) -> tuple[float | None, int] | None:
-    """Share of the vehicles on which a run keeps its limits, and their number; None: too few.
+@dataclass(frozen=True, eq=False)
+class _Safe:
+    """The best run that keeps its limits, on how many vehicles, and those that do not."""
 
-    No share is stated where there are no limits, or no vehicle but the nominal one.
-    """
-    bounds = LimitBounds.of(vehicles[0], limits or run.experiment.limits)
-    kept = kept_on(run.experiment, vehicles, bounds, certainty)
-    if kept is None:
-        return None
-    return (kept, len(vehicles)) if bounds.names and len(vehicles) > 1 else (None, 0)
+    outlook: _Outlook
+    chosen: int | None
+    kept: float | None
+    n_checked: int
+    refused: tuple[str, ...]
+
+    @property
+    def steps(self) -> list[int]:
+        """The run alone, if there is one."""
+        return [] if self.chosen is None else [self.chosen]
+
+    @property
+    def run(self) -> Candidate | None:
+        """The run itself."""
+        return None if self.chosen is None else self.outlook.runs[self.chosen]
+
+    @property
+    def then(self) -> np.ndarray:
+        """Standard deviation of each goal after it."""
+        return self.outlook.deviations(sum((self.outlook.told[i] for i in self.steps), 0.0))
 
 
 def _action(
@@ -501,6 +513,31 @@ def _action(
     if next_run is None:
         return "unchecked" if needs_check else "useless"
     return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
+
+
+def _safe_run(
+    outlook: _Outlook,
+    expected: ExpectedInformation,
+    limits: Limits | None,
+    certainty: float,
+    rng: np.random.Generator,
+    *,
+    check: bool,
+) -> _Safe:
+    """Take the best run, and refuse those that leave their limits on too many vehicles."""
+    vehicles = (expected.model, *_possible(expected, rng))
+    refused: dict[str, None] = {}
+    while (best := outlook.best(check=check)) is not None:
+        run = outlook.runs[best].experiment
+        bounds = LimitBounds.of(expected.model, limits or run.limits)
+        kept = kept_on(run, vehicles, bounds, certainty)
+        if kept is not None:
+            # Without limits there is nothing to keep.
+            n = len(vehicles) if bounds.names else 0
+            return _Safe(outlook, best, kept if n else None, n, tuple(refused))
+        refused[run.name] = None
+        outlook = outlook.without(best)
+    return _Safe(outlook, None, None, 0, tuple(refused))
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -524,7 +561,7 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
     least = int(np.argmin(found.chances))
     series = [record.name for record in fit.dataset if not record.independent]
     apart = sources.apart(found.worst)
-    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > APART][:NAMED]
+    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > TWO_SIDED_95][:NAMED]
     return Contradiction(
         source="what was known before" if found.worst == 0 else repr(series[found.worst - 1]),
         statistic=(found.statistic, *found.each)[least],
@@ -541,6 +578,7 @@ class _Outlook:
     matrix: np.ndarray
     told: tuple[np.ndarray, ...]
     runs: tuple[Candidate, ...]
+    costs: np.ndarray
     rows: tuple[np.ndarray, ...]
     wanted: np.ndarray
 
@@ -554,7 +592,8 @@ class _Outlook:
         rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
         return cls(
             expected.total(None), tuple(expected.relative(each[i]) for i in finite),  # type: ignore[arg-type]
-            tuple(candidates[i] for i in finite), tuple(rows),
+            tuple(candidates[i] for i in finite),
+            np.array([candidates[i].cost for i in finite]), tuple(rows),
             np.array([goal.tolerance for goal in goals]),
         )  # fmt: skip
 
@@ -562,13 +601,9 @@ class _Outlook:
         """The outlook without a run."""
         kept = [i for i in range(len(self.runs)) if i != index]
         return replace(
-            self, told=tuple(self.told[i] for i in kept), runs=tuple(self.runs[i] for i in kept)
-        )
-
-    @property
-    def costs(self) -> np.ndarray:
-        """Time of each run, s."""
-        return np.array([run.cost for run in self.runs])
+            self, told=tuple(self.told[i] for i in kept), runs=tuple(self.runs[i] for i in kept),
+            costs=self.costs[kept],
+        )  # fmt: skip
 
     @property
     def now(self) -> np.ndarray:
@@ -608,15 +643,6 @@ class _Outlook:
         order = np.argsort(-brought / self.costs, kind="stable")
         return next((int(i) for i in order if brought[i] > WORTH or meets[i]), None)
 
-    def after(
-        self, chosen: int | None, *, check: bool
-    ) -> tuple[Candidate | None, np.ndarray, list[int]]:
-        """The next run, the deviations after it, and the runs until the goals are met."""
-        if chosen is None:
-            return None, self.now, []
-        steps = [chosen] if check else self.path()
-        return self.runs[chosen], self.deviations(self.told[chosen]), steps
-
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""
         steps: list[int] = []
@@ -634,27 +660,240 @@ class _Outlook:
         after = self.deviations(sum((self.told[i] for i in steps), np.zeros_like(self.matrix)))
         if not np.all(after <= self.wanted):
             return float("inf")
-        return sum(self.runs[i].cost for i in steps) / 3600.0
+        return float(self.costs[list(steps)].sum()) / 3600.0
 
 
 def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[Model, ...]:
     """Vehicles that remain possible; where nothing is known, of coefficients off by a third."""
     try:
-        return draw_models(expected.model, None, _VEHICLES, expected.prior, rng)
+        return draw_models(expected.model, None, CHECKED, expected.prior, rng)
     except DesignError:
-        return draw_models(expected.model, UNCERTAINTY, _VEHICLES, None, rng)
+        return draw_models(expected.model, UNCERTAINTY, CHECKED, None, rng)
 
 
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:
     """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free."""
     names = [p.name for p in model.free_parameters if not p.per_record]
-    found: dict[str, ParameterGoal] = {}
-    for key, tolerance in given.items():
-        if key != "all" and key not in names:
-            raise DesignError(
-                f"The goal {key!r} is no free parameter of model {model.name!r}; free are "
-                f"{', '.join(names)}, or 'all'."
+    if unknown := [key for key in given if key not in (*names, "all")]:
+        raise DesignError(
+            f"The goal {unknown[0]!r} is no free parameter of model {model.name!r}; free are "
+            f"{', '.join(names)}, or 'all'."
+        )
+    each = [(n, t) for key, t in given.items() for n in (names if key == "all" else [key])]
+    return tuple(ParameterGoal(name, tolerance) for name, tolerance in dict(each).items())
+
+
+NAME = "journal.json"
+_FIT = "fit.json"
+
+
+@dataclass(frozen=True, eq=False)
+class Logbook:
+    """State of a campaign.
+
+    Attributes
+    ----------
+    folder : Path
+    problem : str
+    variant : str or None
+    candidates : tuple of Candidate
+    goals : mapping of str to float
+        Relative errors by parameter, or ``"all"``.
+    hours : float or None
+        For the whole trial.
+    sea : NoiseModel or None
+        Expected until a fit has found its own.
+    records : tuple of str
+        Files of the folder, in order.
+    runs : tuple of str
+        Names of the runs that were proposed, one for each record.
+    proposed : str or None
+        The run that is to be done next.
+    seed : int
+    model : Model or None
+    fit : Fit or None
+        Of all records.
+    """
+
+    folder: Path
+    problem: str
+    variant: str | None
+    candidates: tuple[Candidate, ...]
+    goals: Mapping[str, float]
+    hours: float | None
+    sea: NoiseModel | None
+    records: Sequence[str] = ()
+    runs: Sequence[str] = ()
+    proposed: str | None = None
+    seed: int = 0
+    model: Model | None = field(default=None, repr=False)
+    fit: Fit | None = field(default=None, repr=False)
+
+    @staticmethod
+    def exists(folder: str | Path) -> bool:
+        """Whether a folder holds a campaign."""
+        return (Path(folder) / NAME).is_file()
+
+    @classmethod
+    def begin(
+        cls,
+        folder: str | Path,
+        model: Model,
+        *,
+        problem: str,
+        candidates: Sequence[Candidate],
+        goals: Mapping[str, float],
+        variant: str | None = None,
+        hours: float | None = None,
+        sea: NoiseModel | None = None,
+        seed: int = 0,
+    ) -> Logbook:
+        """Begin a campaign and write its journal.
+
+        Raises
+        ------
+        DesignError
+            If a goal is about nothing.
+        """
+        goals_of(model, goals)  # said now, not after the first run
+        journal = cls(
+            Path(folder), problem, variant, tuple(candidates), dict(goals), hours, sea, seed=seed,
+            model=model,
+        )  # fmt: skip
+        journal.write()
+        return journal
+
+    @classmethod
+    def open(cls, folder: str | Path) -> Logbook:
+        """Read a campaign; give it its model with :meth:`of`.
+
+        Raises
+        ------
+        FileError
+            If the journal cannot be read.
+        """
+        place = Path(folder) / NAME
+        try:
+            data = json.loads(place.read_text(encoding="utf-8"))
+            data = {name: data[name] for name in _KEPT}
+            data["candidates"] = tuple(
+                Candidate(**(one | {"experiment": Experiment.from_dict(one["experiment"])}))
+                for one in data["candidates"]
             )
-        for name in names if key == "all" else [key]:
-            found[name] = ParameterGoal(name, tolerance)
-    return tuple(found.values())
+            data["sea"] = None if data["sea"] is None else _noise(data["sea"])
+            return cls(Path(folder), **data)
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise FileError(
+                f"{str(place)!r} is no journal of a campaign ({error}). Begin another one, or "
+                "restore it from a copy."
+            ) from None
+
+    def of(self, model: Model) -> Logbook:
+        """Return the journal with its model, and the fit of its records if there is one."""
+        stored = self.folder / _FIT
+        fit = None
+        if self.records:
+            if stored.is_file():
+                fit = Fit.load(stored)
+            if fit is None or len(tuple(fit.dataset)) != len(self.records):
+                fit = MultipleShooting().fit(model, self.dataset(model))
+        return replace(self, model=model, fit=fit)
+
+    def dataset(self, model: Model) -> Dataset:
+        """All records."""
+        return read_csv([self.folder / name for name in self.records], model.channels)
+
+    @property
+    def hours_used(self) -> float:
+        """Time of the runs done, turnarounds included, h."""
+        costs = {run.name: run.cost for run in self.candidates}
+        return sum(costs.get(name, 0.0) for name in self.runs) / 3600.0
+
+    def with_record(self, path: str | Path) -> Logbook:
+        """Take a log in, estimate from all of them, and write the journal.
+
+        Parameters
+        ----------
+        path : str or Path
+            CSV of the run that was proposed last.
+
+        Raises
+        ------
+        FileError, DataError
+            If it cannot be read; nothing is changed then.
+        """
+        model = self._model
+        try:
+            content = Path(path).read_bytes()
+        except OSError as error:
+            raise FileError(f"{str(path)!r} cannot be read: {error.strerror}.") from None
+        for name in self.records:
+            if (self.folder / name).read_bytes() == content:
+                raise DesignError(
+                    f"{str(path)!r} is in the journal already, as {name}. Give the next log."
+                )
+        name = f"run_{len(self.records) + 1:02d}.csv"
+        read_csv([Path(path)], model.channels)  # what cannot be read is not taken in
+        write_bytes(self.folder / name, content)
+        longer = replace(
+            self, records=(*self.records, name), runs=(*self.runs, self.proposed or ""),
+            proposed=None,
+        )  # fmt: skip
+        fit = MultipleShooting().fit(model, longer.dataset(model))
+        fit.save(self.folder / _FIT)
+        longer = replace(longer, fit=fit)
+        longer.write()
+        return longer
+
+    def decide(self) -> Decision:
+        """Stop, or what to run next."""
+        model = self._model
+        if self.fit is not None and not self.fit.status.ok:
+            raise DesignError(
+                f"The estimation from {len(self.records)} records did not converge "
+                f"({self.fit.status}). Look at the records (oed-sysid check), or fix parameters "
+                "that they do not show."
+            )
+        fitted = self.fit is not None and not self.fit.noise.is_white
+        return decide(
+            self.fit or model,
+            self.candidates,
+            goals_of(model, self.goals),
+            rng=np.random.default_rng(self.seed),
+            noise=None if fitted else self.sea,
+            hours=None if self.hours is None else self.hours - self.hours_used,
+        )
+
+    def write_next(self, decision: Decision) -> Path | None:
+        """Write the commands of the next run as ``next.csv`` and note it in the journal."""
+        run = decision.next_run
+        replace(self, proposed=None if run is None else run.name).write()
+        if run is None:
+            return None
+        return write_commands(self.folder / "next.csv", decision.model, run.experiment)
+
+    def write(self) -> None:
+        """Write the journal, whole or not at all."""
+        data = {name: getattr(self, name) for name in _KEPT}
+        data["sea"] = None if self.sea is None else asdict(self.sea)
+        write_text(self.folder / NAME, json.dumps(plain(data), indent=1) + "\n")
+
+    @property
+    def _model(self) -> Model:
+        if self.model is None:
+            raise DesignError("The logbook has no model yet. Give it with Logbook.of(model).")
+        return self.model
+
+
+# What the journal holds of a logbook.
+_KEPT = [one.name for one in fields(Logbook) if one.name not in ("folder", "model", "fit")]
+
+
+def _noise(data: Mapping[str, Any]) -> NoiseModel:
+    arrays = {
+        name: np.array(data[name], dtype=float)
+        for name in ("white", "colour", "force", "colour_time", "force_time")
+    }
+    names = {name: tuple(data[name]) for name in ("outputs", "places")}
+    seas = tuple(Sea(**sea) for sea in data.get("seas", ()))
+    return NoiseModel(**arrays, **names, seas=seas)  # type: ignore[arg-type]

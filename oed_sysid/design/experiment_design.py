@@ -7,7 +7,7 @@ r"""The verb of this package: design an experiment within limits; and several, o
 with the information :math:`F` of the run (start states eliminated) and :math:`F_0` in hand, the
 criterion :math:`\varphi` (:mod:`oed_sysid.design.criteria`), commands :math:`u` of a family within
 range and rate (:mod:`oed_sysid.design.waveforms`), and limits :math:`h`
-(:mod:`oed_sysid.design.limits`) on vehicles that are possible (:mod:`oed_sysid.design.vehicles`).
+(:mod:`oed_sysid.design.vehicles`) on vehicles that are possible (:mod:`oed_sysid.design.vehicles`).
 Rough manoeuvres are refined by sequential linear programs (:mod:`oed_sysid.design.search`).
 
 In a campaign all records up to run ``k`` give
@@ -24,23 +24,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from contextlib import suppress
+from dataclasses import dataclass, fields, replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.design.criteria import Criterion, DOptimal
+from oed_sysid.design.assurance import Assurance
+from oed_sysid.design.criteria import ByShifts, Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Reference, Standard, standard_manoeuvres
-from oed_sysid.design.limits import quantity, units_of
-from oed_sysid.design.missing_effects import ByShifts
-from oed_sysid.design.objective import Objective, Score
+from oed_sysid.design.objective import Score
 from oed_sysid.design.result import Design
 from oed_sysid.design.search import (
     Progress,
-    SearchResult,
     ZigZags,
     again,
     refine_all,
@@ -48,7 +47,7 @@ from oed_sysid.design.search import (
     starts,
 )
 from oed_sysid.design.trial import Search, Task, Trial
-from oed_sysid.design.vehicles import Caution, Robust
+from oed_sysid.design.vehicles import REACHED, Caution, Robust, quantity, units_of
 from oed_sysid.design.waveforms import Grid
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -60,24 +59,16 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
-# Vehicles of the caution that nobody asked for: it must not take minutes.
-_USUAL_SETS, _USUAL_CHECKS = 80, 400
-# Arguments that are gone.
-_RUN = {
-    name: f"trial=Trial({name}=...)"
-    for name in (
-        "limits", "duration", "sample_time", "inputs", "constants", "neutral", "initial", "end",
-        "name",
-    )
-}  # fmt: skip
-_SEARCH = {
-    name: f"search=Search({name}=...)"
-    for name in ("n_starts", "n_candidates", "n_steps", "n_workers")
-} | {"parametrisation": "search=Search(family=...)"}
-_KNOWN = {
-    name: f"knowledge=Knowledge({name}=...)" for name in ("prior", "start", "noise", "coloured")
-}
-_GONE = _RUN | _SEARCH | _KNOWN
+# The caution that nobody asked for must not take minutes.
+_USUAL = Caution(n_sets=80, n_checks=400)
+# Arguments that are gone: fields of what now holds them.
+_RUN = {one.name: f"trial=Trial({one.name}=...)" for one in fields(Trial)}
+_GONE = (
+    _RUN
+    | {one.name: f"search=Search({one.name}=...)" for one in fields(Search)}
+    | {one.name: f"knowledge=Knowledge({one.name}=...)" for one in fields(Knowledge)}
+    | {"parametrisation": "search=Search(family=...)"}
+)
 _GONE_IN_SERIES = {
     name: new if name in _RUN else f"design=partial(design_experiment, {new})"
     for name, new in _GONE.items()
@@ -194,7 +185,7 @@ def find_design(
         Whether a run that does not keep the limits on all vehicles wanted is better than none.
     """
     began = time.perf_counter()
-    keep = keep or Journal()
+    kept = keep or Journal()
     references = standard_manoeuvres(
         task.model, task.grid, task.bounds, constants=task.trial.constants,
         initial=task.trial.initial,
@@ -202,59 +193,43 @@ def find_design(
     if references:
         told = task.expected.seen_white(references[0][1])
         task = replace(task, expected=told)
-    searched = partial(
-        _searched, search=search, references=references, rng=rng, progress=progress, keep=keep
-    )
+
+    def tried(task: Task, begin: Score | None = None) -> tuple[_Found, Assurance | None]:
+        """What is found, from rough manoeuvres or a given one, and how surely it keeps limits."""
+        found = _searched(task, search, references, rng, progress, kept, begin)
+        assured = partial(task.assured, found.experiment, rng)
+        return found, kept.once("other vehicles", assured, rng=rng)
+
     try:
-        objective, found, best, experiment = searched(task)
+        found, assurance = tried(task)
     except DesignError:
         if not may_be_unsafe or task.caution is None:
             raise
         # Nothing keeps the limits as surely as that: what follows says so in its first line.
         task = replace(task, scenarios=(), waves=())
-        objective, found, best, experiment = searched(task)
-    assurance = keep.once("other vehicles", partial(task.assured, experiment, rng), rng=rng)
+        found, assurance = tried(task)
     # With more and stricter vehicles, until fresh ones confirm the probability asked for.
     for _ in range(3):
-        caution = task.caution
-        if assurance is None or caution is None or not task.scenarios:
-            break
-        if assurance.probability >= caution.probability:
+        if assurance is None or not task.scenarios or assurance.is_enough:
             break
         task = task.stricter(assurance, rng)
         try:
-            objective, found, best, experiment = searched(task, begin=best)
+            found, assurance = tried(task, found.best)
         except DesignError:
             if not may_be_unsafe:
                 raise
             break
-        assurance = keep.once("other vehicles", partial(task.assured, experiment, rng), rng=rng)
-    return _result(task, search, (objective, found, best, experiment), references, assurance, began)
-
-
-def _result(
-    task: Task,
-    search: Search,
-    searched: tuple[Objective, SearchResult, Score, Experiment],
-    references: Sequence[Standard],
-    assurance: Any,
-    began: float,
-) -> Design:
-    """What was found, with all that is stated about it."""
-    objective, found, best, experiment = searched
-    expected, grid = task.expected, task.grid
+    expected, grid, best = task.expected, task.grid, found.best
     played = task.experiment(best.commands)
     compared = []
     for title, run, note in references:
-        try:
+        with suppress(OedSysidError):
             compared.append(Reference(title, run, expected.bound(run), note))
-        except OedSysidError:
-            continue
     total = expected.before if expected.shifts is None else expected.total(played)
     return Design(
         assurance=assurance,
         sea=expected.sea,
-        experiment=experiment,
+        experiment=found.experiment,
         model=task.model,
         trajectory=simulate_inputs(
             task.model, grid.times, inputs=best.commands, initial=task.trial.initial
@@ -272,7 +247,7 @@ def _result(
         ),
         misfits=expected.misfits(total),
         chances=expected.detections(total),
-        n_evaluations=objective.n_evaluations,
+        n_evaluations=found.n_evaluations,
         seconds=time.perf_counter() - began,
     )
 
@@ -284,26 +259,51 @@ def _usual_caution(given: Model | Fit, limits: Limits, knowledge: Knowledge) -> 
     known = given.information if isinstance(knowledge.prior, str) else knowledge.prior
     if not np.all(np.isfinite(known.covariance)):
         return None
-    return Caution(n_sets=_USUAL_SETS, n_checks=_USUAL_CHECKS)
+    return _USUAL
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Best member of a family, as an experiment, and what it took."""
+
+    best: Score
+    experiment: Experiment
+    values: tuple[float, ...]
+    n_evaluations: int
 
 
 def _searched(
     task: Task,
-    *,
     search: Search,
     references: Sequence[Standard],
     rng: np.random.Generator,
     progress: Callable[[Progress], None] | None,
     keep: Journal,
-    begin: Score | None = None,
-) -> tuple[Objective, SearchResult, Score, Experiment]:
+    begin: Score | None,
+) -> _Found:
     """Search the family, from rough manoeuvres or from a given member."""
-    if isinstance(search.family, ZigZags):
-        return _searched_zigzags(task, search.family, search.workers, references, rng, keep)
-    objective = task.objective(search.family.on(task.grid), search.workers)
-    _check_neutral(task)
+    family = search.family
+    shape = None if isinstance(family, ZigZags) else family.on(task.grid)
+    objective = task.objective(shape, search.workers)
+    _check_start(task)
+    if isinstance(family, ZigZags):
+        signs = [getattr(run.excitation, "sign", None) for _, run, _ in references]
+        tried = partial(
+            search_zigzags, family, objective, task.grid, task.model,
+            sign=next((int(one) for one in signs if one is not None), 1),
+            constants=task.trial.constants, initial=task.trial.initial, rng=rng,
+        )  # fmt: skip
+        (best, nearest, loop), objective.n_evaluations = keep.once(
+            "zigzags", lambda: (tried(), objective.n_evaluations), rng=rng
+        )
+        if nearest is None:
+            raise DesignError(f"No zigzag on {family.feedback!r} stays finite.")
+        if best is None or loop is None:
+            raise DesignError(_infeasible(task, nearest))
+        named = replace(loop, name=task.trial.name, limits=task.trial.limits)
+        return _Found(best, named, (best.value,), objective.n_evaluations)
     if begin is not None:
-        first = again(objective, task.grid, begin)
+        first = again(objective, task.grid, [begin])
     else:
         rough = partial(
             starts, objective, task.grid, rng, n_candidates=search.n_candidates,
@@ -320,61 +320,30 @@ def _searched(
         )
     found = refine_all(objective, first, n_steps=search.n_steps, progress=progress, journal=keep)
     if found.best is None:
-        raise DesignError(_infeasible(task, found))
+        raise DesignError(_infeasible(task, found.nearest))
     best = found.best
     if task.expected.sea is not None and len(found.others) > 1:
         best = max(found.others, key=task.worth)
-    return objective, found, best, task.experiment(best.commands)
+    return _Found(best, task.experiment(best.commands), found.values, objective.n_evaluations)
 
 
-def _searched_zigzags(
-    task: Task,
-    family: ZigZags,
-    n_workers: int,
-    references: Sequence[Standard],
-    rng: np.random.Generator,
-    keep: Journal,
-) -> tuple[Objective, SearchResult, Score, Experiment]:
-    """Search zigzags that are closed over the vehicle."""
-    objective = task.objective(None, n_workers)
-    _check_neutral(task)
-    signs = [getattr(run.excitation, "sign", None) for _, run, _ in references]
-    sign = next((int(one) for one in signs if one is not None), 1)
-    tried = partial(
-        search_zigzags, family, objective, task.grid, task.model, sign=sign,
-        constants=task.trial.constants, initial=task.trial.initial, rng=rng,
-    )  # fmt: skip
-    (zigzag, nearest, loop), objective.n_evaluations = keep.once(
-        "zigzags", lambda: (tried(), objective.n_evaluations), rng=rng
-    )
-    if nearest is None:
-        raise DesignError(f"No zigzag on {family.feedback!r} stays finite.")
-    found = SearchResult(zigzag, nearest, (float("-inf") if zigzag is None else zigzag.value,))
-    if zigzag is None or loop is None:
-        raise DesignError(_infeasible(task, found))
-    named = replace(loop, name=task.trial.name, limits=task.trial.limits)
-    return objective, found, zigzag, named
-
-
-def _check_neutral(task: Task) -> None:
-    """Raise if limits are broken even when nothing is commanded."""
+def _check_start(task: Task) -> None:
+    """Raise if limits are broken before anything is commanded."""
     limits = task.trial.limits.signals
     run = simulate_inputs(
         task.model, task.grid.times, inputs=task.still(), initial=task.trial.initial, throw=False
     )
     first = {name: run.signal(name)[:1] for name in limits}
-    at_start = Limits(signals=dict(limits)).violations(run.times[:1], first)
-    if at_start:
+    if at_start := Limits(signals=dict(limits)).violations(run.times[:1], first):
         raise DesignError(
             f"The start already breaks the limits: {'; '.join(at_start)}. Change the start "
             "(initial, on the command line --like with another experiment) or the limits."
         )
 
 
-def _infeasible(task: Task, found: SearchResult) -> str:
+def _infeasible(task: Task, nearest: Score) -> str:
     """Say which limits the nearest manoeuvre breaks, and what to do."""
-    signals = found.nearest.evaluations[0].signals
-    words = task.bounds.broken(task.grid.times, signals)
+    words = task.bounds.broken(task.grid.times, nearest.evaluations[0].signals)
     if not words and task.caution is not None:
         return (
             f"No manoeuvre was found that keeps all limits on {task.caution.probability:.0%} of "
@@ -397,13 +366,13 @@ def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str])
     for i, name in enumerate(grid.inputs):
         width = grid.upper[i] - grid.lower[i]
         for bound, side in ((grid.lower[i], "lower"), (grid.upper[i], "upper")):
-            share = float(np.mean(np.abs(commands[:, i] - bound) < 0.01 * width))
+            share = float(np.mean(np.abs(commands[:, i] - bound) < REACHED * width))
             if share > 0:
                 reached = quantity(bound, units[name])
                 words.append(f"{name} {side} limit {reached} for {share:.0%} of the time")
         if np.isfinite(grid.rates[i]):
             slopes = np.abs(np.diff(commands[:, i])) / grid.step
-            share = float(np.mean(slopes > 0.99 * grid.rates[i]))
+            share = float(np.mean(slopes > (1 - REACHED) * grid.rates[i]))
             if share > 0:
                 reached = quantity(grid.rates[i], units[name])
                 words.append(f"{name} rate limit {reached}/s for {share:.0%} of the time")

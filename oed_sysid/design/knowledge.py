@@ -9,7 +9,7 @@ sizes and on absent effects in units of theirs,
     \qquad \text{worth} = \varphi(M)
 
 with the criterion :math:`\varphi` of :mod:`oed_sysid.design.criteria` or
-:mod:`oed_sysid.design.missing_effects`. Designs, programmes and decisions all take the expected
+:mod:`oed_sysid.design.criteria`. Designs, programmes and decisions all take the expected
 information from here; disturbance forces and autocorrelated sensors are in :math:`F`
 (:mod:`oed_sysid.information.bound`).
 
@@ -27,8 +27,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.design.criteria import Criterion, Measure, Setting, log_determinant
-from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
+from oed_sysid.design.criteria import (
+    ByShifts,
+    Criterion,
+    Detect,
+    Detection,
+    Discriminate,
+    Measure,
+    Setting,
+    log_determinant,
+)
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information.bound import (
@@ -84,12 +92,12 @@ class Knowledge:
         names = _shared(model)
         if self.prior is None:
             return None
+        known: Information | str = "model"
         if isinstance(self.prior, Information):
-            rows = prior_factor(model, names, self.prior)
+            known = self.prior
         elif isinstance(given, Fit):
-            rows = prior_factor(model, names, _information(given))
-        else:
-            rows = prior_factor(model, names, "model")
+            known = _information(given)
+        rows = prior_factor(model, names, known)
         if not rows.any():
             return None
         scales = np.array([model.parameter(name).magnitude for name in names])
@@ -138,7 +146,14 @@ class ExpectedInformation:
         cls, given: Model | Fit, criterion: Criterion | ByShifts, knowledge: Knowledge
     ) -> ExpectedInformation:
         """Return what is expected of runs of a vehicle, or after a fit."""
-        model, sea, sigma = nominal_noise(given, knowledge.noise)
+        model = given.model if isinstance(given, Fit) else given
+        noise = knowledge.noise
+        if isinstance(given, Fit) and noise is None:
+            noise = given
+        sea, levels = expected_noise(model, noise)
+        sigma = noise_of(model, levels).sigma
+        # The levels belong to the model, so that reports and cards state them.
+        model = with_levels(model, sigma)
         prior = knowledge.before(given, model)
         shifts = criterion.shifts(model) if isinstance(criterion, ByShifts) else None
         n = len(_shared(model))
@@ -233,15 +248,15 @@ class ExpectedInformation:
         DesignError, SimulationError
             If the run diverges.
         """
-        matrix = self.before
-        if run is not None and self.shifts is not None:
-            matrix = matrix + joint_information(
-                self.model, run, self.shifts, noise=self.expected, coloured=self.coloured,
-                start=self.start,
-            )  # fmt: skip
-        elif run is not None:
-            matrix = self.bound(run).matrix
-        return self.relative(matrix)
+        if run is None:
+            return self.relative(self.before)
+        if self.shifts is None:
+            return self.relative(self.bound(run).matrix)
+        more = joint_information(
+            self.model, run, self.shifts, noise=self.expected, coloured=self.coloured,
+            start=self.start,
+        )  # fmt: skip
+        return self.relative(self.before + more)
 
     def bound(self, run: Experiment) -> Information:
         """Information on the parameters after a run, prior knowledge included."""
@@ -262,12 +277,10 @@ class ExpectedInformation:
         """
         if self.sea is None or self.shifts is None:
             return self
-        white, forced = (
-            log_determinant(
-                self.relative(information_of(self.model, run, noise=noise, priors=None).matrix)
-            )
-            for noise in (self.sigma, self.sea)
-        )
+        told = [
+            information_of(self.model, run, noise=n, priors=None) for n in (self.sigma, self.sea)
+        ]
+        white, forced = (log_determinant(self.relative(one.matrix)) for one in told)
         n = len(self.names)
         return replace(self, raised=float(np.exp(0.5 * max(white - forced, 0.0) / n)))
 
@@ -284,22 +297,10 @@ class ExpectedInformation:
         return self.criterion.detections(self.shifts, self.total(None), total, len(self.names))
 
 
-def nominal_noise(
-    given: Model | Fit, noise: Levels | NoiseModel | Fit
-) -> tuple[Model, NoiseModel | None, np.ndarray]:
-    """Return the model with the sensors' levels in use, what is not white, and these levels.
-
-    The levels belong to the model, so that reports and cards state them.
-    """
-    model = given.model if isinstance(given, Fit) else given
-    if isinstance(given, Fit) and noise is None:
-        noise = given
-    sea, levels = expected_noise(model, noise)
-    sigma = noise_of(model, levels).sigma
-    outputs = tuple(
-        replace(o, noise_std=float(s)) for o, s in zip(model.outputs, sigma, strict=True)
-    )
-    return replace(model, outputs=outputs), sea, sigma
+def with_levels(model: Model, sigma: np.ndarray) -> Model:
+    """Return the model with other standard deviations of its sensors' noise, ``(n_outputs,)``."""
+    outputs = zip(model.outputs, map(float, sigma), strict=True)
+    return replace(model, outputs=tuple(replace(one, noise_std=std) for one, std in outputs))
 
 
 def _shared(model: Model) -> tuple[str, ...]:

@@ -25,18 +25,17 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import islice, product
 from math import degrees, radians
 
 import numpy as np
 
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import kept_on, motion
+from oed_sysid.design.vehicles import LimitBounds, kept_on
 from oed_sysid.design.waveforms import Grid, neutral_within
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import Trajectory, simulate_inputs
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
 
@@ -58,7 +57,7 @@ ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 _QUICK = (0.5, 0.25)
 # Zigzags that look ahead: control as a share of its range, switch as one of the room, lead as one
 # of the time that half of the room takes.
-_CONTROLS, _SWITCHES, _LEADS = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25), (1.0, 0.5)
+_HALVES, _SWITCHES = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25)
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
 
@@ -104,38 +103,34 @@ def standard_manoeuvres(
     moved = _moved(model, grid)
     others = {n: float(v) for n, v in zip(grid.inputs, grid.neutral, strict=True)}
     held = {**constants, **{n: v for n, v in others.items() if n not in moved.inputs}}
-    bench = _Bench(model, moved, held, initial, Limits())
+    bench = _Bench(model, moved, held, initial, Limits(), bounds, (), 1.0)
     sizes = [(f"zigzag {angle:g}/{angle:g}", radians(angle)) for angle in ZIGZAGS[:2]]
     n = len(grid.times)
     square = np.sign(np.sin(np.pi * np.arange(n) * 8 / n) + 1e-12)
+
+    def made(title: str, angle: float) -> Experiment:
+        if bench.attitude:
+            return bench.zigzag(title, min(angle, bench.reach), angle)
+        return bench.held_commands(title, bench.neutral + angle * bench.reach * square)
+
     found = []
-    for title, angle in sizes if bench.attitude else [("square wave", 0.0)]:
-        for share in _STANDARD_SHARES:
-            if bench.attitude:
-                run = bench.zigzag(title, min(share * angle, bench.reach), share * angle)
-            else:
-                run = bench.held_commands(title, bench.neutral + share * bench.reach * square)
-            made = motion(model, run)
-            if made is not None and bounds.first_left(made) is None:
-                note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
-                found.append((title, run, note))
-                break
+    for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
+        runs = {share: made(title, share * angle) for share in _STANDARD_SHARES}
+        for run, _, _ in bench.keeping("", runs.values()):
+            share = next(share for share, one in runs.items() if one is run)
+            note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
+            found.append((title, run, note))
     return found
 
 
 def _moved(model: Model, grid: Grid) -> Grid:
     """The one input that a standard manoeuvre moves."""
     room = np.minimum(grid.upper - grid.neutral, grid.neutral - grid.lower)
-    able = [column for column in range(len(grid.inputs)) if room[column] > 0.0]
+    able = [name for name, one in zip(grid.inputs, room, strict=True) if one > 0.0]
     units = {channel.name: channel.unit for channel in model.inputs}
-    angles = [column for column in able if units[grid.inputs[column]] == "rad"]
-    column = (angles or able or [0])[0]
-    one = slice(column, column + 1)
-    middle = 0.5 * (grid.lower[one] + grid.upper[one])
-    return Grid(
-        grid.times, grid.inputs[one], grid.lower[one], grid.upper[one],
-        grid.neutral[one] if able else middle, grid.rates[one],
-    )  # fmt: skip
+    angles = [name for name in able if units[name] == "rad"]
+    one = grid.only((angles or able or grid.inputs)[0])
+    return one if able else replace(one, neutral=0.5 * (one.lower + one.upper))
 
 
 def as_piecewise(name: str, times: np.ndarray, values: np.ndarray) -> Piecewise:
@@ -222,12 +217,13 @@ def candidate_runs(
     if not listed or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     found: list[Candidate] = []
-    for number, pattern in enumerate(_speeds(listed)):
+    speeds = _distinct(listed)
+    for number, pattern in enumerate(speeds):
         for length in durations or (float(pattern.duration or 0.0),):
-            library = _Library(model, limits, pattern, float(length), vehicles, kept)
-            speed = "" if len(_speeds(listed)) == 1 else f" at {_label(model, pattern, number)}"
+            bench = _Bench.of(model, limits, pattern, float(length), vehicles, kept)
+            speed = "" if len(speeds) == 1 else f" at {_label(model, pattern, number)}"
             tail = speed if durations is None or len(durations) == 1 else f"{speed}, {length:g} s"
-            for experiment, kind, share in library.runs(kinds, rng):
+            for experiment, kind, share in bench.runs(kinds, rng):
                 named = replace(experiment, name=f"{experiment.name}{tail}")
                 found.append(Candidate(named, kind, float(length) + turnaround, share))
     if not found:
@@ -238,13 +234,13 @@ def candidate_runs(
     return tuple(found)
 
 
-def _speeds(patterns: Sequence[Experiment]) -> list[Experiment]:
+def _distinct(patterns: Sequence[Experiment]) -> list[Experiment]:
     """Patterns that differ in constants or start."""
-    kept: dict[tuple, Experiment] = {}
-    for pattern in patterns:
-        key = (tuple(sorted(pattern.constants.items())), tuple(sorted(pattern.initial.items())))
-        kept.setdefault(key, pattern)
-    return list(kept.values())
+    kept: list[Experiment] = []
+    for one in patterns:
+        if (one.constants, one.initial) not in [(two.constants, two.initial) for two in kept]:
+            kept.append(one)
+    return kept
 
 
 def _label(model: Model, pattern: Experiment, number: int) -> str:
@@ -254,30 +250,70 @@ def _label(model: Model, pattern: Experiment, number: int) -> str:
     return f"start {number + 1}"
 
 
+@dataclass(frozen=True, eq=False)
 class _Bench:
-    """One commanded input, and the runs that are made of it; angles in rad."""
+    """One commanded input, and the runs that are made of it; angles in rad.
 
-    def __init__(
-        self,
+    ``kept`` is the share of the nominal and the other vehicles that have to keep the bounds.
+    """
+
+    model: Model
+    grid: Grid
+    held: Mapping[str, float]
+    initial: Mapping[str, float]
+    limits: Limits
+    bounds: LimitBounds
+    vehicles: Sequence[Model]
+    kept: float
+
+    @classmethod
+    def of(
+        cls,
         model: Model,
-        grid: Grid,
-        held: Mapping[str, float],
-        initial: Mapping[str, float],
         limits: Limits,
-    ) -> None:
-        self.model, self.grid, self.limits = model, grid, limits
-        self.held, self.initial = dict(held), dict(initial)
-        self.name = grid.inputs[0]
-        self.lower, self.neutral, self.upper = (
-            float(values[0]) for values in (grid.lower, grid.neutral, grid.upper)
-        )
-        self.known = {*model.output_names, *model.state_names}
-        self.attitude = next((a for a in ATTITUDES if a in self.known), "")
+        pattern: Experiment,
+        length: float,
+        vehicles: Sequence[Model],
+        kept: float,
+    ) -> _Bench:
+        """One pattern and length on which all kinds are tried."""
+        held = dict(pattern.constants)
+        names = [n for n in model.input_names if n in limits.inputs and n not in held]
+        if not names:
+            raise DesignError(
+                f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
+                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
+            )
+        held |= {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
+        grid = Grid.of(limits, names[:1], length, pattern.sample_time, {})
+        bounds = LimitBounds.of(model, limits)
+        return cls(model, grid, held, pattern.initial, limits, bounds, vehicles, kept)
+
+    @property
+    def name(self) -> str:
+        """The input."""
+        return self.grid.inputs[0]
+
+    @property
+    def neutral(self) -> float:
+        """Its value before the run."""
+        return float(self.grid.neutral[0])
+
+    @cached_property
+    def known(self) -> set[str]:
+        """States and outputs."""
+        return {*self.model.output_names, *self.model.state_names}
+
+    @property
+    def attitude(self) -> str:
+        """The one that a zigzag reverses on; empty where there is none."""
+        return next((a for a in ATTITUDES if a in self.known), "")
 
     @property
     def reach(self) -> float:
         """Largest command to either side of the neutral one."""
-        return min(self.upper - self.neutral, self.neutral - self.lower)
+        grid = self.grid
+        return float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
 
     @cached_property
     def sign(self) -> int:
@@ -285,13 +321,15 @@ class _Bench:
         times = self.grid.times
         times = times[: min(len(times), max(5, len(times) // 10))]
         ends = []
-        for room in (self.lower - self.neutral, self.upper - self.neutral):
-            inputs = self.held | {self.name: self.neutral + 0.2 * room}
-            run = simulate_inputs(
-                self.model, times, inputs=inputs, initial=self.initial, throw=False
-            )
+        for end in (self.grid.lower[0], self.grid.upper[0]):
+            run = self.held_at(self.neutral + 0.2 * (float(end) - self.neutral), times)
             ends.append(float(np.nan_to_num(run.signal(self.attitude)[-1])))
         return 1 if ends[1] >= ends[0] else -1
+
+    def held_at(self, command: float, times: np.ndarray) -> Trajectory:
+        """What the nominal vehicle does under one command."""
+        inputs = {**self.held, self.name: command}
+        return simulate_inputs(self.model, times, inputs=inputs, initial=self.initial, throw=False)
 
     def zigzag(
         self,
@@ -325,39 +363,6 @@ class _Bench:
             name, shape, duration=float(self.grid.times[-1]), sample_time=self.grid.step,
             constants=self.held, initial=self.initial, limits=self.limits, feedback=feedback,
         )  # fmt: skip
-
-
-class _Library(_Bench):
-    """One pattern and length on which all kinds are tried."""
-
-    def __init__(
-        self,
-        model: Model,
-        limits: Limits,
-        pattern: Experiment,
-        length: float,
-        vehicles: Sequence[Model],
-        kept: float,
-    ) -> None:
-        held = dict(pattern.constants)
-        names = [n for n in model.input_names if n in limits.inputs and n not in held]
-        if not names:
-            raise DesignError(
-                f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
-                "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."
-            )
-        lower, upper = limits.inputs[names[0]]
-        n = int(np.floor(length / pattern.sample_time + 1e-9))
-        one = np.ones(1)
-        grid = Grid(
-            np.arange(n + 1) * pattern.sample_time, (names[0],), lower * one, upper * one,
-            neutral_within(lower, upper) * one,
-            limits.rates.get(names[0], np.inf) * (1 - 1e-9) * one,
-        )  # fmt: skip
-        others = {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
-        super().__init__(model, grid, held | others, pattern.initial, limits)
-        self.vehicles, self.kept = (model, *vehicles), kept
-        self.bounds = LimitBounds.of(model, limits)
 
     def runs(
         self, kinds: Sequence[str], rng: np.random.Generator
@@ -408,23 +413,22 @@ class _Library(_Bench):
         self, kind: str, variant: str, wave: np.ndarray
     ) -> Iterable[tuple[Experiment, str, float]]:
         """Return the largest size that keeps the limits, then a gentler one."""
-        for size in SHARES if wave.any() else SHARES[:1]:
-            run = self.table(f"{kind}{variant}", size, wave)
-            share = self.keeps(run)
-            if share is not None:
-                yield run, kind, share
-                if wave.any():
-                    yield self.table(f"{kind}{variant}", _GENTLER * size, wave), kind, 1.0
-                return
+        name = f"{kind}{variant}"
+        sizes = {size: self.table(name, size, wave) for size in (SHARES if wave.any() else (1.0,))}
+        for run, _, share in self.keeping(kind, sizes.values()):
+            yield run, kind, share
+            if wave.any():
+                size = next(size for size, one in sizes.items() if one is run)
+                yield self.table(name, _GENTLER * size, wave), kind, 1.0
 
     def table(self, kind: str, size: float, wave: np.ndarray) -> Experiment:
         """Commands of one shape and size."""
-        width = np.where(wave > 0, self.upper - self.neutral, self.neutral - self.lower)
-        largest = size * (self.upper - self.neutral)
+        room = np.where(wave > 0, self.grid.upper, self.grid.lower) - self.neutral
+        largest = size * float(self.grid.upper[0] - self.neutral)
         unit = next(i.unit for i in self.model.inputs if i.name == self.name)
         said = f"{degrees(largest):.2g} deg" if unit == "rad" else f"{largest:.3g} {unit}"
         name = f"{kind} {said}" if wave.any() else kind
-        return self.held_commands(name, self.neutral + width * (size * wave))
+        return self.held_commands(name, self.neutral + np.abs(room) * (size * wave))
 
     def zigzags(self) -> Iterable[tuple[Experiment, str, float]]:
         """Zigzags on the attitude.
@@ -436,18 +440,18 @@ class _Library(_Bench):
             return
         equal = [[(share * angle, share * angle) for share in SHARES[:4]] for angle in ZIGZAGS]
         quick = [[(angle, share * angle) for share in _QUICK] for angle in ZIGZAGS[1:]]
-        seen: set[tuple[float, float]] = set()
+        seen: set[str] = set()
         for family in (*equal, *quick):
-            for control, turn in family:
-                size, switch = round(control, 3), round(turn, 3)
-                if (size, switch) in seen or radians(size) > self.reach:
-                    continue
-                run = self.zigzag(f"zigzag {size:g}/{switch:g}", radians(size), radians(switch))
-                share = self.keeps(run)
-                if share is not None:
-                    seen.add((size, switch))
-                    yield run, "zigzag", share
-                    break
+            sizes = [(round(control, 3), round(turn, 3)) for control, turn in family]
+            named = {f"zigzag {size:g}/{switch:g}": (size, switch) for size, switch in sizes}
+            runs = (
+                self.zigzag(name, radians(size), radians(switch))
+                for name, (size, switch) in named.items()
+                if name not in seen and radians(size) <= self.reach
+            )
+            for run, kind, share in self.keeping("zigzag", runs):
+                seen.add(run.name)
+                yield run, kind, share
 
     def zigzags_ahead(self) -> Iterable[tuple[Experiment, str, float]]:
         """Zigzags that look ahead within limits of the attitude, about a keeper of the depth.
@@ -461,20 +465,16 @@ class _Library(_Bench):
         keeper = _KEPT.get(self.attitude, "")
         depth = self.room(keeper)
         kept = (keeper,) if np.isfinite(depth) else ()
-        for control, share in product(_CONTROLS, _LEADS):
+        for control, share in product(_HALVES, _HALVES):
             size, lead = control * self.reach, float(f"{share * time:.2g}")
-            found = 0
-            for switch in (part * room for part in _SWITCHES):
-                run = self.zigzag(
+            runs = (
+                self.zigzag(
                     f"zigzag {degrees(size):.3g}/{degrees(switch):.3g} {lead:g} s ahead",
                     size, switch, (rate, *kept), lead=lead, keep_gain=switch / depth,
-                )  # fmt: skip
-                held = self.keeps(run)
-                if held is not None:
-                    yield run, "zigzag ahead", held
-                    found += 1
-                if found == 2:
-                    break
+                )
+                for switch in (part * room for part in _SWITCHES)
+            )  # fmt: skip
+            yield from self.keeping("zigzag ahead", runs, 2)
 
     def room(self, name: str) -> float:
         """Way from the start to the nearer limit of a signal; infinite where there is none."""
@@ -487,15 +487,16 @@ class _Library(_Bench):
         """Time in which full control turns the nominal vehicle by an angle, s; None if never."""
         if not self.reach > 0:
             return None
-        run = simulate_inputs(
-            self.model, self.grid.times, inputs=self.held | {self.name: self.neutral + self.reach},
-            initial=self.initial, throw=False,
-        )  # fmt: skip
+        run = self.held_at(self.neutral + self.reach, self.grid.times)
         begin = self.initial.get(self.attitude, 0.0)
         turned = np.abs(np.nan_to_num(run.signal(self.attitude), nan=np.inf) - begin)
         gone = turned >= angle
         return float(self.grid.times[int(np.argmax(gone))]) if gone.any() else None
 
-    def keeps(self, run: Experiment) -> float | None:
-        """Share of the vehicles that keep the limits; None where it is too small."""
-        return kept_on(run, self.vehicles, self.bounds, self.kept)
+    def keeping(
+        self, kind: str, runs: Iterable[Experiment], most: int = 1
+    ) -> Iterable[tuple[Experiment, str, float]]:
+        """The first runs that keep the limits on enough vehicles, and on which share."""
+        vehicles = (self.model, *self.vehicles)
+        shares = ((run, kept_on(run, vehicles, self.bounds, self.kept)) for run in runs)
+        return islice(((run, kind, share) for run, share in shares if share is not None), most)

@@ -20,22 +20,22 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from itertools import combinations
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import chain, combinations
 
 import numpy as np
+from scipy.optimize import brentq
 
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
-from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, inverse
+from oed_sysid.design.criteria import AOptimal, ByShifts, Criterion, EOptimal, inverse
 from oed_sysid.design.experiment_design import find_design
-from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
+from oed_sysid.design.knowledge import ExpectedInformation, Knowledge, with_levels
 from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.design.result import Design, Programme, Standard, joint_share
 from oed_sysid.design.trial import Search, Task, Trial
-from oed_sysid.design.vehicles import draw_models, kept_on
+from oed_sysid.design.vehicles import CHECKED, LimitBounds, draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -49,8 +49,8 @@ from oed_sysid.runtime.threads import single_threaded
 # Shares of the room between start and limits within which commands are refined: the rest is for
 # vehicles that differ.
 _ROOM = (0.75, 0.5)
-# Fresh vehicles that judge the runs chosen, and those that judge a refined command before.
-_CHECKED, _SCREENED = 200, 60
+# Vehicles that judge a refined command before it is chosen.
+_SCREENED = 60
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -108,12 +108,13 @@ class ProgrammeSearch:
 
 
 _GONE = {
-    **{n: f"budget=Budget({n}=...)" for n in ("hours", "n_runs", "turnaround", "sensors")},
-    **{n: f"knowledge=Knowledge({n}=...)" for n in ("noise", "spread", "prior")},
-    **{
-        n: f"search=ProgrammeSearch({n}=...)"
-        for n in ("durations", "kinds", "n_draws", "n_vehicles", "n_rounds")
-    },
+    name: f"{holder}({name}=...)"
+    for holder, cls in (
+        ("budget=Budget", Budget),
+        ("knowledge=Knowledge", Knowledge),
+        ("search=ProgrammeSearch", ProgrammeSearch),
+    )
+    for name in (one.name for one in fields(cls))
 }
 
 
@@ -171,86 +172,71 @@ def design_programme(
     if isinstance(criterion, EOptimal):
         raise DesignError("E is not smooth, so that no bound can be stated. Choose D or A.")
     expected = ExpectedInformation.of(model, criterion, knowledge)
-    nominal, known, spread = expected.model, expected.prior, knowledge.spread
+    nominal, spread = expected.model, knowledge.spread
     n_vehicles = max(search.n_vehicles, search.n_draws, _SCREENED)
-    vehicles = draw_models(nominal, spread, n_vehicles, known, rng)
+    vehicles = draw_models(nominal, spread, n_vehicles, expected.prior, rng)
     tell("making candidate runs")
     runs = candidate_runs(
         nominal, patterns, limits=limits, rng=rng, vehicles=vehicles[: search.n_vehicles],
         durations=search.durations, turnaround=budget.turnaround, kinds=search.kinds,
         kept=certainty,
     )  # fmt: skip
-    planner = _Planner(expected, (nominal, *vehicles[: search.n_draws]), limits, budget, certainty)
+    planner = _Planner(expected, vehicles, search.n_draws, limits, budget, certainty, spread, rng)
     tell(f"information of {len(runs)} candidate runs")
-    options = {subset: planner.solve(runs, subset) for subset in _subsets(budget.sensors)}
-    subset = max(options, key=lambda key: options[key].chosen.value)
-    plan = options[subset]
+    names = tuple(budget.sensors)
+    subsets = chain.from_iterable(combinations(names, n) for n in range(len(names) + 1))
+    options = [planner.solve(runs, subset) for subset in subsets]
+    first = plan = max(options, key=lambda one: one.chosen.value)
     for number in range(search.n_rounds):
         tell(f"refining commands, round {number + 1}")
-        better = planner.refined(plan, subset, vehicles, rng, number)
-        gained = better.chosen.value - plan.chosen.value
-        plan = better
-        if gained < 1e-3:
+        before, plan = plan.chosen.value, planner.refined(plan, number)
+        if plan.chosen.value - before < 1e-3:
             break
     tell("checking limits on other vehicles")
-    plan, safe = planner.kept_within(plan, subset, spread, rng)
-    return _result(planner, plan, safe, options, subset, time.perf_counter() - began)
-
-
-def _result(
-    planner: _Planner,
-    plan: _Plan,
-    safe: Mapping[str, Assurance],
-    options: Mapping[tuple[str, ...], _Plan],
-    subset: tuple[str, ...],
-    seconds: float,
-) -> Programme:
-    """What was planned, with all that is stated about it."""
-    plain = [run for run in plan.runs if run.kind != "designed"]
-    first = plan if len(plain) == len(plan.runs) else planner.solve(plain, subset)
-    expected, budget = planner.expected, planner.budget
+    plan, safe = planner.kept_within(plan)
+    unrefined = planner.unrefined(plan)
     library, chosen = plan.library, plan.chosen
     sequence = [plan.runs[i] for i in order(library, [int(n) for n in chosen.counts])]
     joint = library.total(chosen.counts.astype(float))
-    names, scales = expected.names, planner.scales
-    totals = joint[:, : len(names), : len(names)]
+    totals, scales = joint[:, : len(expected.names), : len(expected.names)], planner.scales
     errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
-    sizes = {key: option.chosen.value - options[subset].chosen.value
-             for key, option in options.items()}  # fmt: skip
+    sensor_options = {
+        ", ".join(one.subset) or "none": (
+            one.chosen.value, library.factor(one.chosen.value - first.chosen.value)
+        )
+        for one in options
+    }  # fmt: skip
     return Programme(
-        model=expected.model,
+        model=nominal,
         runs=tuple(sequence),
         candidates=plan.runs,
         weights=plan.shares.repetitions,
-        information=Information.from_matrix(names, totals[0] / scales[:, None] / scales, scales),
+        information=Information.from_matrix(
+            expected.names, totals[0] / scales[:, None] / scales, scales
+        ),
         prior=expected.prior,
-        criterion=expected.criterion.name,
+        criterion=criterion.name,
         value=chosen.value,
         bound=plan.shares.bound,
         relaxed=plan.shares.value,
         share=min(1.0, library.factor(chosen.value - plan.shares.bound)),
-        greedy_share=library.factor(first.chosen.greedy - first.chosen.value),
-        refined_factor=library.factor(chosen.value - first.chosen.value),
-        n_library=len(plain),
+        greedy_share=library.factor(unrefined.chosen.greedy - unrefined.chosen.value),
+        refined_factor=library.factor(chosen.value - unrefined.chosen.value),
+        n_library=len(unrefined.runs),
         assurances={run.name: safe[run.name] for run in sequence},
         sea=expected.sea,
         spread=AccuracyRange(
-            names, errors.min(axis=0), errors.max(axis=0), len(errors), expected.sea
+            expected.names, errors.min(axis=0), errors.max(axis=0), len(errors), expected.sea
         ),
-        standard=_standard(names, plan),
-        outputs=planner.measured(subset),
-        sensor_hours=planner.sensor_hours(subset),
-        sensor_options={
-            ", ".join(key) or "none": (options[key].chosen.value, library.factor(size))
-            for key, size in sizes.items()
-        }
-        if budget.sensors
-        else {},
+        standard=_standard(expected.names, plan),
+        outputs=planner.measured(plan.subset),
+        sensor_hours=planner.sensor_hours(plan.subset),
+        sensor_options=sensor_options if budget.sensors else {},
         turnaround=budget.turnaround,
         budget=(budget.hours, budget.n_runs),
         misfits=expected.misfits(joint[0]),
         chances=expected.detections(joint[0]),
-        seconds=seconds,
+        seconds=time.perf_counter() - began,
     )
 
 
@@ -258,24 +244,15 @@ def _leaving(
     picked: Sequence[Candidate], safe: Mapping[str, Assurance], certainty: float
 ) -> set[str]:
     """Runs that are left out for the limits: each unsafe one, or what is worst for all together."""
-    found = [safe[run.name] for run in picked]
-    leaves = {
-        run.name
-        for run, one in zip(picked, found, strict=True)
-        if one.limited and one.probability < certainty
-    }
-    if leaves or joint_share(found) >= certainty:
+    limited = {run.name: safe[run.name] for run in picked if safe[run.name].limited}
+    leaves = {name for name, one in limited.items() if one.probability < certainty}
+    if leaves or joint_share(list(limited.values())) >= certainty:
         return leaves
 
     def without(name: str) -> float:
-        return joint_share([safe[run.name] for run in picked if run.name != name])
+        return joint_share([one for other, one in limited.items() if other != name])
 
-    return {max((run.name for run in picked), key=without)}
-
-
-def _subsets(optional: Mapping[str, float]) -> list[tuple[str, ...]]:
-    names = tuple(optional)
-    return [pick for size in range(len(names) + 1) for pick in combinations(names, size)]
+    return {max(limited, key=without)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -283,6 +260,7 @@ class _Plan:
     """Runs that stay finite on all vehicles, their weights, and the whole runs chosen."""
 
     runs: tuple[Candidate, ...]
+    subset: tuple[str, ...]
     library: Library
     shares: Weights
     chosen: Selection
@@ -293,25 +271,25 @@ class _Plan:
         return [self.runs[int(i)] for i in np.flatnonzero(self.chosen.counts)]
 
 
+@dataclass(frozen=True, eq=False)
 class _Planner:
     """Information of runs on every vehicle, kept, and the two problems solved on it."""
 
-    def __init__(
-        self,
-        expected: ExpectedInformation,
-        vehicles: Sequence[Model],
-        limits: Limits,
-        budget: Budget,
-        certainty: float,
-    ) -> None:
-        self.expected, self.vehicles = expected, tuple(vehicles)
-        self.limits, self.budget, self.certainty = limits, budget, certainty
-        model = expected.model
-        # Errors count relative to the values, on all vehicles alike.
-        self.scales = np.array([model.parameter(name).reference for name in expected.names])
-        self.measure = expected.measure(scales=self.scales)
-        self.prior = expected.relative(expected.before, self.scales)
-        self._cache: dict[tuple[int, tuple[str, ...]], np.ndarray | None] = {}
+    expected: ExpectedInformation
+    vehicles: Sequence[Model]
+    n_draws: int
+    limits: Limits
+    budget: Budget
+    certainty: float
+    spread: float | None
+    rng: np.random.Generator
+    known: dict[tuple[int, tuple[str, ...]], np.ndarray | None] = field(default_factory=dict)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        """Errors count relative to the values, on all vehicles alike."""
+        model = self.expected.model
+        return np.array([model.parameter(name).reference for name in self.expected.names])
 
     def measured(self, subset: Sequence[str]) -> tuple[str, ...]:
         """Outputs that are measured with some of the optional sensors."""
@@ -335,19 +313,17 @@ class _Planner:
 
         None where one vehicle diverges.
         """
-        missing = [run for run in runs if (id(run), outputs) not in self._cache]
+        missing = [run for run in runs if (id(run), outputs) not in self.known]
         experiments = [run.experiment for run in missing]
         told = [
             self.expected.each(experiments, vehicle=vehicle, outputs=outputs)
-            for vehicle in self.vehicles
+            for vehicle in (self.expected.model, *self.vehicles[: self.n_draws])
         ]
         for run, parts in zip(missing, zip(*told, strict=True), strict=True):
-            found = [
-                self.expected.relative(part, self.scales) for part in parts if part is not None
-            ]
+            found = [self.expected.relative(one, self.scales) for one in parts if one is not None]
             whole = len(found) == len(parts)
-            self._cache[id(run), outputs] = np.stack(found) if whole else None
-        return [self._cache[id(run), outputs] for run in runs]
+            self.known[id(run), outputs] = np.stack(found) if whole else None
+        return [self.known[id(run), outputs] for run in runs]
 
     def solve(
         self,
@@ -356,14 +332,15 @@ class _Planner:
         begin: np.ndarray | None = None,
     ) -> _Plan:
         """Weights and whole runs, measured with some of the optional sensors."""
-        told = self.information(runs, self.measured(subset))
+        expected, told = self.expected, self.information(runs, self.measured(subset))
         there = [(run, m) for run, m in zip(runs, told, strict=True) if m is not None]
         if not there:
             raise DesignError("No candidate run stays finite on all vehicles. Make them gentler.")
         kept = tuple(run for run, _ in there)
         library = Library(
-            np.stack([matrix for _, matrix in there], axis=1), self.prior,
-            np.array([run.cost for run in kept]), self.expected.criterion, self.measure,
+            np.stack([matrix for _, matrix in there], axis=1),
+            expected.relative(expected.before, self.scales), np.array([run.cost for run in kept]),
+            expected.criterion, expected.measure(scales=self.scales),
         )  # fmt: skip
         hours, n_runs = self.budget.hours, self.budget.n_runs
         budget = None if hours is None else 3600.0 * (hours - self.sensor_hours(subset))
@@ -372,97 +349,83 @@ class _Planner:
         shares = weights(library, budget=budget, n_runs=n_runs)
         before = [] if begin is None else [np.append(begin, np.zeros(len(there) - len(begin), int))]
         chosen = select(library, shares, budget=budget, n_runs=n_runs, begin=before)
-        return _Plan(kept, library, shares, chosen)
+        return _Plan(kept, subset, library, shares, chosen)
 
-    def kept_within(
-        self, plan: _Plan, subset: tuple[str, ...], spread: float | None, rng: np.random.Generator
-    ) -> tuple[_Plan, dict[str, Assurance]]:
+    def kept_within(self, plan: _Plan) -> tuple[_Plan, dict[str, Assurance]]:
         """Leave out runs that leave their limits, until all together keep them often enough.
 
         All runs are judged on the same fresh vehicles, so that it can be said on how many of
         them every run keeps its limits.
         """
         expected, safe = self.expected, dict[str, Assurance]()
-        judges = draw_models(expected.model, spread, _CHECKED, expected.prior, rng)
+        judges = draw_models(expected.model, self.spread, CHECKED, expected.prior, self.rng)
         while True:
             for run in plan.picked:
                 if run.name not in safe:
                     found = assess_limits(
-                        expected.model, run.experiment, rng=rng, limits=self.limits,
+                        expected.model, run.experiment, rng=self.rng, limits=self.limits,
                         wanted=self.certainty, sea=expected.sea, vehicles=judges,
                     )  # fmt: skip
-                    safe[run.name] = replace(found, spread=spread)
+                    safe[run.name] = replace(found, spread=self.spread)
             leaves = _leaving(plan.picked, safe, self.certainty)
             kept = [run for run in plan.runs if run.name not in leaves]
             if len(kept) == len(plan.runs) or not kept:
                 return plan, safe
-            plan = self.solve(kept, subset)
+            plan = self.solve(kept, plan.subset)
 
-    def refined(
-        self,
-        plan: _Plan,
-        subset: tuple[str, ...],
-        vehicles: Sequence[Model],
-        rng: np.random.Generator,
-        number: int,
-    ) -> _Plan:
+    def unrefined(self, plan: _Plan) -> _Plan:
+        """The best of the library without refined commands."""
+        plain = [run for run in plan.runs if run.kind != "designed"]
+        return plan if len(plain) == len(plan.runs) else self.solve(plain, plan.subset)
+
+    def refined(self, plan: _Plan, number: int) -> _Plan:
         """Refine commands of the three runs that take most time, and choose anew."""
         counts = plan.chosen.counts
         most = min(3, int(np.count_nonzero(counts)))
-        fresh = []
-        for j in np.argsort(-counts * plan.library.costs)[:most]:
-            name = f"designed {number + 1}{chr(97 + int(j) % 26)}"
-            found = self._completing(plan, int(j), vehicles, rng, name)
-            if found is not None:
-                fresh.append(found)
-        if not fresh:
-            return plan
+        fresh = [
+            self.completing(plan, int(j), f"designed {number + 1}{chr(97 + int(j) % 26)}")
+            for j in np.argsort(-counts * plan.library.costs)[:most]
+        ]
+        found = [one for one in fresh if one is not None]
         # What was chosen before stays among the starts, so that nothing is lost.
-        return self.solve((*plan.runs, *fresh), subset, begin=counts)
+        return self.solve((*plan.runs, *found), plan.subset, begin=counts) if found else plan
 
-    def _completing(
-        self,
-        plan: _Plan,
-        j: int,
-        vehicles: Sequence[Model],
-        rng: np.random.Generator,
-        name: str,
-    ) -> Candidate | None:
+    def completing(self, plan: _Plan, j: int, name: str) -> Candidate | None:
         """Command that completes what all other runs tell; None where none is found."""
         run, pattern = plan.runs[j], plan.runs[j].experiment
         trial = Trial.like(pattern, self.limits)
         # Fewer samples in the search than at sea: levels are lowered to tell as much.
         coarse = max(pattern.sample_time, trial.duration / 150)
         coarse = float(pattern.sample_time * np.ceil(coarse / pattern.sample_time - 1e-9))
-        expected = self._before(plan, j, np.sqrt(pattern.sample_time / coarse))
+        expected = self.before(plan, j, np.sqrt(pattern.sample_time / coarse))
         bounds = LimitBounds.of(expected.model, self.limits)
         for room in _ROOM:
-            signals = _tightened(self.limits, pattern.initial, room)
             tight = replace(
-                trial, limits=replace(self.limits, signals=signals), sample_time=coarse, name=name
-            )
+                trial, limits=_tightened(self.limits, pattern.initial, room), sample_time=coarse,
+                name=name,
+            )  # fmt: skip
             try:
-                found = find_design(Task.of(expected, tight, rng), _REFINING, rng=rng)
+                found = find_design(Task.of(expected, tight, self.rng), _REFINING, rng=self.rng)
             except OedSysidError:
                 continue
+            _, at, tail = run.name.partition(" at ")
             experiment = replace(
                 found.experiment, sample_time=pattern.sample_time, limits=self.limits,
                 manoeuvre=_ramped(found, self.limits, pattern.sample_time),
-                name=f"{name} {_ending(run.name)}".strip(),
+                name=f"{name} {at.strip()} {tail}".rstrip(),
             )  # fmt: skip
-            kept = kept_on(experiment, (expected.model, *vehicles), bounds, self.certainty)
+            kept = kept_on(experiment, (expected.model, *self.vehicles), bounds, self.certainty)
             if kept is not None:
                 return Candidate(experiment, "designed", run.cost, kept)
         return None
 
-    def _before(self, plan: _Plan, j: int, sampling: float) -> ExpectedInformation:
+    def before(self, plan: _Plan, j: int, sampling: float) -> ExpectedInformation:
         """What a search for one run may expect: all others done, white noise as high as tells."""
         expected, scales = self.expected, self.scales
         counts = plan.chosen.counts.astype(float)
         counts[j] -= 1
-        rest = plan.library.total(counts)[0]
         n = len(scales)
-        matrix = expected.relative(rest, 1.0 / scales)
+        matrix = expected.relative(plan.library.total(counts)[0], 1.0 / scales)
         white = information_of(
             expected.model, plan.runs[j].experiment, noise=expected.sigma, priors=None
         )
@@ -470,14 +433,10 @@ class _Planner:
         # Directions that a run does not see count alike under both kinds of noise.
         logs = [np.linalg.slogdet(one + 1e-9 * np.eye(n))[1] for one in told]
         raised = np.exp(0.5 * max(logs[0] - logs[1], 0.0) / n) * sampling
-        outputs = tuple(
-            replace(o, noise_std=float(raised * s))
-            for o, s in zip(expected.model.outputs, expected.sigma, strict=True)
-        )
         return replace(
-            expected, model=replace(expected.model, outputs=outputs), sea=None, before=matrix,
-            sigma=raised * expected.sigma, raised=1.0, start="unknown", coloured=None,
-            prior=Information.from_matrix(expected.names, matrix[:n, :n], scales),
+            expected, model=with_levels(expected.model, raised * expected.sigma), sea=None,
+            before=matrix, sigma=raised * expected.sigma, raised=1.0, start="unknown",
+            coloured=None, prior=Information.from_matrix(expected.names, matrix[:n, :n], scales),
         )  # fmt: skip
 
 
@@ -494,24 +453,15 @@ def _ramped(found: Design, limits: Limits, sample: float) -> tuple[Manoeuvre, ..
     )
 
 
-def _ending(name: str) -> str:
-    """What a run's name says of speed and length."""
-    _, found, tail = name.partition(" at ")
-    return found.strip() + " " + tail if found else ""
-
-
-def _tightened(
-    limits: Limits, initial: Mapping[str, float], room: float
-) -> dict[str, tuple[float, float]]:
-    """LimitBounds drawn in towards the start."""
+def _tightened(limits: Limits, initial: Mapping[str, float], room: float) -> Limits:
+    """Limits of the motion drawn in towards the start."""
     tight = {}
     for name, (lower, upper) in limits.signals.items():
-        start = initial.get(name, 0.0)
-        middle = min(max(start, lower), upper)
-        tight[name] = (middle + room * (lower - middle), middle + room * (upper - middle))
-        if not tight[name][0] < tight[name][1] or middle in (lower, upper):
-            tight[name] = (lower, upper)
-    return tight
+        middle = min(max(initial.get(name, 0.0), lower), upper)
+        pair = (middle + room * (lower - middle), middle + room * (upper - middle))
+        inner = pair[0] < pair[1] and lower < middle < upper
+        tight[name] = pair if inner else (lower, upper)
+    return replace(limits, signals=tight)
 
 
 def _standard(names: Sequence[str], plan: _Plan) -> Standard | None:
@@ -524,17 +474,18 @@ def _standard(names: Sequence[str], plan: _Plan) -> Standard | None:
             # Of each trial the one at the speed at which it tells most; of a zigzag that keeps
             # the limits nowhere, the one of the largest angle that does.
             alone = {i: library.value(100.0 * np.eye(len(runs))[i]) for i in found}
-            picked.append(max(found, key=lambda i: (_angle(runs[i]), alone[i])))
+            shapes = {i: runs[i].experiment.excitation for i in found}
+            angle = {i: s.amplitude if isinstance(s, ZigZag) else 0.0 for i, s in shapes.items()}
+            picked.append(max(found, key=lambda i: (angle[i], alone[i])))
     if not picked:
         return None
-    counts = np.zeros(len(runs))
-    counts[picked] = 1.0
+    counts = np.bincount(picked, minlength=len(runs)).astype(float)
     cost, own = (float(n @ library.costs) for n in (counts, plan.chosen.counts))
-    factor = _times(library, counts, plan.chosen.value)
     n = len(names)
     errors = np.sqrt(np.diag(np.linalg.pinv(library.total(counts * own / cost)[0][:n, :n])))
     return Standard(
-        tuple(runs[i].name for i in picked), factor * cost / 3600.0, own / 3600.0,
+        tuple(runs[i].name for i in picked),
+        _times(library, counts, plan.chosen.value) * cost / 3600.0, own / 3600.0,
         dict(zip(names, map(float, errors), strict=True)),
     )  # fmt: skip
 
@@ -552,20 +503,12 @@ def _same(word: str, runs: Sequence[Candidate]) -> list[int]:
     return [i for i in same if runs[i].name.startswith(word)] or same
 
 
-def _angle(run: Candidate) -> float:
-    """Angle of a zigzag's control, rad; nothing for other runs."""
-    shape = run.experiment.excitation
-    return shape.amplitude if isinstance(shape, ZigZag) else 0.0
-
-
 def _times(library: Library, counts: np.ndarray, target: float) -> float:
     """How many times runs have to be repeated until they are worth a target."""
-    if library.value(1e4 * counts) < target:
+
+    def short(times: float) -> float:
+        return target - library.value(times * counts)
+
+    if short(1e4) > 0:
         return np.inf
-    low, high = 0.0, 1.0
-    while library.value(high * counts) < target:
-        low, high = high, 2 * high
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if library.value(middle * counts) < target else (low, middle)
-    return high
+    return 0.0 if short(0.0) <= 0 else float(brentq(short, 0.0, 1e4, rtol=1e-9))

@@ -1,7 +1,12 @@
 r"""What is designed: a run or a programme of runs, what it will tell, what it respects.
 
 Accuracy is the bound :math:`s_i = \sqrt{[F^{-1}]_{ii}}` of the information after the runs, prior
-knowledge included, as a share :math:`s_i / |\theta_i|` of the values.
+knowledge included, as a share :math:`s_i / |\theta_i|` of the values; "times smaller than a
+zigzag's" is the ratio of the geometric means
+
+.. math:: \exp \frac1n \sum_i \log \frac{s_i^{zigzag}}{s_i}
+
+On the sea-trial card orders merge a ramp within the actuator's rate into one line.
 """
 
 from __future__ import annotations
@@ -15,13 +20,13 @@ import numpy as np
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
+from oed_sysid.design.criteria import SURE, Detection, missing_physics, told_apart
 from oed_sysid.design.library import Candidate, Reference
-from oed_sysid.design.limits import percent
-from oed_sysid.design.missing_effects import SURE, Detection, missing_physics, told_apart
-from oed_sysid.design.on_board import sea_trial_card
+from oed_sysid.design.vehicles import between, outside, percent, quantity, span, units_of
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory, simulate
 from oed_sysid.information.noise import sea_words
+from oed_sysid.information.ranking import POOR
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.channels import Input, Output
@@ -40,6 +45,22 @@ from oed_sysid.runtime.display import (
 )
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
+
+WIDTH = 92
+# Relative error up to which a coefficient counts as found.
+_GOOD = 0.05
+STAND_BY = "Stand by to stop, or begin with a gentle run and plan from its fit."
+NO_LIMIT = (
+    "NO LIMIT on the motion was given. Compare the ranges above with what depth, attitude and sea "
+    "room allow; in doubt design anew with limits (such as --max-pitch 20)."
+)
+NOT_SAFE = (
+    "That is NOT safe unless the coefficients are known better: stand by to stop, fly a gentler "
+    "run first, or design with --certainty 0.95."
+)
+STOP = (
+    "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run is useful."
+)
 
 
 class _Accuracy:
@@ -73,6 +94,16 @@ class _Accuracy:
             return np.full(len(self.names), np.inf)
         return self.prior.std_errors / self.sizes
 
+    def _least_certain(self) -> tuple[str, str]:
+        """The parameter known least, in words, and its accuracy."""
+        errors = self.relative_errors
+        worst = int(errors.argmax())
+        least = f"the least certain of {counted(len(errors), 'parameter')} is {self.names[worst]}"
+        return least, f"± {share(TWO_SIDED_95 * errors[worst])} (95 %)"
+
+    def _undetermined(self) -> list[str]:
+        return [f"Not determined: {text}." for text in self.information.null_directions()]
+
     def _table(self, title: str, others: Mapping[str, np.ndarray]) -> Table:
         """Expected relative errors: before, after, on other vehicles, of other runs."""
         columns: dict[str, Sequence[str]] = {}
@@ -88,11 +119,14 @@ class _Accuracy:
         return Table(("parameter", "value", *columns), rows)
 
 
-def write_commands(path: Path, model: Model, run: Trajectory | Record, *, predicted: bool) -> Path:
+def write_commands(
+    path: Path, model: Model, run: Trajectory | Record | Experiment, *, predicted: bool = False
+) -> Path:
     """Write the commands of a run, and its outputs where wanted, with units in the header."""
-    columns = {"t [s]": run.times}
+    made = simulate(model, run, noise=False) if isinstance(run, Experiment) else run
+    columns = {"t [s]": made.times}
     channels: list[Input | Output] = [*model.inputs, *(model.outputs if predicted else ())]
-    for channel, values in zip(channels, np.hstack([run.inputs, run.outputs]).T, strict=False):
+    for channel, values in zip(channels, np.hstack([made.inputs, made.outputs]).T, strict=False):
         columns[f"{channel.name} [{channel.unit or '-'}]"] = values
     write_table(path, list(columns), np.column_stack(list(columns.values())))
     return path
@@ -203,7 +237,7 @@ class Design(_Accuracy):
             subtitle=f"Experiment {self.experiment.name!r}, criterion {self.criterion}",
             headline=f"Design of {self.experiment.name!r} for {self.model.name}",
             answer=self._answer(),
-            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            warnings=self._warnings(),
             head=(
                 ("criterion", f"{self.criterion}: {self.value:.4g} (starts: {starts})"),
                 ("family", self.parametrisation),
@@ -230,15 +264,16 @@ class Design(_Accuracy):
 
     report = as_text
 
+    def _warnings(self) -> list[str]:
+        return [] if self.assurance is None else [*filter(None, [self.assurance.danger])]
+
     def _answer(self) -> str:
         """What the run will tell, and whether it keeps its limits."""
-        errors, found = TWO_SIDED_95 * self.relative_errors, self.assurance
-        worst = int(errors.argmax())
+        found = self.assurance
         words = "" if found is None or found.is_safe else "DANGER: "
         words += (
-            f"{self.experiment.name}: after {self.experiment.duration:g} s the least certain of "
-            f"{counted(len(errors), 'parameter')} is {self.names[worst]}, ± {share(errors[worst])} "
-            "(95 %)"
+            f"{self.experiment.name}: after {self.experiment.duration:g} s "
+            f"{', '.join(self._least_certain())}"
         )
         if self.references:
             reference = self.references[0]
@@ -261,7 +296,7 @@ class Design(_Accuracy):
                 f"Errors of {reference.name}{note} are {mean:.3g} times larger on geometric "
                 f"mean, {worst:.3g} times for the worst parameter."
             )
-        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
+        return lines + self._undetermined()
 
     def accuracy(self, *, sort: bool = False) -> Table:
         """Expected relative standard errors; sorted, the best first."""
@@ -294,7 +329,7 @@ class Design(_Accuracy):
         return Report(
             title=title or self.model.name,
             subtitle=f"Sea-trial card of {self.experiment.name!r}",
-            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            warnings=self._warnings(),
             verdict=verdict or [f"Criterion {self.criterion}."],
             numbers=(
                 ("length", f"{self.experiment.duration:g} s"),
@@ -309,7 +344,141 @@ class Design(_Accuracy):
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""
-        return sea_trial_card(self)
+        experiment, model, units = self.experiment, self.model, units_of(self.model)
+        if experiment.reacts and experiment.excitation is not None:
+            orders = [f"  {experiment.excitation.describe()}"]
+        else:
+            orders = self._orders(units)
+        dangers = [f"{danger} Read WATCH before anything else." for danger in self._warnings()]
+        lines = wrap(" ".join(dangers), WIDTH)
+        lines += [*self._conditions(units), "", "RUN", *orders, "", *self._motion(units)]
+        lines += ["", "WATCH", *self._watch(units), "", *self._to_expect(), ""]
+        if told := missing_physics(self.misfits, self.chances):
+            lines += ["MISSING PHYSICS", *told, ""]
+        stated = [
+            (o.name, quantity(o.noise_std, o.unit))
+            for o in model.outputs
+            if o.noise_std is not None
+        ]
+        lines += wrap(f"Noise assumed: {', '.join(map(' '.join, stated))}.", WIDTH)
+        if self.sea is not None:
+            lines += wrap(f"Random forces assumed: {sea_words(self.sea)}.", WIDTH)
+        last = (
+            "Write down wind, sea, current, loading, battery, and anything touched during the run."
+        )
+        return "\n".join([*lines, last])
+
+    def _conditions(self, units: Mapping[str, str]) -> list[str]:
+        """How long, from where, what is held, and within which range orders stay."""
+        experiment, model = self.experiment, self.model
+        duration = float(experiment.duration or 0.0)
+        given = [f"{n} = {quantity(v, units[n])}" for n, v in experiment.initial.items() if v]
+        speeds = [s.name for s in model.states if s.name in ("u", "v", "w")]
+        if speeds and not any(experiment.initial.get(n, 0.0) for n in speeds):
+            given.insert(0, "rest (no speed)")
+        lines = [
+            f"SEA TRIAL CARD   {experiment.name}   ({model.name})",
+            "=" * WIDTH,
+            f"Length      {duration:g} s ({duration / 60:.1f} min), one run; log every "
+            f"{experiment.sample_time:g} s or faster, commands and measurements on one clock",
+            f"Start from  {', '.join(given) or 'rest'}; controls neutral, steady",
+            "            log 10 s or more before the first order and after the last",
+        ]
+        if held := [f"{n} = {quantity(v, units[n])}" for n, v in experiment.constants.items()]:
+            lines.append(f"Hold        {', '.join(held)}")
+        for name, pair in experiment.limits.inputs.items():
+            if name not in experiment.constants:
+                rate = experiment.limits.rates.get(name)
+                most = "" if rate is None else f", at most {quantity(rate, units[name])}/s"
+                lines.append(f"Orders of   {name}: {span(*pair, units[name])}{most}")
+        return lines
+
+    def _orders(self, units: Mapping[str, str]) -> list[str]:
+        """Orders as rows: when each begins, where it leads, and when it is reached."""
+        times, inputs = self.trajectory.times, self.trajectory.inputs
+        found = []
+        for index, name in enumerate(self.model.input_names):
+            way = np.sign(np.diff(inputs[:, index]))
+            # A ramp within the rate limit is one order, not one for every sample.
+            begins = np.flatnonzero(np.diff(way, prepend=0.0))
+            for first, after in zip(begins, [*begins[1:], len(way)], strict=True):
+                if way[first]:
+                    found.append((first + 1, after, name, inputs[after, index]))
+        if not found:
+            return ["  no orders: leave all controls as they are"]
+        lines = [f"  {'at t [s]':>8}  {'order':<26} {'reached [s]':>11}"]
+        for first, last, name, value in sorted(found)[:40]:
+            order = f"{name} to {quantity(value, units[name])}"
+            lines.append(f"  {times[first]:>8.6g}  {order:<26} {times[last]:>11.6g}")
+        if len(found) > 40:
+            lines.append(f"  ... and {len(found) - 40} more")
+        lines.append(f"  {times[-1]:>8.6g}  end of the run: controls neutral, recover")
+        return [*lines, "  By hand: these orders. Better: play the table that --out writes."]
+
+    def _motion(self, units: Mapping[str, str]) -> list[str]:
+        """Predicted ranges, what other vehicles would do, and where to stop."""
+        model, safe = self.model, self.assurance
+        rows = [("", "predicted", "95 % of vehicles", "stop outside")]
+        for name in dict.fromkeys((*model.state_names, *model.output_names)):
+            values, unit = self.trajectory.signal(name), units[name]
+            other = None if safe is None else safe.ranges.get(name)
+            limit = self.experiment.limits.signals.get(name)
+            said = "-" if other is None else between(*other, unit)
+            stop = "" if limit is None else span(*limit, unit)
+            rows.append((name, between(values.min(), values.max(), unit), said, stop))
+        lines = ["EXPECT"]
+        for name, own, theirs, stop in rows:
+            vehicles = "" if safe is None else f" {theirs:<24}"
+            lines.append(f"  {name:<10} {own:<24}{vehicles} {stop}".rstrip())
+        if safe is not None:
+            lines.append(f"  95 % of vehicles: {safe.drawn}, {safe.n_checked} simulated")
+        return lines
+
+    def _watch(self, units: Mapping[str, str]) -> list[str]:
+        """What is reached, how surely limits are kept, and when to stop."""
+        limits, safe = self.experiment.limits.signals, self.assurance
+        words = [] if limits else [NO_LIMIT]
+        if safe is not None and limits:
+            words += [f"Certainty: {safe.report()}.", *([] if safe.is_safe else [NOT_SAFE])]
+        words += [f"reached in the prediction: {text}" for text in self.active]
+        words += [] if self.active else ["no limit is reached in the prediction"]
+        words += [STOP] if limits else []
+        lines = []
+        for text in words:
+            lines += wrap(text, WIDTH - 4, initial_indent="  - ", subsequent_indent="    ")
+        if safe is None or not safe.rules:
+            return lines
+        lines += ["", "STOP THE RUN (controls neutral, recover) when"]
+        for rule in safe.rules:
+            bounds = outside(rule.lower, rule.upper, units[rule.signal])
+            why = "before its limit" if rule.limited else "outside what is expected"
+            lines.append(f"  {rule.signal:<8} {bounds:<36} {why}; fires on {rule.fires:.1%}")
+        any_fires = f"  Any of these fires on {safe.any_fires:.1%} of {safe.n_checked} vehicles."
+        return [*lines, any_fires]
+
+    def _to_expect(self) -> list[str]:
+        """Accuracy against standard manoeuvres, and which parameters will be found."""
+        kind = "white noise" if self.sea is None else "noise and random forces"
+        lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
+        for reference in self.references:
+            mean, worst = self.gain(reference)
+            note = f", {reference.note}" if reference.note else ""
+            lines.append(
+                f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times "
+                f"smaller on geometric mean, {worst:.2g} times for the worst."
+            )
+        lines += [f"  {line}" for line in self.accuracy(sort=True).lines()]
+        usable = POOR if self.sea is None else TRUSTED
+        for title, low, high in (
+            (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
+            (f"Found to {usable:.0%}", _GOOD, usable),
+            ("NOT found by this run; hold at nominal values, or add runs", usable, np.inf),
+        ):
+            inside = (low < self.relative_errors) & (self.relative_errors <= high)
+            if names := [name for name, found in zip(self.names, inside, strict=True) if found]:
+                text = f"{title}: {', '.join(names)}"
+                lines += wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
+        return lines
 
     to_dict = as_dict(
         "experiment", "criterion", "parametrisation", "value", "start_values", "sea",
@@ -352,9 +521,6 @@ class Design(_Accuracy):
         write_commands(Path(path), self.model, self.trajectory, predicted=predicted)
 
 
-_WIDTH = 92
-
-
 def joint_share(found: Sequence[Assurance]) -> float:
     """Share of the vehicles on which all of several runs, judged on the same ones, keep limits."""
     masks = [one.kept for one in found if one.limited]
@@ -387,6 +553,16 @@ class Standard:
     def ratio(self) -> float:
         """How many times more ship time they need."""
         return self.hours / self.own_hours
+
+    def words(self) -> str:
+        """How long they take, in a sentence."""
+        trials = ", ".join(self.names)
+        if not np.isfinite(self.hours):
+            return f"The standard programme ({trials}) never tells as much."
+        return (
+            f"The standard programme ({trials}) needs {self.hours:.3g} h for the same criterion, "
+            f"{self.ratio:.3g} times the ship time."
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -494,11 +670,8 @@ class Programme(_Accuracy):
     @property
     def unsafe(self) -> tuple[str, ...]:
         """Runs that leave their limits on more vehicles than wanted."""
-        return tuple(
-            name
-            for name, one in self.assurances.items()
-            if one.limited and one.wanted is not None and one.probability < one.wanted
-        )
+        found = self.assurances.items()
+        return tuple(name for name, one in found if one.limited and not one.is_enough)
 
     @property
     def is_unsafe_together(self) -> bool:
@@ -507,14 +680,18 @@ class Programme(_Accuracy):
         return bool(wanted) and self.kept < max(wanted)
 
     @property
-    def danger_together(self) -> str:
-        """What is said where each run keeps its limits, and all of them together do not."""
-        if self.unsafe or not self.is_unsafe_together:
-            return ""
-        return (
-            f"DANGER: on {1 - self.kept:.0%} of the vehicles that are possible one run or another "
-            "leaves its limits."
-        )
+    def danger(self) -> str:
+        """What stands first where limits are likely to be left; empty where not."""
+        if self.unsafe:
+            worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
+            left = 1 - self.assurances[worst].probability
+            return f"DANGER: {worst!r} leaves its limits on {left:.0%} of possible vehicles"
+        if self.is_unsafe_together:
+            left = 1 - self.kept
+            return (
+                f"DANGER: on {left:.0%} of possible vehicles one run or another leaves its limits"
+            )
+        return ""
 
     def document(self, *, title: str = "") -> Report:
         """Return the programme: danger first, then runs, accuracy and certificate."""
@@ -526,6 +703,22 @@ class Programme(_Accuracy):
             "the most extreme of the possible vehicles stay within; dashed: limits. Right: "
             "expected relative standard errors.",
         )  # fmt: skip
+        together = []
+        if self.limited:
+            checked = max(one.n_checked for one in self.assurances.values())
+            together.append(f"all together keep them on {self.kept:.0%} of {checked} vehicles")
+        worth = (
+            f"Of what the best programme of these {len(self.candidates)} runs could tell, this "
+            f"one tells {self.share:.1%} (criterion {self.criterion}; the weights are within "
+            f"{max(self.gap, 0.0):.1g} of their optimum). Refined commands made it "
+            f"{self.refined_factor:.3g} times as telling; greedy selection would reach "
+            f"{self.greedy_share:.1%} of the selection before. The bound holds for these runs, "
+            "these forces and a model of this structure; other commands may do better."
+        )
+        compared = [] if self.standard is None else wrap(self.standard.words(), WIDTH)
+        for words, (_, factor) in self.sensor_options.items():
+            compared.append(f"With optional sensors {words}: information times {factor:.3g}.")
+        compared += self._undetermined()
         told = "\n".join(missing_physics(self.misfits, self.chances))
         return Report(
             title=title or self.model.name,
@@ -533,7 +726,7 @@ class Programme(_Accuracy):
             headline=f"Programme for {self.model.name}: {len(self.runs)} runs, {self.hours:.3g} h "
             f"with {self.turnaround / 60:.3g} min between runs",
             answer=self._answer(),
-            warnings=self._dangers(),
+            warnings=[f"{self.danger}. {STAND_BY}"] if self.danger else [],
             head=(
                 ("random forces", "none" if self.sea is None else sea_words(self.sea)),
                 ("measured", ", ".join(self.outputs)),
@@ -544,29 +737,17 @@ class Programme(_Accuracy):
                 (f"std. error, worst: {self.names[worst]}", f"{100 * errors[worst]:.2g} %"),
             ),
             sections=(
-                self._plan(drawing),
+                Section("What to run", together, (self._plan(),), (drawing,), indent=2),
                 Section("Accuracy to expect", (), (self.accuracy(),), indent=2),
-                Section("What this is worth", self._worth(), indent=2),
+                Section("What this is worth", wrap(worth, WIDTH), indent=2),
                 Section("Missing physics", listing=told),
-                Section("Compared", self._options(), indent=2),
+                Section("Compared", compared, indent=2),
             ),
         )
 
     report = as_text
 
-    def _dangers(self) -> list[str]:
-        if self.danger_together:
-            return [f"{self.danger_together} Stand by to stop."]
-        if not self.unsafe:
-            return []
-        worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
-        left = 1 - self.assurances[worst].probability
-        return [
-            f"DANGER: {worst!r} leaves its limits on {left:.0%} of the vehicles that are possible. "
-            "Stand by to stop, or begin with a gentle run and plan from its fit."
-        ]
-
-    def _plan(self, drawing: Figure) -> Section:
+    def _plan(self) -> Table:
         rows = []
         for number, run in enumerate(self.runs, start=1):
             kept = self.assurances.get(run.name)
@@ -574,46 +755,12 @@ class Programme(_Accuracy):
             length = f"{float(run.experiment.duration or 0.0):g} s"
             rows.append((str(number), run.name, length, probability))
         marked = tuple(i for i, run in enumerate(self.runs) if run.name in self.unsafe)
-        table = Table(("", "run", "length", "limits kept"), rows, words=(1,), marked=marked)
-        words = []
-        if self.limited:
-            checked = max(one.n_checked for one in self.assurances.values())
-            words.append(f"all together keep them on {self.kept:.0%} of {checked} vehicles")
-        return Section("What to run", words, (table,), (drawing,), indent=2)
-
-    def _worth(self) -> list[str]:
-        return wrap(
-            f"Of what the best programme of these {len(self.candidates)} runs could tell, this "
-            f"one tells {self.share:.1%} (criterion {self.criterion}; the weights are within "
-            f"{max(self.gap, 0.0):.1g} of their optimum). Refined commands made it "
-            f"{self.refined_factor:.3g} times as telling; greedy selection would reach "
-            f"{self.greedy_share:.1%} of the selection before. The bound holds for these runs, "
-            "these forces and a model of this structure; other commands may do better.",
-            _WIDTH,
-        )
-
-    def _options(self) -> list[str]:
-        lines = [] if self.standard is None else wrap(self._compared(), _WIDTH)
-        for words, (_, factor) in self.sensor_options.items():
-            lines.append(f"With optional sensors {words}: information times {factor:.3g}.")
-        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
+        return Table(("", "run", "length", "limits kept"), rows, words=(1,), marked=marked)
 
     def _answer(self) -> str:
         """How many runs and hours, what they tell, and whether they keep their limits."""
-        kept = {n: one.probability for n, one in self.assurances.items() if one.limited}
-        words = f"{counted(len(self.runs), 'run')}, {self.hours:.3g} h"
-        if self.unsafe:
-            worst = min(self.unsafe, key=lambda name: kept[name])
-            words = (
-                f"DANGER: {worst!r} leaves its limits on {1 - kept[worst]:.0%} of possible "
-                f"vehicles; {words}"
-            )
-        elif self.is_unsafe_together:
-            words = (
-                f"DANGER: on {1 - self.kept:.0%} of possible vehicles one run or another leaves "
-                f"its limits; {words}"
-            )
-        words += f": {self._told()}"
+        words = f"{self.danger}; " if self.danger else ""
+        words += f"{counted(len(self.runs), 'run')}, {self.hours:.3g} h: {self._told()}"
         if self.standard is not None:
             ratio = self.standard.ratio
             words += (
@@ -621,10 +768,11 @@ class Programme(_Accuracy):
                 if np.isfinite(ratio)
                 else "; standard trials would never tell as much"
             )
-        if not kept:
+        if not self.limited:
             words += "; no limit on the motion was given"
         elif not self.unsafe:
-            together = "all runs keep" if len(kept) > 1 else "the run keeps"
+            n_limited = sum(one.limited for one in self.assurances.values())
+            together = "all runs keep" if n_limited > 1 else "the run keeps"
             words += f"; {together} the limits on {self.kept:.0%} of possible vehicles"
         return f"{words}."
 
@@ -640,27 +788,11 @@ class Programme(_Accuracy):
             after = sum(one.after >= SURE for one in self.chances)
             n = len(self.chances)
             return f"{after} of {n} effects would show, should they be missing (before: {before})"
-        errors = self.relative_errors
-        worst = int(errors.argmax())
-        words = f"the least certain of {counted(len(errors), 'parameter')} is {self.names[worst]}, "
-        if self.sea is not None and not errors[worst] <= TRUSTED:
-            return words + "which stays unidentified"
-        words += f"± {share(TWO_SIDED_95 * errors[worst])} (95 %)"
-        if self.prior is not None:
-            before = self.prior.std_errors[worst] / self.sizes[worst]
-            known = f", ± {share(TWO_SIDED_95 * before)} before"
-            words += known if np.isfinite(before) else ""
-        return words
-
-    def _compared(self) -> str:
-        assert self.standard is not None
-        trials = ", ".join(self.standard.names)
-        if not np.isfinite(self.standard.hours):
-            return f"The standard programme ({trials}) never tells as much."
-        return (
-            f"The standard programme ({trials}) needs {self.standard.hours:.3g} h for the same "
-            f"criterion, {self.standard.ratio:.3g} times the ship time."
-        )
+        if self.sea is not None and not self.relative_errors.max() <= TRUSTED:
+            return f"{self._least_certain()[0]}, which stays unidentified"
+        before = self.prior_errors[int(self.relative_errors.argmax())]
+        known = f", ± {share(TWO_SIDED_95 * before)} before" if np.isfinite(before) else ""
+        return ", ".join(self._least_certain()) + known
 
     def accuracy(self) -> Table:
         """Expected relative standard errors of every parameter."""
@@ -717,8 +849,7 @@ class Programme(_Accuracy):
         place = make_folder(folder)
         written = []
         for number, run in enumerate(self.runs, start=1):
-            record = simulate(self.model, run.experiment, noise=False)
             word = "".join(c if c.isalnum() else "_" for c in run.name)
             path = place / f"{number:02d}_{word}.csv"
-            written.append(write_commands(path, self.model, record, predicted=False))
+            written.append(write_commands(path, self.model, run.experiment))
         return tuple(written)

@@ -19,13 +19,14 @@ bands the largest :math:`\rho \le 1` that keeps range and rate unclipped.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
 
 from oed_sysid.errors import DesignError
+from oed_sysid.experiments.experiment import Limits
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,32 @@ class Grid:
     upper: np.ndarray
     neutral: np.ndarray
     rates: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        limits: Limits,
+        names: Sequence[str],
+        duration: float,
+        sample_time: float,
+        neutral: Mapping[str, float],
+    ) -> Grid:
+        """Return the room that limits leave some inputs, on a run's samples."""
+        ranges = [limits.inputs[name] for name in names]
+        lower, upper = np.array(ranges, dtype=float).T
+        rest = [neutral.get(n, neutral_within(*r)) for n, r in zip(names, ranges, strict=True)]
+        n_steps = int(np.floor(duration / sample_time + 1e-9))
+        # The rate is checked on differences of floating-point sums.
+        rates = (1 - 1e-9) * np.array([limits.rates.get(name, np.inf) for name in names])
+        times = np.arange(n_steps + 1) * sample_time
+        return cls(times, tuple(names), lower, upper, np.array(rest, dtype=float), rates)
+
+    def only(self, name: str) -> Grid:
+        """Return the grid of one input."""
+        i = [self.inputs.index(name)]
+        return Grid(
+            self.times, (name,), self.lower[i], self.upper[i], self.neutral[i], self.rates[i]
+        )
 
     @property
     def step(self) -> float:
@@ -88,20 +115,16 @@ class Shape(Protocol):
     @property
     def size(self) -> int:
         """How many numbers describe one member."""
-        ...
 
     @property
     def edges(self) -> np.ndarray:
         """Samples at which single numbers begin to act, the first is 0."""
-        ...
 
     def commands(self, numbers: np.ndarray) -> np.ndarray:
         """Commands ``(n_batch, n_times, n_inputs)`` of numbers ``(n_batch, size)``."""
-        ...
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
         """Numbers of the member nearest to given commands; None if the family is too narrow."""
-        ...
 
 
 @runtime_checkable
@@ -111,11 +134,9 @@ class Parametrisation(Protocol):
     @property
     def name(self) -> str:
         """Name for reports."""
-        ...
 
     def on(self, grid: Grid) -> Shape:
         """Return the family on a grid."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -306,7 +327,13 @@ class Multisines:
                 f"{self.n_lines} lines do not fit below half the sampling frequency. Ask for fewer."
             )
         top = max(highest * duration, self.n_lines)
-        allowed = np.array([k for k in range(1, int(top) + 1) if self._allows(k / duration)])
+        allowed = np.array(
+            [
+                k
+                for k in range(1, int(top) + 1)
+                if not any(low <= k / duration <= high for low, high in self.forbidden)
+            ]
+        )
         if len(allowed) < self.n_lines:
             raise DesignError(
                 f"Only {len(allowed)} multiples of {1 / duration:.3g} Hz up to "
@@ -318,9 +345,6 @@ class Multisines:
         missing = [k for k in allowed if k not in kept]
         multiples = np.sort([*kept, *missing[: self.n_lines - len(kept)]])
         return _SineShape(grid, multiples / duration, clean=bool(self.forbidden))
-
-    def _allows(self, frequency: float) -> bool:
-        return not any(low <= frequency <= high for low, high in self.forbidden)
 
 
 class _SineShape:

@@ -35,8 +35,6 @@ from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.shooting import Point
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 
 # Shortest and longest correlation time of the disturbances, s: passing and lasting.
@@ -52,8 +50,8 @@ N_RIVALS, N_FIRST = 2, 4
 # Most steps of the fit to white noise and of the first places, of every place at first; the
 # promised fall of the cost at which they end; and decades of levels that are tried first.
 MOST_STEPS, FIRST_STEPS, NEAR_ENOUGH, DECADES = 20, 5, 0.3, 7
-# Most pieces into which a record is cut where the model diverges along it.
-MOST_PIECES = 8
+# Pieces into which records are cut where the model diverges along them.
+PIECES = 1, 2, 4, 8
 # Places that a report lists.
 LISTED = 8
 
@@ -115,11 +113,6 @@ class Located:
         return cls(where, zero, dict(zero), (), (), {}, {}, {})
 
     @property
-    def evidence(self) -> dict[str, float]:
-        """Earlier name of ``gains``."""
-        return self.gains
-
-    @property
     def best(self) -> str | None:
         """Place with the largest gain; None where chance explains all of it."""
         name = self.places[0].name
@@ -144,37 +137,29 @@ class Located:
                 "No place stands out: noise of the sensors, as strong as it has to be, explains "
                 "what is left as well as a disturbance at any one place would."
             )
-        words = {place.name: _words(place) for place in self.places}
+        words = {p.name: WORDS[p.stage].format(signal=p.signal) for p in self.places}
         text = f"Something is missing {words[self.best]}"
-        rivals = [words[name] for name in self.group if name != self.best]
-        if rivals:
-            text += ", or as likely " + ", or ".join(rivals)
-        later = [name for name in self.gains if name not in self.group]
-        if later:
-            lag = self.gains[self.best] - self.gains[later[0]]
-            text += (
-                f" (next: {later[0]}, likelihood-ratio statistic {lag:.0f} lower)"
-                if lag > 0
-                else ""
-            )
+        for name in self.group:
+            text += f", or as likely {words[name]}" * (name != self.best)
+        later = next((name for name in self.gains if name not in self.group), None)
+        lag = self.gains[self.best] - self.gains[later] if later else 0.0
+        if lag > 0:
+            text += f" (next: {later}, likelihood-ratio statistic {lag:.0f} lower)"
         return text + "."
 
     def document(self, train: Dataset | None = None) -> Report:
         """Return the finding; with the training records, residual forces against their signals."""
         headers = (
-            "where the model fails",
-            "likelihood-ratio statistic",
-            "behind the best",
-            "size",
+            "where the model fails", "likelihood-ratio statistic", "behind the best", "size",
             "unit",
-        )
+        )  # fmt: skip
         top = max(self.gains.values())
         rows = []
         for place in self.places[:LISTED]:
             gain = self.gains[place.name]
             if gain > CLEAR:
-                size = f"{self.levels[place.name]:.2g}"
-                rows.append((place.name, _count(gain), _count(top - gain), size, place.unit))
+                cells = (f"{gain:.0f}", f"{top - gain:.0f}", f"{self.levels[place.name]:.2g}")
+                rows.append((place.name, *cells, place.unit))
         tables = [Table(headers, rows)] if rows else []
         words = [self.verdict]
         if self.best is not None:
@@ -260,7 +245,14 @@ def locate(
     if found is None:
         return Located.nothing(fit)
     # Of places that are one and the same to the records, the equation is named first.
-    found.sort(key=lambda part: (-round(_weight(part)), part.place.stage != "force"))
+    # A geometric identity has to be accused clearly.
+    share = {"kinematics": 1.0 - IDENTITY}
+    found.sort(
+        key=lambda part: (
+            -round(part.gain * share.get(part.place.stage, 1.0)),
+            part.place.stage != "force",
+        )
+    )
     smoother = ResidualForces.of(*let_in(fit, unit))
     names = fit.noise.places
     chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
@@ -282,49 +274,24 @@ def locate(
 def _signatures(
     smoother: ResidualForces, rivals: Mapping[str, FilteredSolution], chosen: Sequence[int]
 ) -> dict[str, tuple[np.ndarray, ...]]:
-    """Residual forces that would be seen if a rival were the truth, of those that can be run."""
-    runs = {name: _simulated(rival) for name, rival in rivals.items()}
-    return {
-        name: tuple(part[:, chosen] for part in smoother.signature(run))
-        for name, run in runs.items()
-        if run is not None
-    }
-
-
-def simulated(fit: FilteredSolution, index: int) -> np.ndarray:
-    """Outputs of a fit's model on its own along one record, ``(n_times, n_outputs)``."""
-    return fit.problem.alone(fit.point.unknowns, index)[0]
-
-
-def _simulated(rival: FilteredSolution) -> list[np.ndarray] | None:
-    """Records as a rival makes them; None where it diverges.
+    """Residual forces that would be seen if a rival were the truth, of those that can be run.
 
     Nothing is noisy there, but what was not measured is not known.
     """
-    records = rival.problem.records
-    runs = [simulated(rival, index) for index in range(len(records))]
-    if not all(np.isfinite(run).any() for run in runs):
-        return None
-    pairs = zip(runs, records, strict=True)
-    return [np.where(np.isfinite(record.outputs), run, np.nan) for run, record in pairs]
+    found = {}
+    for name, rival in rivals.items():
+        records = rival.problem.records
+        runs = [rival.problem.alone(rival.point.unknowns, i)[0] for i in range(len(records))]
+        if all(np.isfinite(run).any() for run in runs):
+            pairs = zip(runs, records, strict=True)
+            seen = [np.where(np.isfinite(record.outputs), run, np.nan) for run, record in pairs]
+            found[name] = tuple(part[:, chosen] for part in smoother.signature(seen))
+    return found
 
 
 def likeliest(ranking: Ranking) -> dict[str, FilteredSolution]:
     """Fits with each of the best candidates, for their signatures."""
     return {refit.name: refit.fit for refit in ranking.refits[:N_RIVALS]}
-
-
-def _weight(part: Evidence) -> float:
-    """Gain by which places are ordered; a geometric identity has to be accused clearly."""
-    return part.gain * (1.0 - IDENTITY if part.place.stage == "kinematics" else 1.0)
-
-
-def _words(place: Place) -> str:
-    return WORDS[place.stage].format(signal=place.signal)
-
-
-def _count(gain: float) -> str:
-    return f"{gain:.0f}" if gain < 1e5 else f"{gain:.2g}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -367,20 +334,16 @@ def evidence(
     Where the model diverges along a record on its own (missing damping, an unstable vehicle),
     records are cut, each piece with start states of its own.
     """
-    kernel = _kernel(fit)
-    pieces = 1
-    while True:
-        bench = _Bench.of(fit, unit, kernel, times, pieces)
+    shortest = min(record.n_samples for record in fit.problem.records)
+    for pieces in PIECES:
+        bench = (
+            _Bench.of(fit, unit, times, pieces) if shortest >= 20 * pieces or pieces == 1 else None
+        )
         if bench is not None:
-            break
-        pieces *= 2
-        shortest = min(record.n_samples for record in fit.problem.records) / pieces
-        if pieces > MOST_PIECES or shortest < 20:
-            return None
-    found = [bench.judged(place) for place in places(fit.problem.model)]
-    found.sort(key=lambda part: -part.gain)
-    first = [bench.finished(part) for part in found[:N_FIRST]]
-    return sorted([*first, *found[N_FIRST:]], key=lambda part: -part.gain)
+            found = sorted(map(bench.judged, places(fit.problem.model)), key=lambda e: -e.gain)
+            first = [bench.finished(part) for part in found[:N_FIRST]]
+            return sorted([*first, *found[N_FIRST:]], key=lambda part: -part.gain)
+    return None
 
 
 def _kernel(fit: FilteredSolution) -> FilterKernel:
@@ -392,6 +355,10 @@ def _kernel(fit: FilteredSolution) -> FilterKernel:
     return filter_kernel(disturbed_model(known, chain))
 
 
+# Values, start states and values of each record.
+_Begin = tuple[Mapping[str, float], Sequence[np.ndarray], Sequence[Mapping[str, float]]]
+
+
 @dataclass(frozen=True, eq=False)
 class _Bench:
     """What every place is judged by.
@@ -400,30 +367,21 @@ class _Bench:
     ----------
     quiet : FilteredSolution
         The fit to white noise alone.
-    model : Model
-        At the values of the fit with disturbance forces.
-    initial, local : sequence
-        Start states and values of each record of that fit.
+    starts : sequence of (mapping, sequence, sequence)
+        Values, start states and values of each record to begin from.
     unknown : ndarray of bool (n_outputs,)
         Sensors whose noise nobody declared: it must not make every misfit evidence.
     times : tuple of float
     """
 
     quiet: FilteredSolution
-    model: Model
-    initial: Sequence[np.ndarray]
-    local: Sequence[Mapping[str, float]]
+    starts: Sequence[_Begin]
     unknown: np.ndarray
     times: tuple[float, float]
 
     @classmethod
     def of(
-        cls,
-        fit: FilteredSolution,
-        unit: NoiseModel,
-        kernel: FilterKernel,
-        times: tuple[float, float],
-        pieces: int,
+        cls, fit: FilteredSolution, unit: NoiseModel, times: tuple[float, float], pieces: int
     ) -> _Bench | None:
         """Fit to white noise alone; None where the model diverges along a record."""
         model = fit.problem.model.with_values(fit.values)
@@ -434,19 +392,23 @@ class _Bench:
         none = np.zeros(len(white), dtype=bool)
         levels = Levels.of(noise, noise, (), white=unknown, colour=none, force=none[:0])
         known = fit.problem.known_starts if pieces == 1 else None
-        problem = Filtered(model, dataset, levels, kernel=kernel, known_starts=known)
+        problem = Filtered(model, dataset, levels, kernel=_kernel(fit), known_starts=known)
         point = problem.point(initial, local)
         quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
-        return None if quiet is None else cls(quiet, model, initial, local, unknown, times)
+        if quiet is None:
+            return None
+        # Parameters bend to what is missing: those of the fit with disturbance forces are nearer.
+        starts = ((model.values, initial, local), (quiet.values, quiet.initial, quiet.local))
+        return cls(quiet, starts, unknown, times)
 
     def judged(self, place: Place) -> Evidence:
         """The most likely disturbance of one place."""
-        base = self.quiet
-        # Parameters bend to what is missing: those of the fit with disturbance forces are nearer.
-        found = self._fitted(place, self.model.values, self.initial, self.local)
-        if found is None or not found.objective < base.objective:
-            found = self._fitted(place, base.values, base.initial, base.local)
-        return self._evidence(place, found)
+        found = Evidence(place, 0.0, 0.0, self.quiet)
+        for begin in self.starts:
+            found = self._evidence(place, self._fitted(place, begin))
+            if found.gain > 0.0:
+                break
+        return found
 
     def finished(self, part: Evidence) -> Evidence:
         """The same, estimated to the end."""
@@ -464,59 +426,48 @@ class _Bench:
         level = found.noise.colour.max() if place.stage == "sensor" else found.noise.force[0]
         return Evidence(place, self.quiet.objective - found.objective, float(level), found)
 
-    def _fitted(
-        self,
-        place: Place,
-        values: Mapping[str, float],
-        initial: Sequence[np.ndarray],
-        local: Sequence[Mapping[str, float]],
-    ) -> FilteredSolution | None:
+    def _fitted(self, place: Place, begin: _Begin) -> FilteredSolution | None:
         """Fit with a disturbance at one place, from the likeliest of some decades of its level."""
-        old = self.quiet.problem
-        model = self.model.with_values(dict(values))
+        old, (values, initial, local) = self.quiet.problem, begin
+        model = old.model.with_values(dict(values))
 
-        def problem(size: float) -> Filtered:
+        def posed(size: float) -> Filtered:
             return Filtered(
                 model, old.dataset, self._levels(place, size), kernel=old.kernel,
                 known_starts=old.known_starts,
             )  # fmt: skip
 
         # At variance zero its information says of which variance the records begin to tell.
-        first = problem(1.0)
+        first = posed(1.0)
         point = first.point(initial, local).unknowns
         point[first.layout.levels.start] = 0.0
-        parts = first.passes(point, levels_only=True)
         told = sum(
-            float(part.level_information[0, 0] + part.gram[0, 0]) for part in parts if part.ok
+            float(part.level_information[0, 0] + part.gram[0, 0])
+            for part in first.passes(point, levels_only=True)
+            if part.ok
         )
-        size = told**-0.25 if told > 0 else 1.0
-        best: tuple[Filtered, Point, float] | None = None
+        size, best, lowest = told**-0.25 if told > 0 else 1.0, first, np.inf
         for decade in range(DECADES):
-            trial = problem(size * 10.0**decade)
-            at = trial.point(initial, local)
-            objective = trial.objective(at.unknowns)
-            if best is not None and objective > best[2]:
+            trial = posed(size * 10.0**decade)
+            objective = trial.objective(trial.point(initial, local).unknowns)
+            if objective > lowest:
                 break
-            if best is None or objective < best[2]:
-                best = trial, at, objective
-        if best is None or not np.isfinite(best[2]):
+            if objective < lowest:
+                best, lowest = trial, objective
+        if not np.isfinite(lowest):
             return None
-        return solve_filtered(
-            best[0], best[1], max_iterations=FIRST_STEPS, tolerance=NEAR_ENOUGH, polish=0
-        )
+        at = best.point(initial, local)
+        return solve_filtered(best, at, max_iterations=FIRST_STEPS, tolerance=NEAR_ENOUGH, polish=0)
 
     def _levels(self, place: Place, size: float) -> Levels:
         """The level and time of one place unknown, and what nobody declared of the sensors."""
         noise = self.quiet.noise
-        nothing = np.zeros(len(noise.white))
-        time = float(np.sqrt(self.times[0] * self.times[1]))
-        colour = np.zeros(len(nothing), dtype=bool)
         acting = [] if place.stage == "sensor" else [place]
-        if not acting:
-            colour[noise.outputs.index(place.signal)] = True
+        colour = np.array([not acting and name == place.signal for name in noise.outputs])
+        time = float(np.sqrt(self.times[0] * self.times[1]))
         begin = NoiseModel(
             noise.white,
-            np.where(colour, size, nothing),
+            np.where(colour, size, 0.0),
             np.full(len(acting), size),
             time,
             time,
@@ -525,7 +476,7 @@ class _Bench:
         )
         return Levels.of(
             begin,
-            replace(begin, colour=np.full(len(nothing), size)),
+            replace(begin, colour=np.full(len(colour), size)),
             [disturbance(one).name for one in acting],
             white=self.unknown,
             colour=colour,
@@ -546,15 +497,8 @@ def _cut(
     for record, part, own in zip(problem.records, passes, fit.local, strict=True):
         edges = np.linspace(0, record.n_samples, pieces + 1).astype(int)
         for number, (first, stop) in enumerate(pairwise(edges), start=1):
-            records.append(
-                replace(
-                    record,
-                    name=f"{record.name}, part {number}",
-                    times=record.times[first:stop],
-                    inputs=record.inputs[first:stop],
-                    outputs=record.outputs[first:stop],
-                )
-            )
+            cut = record.window(record.times[first], record.times[stop - 1])
+            records.append(cut.rename(f"{record.name}, part {number}"))
             initial.append(part.path[first, : len(problem.model.states)])
             local.append(own)
     return Dataset(tuple(records)), initial, local
