@@ -9,7 +9,6 @@ integrals. Nothing of them is shared with the package.
 
 from __future__ import annotations
 
-import argparse
 import math
 import os
 import tempfile
@@ -20,6 +19,9 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import command, known
+from benchmarks.kinematics import diving_plane, ship
+from benchmarks.truth import gauss_markov
 from oed_sysid import (
     Dataset,
     Input,
@@ -35,7 +37,6 @@ from oed_sysid import (
 from oed_sysid.evidence.check import LogCheck, check, quick_check
 
 Spoil = Callable[[dict[str, np.ndarray], np.ndarray, np.random.Generator], None]
-
 
 DEGREES = 180.0 / math.pi
 
@@ -153,8 +154,6 @@ def free_running(columns: dict[str, str], rudder: str, *, wrap: bool = False) ->
 
 
 HSVA = {"x": "x0", "y": "y0", "psi": "psi", "u": "dx0", "v": "dy0", "r": "r"}
-
-
 ESSO = {
     "x": "x_position_mid", "y": "y_position_mid", "psi": "psi_hat", "u": "u_velo", "v": "vm_velo",
     "r": "r_angvelo",
@@ -164,9 +163,9 @@ ESSO = {
 def measured_files() -> Iterator[tuple[str, Model, Callable[[], Dataset]]]:
     """Title, model and reader of each measured file, its velocities taken as the labels say."""
     folder = data_folder()
-    ship = free_running(HSVA, "delta")
+    model = free_running(HSVA, "delta")
     for path in sorted((folder / "kvlcc2_hsva_zigzag").glob("HSVA*.csv")):
-        yield path.stem, ship, lambda path=path: read_csv(path, ship.channels)
+        yield path.stem, model, lambda path=path: read_csv(path, model.channels)
     tanker = free_running(ESSO, "delta_rudder", wrap=True)
     for path in sorted((folder / "esso_osaka").glob("*.csv")):
         yield path.stem, tanker, lambda path=path: read_filled(path, tanker)
@@ -185,8 +184,6 @@ def read_filled(path: Path, model: Model) -> Dataset:
 
 
 FINE = 10
-
-
 SPEEDS = (1.0, 1.5, 2.1)
 
 
@@ -199,19 +196,6 @@ class Vehicle:
     noise: dict[str, float]
     step: float
     duration: float
-
-
-def _model(name: str, kinematics: dict[str, str], units: dict[str, str]) -> Model:
-    """Return kinematics with first-order responses of all velocities, which nobody uses here."""
-    rates = {n: f"(K*fin - {n})/T" for n in units if n not in kinematics}
-    return Model(
-        name,
-        states=tuple(State(n, u) for n, u in units.items()),
-        inputs=(Input("fin", "rad"),),
-        outputs=tuple(Output(n, u) for n, u in units.items()),
-        kinematics=kinematics | rates,
-        parameters=(Parameter("K", 1.0), Parameter("T", 5.0, "s")),
-    )
 
 
 def _wander(n: int, dt: float, fast: float, rng: np.random.Generator) -> np.ndarray:
@@ -247,30 +231,20 @@ def _integral(rate: np.ndarray, dt: float) -> np.ndarray:
 
 
 DIVER = Vehicle(
-    _model(
-        "diving plane",
-        {"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
-        {"u": "m/s", "w": "m/s", "q": "rad/s", "theta": "rad", "z": "m"},
-    ),
+    diving_plane(),
     _diving,
     {"u": 0.02, "w": 0.02, "q": 0.004, "theta": 0.004, "z": 0.03},
     0.1,
     90.0,
 )
 
-
 SHIP = Vehicle(
-    _model(
-        "ship",
-        {"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
-        {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"},
-    ),
+    ship(),
     _ship,
     {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.1, "y": 0.1},
     0.25,
     225.0,
 )
-
 
 VEHICLES = (DIVER, SHIP)
 
@@ -318,10 +292,7 @@ def log(
         times = fine[::FINE]
         columns = []
         for name in vehicle.model.output_names:
-            white = rng.standard_normal(times.size)
-            if colour:
-                for k in range(1, times.size):
-                    white[k] = colour * white[k - 1] + math.sqrt(1.0 - colour**2) * white[k]
+            white = gauss_markov(rng.standard_normal(times.size), colour)
             columns.append(here[name][::FINE] + vehicle.noise[name] * white)
         rows = slice(round(3.0 / vehicle.step), None)
         matrix = np.column_stack(columns)[rows]
@@ -379,15 +350,15 @@ def measured() -> None:
             print(f"     {'*' if one.suspect else ' '} {one.says}", flush=True)
 
 
-def main() -> None:
+PARTS = {"spoilt": spoilt, "measured": measured}
+
+
+def main(parts: Sequence[str] = tuple(PARTS)) -> None:
     """Run the parts that are asked for."""
-    parts = {"spoilt": spoilt, "measured": measured}
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", default=list(parts))
-    for name in parser.parse_args().parts:
+    for name in parts:
         print(f"\n-- {name}", flush=True)
-        parts[name]()
+        PARTS[known(name, PARTS, "part")]()
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

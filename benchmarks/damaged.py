@@ -10,7 +10,6 @@ than ten seconds of computing.
 
 from __future__ import annotations
 
-import argparse
 import io
 import os
 import random
@@ -24,12 +23,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.harness import ROOT, command, markdown
 from oed_sysid.data import apart, formats
 
-ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT / "tests"))
 
-from log_writers import (  # noqa: E402
+from log_writers import (
     Voyage,
     write_bag,
     write_dataflash,
@@ -140,38 +139,39 @@ def outcome(path: Path, target: Path) -> tuple[str, float]:
     return words, seconds
 
 
-def main() -> None:
-    """Run the exam and print one row per format."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
-    )
-    parser.add_argument("--files", type=int, default=800)
-    parser.add_argument("--seed", type=int, default=1)
-    given = parser.parse_args()
+def main(*, files: int = 800, seed: int = 1) -> None:
+    """Run the exam and print one row per format.
+
+    Parameters
+    ----------
+    files : int
+        how many are damaged
+    seed : int
+        of the damage
+    """
     warnings.simplefilter("ignore")
-    rng, tally, slowest = random.Random(given.seed), Counter[tuple[str, str]](), dict[str, float]()
+    rng, tally = random.Random(seed), Counter[tuple[str, str]]()
+    slowest: dict[str, float] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
-        files = good_files(folder)
-        for number in range(given.files):
-            source = files[number % len(files)]
+        good = good_files(folder)
+        for number in range(files):
+            source = good[number % len(good)]
             path = folder / f"damaged{source.suffix}"
             path.write_bytes(damaged(rng, source.read_bytes()))
             words, seconds = outcome(path, folder / "out.npz")
             tally[source.suffix, words] += 1
             slowest[source.suffix] = max(slowest.get(source.suffix, 0.0), seconds)
             if words == "uncaught":
-                print(f"uncaught: file {number} of seed {given.seed}, {source.suffix}")
+                print(f"uncaught: file {number} of seed {seed}, {source.suffix}")
     kinds = list(dict.fromkeys(["read", "refused", *(kind for _, kind in tally)]))
-    print("| format | " + " | ".join(kinds) + " | slowest, s |")
-    print("|---|" + "---|" * (len(kinds) + 1))
-    for file in files:
-        counts = " | ".join(str(tally[file.suffix, kind]) for kind in kinds)
-        print(f"| {file.suffix} | {counts} | {slowest[file.suffix]:.2f} |")
-    sys.exit(
-        1 if any(kind == "uncaught" for _, kind in tally) or max(slowest.values()) > LIMIT else 0
-    )
+    rows = [
+        (one.suffix, *(tally[one.suffix, kind] for kind in kinds), f"{slowest[one.suffix]:.2f}")
+        for one in good
+    ]
+    print("\n".join(markdown(("format", *kinds, "slowest, s"), rows)))
+    sys.exit("uncaught" in kinds or max(slowest.values()) > LIMIT)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -19,17 +19,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 from scipy.special import stdtrit
 
-from benchmarks.harness import between, command
+from benchmarks.harness import ROOT, command, markdown, write_page
 from oed_sysid import Dataset, Model, MultipleShooting, Record, load_problem
 from oed_sysid.experiments.simulation import simulate_inputs
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "extrapolation.md"
-BEGIN, END = "<!-- disjoint: begin -->", "<!-- disjoint: end -->"
+PAGE = ROOT / "docs" / "extrapolation.md"
 WHITE = MultipleShooting(disturbances="none")
 # Noise of the simulated logs, and by how much their parameters vary from run to run.
 HEADING_NOISE, RATE_NOISE, VARIATION = math.radians(0.1), math.radians(0.02), 0.1
@@ -40,10 +38,8 @@ def whole_table() -> list[str]:
     heading, motion = load_problem("kvlcc2"), load_problem("kvlcc2", variant="mmg")
     esso = load_problem("esso_osaka")
     zigzags = Dataset(tuple(r for r in esso.data() if r.name.startswith("zigzag")))
-    lines = [
-        "| all records together | records | parameters | told | most | median of all |",
-        "|---|---|---|---|---|---|",
-    ]
+    head = ("all records together", "records", "parameters", "told", "most", "median of all")
+    rows: list[Sequence[object]] = []
     for ship, model, data in (
         ("KVLCC2, Nomoto", heading.model, heading.data()),
         ("KVLCC2, MMG", motion.model, motion.data()),
@@ -56,12 +52,10 @@ def whole_table() -> list[str]:
                 np.diag(fit.covariance), np.diag(fit.information.covariance)
             )
             most = f"{fit.names[int(np.argmax(factor))]} {factor.max():.1f} times"
-            lines.append(
-                f"| {ship}, {name} | {len(data)} | {len(factor)} | {int(clear.sum())} | "
-                f"{most} | {np.median(factor):.1f} times |"
-            )
-            print(lines[-1], flush=True)
-    return lines
+            middle = f"{np.median(factor):.1f} times"
+            rows.append((f"{ship}, {name}", len(data), len(factor), int(clear.sum()), most, middle))
+            print(*rows[-1], sep=" | ", flush=True)
+    return markdown(head, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,14 +79,14 @@ class Trial:
     told: float
     n_records: int
 
-    def row(self, name: str) -> str:
-        """Ratios and coverages as a line of a table."""
+    def row(self, name: str) -> tuple[object, ...]:
+        """Ratios and coverages as cells of a table."""
         cells = []
         for size, freedom in ((self.stated, math.inf), (self.between, self.n_records - 1)):
             ratio = math.sqrt(np.mean(self.errors**2 / np.mean(size**2, axis=0)))
             held = np.mean(np.abs(self.errors) < stdtrit(freedom, 0.975) * size)
             cells.append(f"{ratio:.2f}, {100 * held:.0f} %")
-        return f"| {name} | {self.n_records} | {' | '.join(cells)} | {100 * self.told:.0f} % |"
+        return name, self.n_records, *cells, f"{100 * self.told:.0f} %"
 
 
 def simulated(
@@ -142,22 +136,20 @@ def truth_table(repeats: int) -> list[str]:
     problem = load_problem("kvlcc2")
     logs = list(problem.data())
     model = problem.model.with_values({"K": -0.2, "T": 12.0})
-    lines = [
-        "| simulated truth | records | stated by the fit | between records | told |",
-        "|---|---|---|---|---|",
-    ]
+    head = ("simulated truth", "records", "stated by the fit", "between records", "told")
+    rows = []
     for name, variation in (
         ("K and T the same in all runs", 0.0),
         (f"K and T vary by {100 * VARIATION:.0f} % from run to run", VARIATION),
     ):
         for chosen in (logs, logs[::2]):
-            lines.append(simulated(model, chosen, variation, repeats).row(name))
-            print(lines[-1], flush=True)
-    return lines
+            rows.append(simulated(model, chosen, variation, repeats).row(name))
+            print(*rows[-1], sep=" | ", flush=True)
+    return markdown(head, rows)
 
 
 def main(*, repeats: int = 200, write: bool = False) -> None:
-    """Print both tables; write them into the page if asked to.
+    """Print both tables as they grow; write them into the page if asked to.
 
     Parameters
     ----------
@@ -168,8 +160,7 @@ def main(*, repeats: int = 200, write: bool = False) -> None:
     """
     lines = [*whole_table(), "", *truth_table(repeats)]
     if write:
-        page = PAGE.read_text(encoding="utf-8")
-        PAGE.write_text(between(page, BEGIN, END, lines), encoding="utf-8")
+        write_page(PAGE, "\n".join(lines), "disjoint")
 
 
 if __name__ == "__main__":

@@ -29,7 +29,8 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import ONE_THREAD, dive, ignorant, machine, scaled, verdict
-from benchmarks.peers.task import NAMES, STEP
+from benchmarks.peers.task import STEP
+from benchmarks.truth import NAMES
 from oed_sysid import Dataset, Fit, MultipleShooting, load_problem
 from oed_sysid.physics.model import Model
 

@@ -25,6 +25,7 @@ from typing import Any, get_args, get_origin
 import numpy as np
 from joblib import Parallel, delayed
 
+from benchmarks.truth import NOISE
 from oed_sysid import Model, Record
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.runtime.files import write_text
@@ -33,8 +34,7 @@ ROOT = Path(__file__).resolve().parent.parent
 RESULTS = ROOT / "benchmarks" / "results"
 # Linear algebra on one thread: what a benchmark's processes are started with.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-# The diving plane of the REMUS-like vehicle: noise of u, w, q, theta, z, and where dives begin.
-NOISE = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
+# Where dives of the REMUS-like vehicle begin.
 START = {"u": 1.5, "z": 10.0}
 Row = dict[str, Any]
 

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.harness import command, markdown
-from benchmarks.missing_physics.cases import draws, simulate_draws
-from benchmarks.missing_physics.judge import UNKNOWN_TERMS, datasets
+from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, draws, simulate_draws
+from benchmarks.missing_physics.judge import datasets
 from benchmarks.missing_physics.simulator import Case, Records
 from oed_sysid import Problem, load_problem
 from oed_sysid.evidence.locate import Located, locate
@@ -26,34 +26,6 @@ from oed_sysid.evidence.study import Study
 PLAN = "single/white:40 none/white:10 unknown/white:5 unknown/white:6-15 unknown/white:16-20"
 
 SURGE = ("force X", "actuator T")
-# Places that are right, by the beginning of an effect's name.
-PLACES: dict[str, tuple[str, ...]] = {
-    "heave_added": ("force Z", "force M"),
-    "heave": ("force Z",),
-    "pitch_added": ("force M",),
-    "pitch": ("force M",),
-    "surge": SURGE,
-    "excess_buoyancy": ("force Z", "force X"),
-    "cg_offset": ("force M",),
-    "hull_asymmetry_heave": ("force Z",),
-    "hull_asymmetry_pitch": ("force M",),
-    "hull_compressibility": ("force Z",),
-    "current": ("flow u_r", "flow w_r"),
-    "thrust": SURGE,
-    "fluid_memory": ("force Z",),
-    "wave": ("force Z",),
-    "fin": ("actuator ds",),
-    "bias_u": ("sensor u",),
-    "bias_w": ("sensor w",),
-    "bias_q": ("sensor q",),
-    "bias_theta": ("sensor theta",),
-    "scale_u": ("sensor u",),
-    "scale_w": ("sensor w",),
-    "scale_q": ("sensor q",),
-    "scale_z": ("sensor z",),
-    "dvl": ("sensor w", "sensor u"),
-    "depth_lag": ("sensor z",),
-}
 
 
 @dataclass(frozen=True)
@@ -70,10 +42,10 @@ def outcome(problem: Problem, case: Case, records: Sequence[Records]) -> Outcome
     train, test = datasets(problem, records)
     name = next(iter(case.effects), "")
     if name in UNKNOWN_TERMS:
-        axis, _ = UNKNOWN_TERMS[name]
+        axis = DATA["unknown"][name]["axis"]
         right = SURGE if axis == "X" else (f"force {axis}",)
     else:
-        right = next((p for start, p in PLACES.items() if name and name.startswith(start)), ())
+        right = tuple(DATA["effects"][name]["places"]) if name else ()
     study, fit = Study.begin(problem.model, train, test, (), known_noise=False)
     began = time.perf_counter()
     return Outcome(locate(fit, study.unit), right, time.perf_counter() - began)

@@ -11,7 +11,6 @@ which is stated.
 
 from __future__ import annotations
 
-import argparse
 import os
 import re
 import shutil
@@ -20,11 +19,11 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from benchmarks.harness import machine
+from benchmarks.harness import command, machine
 
 TARGET = 0.5  # s
 PROBLEM, OTHER = "remus_diving_plane", "catamaran"
@@ -124,9 +123,8 @@ def walk(page: Any) -> Iterator[tuple[str, float, float]]:
     yield ("tab Parameters", *clicked(page, tab.click, "th:has-text('believed')"))
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
+def main() -> None:
     """Measure and print a table."""
-    argparse.ArgumentParser(description=__doc__).parse_args(arguments)
     from playwright.sync_api import sync_playwright
 
     browser_file = next((path for name in BROWSERS if (path := shutil.which(name))), None)
@@ -147,4 +145,4 @@ def main(arguments: Sequence[str] | None = None) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import command, markdown, write_page
+from benchmarks.harness import ROOT, command, markdown, write_page
 from oed_sysid.baselines.benchmark import OURS, WORLDS, Row, benchmark
 from oed_sysid.baselines.contest import (
     BELIEVERS,
@@ -23,7 +23,7 @@ from oed_sysid.baselines.contest import (
     OURS_DISTURBED_BELIEVING,
 )
 
-PAGE = Path(__file__).resolve().parent.parent / "docs" / "benchmark_estimators.md"
+PAGE = ROOT / "docs" / "benchmark_estimators.md"
 PROBLEMS = ("online_ship", "auv_diving_plane", "remus_diving_plane")
 NOISE = 1.0  # per cent of the peak
 # Short searches that treat these problems; the populations take minutes a run.

@@ -22,8 +22,9 @@ from dataclasses import replace
 import numpy as np
 
 from benchmarks.harness import command, ignorant, known, markdown
-from benchmarks.missing_physics.simulator import SAMPLE, Case, Truth, integrate, markov
+from benchmarks.missing_physics.simulator import SAMPLE, Case, Truth, integrate
 from benchmarks.random_forces.scenarios import MEDIUM, REMUS
+from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
 from oed_sysid.design import DOptimal, Knowledge, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
@@ -80,7 +81,8 @@ def repeated(
     """One run with forces and sensor noise, integrated in NumPy at 0.01 s."""
     nominal = simulate(model, run, noise=False)
     commands = nominal.inputs[:, :, None]
-    forces = markov(math.exp(-SAMPLE / TIME), nominal.n_samples, 3, rng) * noise.force
+    draws = rng.standard_normal((nominal.n_samples, 3))
+    forces = gauss_markov(draws, math.exp(-SAMPLE / TIME)) * noise.force
     truth = Truth([Case(run.name, REMUS.believed)])
     start = np.array([run.initial["u"]]), np.array([run.initial.get("z", 0.0)])
     states = integrate(truth, start, forces[:, :, None], lambda k, _: tuple(commands[k]))

@@ -26,7 +26,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.harness import RESULTS, Store, command, markdown, run_cases
-from benchmarks.missing_physics.cases import SPREAD
+from benchmarks.missing_physics.cases import true_derivatives
 from benchmarks.missing_physics.simulator import PRIORS, TRAIN, Case, simulate
 from oed_sysid import Dataset, Problem, Record, load_problem
 from oed_sysid.design import Caution, Discriminate, Levels, Search, Trial, design_experiment
@@ -92,10 +92,7 @@ def case_of(problem: Problem, truth: str, size: float, pair: str) -> Case:
     effect = problem.effect(truth)
     seed = zlib.crc32(f"{pair}/{truth}".encode())
     rng = np.random.default_rng(seed)
-    scatter = np.clip(rng.standard_normal(len(PRIORS)), -2.7, 2.7)
-    derivatives = {
-        n: v * (1 + SPREAD * s) for (n, v), s in zip(PRIORS.items(), scatter, strict=True)
-    }
+    derivatives = true_derivatives(rng)
     (amplitude,) = (p for p in effect.parameters if p.name in effect.amplitude_names)
     value = size * amplitude.magnitude
     if truth == "fin_rate_limit":  # the simulator takes the rate, the candidate its inverse

@@ -60,7 +60,6 @@ import casadi as ca
 import numpy as np
 
 from benchmarks.harness import (
-    NOISE,
     ONE_THREAD,
     START,
     command,
@@ -71,6 +70,7 @@ from benchmarks.harness import (
     scaled,
     verdict,
 )
+from benchmarks.truth import NAMES, NOISE, rates, runge_kutta
 from oed_sysid import (
     Channels,
     Dataset,
@@ -279,10 +279,10 @@ def information() -> None:
 
 
 def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
-    """Derivatives by an imaginary step, exact to rounding, from equations written anew.
+    """Derivatives by an imaginary step, exact to rounding, from :func:`benchmarks.truth.rates`.
 
-    Independent of CasADi and of the compiled kernel: NumPy, the same Runge-Kutta steps, one
-    column of complex unknowns for each derivative.
+    Independent of CasADi and of the compiled kernel: the same Runge-Kutta steps, one column of
+    complex unknowns for each derivative.
     """
     tiny = 1e-30
     state = np.repeat(point[:5, None].astype(complex), len(point), axis=1)
@@ -290,30 +290,15 @@ def complex_step(job: Task, point: np.ndarray) -> np.ndarray:
     c = {n: np.full(len(point), value, dtype=complex) for n, value in job.model.values.items()}
     for i, name in enumerate(job.model.free_names):
         c[name][5 + i] += 1j * tiny
-    mass_w, cross_w = c["m"] - c["Z_wdot"], -c["Z_qdot"]
-    cross_q, mass_q = -c["M_wdot"], c["I_yy"] - c["M_qdot"]
-    determinant = mass_w * mass_q - cross_w * cross_q
+    masses = [c[name] for name in ("m", "I_yy", "X_udot", "Z_wdot", "Z_qdot", "M_wdot", "M_qdot")]
+    derivatives = [c[name] for name in NAMES]
 
-    def rates(x: np.ndarray, fin: float, thrust: float) -> np.ndarray:
-        u, w, q, theta, _ = x
-        # Forward speed is positive, so u|u| is u squared.
-        surge = thrust + c["X_uu"] * u * u - c["m"] * q * w
-        heave = c["m"] * u * q + c["Z_uw"] * u * w + c["Z_uq"] * u * q + c["Z_uuds"] * u * u * fin
-        pitch = c["M_uw"] * u * w + c["M_uq"] * u * q + c["M_uuds"] * u * u * fin
-        pitch = pitch - c["zgW"] * np.sin(theta)
-        return np.stack([
-            surge / (c["m"] - c["X_udot"]), (mass_q * heave - cross_w * pitch) / determinant,
-            (mass_w * pitch - cross_q * heave) / determinant, q,
-            -u * np.sin(theta) + w * np.cos(theta),
-        ])  # fmt: skip
+    def rate(order: np.ndarray, x: np.ndarray) -> np.ndarray:
+        return np.stack(rates(x, order, derivatives, np.sin, np.cos, masses=masses))
 
     rows = [state.imag / tiny]
     for order in job.inputs[:-1]:
-        k1 = rates(state, *order)
-        k2 = rates(state + STEP / 2 * k1, *order)
-        k3 = rates(state + STEP / 2 * k2, *order)
-        k4 = rates(state + STEP * k3, *order)
-        state = state + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        state = runge_kutta(lambda x, _, order=order: rate(order, x), state, STEP)
         rows.append(state.imag / tiny)
     return np.stack(rows)
 

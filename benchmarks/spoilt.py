@@ -11,14 +11,18 @@ from __future__ import annotations
 
 import sys
 import time
+from collections.abc import Sequence
 
 from benchmarks.compatibility import SPOILS, data_folder, hidden_effect_cases, named_as, spoil
+from benchmarks.harness import command, markdown
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.evidence.check import check
 from oed_sysid.evidence.improve import improve
 
+HEAD = ("spoilt", "check", "improve", "added", "certified", "s")
 
-def main() -> int:
+
+def main(names: Sequence[str] = tuple(SPOILS)) -> int:
     """Print a table; 1 if a spoilt log was certified."""
     cases = hidden_effect_cases()
     if not cases:
@@ -27,11 +31,8 @@ def main() -> int:
     problem, train = cases["case_010"]
     files = sorted((data_folder() / "hidden_effects" / "case_010").glob("test_*.csv"))
     test = read_csv(files, problem.channels)
-    print("| spoilt | check | improve | added | certified | s |")
-    print("|---|---|---|---|---|---|")
-    certified = 0
-    chosen = sys.argv[1:] or list(SPOILS)
-    for name in chosen:
+    rows = []
+    for name in names:
         kind, signal, _ = SPOILS[name]
         began = time.perf_counter()
         bad, held = spoil(train, name), spoil(test, name)
@@ -44,16 +45,15 @@ def main() -> int:
             for step in result.steps
         )
         wrong = not named and result.remains.kind in ("adequate", "disturbance")
-        certified += wrong
-        print(
-            f"| {kind} {signal} | {'named' if named_as(found, name) else found.verdict} "
-            f"| {result.remains.kind} | {', '.join(added) or '-'} | {'YES' if wrong else 'no'} "
-            f"| {time.perf_counter() - began:.0f} |",
-            flush=True,
-        )
-    print(f"\n{certified} of {len(chosen)} certified")
+        said = "named" if named_as(found, name) else found.verdict
+        seconds = f"{time.perf_counter() - began:.0f}"
+        rows.append((f"{kind} {signal}", said, result.remains.kind, ", ".join(added) or "-",
+                     "YES" if wrong else "no", seconds))  # fmt: skip
+        print(" | ".join(rows[-1]), flush=True)
+    certified = sum(row[-2] == "YES" for row in rows)
+    print("\n".join([*markdown(HEAD, rows), "", f"{certified} of {len(rows)} certified"]))
     return 1 if certified else 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(command(main))

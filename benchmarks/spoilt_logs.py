@@ -11,17 +11,20 @@ in sizes; ``named`` is the right kind and signal as a suspect finding (or among 
 
 from __future__ import annotations
 
-import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, check
+from benchmarks.harness import command, known
+from benchmarks.kinematics import diving_plane, ship
+from benchmarks.truth import gauss_markov, runge_kutta
+from oed_sysid import Dataset, Model, Record, check
 from oed_sysid.errors import OedSysidError
 
 Signals = dict[str, np.ndarray]
+Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
 
 
@@ -30,10 +33,9 @@ class Craft:
     """A vehicle: what it logs at which noise and step, and how it moves."""
 
     name: str
+    model: Model
     step: float
     noise: dict[str, float]
-    units: dict[str, str]
-    kinematics: dict[str, str]
     rates: Callable[[np.ndarray, float, np.ndarray, float], np.ndarray]
     speeds: tuple[float, float, float]
     angle: float
@@ -41,17 +43,9 @@ class Craft:
     force: tuple[float, float, float]
 
     @property
-    def model(self) -> Model:
-        """Kinematics, and dynamics that nobody uses here."""
-        other = {n: f"(K*fin - {n})/T" for n in self.units if n not in self.kinematics}
-        return Model(
-            self.name,
-            states=tuple(State(n, u) for n, u in self.units.items()),
-            inputs=(Input("fin", "rad"),),
-            outputs=tuple(Output(n, u) for n, u in self.units.items()),
-            kinematics=self.kinematics | other,
-            parameters=(Parameter("K", 1.0), Parameter("T", 5.0, "s")),
-        )
+    def units(self) -> dict[str, str]:
+        """Units of the signals by name."""
+        return {output.name: output.unit for output in self.model.outputs}
 
     def run(self, number: int, rng: np.random.Generator) -> Signals:
         """True signals of one record, ``(n,)`` each: a zigzag on command of time, and forces."""
@@ -68,11 +62,13 @@ class Craft:
             command = self.angle * np.sign(np.sin(2.0 * np.pi * t / period))
             force += -force * h / 4.0 + np.sqrt(2.0 * h / 4.0) * rng.standard_normal(3)
             push = np.array(self.force) * force
-            a = self.rates(x, command, push, speed)
-            b = self.rates(x + 0.5 * h * a, command, push, speed)
-            c = self.rates(x + 0.5 * h * b, command, push, speed)
-            d = self.rates(x + h * c, command, push, speed)
-            x = x + h / 6.0 * (a + 2.0 * b + 2.0 * c + d)
+
+            def rate(
+                y: np.ndarray, _: int, command: float = command, push: np.ndarray = push
+            ) -> np.ndarray:
+                return self.rates(y, command, push, speed)
+
+            x = runge_kutta(rate, x, h)
         return {name: rows[60 * FINER :, i] for i, name in enumerate(self.units)}
 
 
@@ -104,17 +100,13 @@ def _sail(x: np.ndarray, rudder: float, push: np.ndarray, speed: float) -> np.nd
 
 
 DIVER = Craft(
-    "diving plane", 0.1,
+    "diving plane", diving_plane(), 0.1,
     {"u": 0.02, "w": 0.02, "q": 0.004, "theta": 0.004, "z": 0.03},
-    {"u": "m/s", "w": "m/s", "q": "rad/s", "theta": "rad", "z": "m"},
-    {"theta": "q", "z": "-u*sin(theta) + w*cos(theta)"},
     _dive, (1.0, 1.5, 2.1), 0.2, 16.0, (0.02, 0.03, 0.03),
 )  # fmt: skip
 SHIP = Craft(
-    "ship", 0.5,
+    "ship", ship(), 0.5,
     {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.3, "y": 0.3},
-    {"u": "m/s", "v": "m/s", "r": "rad/s", "psi": "rad", "x": "m", "y": "m"},
-    {"psi": "r", "x": "u*cos(psi) - v*sin(psi)", "y": "u*sin(psi) + v*cos(psi)"},
     _sail, (2.0, 3.0, 4.0), 0.35, 90.0, (0.01, 0.01, 0.0006),
 )  # fmt: skip
 CRAFT = (DIVER, SHIP)
@@ -136,73 +128,68 @@ class Spoil:
     also: tuple[str, ...] = field(default=())
 
 
-def _add(name: str, shape: Callable[[Signals, np.ndarray], np.ndarray], only: int | None = None):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        if only is None or k == only:
-            s[name] = s[name] + size * shape(s, t)
-
-    return make
+def fault(make: Callable[..., None]) -> Callable[..., Callable[..., None]]:
+    """A kind of fault that waits for signals, times, size and record once it has its names."""
+    return lambda *given, **options: lambda s, t, size, k: make(s, t, size, k, *given, **options)
 
 
-def _times(*names: str, only: int | None = None):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        for name in names:
-            if only is None or k == only:
-                s[name] = s[name] * size
-
-    return make
+@fault
+def _add(s: Signals, t: np.ndarray, size: float, k: int, name: str, shape: Shape,
+         only: int | None = None) -> None:  # fmt: skip
+    if only in (None, k):
+        s[name] = s[name] + size * shape(s, t)
 
 
-def _late(*names: str, clock: bool = False):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        shift = size * (t - t[0]) if clock else size
-        for name in names:
-            early = s[name][0] + (t - shift - t[0]) * (s[name][5] - s[name][0]) / (t[5] - t[0])
-            s[name] = np.where(t - shift < t[0], early, np.interp(t - shift, t, s[name]))
-
-    return make
+@fault
+def times(s: Signals, t: np.ndarray, size: float, k: int, *names: str,
+          only: int | None = None) -> None:  # fmt: skip
+    """Signals that are so many times what they should be."""
+    for name in names if only in (None, k) else ():
+        s[name] = s[name] * size
 
 
-def _lag(name: str):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        y, h = s[name].copy(), t[1] - t[0]
-        for i in range(1, y.size):
-            y[i] = y[i - 1] + h / size * (s[name][i - 1] - y[i - 1])
-        s[name] = y
-
-    return make
+@fault
+def _late(s: Signals, t: np.ndarray, size: float, k: int, *names: str, clock: bool = False) -> None:
+    shift = size * (t - t[0]) if clock else size
+    for name in names:
+        early = s[name][0] + (t - shift - t[0]) * (s[name][5] - s[name][0]) / (t[5] - t[0])
+        s[name] = np.where(t - shift < t[0], early, np.interp(t - shift, t, s[name]))
 
 
-def _swap(a: str, b: str):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        s[a], s[b] = s[b], s[a]
-
-    return make
-
-
-def _earth(a: str, b: str, angle: str, sign: float):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        c, d = np.cos(s[angle]), sign * np.sin(s[angle])
-        s[a], s[b] = c * s[a] + d * s[b], -d * s[a] + c * s[b]
-
-    return make
+@fault
+def _lag(s: Signals, t: np.ndarray, size: float, k: int, name: str) -> None:
+    y, h = s[name].copy(), t[1] - t[0]
+    for i in range(1, y.size):
+        y[i] = y[i - 1] + h / size * (s[name][i - 1] - y[i - 1])
+    s[name] = y
 
 
-def _tilt(a: str, b: str):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        s[a], s[b] = s[a] - size * s[b], s[b] + size * s[a]
-
-    return make
-
-
-def _written(name: str, change: Callable[[np.ndarray, float], np.ndarray]):  # type: ignore[no-untyped-def]
-    def make(s: Signals, t: np.ndarray, size: float, k: int) -> None:
-        s[name] = change(s[name], size)
-
-    return make
+@fault
+def swap(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str) -> None:
+    """Two signals, each in the other's place."""
+    s[a], s[b] = s[b], s[a]
 
 
-def _at(start: float, stop: float = 2.0):  # type: ignore[no-untyped-def]
+@fault
+def earth(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str, angle: str,
+          sign: float) -> None:  # fmt: skip
+    """Velocities in earth axes."""
+    c, d = np.cos(s[angle]), sign * np.sin(s[angle])
+    s[a], s[b] = c * s[a] + d * s[b], -d * s[a] + c * s[b]
+
+
+@fault
+def _tilt(s: Signals, t: np.ndarray, size: float, k: int, a: str, b: str) -> None:
+    s[a], s[b] = s[a] - size * s[b], s[b] + size * s[a]
+
+
+@fault
+def _written(s: Signals, t: np.ndarray, size: float, k: int, name: str,
+             change: Callable[[np.ndarray, float], np.ndarray]) -> None:  # fmt: skip
+    s[name] = change(s[name], size)
+
+
+def _at(start: float, stop: float = 2.0) -> Shape:
     return lambda s, t: (
         1.0 * ((t >= t[0] + start * (t[-1] - t[0])) & (t < t[0] + stop * (t[-1] - t[0])))
     )
@@ -252,22 +239,22 @@ def faults_of(craft: Craft) -> list[Spoil]:
     ramp = lambda s, t: (t - t[0]) / (t[-1] - t[0])  # noqa: E731
     some = lambda name, *k: tuple(n[name] * x for x in k)  # noqa: E731
     moving = [
-        Spoil("sign", (rate,), (-1.0,), _times(rate), also=(angle,)),
-        Spoil("sign", (angle,), (-1.0,), _times(angle), also=(rate,)),
-        Spoil("sign", (place,), (-1.0,), _times(place)),
-        Spoil("sign", (v2,), (-1.0,), _times(v2)),
-        Spoil("unit", (rate,), (57.29578,), _times(rate), also=(angle,)),
-        Spoil("unit", (angle,), (57.29578,), _times(angle), also=(rate,)),
-        Spoil("unit", ("u",), (1.943844, 3.6), _times("u")),
-        Spoil("unit", (place,), (3.28084,), _times(place)),
-        Spoil("swap", ("u", v2), (1.0,), _swap("u", v2)),
-        Spoil("frame", ("u", v2), (1.0,), _earth("u", v2, angle, 1.0 if dive else -1.0)),
+        Spoil("sign", (rate,), (-1.0,), times(rate), also=(angle,)),
+        Spoil("sign", (angle,), (-1.0,), times(angle), also=(rate,)),
+        Spoil("sign", (place,), (-1.0,), times(place)),
+        Spoil("sign", (v2,), (-1.0,), times(v2)),
+        Spoil("unit", (rate,), (57.29578,), times(rate), also=(angle,)),
+        Spoil("unit", (angle,), (57.29578,), times(angle), also=(rate,)),
+        Spoil("unit", ("u",), (1.943844, 3.6), times("u")),
+        Spoil("unit", (place,), (3.28084,), times(place)),
+        Spoil("swap", ("u", v2), (1.0,), swap("u", v2)),
+        Spoil("frame", ("u", v2), (1.0,), earth("u", v2, angle, 1.0 if dive else -1.0)),
         Spoil("bias", (rate,), some(rate, 0.5, 1.0, 3.0), _add(rate, lambda s, t: one(t))),
         Spoil("bias", (v2,), some(v2, 1.0, 2.0, 4.0), _add(v2, lambda s, t: one(t))),
         Spoil("bias", (rate,), some(rate, 1.0, 2.0, 4.0), _add(rate, lambda s, t: one(t), 1)),
-        Spoil("scale", ("u",), (1.03, 1.06, 1.2), _times("u")),
-        Spoil("scale", (rate,), (1.03, 1.06, 1.2), _times(rate), also=(angle,)),
-        Spoil("scale", ("u",), (1.04, 1.08, 1.2), _times("u", only=2)),
+        Spoil("scale", ("u",), (1.03, 1.06, 1.2), times("u")),
+        Spoil("scale", (rate,), (1.03, 1.06, 1.2), times(rate), also=(angle,)),
+        Spoil("scale", ("u",), (1.04, 1.08, 1.2), times("u", only=2)),
         Spoil("delay", pos, (2.0, 5.0, 15.0), _late(*pos)),
         Spoil("delay", (angle,), (1.0, 3.0, 10.0), _late(angle), also=(rate,)),
         Spoil("delay", (rate,), (2.0, 4.0, 8.0), _lag(rate), also=(angle,)),
@@ -328,13 +315,9 @@ def written(
             spoil.make(signals, fine, steps, k)
         log = {}
         for i, name in enumerate(craft.units):
-            e = (
-                rng.standard_t(5, SAMPLES) * 0.775
-                if noise == "Student 5"
-                else rng.standard_normal(SAMPLES)
-            )
-            for j in range(1, SAMPLES) if colour else ():
-                e[j] = colour * e[j - 1] + np.sqrt(1.0 - colour**2) * e[j]
+            heavy = noise == "Student 5"
+            e = rng.standard_t(5, SAMPLES) * 0.775 if heavy else rng.standard_normal(SAMPLES)
+            e = gauss_markov(e, colour)
             log[name] = signals[name][::FINER][:SAMPLES] + craft.noise[name] * e
             if noise == "two rates" and i % 2:
                 log[name][np.arange(SAMPLES) % 5 > 0] = np.nan
@@ -417,18 +400,28 @@ def clean(seeds: range, only: str) -> None:
             )
 
 
-def main() -> None:
-    """Run the parts that are asked for."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("parts", nargs="*", default=["faults", "clean"])
-    parser.add_argument("--seeds", type=int, default=2, help="logs of each kind")
-    parser.add_argument("--first", type=int, default=1000, help="first seed")
-    parser.add_argument("--kind", default="", help="only kinds of fault or noise with this word")
-    options = parser.parse_args()
-    seeds = range(options.first, options.first + options.seeds)
-    for part in options.parts:
-        {"faults": faults, "clean": clean}[part](seeds, options.kind)
+PARTS = {"faults": faults, "clean": clean}
+
+
+def main(
+    parts: Sequence[str] = tuple(PARTS), *, seeds: int = 2, first: int = 1000, kind: str = ""
+) -> None:
+    """Run the parts that are asked for.
+
+    Parameters
+    ----------
+    parts : sequence of str
+        faults, clean
+    seeds : int
+        logs of each kind
+    first : int
+        first seed
+    kind : str
+        only kinds of fault or noise with this word
+    """
+    for part in parts:
+        PARTS[known(part, PARTS, "part")](range(first, first + seeds), kind)
 
 
 if __name__ == "__main__":
-    main()
+    command(main)

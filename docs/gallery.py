@@ -272,7 +272,12 @@ def digest() -> str:
 def main(folder: Path = HERE / "gallery") -> None:
     """Draw all pictures and write the page, unless those that are there are of these sources."""
     folder.mkdir(exist_ok=True)
-    page, now, drawn_from = [HEAD], digest(), folder / "sources.sha256"
+    page: list[str] = []
+    cards, now, drawn_from = (
+        ["::::{grid} 2 3 3 4", ":gutter: 2", ""],
+        digest(),
+        folder / "sources.sha256",
+    )
     if drawn_from.exists() and drawn_from.read_text(encoding="utf-8") == now:
         return
     for draw in PICTURES:
@@ -283,13 +288,18 @@ def main(folder: Path = HERE / "gallery") -> None:
         figure.savefig(folder / file, dpi=90, bbox_inches="tight")
         figure.clear()
         lines = inspect.getsource(draw).splitlines()[2:]
+        title, picture = str(draw.__doc__).rstrip("."), f"![{said}]({file})\n\n{said}\n"
+        # Guides include a picture with what it says.
+        (folder / f"{draw.__name__}.txt").write_text(picture, encoding="utf-8")
+        cards += [f":::{{grid-item-card}} {title}", f":img-bottom: {file}"]
+        cards += [f":link: picture-{draw.__name__}", ":link-type: ref", ":::"]
         page += [
-            f"## {str(draw.__doc__).rstrip(chr(46))}\n",
-            f"![{said}]({file})\n",
-            f"{said}\n",
+            f"(picture-{draw.__name__})=\n## {title}\n",
+            picture,
             f"```python\n{textwrap.dedent(chr(10).join(lines))}\n```\n",
         ]
-    (folder / "index.md").write_text("\n".join(page), encoding="utf-8")
+    text = "\n".join([HEAD, *cards, "::::\n", *page])
+    (folder / "index.md").write_text(text, encoding="utf-8")
     drawn_from.write_text(now, encoding="utf-8")
 
 

@@ -16,10 +16,12 @@ from oed_sysid import (
     NoiseModel,
     Problem,
     Record,
+    diagnose,
     improve,
     load_problem,
     simulate,
 )
+from oed_sysid.evidence.compare import Diagnosis
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.likelihood.realisation import simulate_at_sea
 
@@ -126,3 +128,10 @@ def improved_diver() -> Improvement:
         Dataset([one for one in data if one.name.startswith(part)]) for part in ("train", "test")
     )
     return improve(case.model, train, test, candidates=case.effects)
+
+
+@cache
+def diagnosed_diver() -> Diagnosis:
+    """Where the model of the diving vehicle fails, and the ranking of all its candidates."""
+    case = problem("remus_diving_plane")
+    return diagnose(case.model, records("remus_diving_plane"), candidates=case.effects)

@@ -7,8 +7,10 @@ import pytest
 from scipy.stats import t as student
 from turning_ship import SHIP, record
 
-from benchmarks.disjoint import BEGIN, END, PAGE, simulated
+from benchmarks.disjoint import PAGE, simulated
 from benchmarks.harness import between
+
+BEGIN, END = "<!-- disjoint: begin -->", "<!-- disjoint: end -->"
 
 
 @pytest.mark.parametrize("variation", [0.0, 0.15])
@@ -28,7 +30,7 @@ def test_simulated_truth(variation: float) -> None:
         assert stated < held
     else:
         assert stated > 0.85
-    assert f"{100 * stated:.0f} %" in trial.row("ships")
+    assert f"{100 * stated:.0f} %" in " ".join(map(str, trial.row("ships")))
 
 
 def test_the_page_has_the_tables() -> None:

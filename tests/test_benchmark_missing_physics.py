@@ -12,7 +12,6 @@ import pytest
 from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws
 from benchmarks.missing_physics.measures import as_markdown, measures
 from benchmarks.missing_physics.simulator import (
-    NOISE_STD,
     PRIORS,
     TEST,
     TRAIN,
@@ -20,6 +19,7 @@ from benchmarks.missing_physics.simulator import (
     Noise,
     simulate,
 )
+from benchmarks.truth import NOISE
 
 SHARED = Path(os.environ.get("OED_SYSID_DATA", "")) / "hidden_effects"
 
@@ -46,7 +46,7 @@ def test_simulator_reproduces_records_of_another_simulator() -> None:
     free = simulate(cases, manoeuvres)
     same = 0
     for rows, records, own in zip(data, replayed, free, strict=True):
-        size = np.sqrt(np.mean(((rows[..., 3:] - records.clean) / NOISE_STD) ** 2, axis=1))
+        size = np.sqrt(np.mean(((rows[..., 3:] - records.clean) / NOISE) ** 2, axis=1))
         # A fin lag is integrated a little differently there, which shows as a tenth in pitch.
         assert size.max() < 1.15
         assert abs(size.mean() - 1.0) < 0.02
@@ -61,7 +61,7 @@ def test_noise_is_what_was_asked_for_and_differs_between_records() -> None:
     """Size, colour and independence of sensor noise, over records and cases."""
     cases = [Case(f"{i}", PRIORS, noise=Noise(colour=0.5), seed=i) for i in range(6)]
     records = simulate(cases, TRAIN)
-    noise = np.stack([r.outputs - r.clean for r in records]) / NOISE_STD
+    noise = np.stack([r.outputs - r.clean for r in records]) / NOISE
     assert np.std(noise) == pytest.approx(1.0, abs=0.02)
     assert np.mean(noise[:, :, 1:] * noise[:, :, :-1]) == pytest.approx(0.5, abs=0.02)
     rows = noise.reshape(len(TRAIN) * len(cases), -1)

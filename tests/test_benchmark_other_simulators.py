@@ -18,10 +18,10 @@ from benchmarks.other_vehicles.truth.simulator import (
     Plant,
     Vehicle,
     constant,
-    gauss_markov,
     multisine,
     simulate,
 )
+from benchmarks.truth import gauss_markov
 from oed_sysid.experiments.simulation import simulate_inputs
 
 RNG = np.random.default_rng(0)
@@ -283,7 +283,9 @@ def test_an_effect_gains_as_much_beside_one_that_lags() -> None:
 
 def test_forces_have_their_level_and_time() -> None:
     """Unit variance, and a correlation of exp(-1/5) from sample to sample."""
-    drawn = gauss_markov(math.exp(-0.2), (3000, 100, 1), np.random.default_rng(1))
+    drawn = gauss_markov(
+        np.random.default_rng(1).standard_normal((3000, 100, 1)), math.exp(-0.2), axis=1
+    )
     assert np.var(drawn) == pytest.approx(1.0, abs=0.03)
     assert np.mean(drawn[:, 1:] * drawn[:, :-1]) == pytest.approx(math.exp(-0.2), abs=0.03)
 

@@ -6,7 +6,9 @@ import json
 import math
 import os
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -91,11 +93,23 @@ def test_simulated_records_are_clean(dives) -> None:  # type: ignore[no-untyped-
     assert len(found.relations) == 2
 
 
-@pytest.mark.parametrize("name", SPOILS)
-def test_spoilt_copy_is_named_and_nothing_else(dives, name: str) -> None:  # type: ignore[no-untyped-def]
-    """Each of fifteen spoilt copies of a simulated record is named exactly."""
+@pytest.fixture(scope="module")
+def judged(dives) -> Callable[[str], tuple[Dataset, LogCheck]]:  # type: ignore[no-untyped-def]
+    """Each spoilt copy with what the check finds in it, checked once."""
     problem, data = dives
-    assert named_as(check(spoil(data, name), problem), name)
+
+    @cache
+    def found(name: str) -> tuple[Dataset, LogCheck]:
+        copy = spoil(data, name)
+        return copy, check(copy, problem)
+
+    return found
+
+
+@pytest.mark.parametrize("name", SPOILS)
+def test_spoilt_copy_is_named_and_nothing_else(judged, name: str) -> None:  # type: ignore[no-untyped-def]
+    """Each of fifteen spoilt copies of a simulated record is named exactly."""
+    assert named_as(judged(name)[1], name)
 
 
 @pytest.mark.parametrize(
@@ -119,18 +133,17 @@ def test_quick_part_names_what_is_there_or_not(dives, name: str) -> None:  # typ
         ("earth", 'expression="-u*sin(theta) + w*cos(theta)"'),
     ],
 )
-def test_fix_is_a_line_for_the_problem_file(dives, name: str, line: str) -> None:  # type: ignore[no-untyped-def]
+def test_fix_is_a_line_for_the_problem_file(judged, name: str, line: str) -> None:  # type: ignore[no-untyped-def]
     """The line to write stands in the finding."""
-    problem, data = dives
-    assert line in check(spoil(data, name), problem).serious[0].fix
+    assert line in judged(name)[1].serious[0].fix
 
 
 @pytest.mark.parametrize("name", ["theta_sign", "u_w_swap", "earth", "z_late", "spikes", "q_bias"])
-def test_corrected_copy_is_clean(dives, tmp_path, name: str) -> None:  # type: ignore[no-untyped-def]
+def test_corrected_copy_is_clean(dives, judged, tmp_path, name: str) -> None:  # type: ignore[no-untyped-def]
     """A corrected copy, written and read back, passes; what was done is said."""
-    problem, data = dives
-    spoilt = spoil(data, name)
-    copies, done = corrected_copies(spoilt, problem, check(spoilt, problem, inputs=False))
+    problem, _ = dives
+    data, found = judged(name)
+    copies, done = corrected_copies(data, problem, found)
     assert len(done) == 1
     for record in copies:
         write_csv(record, tmp_path / f"{record.name}.csv")

@@ -130,18 +130,19 @@ def test_fit_judges_with_validation_records(dives: Path, tmp_path: Path, capsys)
     assert main(["fit", PROBLEM, one, two, "--validate", two]) == BAD_INPUT
 
 
+def assert_one_line(capfd) -> None:  # type: ignore[no-untyped-def]
+    """One line was printed and, but for a compilation, nothing on standard error."""
+    printed = capfd.readouterr()
+    assert len(printed.out.splitlines()) == 1
+    assert not [text for text in printed.err.splitlines() if "compiling" not in text]
+
+
 @pytest.mark.parametrize(
     "line",
     [
         "problems",
         f"problems {PROBLEM}",
         "new made",
-        f"simulate {PROBLEM} --experiment steps --out one.csv",
-        f"check {PROBLEM} dive_1.csv",
-        f"rank {PROBLEM} dive_1.csv",
-        f"fit {PROBLEM} dive_1.csv",
-        f"compare {PROBLEM} dive_1.csv --validate dive_2.csv",
-        "report fit.json --validate dive_3.csv",
         "export fit.json --as python --out model.py",
     ],
 )
@@ -149,9 +150,7 @@ def test_quiet_is_one_line(line: str, dives: Path, monkeypatch, capfd) -> None:
     """With --quiet a command prints its answer in one line and nothing on standard error."""
     monkeypatch.chdir(dives)
     assert main([*line.split(), "--quiet"]) == DONE
-    printed = capfd.readouterr()
-    assert len(printed.out.splitlines()) == 1
-    assert not [text for text in printed.err.splitlines() if "compiling" not in text]
+    assert_one_line(capfd)
     shutil.rmtree(dives / "made", ignore_errors=True)
 
 
@@ -167,14 +166,15 @@ def test_quiet_is_one_line(line: str, dives: Path, monkeypatch, capfd) -> None:
         "report fit.json --validate dive_3.csv",
     ],
 )
-def test_picture_of_a_result(line: str, dives: Path, monkeypatch) -> None:
-    """--picture draws the result of a command, never a blank page."""
+def test_picture_of_a_result(line: str, dives: Path, monkeypatch, capfd) -> None:
+    """--picture draws the result of a command, never a blank page; --quiet leaves one line."""
     import matplotlib.image
 
     monkeypatch.chdir(dives)
     picture = dives / "result.png"
     picture.unlink(missing_ok=True)
     assert main([*line.split(), "--picture", str(picture), "--quiet"]) == DONE
+    assert_one_line(capfd)
     pixels = matplotlib.image.imread(picture)[..., :3]
     assert pixels.shape[0] > 200
     assert (pixels < 0.9).any(axis=2).mean() > 0.01

@@ -68,6 +68,7 @@ def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tm
     assert json.loads(stored.read_text())["final_error"]["test"] is None
 
 
+@pytest.mark.slow
 def test_improve_without_listed_candidates(ship: Path, tmp_path: Path) -> None:
     """A problem that lists no candidate effects gets usual ones, and what is hidden is found."""
     bare = tmp_path / "bare"

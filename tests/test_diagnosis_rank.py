@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from golden_cases import diagnosed_diver
 
 from oed_sysid import (
     Dataset,
@@ -18,15 +19,12 @@ from oed_sysid import (
     Record,
     State,
     load_problem,
-    read_csv,
 )
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.evidence.compare import diagnose
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import advice
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.score import Score
-from oed_sysid.experiments.problem import catalogue_folder
 
 
 def score(name: str, statistic: float, signature: np.ndarray) -> Score:
@@ -56,15 +54,12 @@ def test_a_candidate_that_was_not_refitted_joins_the_group_if_its_signature_is_t
 
 def test_the_hidden_effect_of_the_shipped_records_leads() -> None:
     """On the shipped records the heave equation is accused and its cross-flow drag leads."""
-    problem = load_problem("remus_diving_plane")
-    folder = catalogue_folder() / "remus_diving_plane" / "data"
-    records = read_csv(sorted(folder.glob("train_*.csv")), problem.channels)
-    found = diagnose(problem.model, records, candidates=problem.effects)
+    model, found = load_problem("remus_diving_plane").model, diagnosed_diver()
     assert found.best is not None
     assert found.best.name == "heave_crossflow_drag"
     assert found.group == ("heave_crossflow_drag",)
     assert found.location.best == "force Z"
-    assert problem.model.effect_names == (problem.model + found.best).effect_names[:-1]
+    assert model.effect_names == (model + found.best).effect_names[:-1]
     assert json.loads(json.dumps(found.to_dict()))["ranking"][0]["effect"] == found.best.name
     assert "heave_crossflow_drag" in found.report()
 

@@ -258,17 +258,22 @@ def test_notebook_runs(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 
 EXAMPLES = sorted((ROOT / "examples").glob("*.py"))
-# Examples that take more than a few seconds.
+# Examples that take more than a few seconds, or that another test runs too.
 SLOW: tuple[str, ...] = (
     "programme_for_a_tanker",
     "programme_for_an_auv",
     "cascaded_tanks",
+    "choose_a_trial_programme",
+    "design_the_next_dive",
     "esso_osaka_wind",
     "find_missing_physics",
     "fly_the_plan",
     "recompute_a_claim",
+    "roll_decay",
     "silverbox",
     "slocum_glider",
+    "tanker_held_out_zigzag",
+    "tanker_on_line",
     "tanker_turning_circle",
 )
 # Examples on measured data of third parties, which is not shipped.

@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from golden_cases import improved_diver, problem, records
+from golden_cases import diagnosed_diver, improved_diver, problem, records
 from golden_files import FILTERED, check
 from turning_ship import CANDIDATES, SHIP, dataset, improved
 
 import oed_sysid
 from benchmarks.compatibility import spoil
-from oed_sysid import Dataset, DOptimal, Limits, design_experiment, diagnose, improve
+from oed_sysid import Dataset, DOptimal, Limits, design_experiment, improve
 from oed_sysid.design import Levels, Search, Trial
 
 AUV = "remus_diving_plane"
@@ -79,8 +79,7 @@ def test_claim_on_a_turning_ship(name: str, options: dict[str, float]) -> None:
 
 def test_diagnosis() -> None:
     """Where the model fails and the ranking of all candidates."""
-    case = problem(AUV)
-    found = diagnose(case.model, records(AUV), candidates=case.effects).to_dict()
+    found = diagnosed_diver().to_dict()
     found["ranking"] = found["ranking"][:6]
     check("diagnose", AUV, found, FILTERED)
 

@@ -69,6 +69,7 @@ def test_killed_process_goes_on_where_it_was(tmp_path: Path) -> None:
     assert (tmp_path / "calls").read_text().split() == ["0", "1", "2"]
 
 
+@pytest.mark.slow
 def test_killed_command_ends_with_the_same_result() -> None:
     """A design, killed twice: no step is done twice, the result is equal."""
     command = ("design", "auv_diving_plane", "--duration", "60")

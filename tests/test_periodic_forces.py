@@ -40,10 +40,19 @@ def ranked(problem: object, sizes: dict[str, float], axis: str, omega: float) ->
     return rank(study, fit, study.candidates)
 
 
-@pytest.mark.parametrize("omega", [0.713, 0.476])  # between the grid's frequencies
+OMEGAS = 0.713, 0.476  # between the grid's frequencies
+CASES = [
+    (vehicle, own, axis) for vehicle, own in zip((AUV, SHIP), SIZES, strict=True) for axis in own
+]
+
+
 @pytest.mark.parametrize(
-    ("problem", "sizes", "axis"),
-    [(AUV, SIZES[0], axis) for axis in SIZES[0]] + [(SHIP, SIZES[1], axis) for axis in SIZES[1]],
+    ("problem", "sizes", "axis", "omega"),
+    [
+        pytest.param(*case, omega, marks=() if (i + j) % 2 else pytest.mark.slow)
+        for i, case in enumerate(CASES)
+        for j, omega in enumerate(OMEGAS)
+    ],
 )
 def test_wave_is_named_where_it_acts(
     problem: object, sizes: dict[str, float], axis: str, omega: float

@@ -107,6 +107,7 @@ def test_logs_are_unwound_and_averaged(tmp_path: Path) -> None:
         read(path, PROBLEM.model.channels)
 
 
+@pytest.mark.slow
 @MEASURED
 def test_wind_makes_left_out_runs_predictable() -> None:
     """Errors 100 s ahead fall with the wind on files that nothing was fitted to."""

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-from math import degrees
 
 import numpy as np
 import pytest
 
 from oed_sysid import Dataset, MultipleShooting, Problem, load_problem
-from oed_sysid.evidence.improve import improve
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
@@ -54,30 +52,3 @@ def test_quadratic_damping_as_published(problem: Problem, split: tuple[Dataset, 
     published = -problem.published["quadratic damping over inertia, 1/rad, 0 kn"]
     inertia = fit.values["I_xx"]
     assert abs(fit.values[name] / inertia - published) < 2 * fit.std_errors[name] / inertia
-
-
-def test_stiffness_and_damping_are_both_missing(
-    problem: Problem, split: tuple[Dataset, Dataset]
-) -> None:
-    """Restoring and damping are found, and the validation error falls below 0.03 degrees."""
-    train, test = split
-    found = improve(problem.model, train, test, candidates=problem.effects)
-    added = " ".join(step.added for step in found.steps)
-    assert "restoring" in added
-    assert "damping" in added
-    before = (
-        MultipleShooting(disturbances="none").fit(problem.model, train).predict(test).rms["phi"]
-    )
-    after = MultipleShooting(disturbances="none").fit(found.model, train).predict(test).rms["phi"]
-    assert degrees(after) < 0.03 < degrees(before)
-
-
-def test_nonlinear_damping_is_refused_at_one_amplitude(
-    problem: Problem, split: tuple[Dataset, Dataset]
-) -> None:
-    """Five periods of nearly one amplitude call for no nonlinear damping or restoring."""
-    end = split[1][0]
-    tail = Dataset((end.window(3.0, end.duration),))
-    found = improve(problem.model, tail, candidates=problem.effects)
-    added = [step.added for step in found.steps]
-    assert not [name for name in added if "damping" in name or "restoring" in name]

@@ -7,12 +7,13 @@ import os
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Fit, MultipleShooting, Problem, Record, load_problem
+from oed_sysid import Dataset, Fit, Model, MultipleShooting, Problem, Record, load_problem
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.study import Study
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
 
+ESTIMATOR = MultipleShooting(disturbances="none")
 FINER = 4  # input values per measured output
 
 
@@ -44,42 +45,40 @@ def test_finer_input_passes_through_the_samples(split: tuple[Dataset, Dataset]) 
     assert np.isfinite(record.output("y")).sum() == 1500
 
 
-def test_hardening_spring_and_offset(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
+@pytest.fixture(scope="module")
+def cubic(problem: Problem) -> Model:
+    """The model with cubic stiffness and an offset."""
+    missing = [problem.effect("cubic_stiffness"), problem.effect("constant_force")]
+    return problem.model + missing
+
+
+@pytest.fixture(scope="module")
+def better(cubic: Model, split: tuple[Dataset, Dataset]) -> Fit:
+    """Its fit."""
+    return ESTIMATOR.fit(cubic, split[0])
+
+
+def test_hardening_spring_and_offset(
+    problem: Problem, split: tuple[Dataset, Dataset], better: Fit
+) -> None:
     """Cubic stiffness and an offset bring another realisation from 9 to below 0.4 mV."""
     train, test = split
-    linear = MultipleShooting(disturbances="none").fit(problem.model, train)
-    missing = [problem.effect("cubic_stiffness"), problem.effect("constant_force")]
-    better = MultipleShooting(disturbances="none").fit(problem.model + missing, train)
-    assert _error(linear, test) > 8.0
+    assert _error(ESTIMATOR.fit(problem.model, train), test) > 8.0
     assert _error(better, test) < 0.4
     assert better.values["E_cubic_stiffness"] > 100 * better.std_errors["E_cubic_stiffness"]
 
 
-def test_coarse_input_costs_accuracy(problem: Problem, split: tuple[Dataset, Dataset]) -> None:
+def test_coarse_input_costs_accuracy(
+    cubic: Model, split: tuple[Dataset, Dataset], better: Fit
+) -> None:
     """With straight lines between the measured inputs the same model errs twice as much."""
-    train, test = split
-
-    def coarse(data: Dataset) -> Dataset:
-        record = data[0]
-        return Dataset(
-            (
-                Record(
-                    record.name,
-                    record.times[::FINER],
-                    record.inputs[::FINER],
-                    record.outputs[::FINER],
-                    record.channels,
-                ),
-            )
-        )
-
-    missing = [problem.effect("cubic_stiffness"), problem.effect("constant_force")]
-    model = problem.model + missing
-    fine_error = _error(MultipleShooting(disturbances="none").fit(model, train), test)
-    rough_error = _error(
-        MultipleShooting(disturbances="none").fit(model, coarse(train)), coarse(test)
-    )
-    assert rough_error > 2.0 * fine_error
+    rough = []
+    for data in split:
+        r = data[0]
+        parts = (one[::FINER] for one in (r.times, r.inputs, r.outputs))
+        rough.append(Dataset((Record(r.name, *parts, r.channels),)))
+    rough_error = _error(ESTIMATOR.fit(cubic, rough[0]), rough[1])
+    assert rough_error > 2.0 * _error(better, split[1])
 
 
 def test_cubic_stiffness_ranks_first(problem: Problem, split: tuple[Dataset, Dataset]) -> None:

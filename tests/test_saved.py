@@ -111,6 +111,19 @@ CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
     "array of text": (changed(F, "estimates", "array", to=["x", 1, 2]), "something else in it"),
     "array of objects": (changed(F, "estimates", "dtype", to="object"), "array of 'object'"),
     "array of huge text": (changed(F, "estimates", "dtype", to="U999999999"), "expected one of"),
+    "no array where one is": (
+        changed(F, "sigma_estimated", to={"tuple": []}),
+        "sigma_estimated of shape (0,)",
+    ),
+    "truth values as numbers": (
+        changed(F, "sigma_estimated", "dtype", to="float64"),
+        "sigma_estimated that is not true or false",
+    ),
+    "value of no parameter in a record": (
+        changed(F, "local_values", to={"tuple": [{"mapping": [["zz", 1.0]]}, {"mapping": []}]}),
+        "'zz'",
+    ),
+    "innovations of no record": (changed(F, "innovations", to={"tuple": []}), "0 innovations"),
     "array of another length": (changed(F, "estimates", to=ARRAY), "estimates of shape (2,)"),
     "shape negative": (changed(F, "estimates", "shape", to=[-3]), "shape [-3]"),
     "shape not a number": (changed(F, "estimates", "shape", to=[None]), "shape [None]"),

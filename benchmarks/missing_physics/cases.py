@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import math
+import tomllib
 import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -23,62 +25,8 @@ SPREAD = 0.09  # of the true derivatives about what is believed
 STEEPEST = 1.6  # largest pitch of a record that is kept, rad
 ATTEMPTS = 20
 
-# Typical amplitude, sign (0 either) and largest amplitude.
-AMPLITUDES: dict[str, tuple[float, int, float]] = {
-    "heave_crossflow_drag": (100.0, -1, math.inf),
-    "heave_quadratic_pitch_damping": (30.0, -1, math.inf),
-    "pitch_crossflow_moment": (40.0, 0, math.inf),
-    "pitch_quadratic_damping": (40.0, -1, math.inf),
-    "surge_induced_drag": (60.0, -1, math.inf),
-    "surge_fin_drag": (8.0, -1, math.inf),
-    "surge_linear_drag": (1.0, -1, math.inf),
-    "excess_buoyancy": (2.0, 0, 6.0),
-    "cg_offset_x": (0.5, 0, 1.5),
-    "hull_asymmetry_heave": (0.6, 0, math.inf),
-    "hull_asymmetry_pitch": (0.2, 0, 0.5),
-    "heave_added_mass_error": (8.0, 0, 25.0),
-    "surge_added_mass_error": (6.0, 0, 15.0),
-    "pitch_added_inertia_error": (1.5, 0, 4.0),
-    "current_horizontal": (0.15, 0, 0.4),
-    "current_vertical": (0.05, 0, 0.2),
-    "thrust_decay": (0.0015, 1, math.inf),
-    "thrust_speed_loss": (0.08, -1, 0.25),
-    "fluid_memory": (15.0, -1, math.inf),
-    "hull_compressibility": (0.15, 0, 0.3),
-    "wave_heave_force": (1.0, 1, math.inf),
-    "fin_offset": (0.02, 0, 0.05),
-    "fin_stall": (2.0, 1, 8.0),
-    "fin_lag": (0.25, 1, 0.8),
-    "fin_delay": (0.2, 1, 0.7),
-    "fin_rate_limit": (0.33, 1, math.inf),
-    "fin_deadband": (0.03, 1, 0.06),
-    "fin_backlash": (0.03, 1, 0.06),
-    "bias_u": (0.05, 0, math.inf),
-    "bias_w": (0.03, 0, math.inf),
-    "bias_q": (0.01, 0, math.inf),
-    "bias_theta": (0.02, 0, math.inf),
-    "scale_u": (0.04, 0, math.inf),
-    "scale_w": (0.1, 0, math.inf),
-    "scale_q": (0.05, 0, math.inf),
-    "scale_z": (0.02, 0, math.inf),
-    "dvl_misalignment": (0.02, 0, math.inf),
-    "dvl_lever_arm": (0.3, 0, math.inf),
-    "depth_lag": (0.4, 1, math.inf),
-    "dvl_lag": (0.3, 1, math.inf),
-}
-UNKNOWN: dict[str, float] = {
-    "unknown_cubic_pitch_damping": -150.0,
-    "unknown_speed_pitch_damping": -20.0,
-    "unknown_pitch_moment_wq": -25.0,
-    "unknown_heave_rate_drag": -120.0,
-    "unknown_pitch_drift_damping": -60.0,
-    "unknown_cubic_moment": -400.0,
-    "unknown_cubic_drag": -0.5,
-    "unknown_thrust_moment": 0.03,
-    "unknown_fin_in_slipstream": -0.4,
-    "unknown_double_angle_moment": -1.5,
-}
-EFFECTS, UNKNOWN_TERMS = tuple(AMPLITUDES), tuple(UNKNOWN)
+DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+EFFECTS, UNKNOWN_TERMS = tuple(DATA["effects"]), tuple(DATA["unknown"])
 
 FORCE = (0.1, 0.3, 0.06)  # a moderate disturbance force, N, N, N m
 _slow = {
@@ -141,14 +89,17 @@ def draws(plan: str) -> list[Draw]:
     return [draw for _, draw in sorted(found, key=lambda pair: pair[0])]
 
 
+def true_derivatives(rng: np.random.Generator) -> dict[str, float]:
+    """Derivatives about those that are believed."""
+    scatter = np.clip(rng.standard_normal(len(PRIORS)), -2.7, 2.7)
+    return {n: v * (1 + SPREAD * s) for (n, v), s in zip(PRIORS.items(), scatter, strict=True)}
+
+
 def case(draw: Draw, attempt: int = 0) -> Case:
     """Draw what is true in a case."""
     seed = zlib.crc32(f"{draw.key}/{attempt}".encode())
     rng = np.random.default_rng(seed)
-    scatter = np.clip(rng.standard_normal(len(PRIORS)), -2.7, 2.7)
-    derivatives = {
-        n: v * (1 + SPREAD * s) for (n, v), s in zip(PRIORS.items(), scatter, strict=True)
-    }
+    derivatives = true_derivatives(rng)
     return Case(
         draw.key,
         derivatives,
@@ -171,7 +122,7 @@ def _hidden(draw: Draw, rng: np.random.Generator) -> dict[str, float]:
         return {}
     if draw.hidden == "unknown":
         name = UNKNOWN_TERMS[draw.number % len(UNKNOWN_TERMS)]
-        return {name: UNKNOWN[name] * _factor(rng)}
+        return {name: DATA["unknown"][name]["typical"] * _factor(rng)}
     if draw.hidden == "single":
         # Every effect in turn.
         return _amplitude(EFFECTS[draw.number % len(EFFECTS)], rng)
@@ -186,12 +137,11 @@ def _factor(rng: np.random.Generator) -> float:
 
 
 def _amplitude(name: str, rng: np.random.Generator) -> dict[str, float]:
-    typical, sign, largest = AMPLITUDES[name]
-    factor = _factor(rng)
+    own, factor = DATA["effects"][name], _factor(rng)
     if name == "fin_rate_limit":  # the slower, the stronger
-        return {name: max(typical / factor, 0.08)}
-    size = min(typical * factor, largest)
-    return {name: size * (sign or (1 if rng.random() < 0.5 else -1))}
+        return {name: max(own["typical"] / factor, 0.08)}
+    size = min(own["typical"] * factor, own.get("largest", math.inf))
+    return {name: size * (own.get("sign") or (1 if rng.random() < 0.5 else -1))}
 
 
 def simulate_draws(wanted: Sequence[Draw]) -> list[tuple[Case, list[Records]]]:

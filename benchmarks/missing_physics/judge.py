@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.missing_physics.cases import Draw
+from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
 from oed_sysid import (
     Dataset,
@@ -24,27 +24,13 @@ from oed_sysid import (
     load_problem,
     replayed,
 )
-from oed_sysid.evidence.improve import improve, relative
+from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import threshold
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics import Effect
-
-# The hidden terms that no vocabulary holds, as a user would write them.
-UNKNOWN_TERMS = {
-    "unknown_cubic_pitch_damping": ("M", "q**3"),
-    "unknown_speed_pitch_damping": ("M", "u_r*q*abs(q)"),
-    "unknown_pitch_moment_wq": ("M", "w_r*q"),
-    "unknown_heave_rate_drag": ("Z", "w_r*abs(q)"),
-    "unknown_pitch_drift_damping": ("M", "q*abs(w_r)"),
-    "unknown_cubic_moment": ("M", "w_r**3"),
-    "unknown_cubic_drag": ("X", "u_r**3"),
-    "unknown_thrust_moment": ("M", "T"),
-    "unknown_fin_in_slipstream": ("M", "T*ds"),
-    "unknown_double_angle_moment": ("M", "sin(theta)*cos(theta)"),
-}
 
 
 @dataclass(frozen=True)
@@ -98,24 +84,30 @@ def true_structure(
     freedom = max(len(e.amplitude_names) + len(e.shape_names) for e in effects)
     gains = {name: fits.get(name, base).objective - full.objective for name in case.effects}
     sigma = np.array([output.noise_std for output in problem.model.outputs])
-    errors = relative(
-        {"train": study.rms(full, train), "test": study.rms(full, test)}, sigma, study
+    # Records are whole, so that every output counts alike.
+    train_error, test_error = (
+        float(np.sqrt(np.mean((study.rms(full, part) / sigma) ** 2))) for part in (train, test)
     )
     return Truth(
         gain=base.objective - full.objective,
         gains=gains,
         needed=threshold(len(known) + len(effects), freedom),
-        train_error=errors["train"],
-        test_error=errors["test"],
+        train_error=train_error,
+        test_error=test_error,
     )
 
 
 def _effect(problem: Problem, name: str) -> Effect:
     if name in UNKNOWN_TERMS:
-        axis, term = UNKNOWN_TERMS[name]
+        unknown = DATA["unknown"][name]
         size = Parameter(f"E_{name}", 0.0, "1", scale=1.0)
-        return Force(name, {axis: f"{size.name}*{term}"}, (size,), amplitudes=(size.name,))
-    return next(effect for effect in problem.effects if effect.name == name)
+        return Force(
+            name,
+            {unknown["axis"]: f"{size.name}*{unknown['term']}"},
+            (size,),
+            amplitudes=(size.name,),
+        )
+    return problem.effect(name)
 
 
 def _true_values(effect: Effect, case: Case) -> dict[str, float]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from benchmarks.missing_physics.judge import UNKNOWN_TERMS
+from benchmarks.missing_physics.cases import DATA
 from benchmarks.rates import (
     Entry,
     Rate,
@@ -59,7 +59,7 @@ def exactly_found(entry: Entry) -> bool:
 def right_equation(entry: Entry) -> bool:
     """Whether what was added acts on the axis of the hidden unknown term, and nowhere else."""
     (name,) = entry["effects"]
-    return {step["equation"] for step in entry["steps"]} == {UNKNOWN_TERMS[name][0]}
+    return {step["equation"] for step in entry["steps"]} == {DATA["unknown"][name]["axis"]}
 
 
 def as_good(entry: Entry) -> bool:

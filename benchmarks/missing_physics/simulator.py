@@ -15,6 +15,8 @@ from typing import Protocol
 
 import numpy as np
 
+from benchmarks.truth import MASSES, NAMES, NOISE, TRUE, gauss_markov, runge_kutta
+
 SAMPLE, SUBSTEPS = 0.1, 10
 STEP = SAMPLE / SUBSTEPS
 
@@ -88,20 +90,11 @@ class Fin:
         return done[0], done[1], done[2]
 
 
-MASS, INERTIA = 30.48, 3.45
-X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
-PRIORS = {
-    "X_uu": -3.9,
-    "Z_uw": -40.0,
-    "Z_uq": -9.0,
-    "Z_uuds": -12.0,
-    "M_uw": 14.0,
-    "M_uq": -9.0,
-    "M_uuds": -6.15,
-    "zgW": 5.9,
-}
-OUTPUTS = ("u", "w", "q", "theta", "z")
-NOISE_STD = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
+MASS, INERTIA, X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = MASSES
+BELIEVED = dict(zip(NAMES, map(float, TRUE), strict=True))
+# In the order in which cases draw them.
+ORDER = ("X_uu", "Z_uw", "Z_uq", "Z_uuds", "M_uw", "M_uq", "M_uuds", "zgW")
+PRIORS = {name: BELIEVED[name] for name in ORDER}
 MEMORY_TIME = 2.0  # of the fluid's memory, s
 FIRST_DEPTH = 10.0
 Force = Callable[[SimpleNamespace], np.ndarray]
@@ -134,13 +127,6 @@ FORCES: dict[str, dict[str, Force]] = {
     "unknown_thrust_moment": {"M": lambda s: s.thrust},
     "unknown_fin_in_slipstream": {"M": lambda s: s.thrust * s.d},
     "unknown_double_angle_moment": {"M": lambda s: s.sin * s.cos},
-}
-
-
-MASSES = {
-    "surge_added_mass_error": 0,
-    "heave_added_mass_error": 1,
-    "pitch_added_inertia_error": 2,
 }
 
 
@@ -373,21 +359,12 @@ def _forces(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
     """Random forces of one case, held between samples, shape ``(n_times, 3)``."""
     noise = case.noise
     memory = np.exp(-SAMPLE / noise.force_time) if noise.force_time > 0 else 0.0
-    return markov(memory, n_times, 3, rng) * np.array(noise.force)
+    return gauss_markov(rng.standard_normal((n_times, 3)), memory) * np.array(noise.force)
 
 
 def _noise(case: Case, n_times: int, rng: np.random.Generator) -> np.ndarray:
     """Sensor noise of one case, shape ``(n_times, 5)``."""
-    return markov(case.noise.colour, n_times, 5, rng) * NOISE_STD
-
-
-def markov(memory: float, n_times: int, width: int, rng: np.random.Generator) -> np.ndarray:
-    """Stationary first-order sequences of unit variance."""
-    drive = rng.standard_normal((n_times, width))
-    drive[1:] *= np.sqrt(1 - memory**2)
-    for k in range(1, n_times):
-        drive[k] += memory * drive[k - 1]
-    return drive
+    return gauss_markov(rng.standard_normal((n_times, 5)), case.noise.colour) * NOISE
 
 
 class Truth:
@@ -404,10 +381,9 @@ class Truth:
         self.nothing = np.zeros(len(cases))
         self.wave_frequency = np.array([c.wave_frequency for c in cases])
         self.wave_phase = np.array([c.wave_phase for c in cases])
-        extra = [self.of(name) for name in MASSES]
-        self.surge = MASS - X_UDOT + extra[0]
-        self.heave = MASS - Z_WDOT + extra[1]
-        self.pitch = INERTIA - M_QDOT + extra[2]
+        self.surge = MASS - X_UDOT + self.of("surge_added_mass_error")
+        self.heave = MASS - Z_WDOT + self.of("heave_added_mass_error")
+        self.pitch = INERTIA - M_QDOT + self.of("pitch_added_inertia_error")
         self.determinant = self.heave * self.pitch - Z_QDOT * M_WDOT
 
     def of(self, name: str) -> np.ndarray:
@@ -423,12 +399,11 @@ class Truth:
         forces: np.ndarray,
     ) -> np.ndarray:
         """One Runge-Kutta step; ``fin`` at its start, middle and end."""
-        h = STEP
-        first = self.rate(state, time, fin[0], thrust, forces)
-        second = self.rate(state + h / 2 * first, time + h / 2, fin[1], thrust, forces)
-        third = self.rate(state + h / 2 * second, time + h / 2, fin[1], thrust, forces)
-        fourth = self.rate(state + h * third, time + h, fin[2], thrust, forces)
-        return state + h / 6 * (first + 2 * second + 2 * third + fourth)
+
+        def rate(x: np.ndarray, stage: int) -> np.ndarray:
+            return self.rate(x, time + stage * STEP / 2, fin[stage], thrust, forces)
+
+        return runge_kutta(rate, state, STEP)  # type: ignore[no-any-return]
 
     def rate(
         self,

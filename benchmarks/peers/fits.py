@@ -23,7 +23,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.peers.task import NOISE, STEP, TRUE, begin, load, rates, report, share
+from benchmarks.peers.task import STEP, begin, load, report, share
+from benchmarks.truth import NOISE, TRUE, rates, runge_kutta
 
 Solver = Callable[[], np.ndarray]
 
@@ -38,11 +39,7 @@ def casadi_shooting() -> tuple[Solver, float, int]:
     x, u, p = ca.MX.sym("x", 5), ca.MX.sym("u", 2), ca.MX.sym("p", 8)
     slopes = rates(ca.vertsplit(x), ca.vertsplit(u), ca.vertsplit(p), ca.sin, ca.cos)
     f = ca.Function("f", [x, u, p], [ca.vertcat(*slopes)])
-    k1 = f(x, u, p)
-    k2 = f(x + STEP / 2 * k1, u, p)
-    k3 = f(x + STEP / 2 * k2, u, p)
-    k4 = f(x + STEP * k3, u, p)
-    step = ca.Function("step", [x, u, p], [x + STEP / 6 * (k1 + 2 * k2 + 2 * k3 + k4)])
+    step = ca.Function("step", [x, u, p], [runge_kutta(lambda z, _: f(z, u, p), x, STEP)])
     start = begin(outputs)
     scale = np.abs(start[:8])
     shares, nodes = ca.MX.sym("shares", 8), ca.MX.sym("X", 5, n)

@@ -18,7 +18,8 @@ import pyomo.environ as pyo
 from pyomo.contrib.doe import DesignOfExperiments
 from pyomo.contrib.parmest.experiment import Experiment
 
-from benchmarks.peers.task import NAMES, NOISE, TRUE, rates, used
+from benchmarks.peers.task import used
+from benchmarks.truth import NAMES, NOISE, TRUE, rates
 
 
 class _Dive(Experiment):

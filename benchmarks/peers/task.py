@@ -13,35 +13,12 @@ import resource
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-NAMES = ("X_uu", "Z_uw", "Z_uq", "M_uw", "M_uq", "Z_uuds", "M_uuds", "zgW")
-TRUE = np.array([-3.9, -40.0, -9.0, 14.0, -9.0, -12.0, -6.15, 5.9])
-NOISE = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
+from benchmarks.truth import TRUE
+
 STEP = 0.1
-# Mass, pitch inertia and added masses, as in the problem remus_diving_plane.
-M, I_YY = 30.48, 3.45
-X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
-A, B, C, D = M - Z_WDOT, -Z_QDOT, -M_WDOT, I_YY - M_QDOT
-DETERMINANT = A * D - B * C
-
-
-def rates(x: Any, command: Any, p: Any, sin: Any, cos: Any) -> list[Any]:
-    """Rates of u, w, q, theta, z; forward speed is positive, so u|u| is u^2."""
-    u, w, q, theta = x[0], x[1], x[2], x[3]
-    fin, thrust = command[0], command[1]
-    surge = thrust + p[0] * u * u - M * q * w
-    heave = M * u * q + p[1] * u * w + p[2] * u * q + p[5] * u * u * fin
-    pitch = p[3] * u * w + p[4] * u * q + p[6] * u * u * fin - p[7] * sin(theta)
-    return [
-        surge / (M - X_UDOT),
-        (D * heave - B * pitch) / DETERMINANT,
-        (A * pitch - C * heave) / DETERMINANT,
-        q,
-        -u * sin(theta) + w * cos(theta),
-    ]
 
 
 def load() -> tuple[np.ndarray, np.ndarray, np.ndarray]:

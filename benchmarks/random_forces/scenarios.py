@@ -1,17 +1,6 @@
 r"""The vehicles of the benchmark: equations of motion in plain NumPy.
 
-Diving plane of a REMUS-like AUV, from Prestero (2001):
-
-.. math::
-
-    \begin{aligned}
-    (m - X_{\dot u})\,\dot u &= -m q w + X_{uu} u|u| + T + w_X \\
-    (m - Z_{\dot w})\,\dot w - Z_{\dot q}\,\dot q
-        &= m u q + u (Z_{uw} w + Z_{uq} q) + Z_{uuds} u^2 \delta_s + w_Z \\
-    -M_{\dot w}\,\dot w + (I_{yy} - M_{\dot q})\,\dot q
-        &= u (M_{uw} w + M_{uq} q) + M_{uuds} u^2 \delta_s - z_G W \sin\theta + w_M \\
-    \dot\theta &= q, \qquad \dot z = -u \sin\theta + w \cos\theta
-    \end{aligned}
+Diving plane of a REMUS-like AUV (:func:`benchmarks.truth.rates`).
 
 Yaw of a ship per unit of inertia, with a rudder zero of each record:
 
@@ -37,10 +26,8 @@ from typing import Any
 
 import numpy as np
 
-MASS, INERTIA = 30.48, 3.45
-X_UDOT, Z_WDOT, Z_QDOT, M_WDOT, M_QDOT = -0.93, -35.5, -1.93, -1.93, -4.88
-SURGE, HEAVE, PITCH = MASS - X_UDOT, MASS - Z_WDOT, INERTIA - M_QDOT
-DETERMINANT = HEAVE * PITCH - Z_QDOT * M_WDOT
+from benchmarks.truth import MASSES, NAMES, rates
+
 DATA = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 # state, input, force: (n_..., n_runs); parameters by name: (n_runs,)
 Rate = Callable[[np.ndarray, np.ndarray, np.ndarray, Mapping[str, np.ndarray]], np.ndarray]
@@ -102,28 +89,8 @@ def remus_rate(
     state: np.ndarray, inputs: np.ndarray, force: np.ndarray, values: Mapping[str, np.ndarray]
 ) -> np.ndarray:
     """Derivatives of ``u w q theta z``; inputs are fin angle and thrust."""
-    u, w, q, theta, _ = state
-    fin, thrust = inputs
-    x = -MASS * q * w + values["X_uu"] * u * abs(u) + thrust + force[0]
-    heave = (
-        MASS * u * q
-        + u * (values["Z_uw"] * w + values["Z_uq"] * q + values["Z_uuds"] * u * fin)
-        + force[1]
-    )
-    moment = (
-        u * (values["M_uw"] * w + values["M_uq"] * q + values["M_uuds"] * u * fin)
-        - values["zgW"] * np.sin(theta)
-        + force[2]
-    )
-    return np.stack(
-        [
-            x / SURGE,
-            (PITCH * heave + Z_QDOT * moment) / DETERMINANT,
-            (HEAVE * moment + M_WDOT * heave) / DETERMINANT,
-            q,
-            -u * np.sin(theta) + w * np.cos(theta),
-        ]
-    )
+    derivatives = [values[name] for name in NAMES]
+    return np.stack(rates(state, inputs, derivatives, np.sin, np.cos, force))
 
 
 def yaw_rate(
@@ -183,13 +150,15 @@ REMUS, YAW = VEHICLES["remus"], VEHICLES["yaw"]
 
 def pitch_pole(values: Mapping[str, float], speed: float) -> float:
     """Largest real part of the poles of heave and pitch about level trim, 1/s."""
+    m, inertia, _, z_wdot, z_qdot, m_wdot, m_qdot = MASSES
     force = np.array(
         [
-            [speed * values["Z_uw"], (MASS + values["Z_uq"]) * speed, 0.0],
+            [speed * values["Z_uw"], (m + values["Z_uq"]) * speed, 0.0],
             [speed * values["M_uw"], speed * values["M_uq"], -values["zgW"]],
         ]
     )
-    inverse = np.array([[PITCH, Z_QDOT], [M_WDOT, HEAVE]]) / DETERMINANT
+    heavy, lagging = m - z_wdot, inertia - m_qdot
+    inverse = np.array([[lagging, z_qdot], [m_wdot, heavy]]) / (heavy * lagging - z_qdot * m_wdot)
     matrix = np.vstack([inverse @ force, [0.0, 1.0, 0.0]])
     return float(np.linalg.eigvals(matrix).real.max())
 

@@ -21,9 +21,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.signal import lfilter
 
 from benchmarks.random_forces.scenarios import VEHICLES, Manoeuvre, Scenario, Vehicle, unstable
+from benchmarks.truth import gauss_markov, runge_kutta
 
 SPREAD = 0.09  # of true parameters about the believed ones
 FIRST_DEPTH = 10.0
@@ -75,15 +75,6 @@ class Set:
 def stream(seed: int, number: int, *purpose: str) -> np.random.Generator:
     """Random numbers of one purpose in one data set."""
     return np.random.default_rng([seed, number, zlib.crc32(" ".join(purpose).encode())])
-
-
-def gauss_markov(
-    draws: np.ndarray, level: np.ndarray | float, memory: float | np.ndarray
-) -> np.ndarray:
-    """A stationary first-order process along axis 0 from standard normal draws."""
-    scaled = draws * np.sqrt(1.0 - memory**2)
-    scaled[0] = draws[0]
-    return level * lfilter([1.0], [1.0, -memory], scaled, axis=0)
 
 
 @lru_cache(maxsize=4)
@@ -163,7 +154,7 @@ class _Column:
         h = vehicle.sample_time / vehicle.substeps
         draws = force.standard_normal(((self.n - 1) * vehicle.substeps + 1, len(vehicle.forces)))
         memory = np.exp(-h / scenario.force_time)
-        self.force = gauss_markov(draws, np.array(scenario.force), memory)
+        self.force = np.array(scenario.force) * gauss_markov(draws, memory)
         if scenario.swell:
             waves = stream(seed, number, manoeuvre.name, "swell")
             sea = swell(waves, len(draws), h / scenario.swell, len(scenario.force))
@@ -171,7 +162,7 @@ class _Column:
         white = noise.standard_normal((self.n, len(vehicle.states)))
         if scenario.colour:
             column = scenario.coloured
-            white[:, column] = gauss_markov(white[:, column], 1.0, scenario.colour)
+            white[:, column] = gauss_markov(white[:, column], scenario.colour)
         self.noise = white * scenario.level * np.array(vehicle.noise_std)
         chosen = spike.random(white.shape) < scenario.spikes
         sign = np.where(spike.random(white.shape) < 0.5, -1.0, 1.0)
@@ -233,12 +224,14 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
         if k + 1 == n:
             break
         for sub in range(k * vehicle.substeps, (k + 1) * vehicle.substeps):
-            middle = 0.5 * (force[sub] + force[sub + 1])
-            first = vehicle.rate(state, inputs[k], force[sub], values)
-            second = vehicle.rate(state + h / 2 * first, inputs[k], middle, values)
-            third = vehicle.rate(state + h / 2 * second, inputs[k], middle, values)
-            fourth = vehicle.rate(state + h * third, inputs[k], force[sub + 1], values)
-            state = state + h / 6 * (first + 2 * second + 2 * third + fourth)
+            pushes = force[sub], 0.5 * (force[sub] + force[sub + 1]), force[sub + 1]
+
+            def rate(
+                x: np.ndarray, stage: int, k: int = k, pushes: tuple[np.ndarray, ...] = pushes
+            ) -> np.ndarray:
+                return vehicle.rate(x, inputs[k], pushes[stage], values)
+
+            state = runge_kutta(rate, state, h)
     sigma = np.array(vehicle.noise_std)
     runs = []
     for i, column in enumerate(columns):

@@ -15,7 +15,7 @@ import csv
 import io
 import math
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from itertools import groupby, product
@@ -188,17 +188,18 @@ class Verdict:
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
     """Aggregate runs over seeds; rows keep the order of settings, the best first in each."""
-    order: dict[tuple[str, int, float, str], int] = {}
-    for outcome in (several := tuple(outcomes)):
-        order.setdefault(_setting(outcome.cell), len(order))
-    several = tuple(sorted(several, key=lambda one: order[_setting(one.cell)]))
-    rows = []
-    for _, group in groupby(several, key=lambda one: order[_setting(one.cell)]):
-        by_name: dict[str, list[Outcome]] = {}
-        for outcome in group:
-            by_name.setdefault(outcome.cell.estimator, []).append(outcome)
-        rows += sorted((_row(runs) for runs in by_name.values()), key=_rank)
-    return tuple(rows)
+    settings: dict[tuple[str, int, float, str], dict[str, list[Outcome]]] = {}
+    for outcome in outcomes:
+        cell = outcome.cell
+        by_name = settings.setdefault((cell.problem, cell.sampling, cell.noise, cell.world), {})
+        by_name.setdefault(cell.estimator, []).append(outcome)
+    return tuple(
+        row
+        for by_name in settings.values()
+        for row in sorted(
+            map(_row, by_name.values()), key=lambda row: (bool(row.refused), row.rmse_determined)
+        )
+    )
 
 
 def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
@@ -211,40 +212,27 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
         own = mine[row.setting]
         ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
         logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
-        outcome = "equal" if _alike(logs) else "undecided"
-        if abs(np.log(ratio)) > np.log(1 + EQUAL) and _told_apart(logs):
-            outcome = "better" if ratio > 1 else "worse"
+        outcome = _outcome(ratio, logs)
         found.append(
             Verdict(row.problem, row.noise, row.sampling, ours, row.estimator, outcome, ratio)
         )
     return tuple(found)
 
 
-def _told_apart(logs: np.ndarray) -> bool:
-    """Whether paired runs on the same data, as logarithms of ratios, say who is better."""
+def _outcome(ratio: float, logs: np.ndarray) -> str:
+    """What paired runs on the same data say, as logarithms of the ratios of their errors.
+
+    Many runs speak by their mean and its two standard errors, few by their extremes.
+    """
+    low, high = float(logs.min()), float(logs.max())
+    told_apart = low >= -np.log(1 + EQUAL) or high <= np.log(1 + EQUAL)
     if len(logs) >= MANY:
-        return bool(abs(np.mean(logs)) > _two_errors(logs))
-    slack = np.log(1 + EQUAL)
-    return bool((logs >= -slack).all() or (logs <= slack).all())
-
-
-def _alike(logs: np.ndarray) -> bool:
-    """Whether paired runs say that nobody is ahead by more than :data:`ALIKE`."""
-    if len(logs) >= MANY:
-        return bool(abs(np.mean(logs)) + _two_errors(logs) < np.log(1 + ALIKE))
-    return bool((np.abs(logs) < np.log(1 + ALIKE)).all())
-
-
-def _two_errors(logs: np.ndarray) -> float:
-    return 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
-
-
-def _setting(cell: Cell) -> tuple[str, int, float, str]:
-    return cell.problem, cell.sampling, cell.noise, cell.world
-
-
-def _rank(row: Row) -> tuple[bool, float]:
-    return bool(row.refused), row.rmse_determined
+        two_errors = 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
+        low, high = np.mean(logs) - two_errors, np.mean(logs) + two_errors
+        told_apart = low > 0 or high < 0
+    if abs(np.log(ratio)) > np.log(1 + EQUAL) and told_apart:
+        return "better" if ratio > 1 else "worse"
+    return "equal" if max(-low, high) < np.log(1 + ALIKE) else "undecided"
 
 
 def _row(runs: Sequence[Outcome]) -> Row:
@@ -277,35 +265,21 @@ def _row(runs: Sequence[Outcome]) -> Row:
         bound=_root_mean_square(bounds[known]),
         bias=float(np.median(np.abs(errors.mean(axis=0)))),
         coverage=float(np.mean(covered)) if covered else float("nan"),
-        prediction=_over(runs, lambda run: run.prediction),
-        seconds=_over(runs, lambda run: run.seconds),
-        iterations=_over(runs, lambda run: float(run.iterations)),
+        prediction=_median(runs, "prediction"),
+        seconds=_median(runs, "seconds"),
+        iterations=_median(runs, "iterations"),
         reason="" if refused else max(failures, key=failures.count, default=""),
         by_seed=tuple(_root_mean_square(run[known]) for run in errors),
         world=cell.world,
     )
 
 
-def _over(runs: Sequence[Outcome], value: Callable[[Outcome], float]) -> float:
-    return float(np.median([value(run) for run in runs]))
+def _median(runs: Sequence[Outcome], name: str) -> float:
+    return float(np.median([getattr(run, name) for run in runs]))
 
 
 def _root_mean_square(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(values**2))) if values.size else float("nan")
-
-
-HEADERS = (
-    "estimator",
-    "RMSE of determined, %",
-    "median, %",
-    "RMSE of all, %",
-    "bias, %",
-    "95 % interval holds, %",
-    "prediction",
-    "failed",
-    "time, s",
-    "iterations",
-)
 
 
 LEGEND = (
@@ -325,14 +299,8 @@ def as_markdown(results: Sequence[Row], ours: str = OURS) -> str:
         lines += _said(rows, "cannot", lambda row: row.refused)
         lines += _said(rows, "failed", lambda row: row.reason)
     if found := verdicts(results, ours):
-        lines += [
-            f"## {ours} against each of the others",
-            "",
-            LEGEND,
-            "",
-            *verdict_table(found),
-            "",
-        ]
+        lines += [f"## {ours} against each of the others", "", LEGEND, ""]
+        lines += [*verdict_table(found), ""]
     fair = [one for one in verdicts(results, OURS_BELIEVING) if one.other in BELIEVERS]
     if fair:
         lines += [f"## {OURS_BELIEVING} against those that believe start values too", ""]
@@ -380,23 +348,8 @@ def _setting_table(rows: Sequence[Row]) -> list[str]:
         f"{runs} each; the data determine {first.n_determined} of {first.n_parameters} parameters, "
         f"at best to {_percent(first.bound)} %:"
     )
-    table = [title, "", markdown_row(HEADERS), markdown_row(["---"] * len(HEADERS))]
-    for row in rows:
-        name = f"**{row.estimator}**" if row.estimator == OURS else row.estimator
-        cells = (
-            name,
-            _percent(row.rmse_determined),
-            _percent(row.median_rmse),
-            _percent(row.rmse),
-            _percent(row.bias),
-            "-" if math.isnan(row.coverage) else f"{100 * row.coverage:.0f}",
-            _short(row.prediction),
-            f"{row.n_failed} of {row.n_runs}" if row.n_failed else "",
-            _short(row.seconds),
-            f"{row.iterations:.0f}",
-        )
-        table.append(markdown_row(cells))
-    return table
+    cells = [markdown_row(cell(row) for cell in CELLS.values()) for row in rows]
+    return [title, "", markdown_row(CELLS), markdown_row(["---"] * len(CELLS)), *cells]
 
 
 def _said(rows: Sequence[Row], word: str, why: Callable[[Row], str]) -> list[str]:
@@ -429,11 +382,27 @@ def _short(value: float) -> str:
     """Three digits, without exponents where numbers are ordinary."""
     if not math.isfinite(value):
         return "diverges" if math.isinf(value) else "-"
-    if value == 0.0 or value < 1e-6:
+    if value < EXACT:
         return "0"
     if 1e-3 <= value < 1e5:
         return f"{float(f'{value:.3g}'):g}"
     return f"{value:.1e}"
+
+
+CELLS: Mapping[str, Callable[[Row], str]] = {
+    "estimator": lambda row: f"**{row.estimator}**" if row.estimator == OURS else row.estimator,
+    "RMSE of determined, %": lambda row: _percent(row.rmse_determined),
+    "median, %": lambda row: _percent(row.median_rmse),
+    "RMSE of all, %": lambda row: _percent(row.rmse),
+    "bias, %": lambda row: _percent(row.bias),
+    "95 % interval holds, %": lambda row: (
+        "-" if math.isnan(row.coverage) else f"{100 * row.coverage:.0f}"
+    ),
+    "prediction": lambda row: _short(row.prediction),
+    "failed": lambda row: f"{row.n_failed} of {row.n_runs}" if row.n_failed else "",
+    "time, s": lambda row: _short(row.seconds),
+    "iterations": lambda row: f"{row.iterations:.0f}",
+}
 
 
 PROBLEMS = (
@@ -548,27 +517,13 @@ def benchmark(
         scenario = load_scenario(name)
         for level in noise:
             scenario.noise(level, noise_unit)
-    cells = {
-        cell.key: cell
-        for cell in _cells(problems, estimators, noise, noise_unit, sampling, seeds, worlds)
-    }
-    outcomes = run_cells(run_cell, cells, store=store, n_jobs=n_jobs, progress=progress)
+    # First seed of everything first: a grid that is cut short is a smaller grid.
+    grid = product(range(seeds), problems, sampling, noise, worlds, estimators)
+    cells = [
+        Cell(problem, name, float(level), noise_unit, factor, seed, world=world)
+        for seed, problem, factor, level, world, name in grid
+    ]
+    outcomes = run_cells(
+        run_cell, {cell.key: cell for cell in cells}, store=store, n_jobs=n_jobs, progress=progress
+    )
     return Benchmark(tuple(outcomes.values()))
-
-
-def _cells(
-    problems: Sequence[str],
-    estimators: Sequence[str],
-    noise: Sequence[float],
-    unit: str,
-    sampling: Sequence[int],
-    seeds: int,
-    worlds: Sequence[str],
-) -> Iterator[Cell]:
-    """First seed of everything first: a grid that is cut short is a smaller grid."""
-    for seed in range(seeds):
-        for problem in problems:
-            for factor in sampling:
-                for level, world in product(noise, worlds):
-                    for name in estimators:
-                        yield Cell(problem, name, float(level), unit, factor, seed, world=world)

@@ -143,7 +143,9 @@ def load_scenario(problem: str) -> Scenario:
         If the problem has fewer than two experiments, or a true value is zero.
     """
     loaded = load_problem(problem)
-    model = _without_priors(loaded.true_model() if loaded.truth else loaded.model)
+    model = loaded.true_model() if loaded.truth else loaded.model
+    # Start values say nothing about the truth, so priors would be wrong or a gift.
+    model = _changed(model, lambda p: replace(p, prior_mean=None, prior_std=None))
     train, test = _SPLITS.get(problem, _default)(loaded)
     if zero := [name for name in model.free_names if model.values[name] == 0.0]:
         raise ProblemError(
@@ -163,11 +165,6 @@ def _default(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
             "learns from all but the last and judges by that. Add experiments to its problem.py."
         )
     return tuple(train), test
-
-
-def _without_priors(model: Model) -> Model:
-    """Start values say nothing about the truth, so priors would be wrong or a gift."""
-    return _changed(model, lambda p: replace(p, prior_mean=None, prior_std=None))
 
 
 def _changed(model: Model, change: Callable[[Parameter], Parameter]) -> Model:
@@ -211,15 +208,12 @@ _SPLITS: Mapping[str, Callable[[Problem], tuple[tuple[Experiment, ...], Experime
 
 
 OURS = "multiple_shooting"
-
-
 OURS_DISTURBED = "multiple_shooting_disturbed"
-
-
 OURS_BELIEVING = "multiple_shooting_prior"
-
-
 OURS_DISTURBED_BELIEVING = "multiple_shooting_disturbed_prior"
+# Noise of the sensors alone, and the fit's own choice of noise.
+PLAIN = MultipleShooting(disturbances="none", loss="square")
+AUTOMATIC = MultipleShooting(disturbances="auto", loss="auto")
 
 
 # Take start values as a prior by their nature.
@@ -268,12 +262,10 @@ class Contestant:
 # Defaults, but for what a benchmark needs: the published online weight, one process for a
 # swarm that runs beside others, and Gibbs draws enough for a mean and an interval.
 CONTESTANTS: Mapping[str, Contestant] = {
-    OURS: Contestant(MultipleShooting(disturbances="none", loss="square")),
-    OURS_DISTURBED: Contestant(MultipleShooting(disturbances="auto", loss="auto")),
-    OURS_BELIEVING: Contestant(MultipleShooting(disturbances="none", loss="square"), believes=True),
-    OURS_DISTURBED_BELIEVING: Contestant(
-        MultipleShooting(disturbances="auto", loss="auto"), believes=True
-    ),
+    OURS: Contestant(PLAIN),
+    OURS_DISTURBED: Contestant(AUTOMATIC),
+    OURS_BELIEVING: Contestant(PLAIN, believes=True),
+    OURS_DISTURBED_BELIEVING: Contestant(AUTOMATIC, believes=True),
     "output_error": Contestant(OutputError()),
     "equation_error": Contestant(EquationError()),
     "equation_error_simpson": Contestant(EquationError(rule="simpson")),
@@ -440,10 +432,7 @@ def run_cell(cell: Cell) -> Outcome:
     model = scenario.with_noise(sigma)
     runs = tuple(_at(experiment, cell.sampling) for experiment in scenario.train)
     rng, noisy = cell.rng("noise"), bool(sigma.any())
-    if cell.world == IDEAL:
-        dataset = Dataset(tuple(simulate(model, run, rng=rng, noise=noisy) for run in runs))
-    else:
-        dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
+    dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
     noise = [world.noise(model, run) for run in runs]
     bounds = dict(zip(model.free_names, _bounds(model, dataset, noise), strict=True))
     contestant = contestant_by_name(cell.estimator)

@@ -16,8 +16,7 @@ from oed_sysid.baselines.regression import (
     prior_rows,
 )
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.estimate import Posterior
-from oed_sysid.likelihood.fit import Status
+from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.physics.model import Model
 
@@ -237,8 +236,6 @@ def sample_posterior(
     variance = start * np.exp(rng.uniform(-1, 1, n_chains))
     kept = np.empty((n_chains, n_draws, n))
     variances = np.empty((n_chains, n_draws))
-    if conjugate:
-        factor = _Joint(gram + np.diag(precision), moment + precision * mean0)
     for index in range(burn_in + n_draws):
         weight = 1.0 / variance if conjugate else np.ones(n_chains)
         prior = precision * weight[:, None]  # (n_chains, n)
@@ -248,13 +245,14 @@ def sample_posterior(
                 others = c @ gram[j] - c[:, j] * gram[j, j]
                 mu = ((moment[j] - others) / variance + prior[:, j] * mean0[j]) / pi
                 c[:, j] = mu + rng.standard_normal(n_chains) / np.sqrt(pi)
-        elif conjugate:
-            c = factor.draw(variance, rng)
         else:
-            for chain in range(n_chains):
-                inner = gram / variance[chain] + np.diag(precision)
-                right = moment / variance[chain] + precision * mean0
-                c[chain] = _Joint(inner, right).draw(np.ones(1), rng)[0]
+            # All chains at once: mean of the normal distribution, and a draw about it.
+            inner = gram / variance[:, None, None] + prior[:, :, None] * np.eye(n)
+            right = moment / variance[:, None] + prior * mean0
+            upper = np.linalg.cholesky(inner).transpose(0, 2, 1)
+            unit = rng.standard_normal((n_chains, n))
+            c = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
+            c = c + np.linalg.solve(upper, unit[:, :, None])[:, :, 0]
         sse = energy - 2 * c @ moment + np.einsum("ci,ij,cj->c", c, gram, c)
         sse = np.maximum(sse, 1e-14 * energy)
         if conjugate:
@@ -264,20 +262,6 @@ def sample_posterior(
             kept[:, index - burn_in] = c
             variances[:, index - burn_in] = variance
     return Chains(kept, variances)
-
-
-class _Joint:
-    """Draws from a normal distribution with a given precision, up to a variance."""
-
-    def __init__(self, precision: np.ndarray, right: np.ndarray) -> None:
-        self._lower = np.linalg.cholesky(precision)
-        self._mean = np.linalg.solve(precision, right)
-
-    def draw(self, variance: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """One draw per variance, shape ``(n, n_coefficients)``."""
-        unit = rng.standard_normal((len(variance), len(self._mean)))
-        moved = np.linalg.solve(self._lower.T, unit.T).T
-        return self._mean + np.sqrt(variance)[:, None] * moved
 
 
 @dataclass(frozen=True)

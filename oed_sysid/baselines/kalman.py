@@ -18,7 +18,8 @@ from oed_sysid.baselines.regression import (
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels, measured_states
 from oed_sysid.physics.model import Model
 

@@ -27,7 +27,8 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
 from oed_sysid.information.response import by_unknowns
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.start_guess import check_channels, first_state

@@ -28,8 +28,8 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.covariance import sandwich
-from oed_sysid.likelihood.estimate import Posterior
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.estimate import Posterior, Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
     Information,

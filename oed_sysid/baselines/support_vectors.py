@@ -19,7 +19,7 @@ from oed_sysid.baselines.regression import (
     separate,
 )
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.fit import Status
+from oed_sysid.likelihood.estimate import Status
 
 FORMS = ("primal", "dual")
 

@@ -8,53 +8,490 @@ r"""One pass of the extended Kalman filter along a record, with every derivative
 one output at a time. ``x`` stacks the uncertain states of the model, disturbances that are
 Gauss-Markov processes of first or second order (each acts through a parameter of the model, held
 over a step), coloured errors of sensors, and the second states of disturbances
-(:mod:`oed_sysid.compiled.filter_pass`). Columns ``X`` are derivatives of ``x`` by start states and
+(below). Columns ``X`` are derivatives of ``x`` by start states and
 parameters along the filtered path at frozen gain; levels of the noise carry exact tangents of mean
 and covariance (Jazwinski 1970, *Stochastic processes and filtering theory*, sections 7.3 and 8.3;
 Åström 1980, *Maximum likelihood and prediction error methods*, Automatica 16).
+
+A disturbance is one state of first order, or two of second: with :math:`\omega = 2\pi/T`
+
+.. math::
+    \dot a = \omega b, \qquad
+    \dot b = -\omega a - 2 \zeta \omega b + \sqrt{4 \zeta \omega}\, n(t)
+
+whose stationary covariance is the unit matrix, times the variance of the disturbance. What acts is
+the velocity :math:`b` (no power at frequency zero) or the displacement :math:`a`. Exactly, over a
+time :math:`h`, with :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`, :math:`c = \cos \omega_d h` and
+:math:`s = \sin(\omega_d h) / \sqrt{1 - \zeta^2}`,
+
+.. math::
+    \Phi = e^{-\zeta \omega h}
+    \begin{pmatrix} c + \zeta s & s \\ -s & c - \zeta s \end{pmatrix}, \qquad
+    Q = \sigma^2 (I - \Phi \Phi')
+
+so that the variance enters force noise alone, period and damping :math:`\Phi` alone.
+
+Without a compiler the same passes run on CasADi's interpreter (:class:`InterpretedFilter`): there
+every tangent is a matrix of its own, and nothing is sparse.
 """
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from oed_sysid.compiled.compile import call, doubles, load
-from oed_sysid.compiled.filter_pass import (
-    COLOUR_TIME,
-    COLOUR_VARIANCE,
-    FORCE_TIME,
-    FORCE_VARIANCE,
-    MOST_PROCESSES,
-    SEA_DAMPING,
-    SEA_PERIOD,
-    SEA_VARIANCE,
-    WHITE_VARIANCE,
-    Disturbed,
-    FilterPass,
-    Results,
-)
-from oed_sysid.compiled.interpreted_filter import InterpretedFilter
+from oed_sysid.compiled.interpreter import Commands, chained, interpreted
 from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
 
-__all__ = [
-    "COLOUR_TIME",
-    "COLOUR_VARIANCE",
-    "FORCE_TIME",
-    "FORCE_VARIANCE",
-    "SEA_DAMPING",
-    "SEA_PERIOD",
-    "SEA_VARIANCE",
-    "WHITE_VARIANCE",
-    "Disturbed",
-    "FilterKernel",
-    "FilterPass",
-    "filter_kernel",
-]
+# Levels of the noise by kind, as ``filter.c`` numbers them.
+FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range(5)
+# Those of narrow-band disturbances: a variance counts among all of these, the others are of a sea.
+SEA_VARIANCE, SEA_PERIOD, SEA_DAMPING = range(5, 8)
+# Most disturbances that act through one parameter, as in ``filter.c``.
+MOST_PROCESSES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Disturbed:
+    """Variances and times of everything random in one pass.
+
+    Attributes
+    ----------
+    disturbances : tuple of str
+        Parameters of the model that are random; one stands there as often as processes act on it.
+        Those of first order come first.
+    variance, time : ndarray (n_disturbances,)
+        Stationary variance, and correlation time or period in s; time zero is white from step to
+        step.
+    white : ndarray (n_outputs,)
+        Variances of white sensor noise.
+    coloured : ndarray of int (n_coloured,)
+        Outputs with coloured errors.
+    colour_variance, colour_time : ndarray (n_coloured,)
+        Their variances, and correlation times in s.
+    damping : ndarray (n_disturbances,), optional
+        Of those of second order.
+    turn : ndarray of int (n_disturbances,), optional
+        0 for first order, 1 where the displacement acts, -1 where the velocity does.
+    sea : ndarray of int (n_disturbances,), optional
+        Which of those of second order share period and damping; -1 for first order.
+    """
+
+    disturbances: tuple[str, ...]
+    variance: np.ndarray
+    time: np.ndarray
+    white: np.ndarray
+    coloured: np.ndarray
+    colour_variance: np.ndarray
+    colour_time: np.ndarray
+    damping: Any = 0.0
+    turn: Any = 0
+    sea: Any = -1
+
+    def __post_init__(self) -> None:
+        for name, kind in (("damping", float), ("turn", np.intc), ("sea", np.intc)):
+            given = np.asarray(getattr(self, name), dtype=kind)
+            object.__setattr__(self, name, np.broadcast_to(given, self.variance.shape).copy())
+
+    @property
+    def acting(self) -> tuple[str, ...]:
+        """Parameters of the model that are random, each once."""
+        return tuple(dict.fromkeys(self.disturbances))
+
+    @property
+    def n_second(self) -> int:
+        """Number of second states, which come last of all."""
+        return int(np.sum(self.turn != 0))
+
+    def memory(self, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Transition of disturbances, colours and second states over a time.
+
+        Parameters
+        ----------
+        length : float
+            s.
+
+        Returns
+        -------
+        transition, by_time, by_damping : ndarray (n, n)
+            And its derivatives by the logarithms of all times and periods, and of all dampings.
+        """
+        n_first = len(self.variance) + len(self.coloured)
+        size = n_first + self.n_second
+        found = np.zeros((3, size, size))
+        times = np.maximum(np.concatenate([self.time, self.colour_time]), 1e-9)
+        second = n_first
+        for j, time in enumerate(times):
+            turn = self.turn[j] if j < len(self.turn) else 0
+            if turn == 0:
+                left = np.exp(-length / time)
+                found[:2, j, j] = left, left * length / time
+                continue
+            block = np.ix_((j, second), (j, second))
+            for kind, part in enumerate(narrow_band(length, time, float(self.damping[j]), turn)):
+                found[kind][block] = part
+            second += 1
+        return found[0], found[1], found[2]
+
+    @property
+    def stationary(self) -> np.ndarray:
+        """Variances of disturbances, colours and second states, ``(n,)``."""
+        return np.concatenate([self.variance, self.colour_variance, self.variance[self.turn != 0]])
+
+
+def narrow_band(
+    length: float, period: float, damping: float, turn: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Transition of what acts and of the second state, and its derivatives.
+
+    Parameters
+    ----------
+    length, period : float
+        s.
+    damping : float
+        Below one.
+    turn : int
+        1 where the displacement acts, -1 where the velocity does.
+
+    Returns
+    -------
+    transition, by_period, by_damping : ndarray (2, 2)
+        The latter by the logarithms.
+
+    Examples
+    --------
+    >>> phi, _, _ = narrow_band(8.0, 8.0, 0.1, -1)
+    >>> float(np.linalg.det(phi).round(4)), float(np.exp(-4 * np.pi * 0.1).round(4))
+    (0.2846, 0.2846)
+    """
+    z, angle, root = damping, 2 * np.pi * length / period, np.sqrt(1 - damping**2)
+    c, s, e = np.cos(angle * root), np.sin(angle * root) / root, np.exp(-damping * angle)
+    by_c, by_s = angle * z * s, z / root**2 * (s - angle * c)
+    mirror = np.array([[1.0, 0.0], [0.0, -1.0]])
+    cross = np.array([[0.0, 1.0], [-1.0, 0.0]])
+    unit = np.eye(2)
+    phi = e * (c * unit + turn * s * (z * mirror + cross))
+    rates = -z * unit + turn * (z * mirror + cross)
+    by_damping = e * (by_c * unit + turn * (by_s * (z * mirror + cross) + s * mirror))
+    return phi, -angle * rates @ phi, z * (by_damping - angle * phi)
+
+
+@dataclass(frozen=True, eq=False)
+class FilterPass:
+    """What one pass over one record returns.
+
+    Attributes
+    ----------
+    gram : ndarray (n_columns + n_levels + 1, same)
+        Sum of ``[de e]'[de e] / S``: derivatives of the innovations by columns and levels, then
+        the innovation itself.
+    level_slope : ndarray (n_levels,)
+        Half the sum of ``q (1 - e^2/S)`` with ``q = d log S``.
+    level_information : ndarray (n_levels, n_levels)
+        Half the sum of ``q q'``.
+    log_variance, square : float
+        Sums of ``log S`` and ``e^2/S``.
+    innovations, variances : ndarray (n_times, n_outputs)
+        ``e``, NaN where nothing was measured, and ``S``, also where nothing was.
+    rows : ndarray (n_times, n_outputs, n_columns + 2 n_levels) or None
+        ``de / sqrt(S)``, also where nothing was measured, then ``q`` of the levels.
+    path : ndarray (n_times, n_full + n_disturbances + n_coloured)
+        Filtered means.
+    gains : ndarray (n_times, n_outputs, 2, n) or None
+        Derivatives of each output, and the gain of its innovation; zero where missing. The ``n``
+        are active components, disturbances, colours and second states of disturbances.
+    moves : ndarray (n_times, n + n_disturbances, n) or None
+        Their transition towards the next sample (zero at the last one), above the predicted
+        covariance of the disturbances with them.
+    failed_at : int
+        First sample that is not finite, or -1.
+    """
+
+    gram: np.ndarray
+    level_slope: np.ndarray
+    level_information: np.ndarray
+    log_variance: float
+    square: float
+    innovations: np.ndarray
+    variances: np.ndarray
+    rows: np.ndarray | None
+    path: np.ndarray
+    gains: np.ndarray | None
+    moves: np.ndarray | None
+    failed_at: int
+
+    @property
+    def ok(self) -> bool:
+        """Whether everything stayed finite."""
+        return self.failed_at < 0
+
+    @property
+    def objective(self) -> float:
+        """Minus twice the log-likelihood, up to a constant."""
+        value = self.log_variance + self.square
+        return value if self.ok and np.isfinite(value) else np.inf
+
+
+class InterpretedFilter:
+    """One pass over one record.
+
+    Parameters
+    ----------
+    model : Model
+    values : ndarray (n_parameters,)
+    z0 : ndarray (n_full,)
+        Full state at the first sample.
+    kept : sequence of int
+        Components of it that are uncertain, then those that only pass derivatives on.
+    noise : Disturbed
+    longest_step : float
+        Longest time over which disturbances are held, s.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        values: np.ndarray,
+        z0: np.ndarray,
+        kept: np.ndarray,
+        noise: Disturbed,
+        longest_step: float,
+    ) -> None:
+        self.code, self.noise, self.longest_step = interpreted(model), noise, longest_step
+        self.z, self.values, self.kept = z0.copy(), values.copy(), kept
+        names = model.free_names
+        self.position = [model.parameter_names.index(name) for name in noise.disturbances]
+        n_full = len(z0)
+        random = [n_full + names.index(name) for name in noise.disturbances]
+        self.random = np.array(random, dtype=int)
+        self.na, self.m = len(kept), len(kept) + len(self.random)
+        self.coloured = slice(self.m, self.m + len(noise.coloured))
+        self.size = self.coloured.stop + noise.n_second
+        self.extra = slice(self.na, self.size)
+        self.tail = noise.stationary
+        self.mean = np.zeros(self.size)
+
+    def replay(
+        self, record: Commands, measured: np.ndarray, gains: np.ndarray, innovations: np.ndarray
+    ) -> int:
+        """Innovations at the gains of an earlier pass; -1, or the sample that is not finite."""
+        for k in range(len(measured)):
+            if not np.isfinite(self.z).all():
+                return k
+            self._let_act()
+            y = self.code.sample(self.z, record, k, self.values)[0]
+            delta = np.zeros(self.size)
+            for i in np.flatnonzero(np.isfinite(measured[k])):
+                h, gain = gains[k, i]
+                own = (self.noise.coloured == i) @ self.mean[self.coloured]
+                e = measured[k, i] - y[i] - h @ delta - own
+                if not np.isfinite(e):
+                    return k
+                delta += gain * e
+                innovations[k, i] = e
+            self._correct(delta)
+            for step, steps, length in self._parts(record[0], k):
+                self._advance(record, k, (step, steps), None)
+                self.mean[self.extra] = self.noise.memory(length)[0] @ self.mean[self.extra]
+        return -1
+
+    def filter(
+        self,
+        record: Commands,
+        measured: np.ndarray,
+        first: np.ndarray,
+        chosen: Sequence[int],
+        levels: Sequence[tuple[int, int]],
+        n_active: int,
+        found: FilterPass,
+        sums: tuple[np.ndarray, np.ndarray],
+    ) -> int:
+        """Fill the results as the compiled loop does; -1, or the failing sample."""
+        self.levels, self.found = levels, found
+        self.chosen = len(self.z) + np.array(chosen, dtype=int)
+        self.inside = [*range(n_active), *range(self.na, self.size)]
+        nx, nl = first.shape[1], len(levels)
+        self.big_x, self.p = np.zeros((self.size, nx)), np.zeros((self.size, self.size))
+        self.big_x[: self.na] = first
+        self.p[self.extra, self.extra] = np.diag(self.tail)
+        self.d_p, self.d_m = np.zeros((nl, self.size, self.size)), np.zeros((nl, self.size))
+        for level, (kind, index) in enumerate(levels):
+            if kind in (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE):
+                self.d_p[level, self.extra, self.extra] = self._unit(kind, index)
+        self.gram = np.zeros((nx + nl + 1,) * 2)
+        self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
+        for k in range(len(measured)):
+            if not np.isfinite(self.z).all() or not self._measure(record, k, measured[k]):
+                return k
+            for step, steps, length in self._parts(record[0], k):
+                self._predict(record, k, (step, steps), length)
+        found.gram[:] = self.gram
+        sums[0][:], sums[1][:] = [*self.slope, *self.information.ravel()], self.total
+        return -1
+
+    def _parts(self, times: np.ndarray, k: int) -> list[tuple[int, int, float]]:
+        """Steps from sample ``k`` on over which disturbances are held; none after the last."""
+        if k + 1 == len(times):
+            return []
+        interval = times[k + 1] - times[k]
+        steps = max(1, int(np.ceil(interval / self.longest_step - 1e-6)))
+        return [(step, steps, interval / steps) for step in range(steps)]
+
+    def _unit(self, kind: int, index: int) -> np.ndarray:
+        """Stationary covariance of a disturbance or colour of unit variance, with all of these."""
+        noise = self.noise
+        if kind == COLOUR_VARIANCE:
+            index += self.m - self.na
+        elif kind == SEA_VARIANCE:
+            index += int(np.sum(noise.sea < 0))
+        own = np.zeros(self.size - self.na)
+        own[index] = 1.0
+        if index < self.m - self.na:
+            own[self.coloured.stop - self.na :] = own[: self.m - self.na][noise.turn != 0]
+        return np.diag(own)
+
+    def _lasting(self, kind: int, index: int) -> np.ndarray:
+        """Disturbances, colours and second states of which a level is the time or damping."""
+        noise = self.noise
+        force, colour = np.arange(self.m - self.na), np.arange(len(noise.coloured))
+        if kind == FORCE_TIME:
+            hit = (noise.sea < 0) & ((index < 0) | (force == index))
+        else:
+            hit = (noise.sea == index) & (kind in (SEA_PERIOD, SEA_DAMPING))
+        own = (kind == COLOUR_TIME) & ((index < 0) | (colour == index))
+        return np.concatenate([hit, own, hit[noise.turn != 0]])
+
+    def _let_act(self) -> None:
+        """Disturbances into the parameters through which they act."""
+        self.values[self.position] = 0.0
+        np.add.at(self.values, self.position, self.mean[self.na : self.m])
+
+    def _correct(self, delta: np.ndarray) -> None:
+        self.z[self.kept] += delta[: self.na]
+        self.mean[self.na :] += delta[self.na :]
+
+    def _advance(
+        self, record: Commands, k: int, part: tuple[int, int], s: np.ndarray | None
+    ) -> np.ndarray | None:
+        """Move the state, and sensitivities ``s``, over one part of the time to the next sample."""
+        self._let_act()
+        if part[0] == 0:  # sensor memory moves on with what is known after the measurement
+            _, self.z, _, d_after = self.code.sample(self.z, record, k, self.values)
+            s = None if s is None else chained(d_after, s)
+        self.z, s = self.code.move(self.z, s, record, k, self.values, part)
+        return s
+
+    def _measure(self, record: Commands, k: int, measured: np.ndarray) -> bool:
+        """Correct by one sample, one output at a time; whether everything is finite."""
+        noise, found, na, m = self.noise, self.found, self.na, self.m
+        self._let_act()
+        y, _, dy, _ = self.code.sample(self.z, record, k, self.values)
+        if found.moves is not None:
+            found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
+        nx, nl, n_p = self.big_x.shape[1], len(self.levels), len(self.chosen)
+        delta, second = np.zeros(self.size), np.zeros(noise.n_second)
+        for i in range(len(y)):
+            of_sensor = noise.coloured == i
+            h = np.concatenate([dy[i, self.kept], dy[i, self.random], of_sensor, second])
+            g = self.p @ h
+            s = float(h @ g + noise.white[i])
+            found.variances[k, i] = s
+            if not s > 0:
+                return False
+            row = np.zeros(nx + nl + 1)
+            row[nx - n_p : nx] = -dy[i, self.chosen]
+            row[:nx] -= h @ self.big_x
+            row[nx:-1] = -self.d_m @ h
+            if found.rows is not None:
+                found.rows[k, i, : nx + nl] = row[:-1] / np.sqrt(s)
+            if not np.isfinite(measured[i]):
+                continue
+            row[-1] = e = float(measured[i] - y[i] - h @ delta - h[m:] @ self.mean[m:])
+            if not np.isfinite(e):
+                return False
+            delta += g * e / s
+            q = self._corrected(i, h, g, s, row)
+            if found.rows is not None:
+                found.rows[k, i, nx + nl :] = q
+            if found.gains is not None:
+                found.gains[k, i] = h[self.inside], g[self.inside] / s
+            found.innovations[k, i] = e
+        self._correct(delta)
+        found.path[k] = [*self.z, *self.mean[na : self.coloured.stop]]
+        return True
+
+    def _corrected(
+        self, output: int, h: np.ndarray, g: np.ndarray, s: float, row: np.ndarray
+    ) -> np.ndarray:
+        """Covariance, columns, tangents and sums after one scalar; ``q`` of the levels."""
+        nx, e = self.big_x.shape[1], row[-1]
+        own = [kind == WHITE_VARIANCE and index == output for kind, index in self.levels]
+        d_g = self.d_p @ h
+        q = (d_g @ h + np.array(own, dtype=float)) / s
+        self.big_x += np.outer(g, row[:nx]) / s
+        self.d_m += ((d_g - np.outer(q, g)) * e + np.outer(row[nx:-1], g)) / s
+        cross = d_g[:, :, None] * g
+        both = cross + np.swapaxes(cross, 1, 2)
+        self.d_p -= (both - q[:, None, None] * np.outer(g, g)) / s
+        self.p -= np.outer(g, g) / s
+        self.gram += np.outer(row, row) / s
+        self.slope += 0.5 * q * (1 - e**2 / s)
+        self.information += 0.5 * np.outer(q, q)
+        self.total += np.log(s), e**2 / s
+        return q
+
+    def _predict(self, record: Commands, k: int, part: tuple[int, int], length: float) -> None:
+        """Mean, covariance, columns and tangents over one part of the time to the next sample."""
+        na, m, extra, n_full = self.na, self.m, self.extra, len(self.z)
+        s = self._advance(
+            record, k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices))
+        )
+        assert s is not None
+        phi, by_time, by_damping = self.noise.memory(length)
+        f = np.zeros((self.size, self.size))
+        f[:na, :na] = s[np.ix_(self.kept, self.kept)]
+        f[:na, na:m] = s[np.ix_(self.kept, self.random)]
+        f[extra, extra] = phi
+        if self.found.moves is not None:
+            count = len(self.inside)
+            before = self.found.moves[k, :count] if part[0] else np.eye(count)
+            self.found.moves[k, :count] = f[np.ix_(self.inside, self.inside)] @ before
+        self.big_x = f @ self.big_x
+        self.big_x[:na, self.big_x.shape[1] - len(self.chosen) :] += s[
+            np.ix_(self.kept, self.chosen)
+        ]
+        for level in range(len(self.levels)):
+            kind = self.levels[level][0]
+            self._predict_level(level, f, phi, by_damping if kind == SEA_DAMPING else by_time)
+        self.p = f @ self.p @ f.T
+        self.p[extra, extra] += np.diag(self.tail) - phi * self.tail @ phi.T
+        self.mean[extra] = phi @ self.mean[extra]
+
+    def _predict_level(self, level: int, f: np.ndarray, phi: np.ndarray, d_phi: np.ndarray) -> None:
+        """Tangents by one level; the covariance is still the one before the step."""
+        kind, index = self.levels[level]
+        extra = self.extra
+        d_p = f @ self.d_p[level] @ f.T
+        self.d_m[level] = f @ self.d_m[level]
+        if kind in (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE):
+            unit = self._unit(kind, index)
+            d_p[extra, extra] += unit - phi @ unit @ phi.T
+        elif kind != WHITE_VARIANCE:
+            change = np.where(self._lasting(kind, index)[:, None], d_phi, 0.0)
+            self.d_m[level, extra] += change @ self.mean[extra]
+            moved = change @ (self.p[extra] @ f.T)
+            d_p[extra] += moved
+            d_p[:, extra] += moved.T
+            fresh = change * self.tail @ phi.T
+            d_p[extra, extra] -= fresh + fresh.T
+        self.d_p[level] = d_p
 
 
 class FilterKernel:
@@ -177,13 +614,32 @@ class FilterKernel:
         n_random = len(noise.disturbances)
         size = self.n_full + n_random + len(noise.coloured)
         inner = n_active + n_random + len(noise.coloured) + noise.n_second
-        found = Results.empty(n, plain.n_outputs, width, len(levels), size, rows)
-        found.gains = np.zeros((n, plain.n_outputs, 2, inner)) if gains else None
-        found.moves = np.zeros((n, inner + n_random, inner)) if moves else None
+        n_levels, n_outputs = len(levels), plain.n_outputs
+        level, total = np.zeros(n_levels * (n_levels + 1)), np.full(2, np.inf)
+        # What no pass fills stays NaN.
+        found = FilterPass(
+            gram=np.full((width + 1, width + 1), np.nan),
+            level_slope=level[:n_levels],
+            level_information=level[n_levels:].reshape(n_levels, n_levels),
+            log_variance=np.inf,
+            square=np.inf,
+            innovations=np.full((n, n_outputs), np.nan),
+            variances=np.full((n, n_outputs), np.nan),
+            rows=np.zeros((n, n_outputs, width + n_levels)) if rows else None,
+            path=np.full((n, size), np.nan),
+            gains=np.zeros((n, n_outputs, 2, inner)) if gains else None,
+            moves=np.zeros((n, inner + n_random, inner)) if moves else None,
+            failed_at=-1,
+        )
+
+        def done(failed: int) -> FilterPass:
+            sums = float(total[0]), float(total[1])
+            return replace(found, log_variance=sums[0], square=sums[1], failed_at=failed)
+
         if self._library is None:
             slow = InterpretedFilter(self.model, values, z0, kept, noise, longest_step)
-            failed = slow.filter((times, inputs), measured, first, chosen, levels, n_active, found)
-            return found.done(failed)
+            record, sums = (times, inputs), (level, total)
+            return done(slow.filter(record, measured, first, chosen, levels, n_active, found, sums))
         columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
         parameter, disturbance = n_active, n_active + len(chosen)
         columns[chosen] = parameter + np.arange(len(chosen))
@@ -197,17 +653,8 @@ class FilterKernel:
         x0, q_variance, q_time, white, c_variance, c_time = doubles(
             first, noise.variance, q_time, noise.white, noise.colour_variance, c_time
         )
-        work = np.empty(
-            self._library.kernel_filter_work(
-                n_active,
-                len(passing),
-                n_random,
-                len(coloured),
-                noise.n_second,
-                first.shape[1],
-                len(levels),
-            )
-        )
+        sizes = (n_random, len(coloured), noise.n_second, first.shape[1], len(levels))
+        work = np.empty(self._library.kernel_filter_work(n_active, len(passing), *sizes))
         h_max = float(self.model.step)
         failed = call(
             self._library.kernel_filter, n, times, inputs, values, h_max, longest_step,
@@ -215,10 +662,10 @@ class FilterKernel:
             columns, x0, n_random, len(random), positions, acting, q_variance, q_time,
             noise.damping, noise.turn, noise.sea, white, len(coloured), coloured, c_variance,
             c_time, measured,
-            len(levels), kinds, indices, found.gram, found.level, found.e, found.s, found.rows,
-            found.path, found.gains, found.moves, found.total, work,
+            len(levels), kinds, indices, found.gram, level, found.innovations,
+            found.variances, found.rows, found.path, found.gains, found.moves, total, work,
         )  # fmt: skip
-        return found.done(failed)
+        return done(failed)
 
     def replay(
         self,

@@ -80,12 +80,17 @@ class Graph:
     n_states: int
     n_actuator_memory: int
     n_sensor_memory: int
-    free_indices: tuple[int, ...]
 
     @property
     def n_full(self) -> int:
         """Length of the full state ``z``."""
         return self.n_states + self.n_actuator_memory + self.n_sensor_memory
+
+    @property
+    def free_indices(self) -> tuple[int, ...]:
+        """Places of the free parameters among all."""
+        free = set(self.model.free_names)
+        return tuple(i for i, name in enumerate(self.model.parameter_names) if name in free)
 
     @property
     def linear_inputs(self) -> tuple[bool, ...]:
@@ -191,6 +196,10 @@ def _apply(effect: Effect, scope: Scope, tables: Mapping) -> tuple[Scope, Scope]
     return local, {key: to_casadi(text, local, tables) for key, text in effect.terms.items()}
 
 
+def _symbols(named: Iterable[str]) -> Scope:
+    return {name: ca.SX.sym(name) for name in named}
+
+
 def _vertcat(items: Iterable[ca.SX]) -> ca.SX:
     parts = list(items)
     return ca.densify(ca.vertcat(*parts)) if parts else ca.SX(0, 1)
@@ -199,9 +208,8 @@ def _vertcat(items: Iterable[ca.SX]) -> ca.SX:
 def _build(model: Model) -> Graph:
     tables = model.library
     added = [state.name for effect in model.effects for state in effect.states]
-    states = {name: ca.SX.sym(name) for name in (*model.state_names, *added)}
-    inputs = {name: ca.SX.sym(name) for name in model.input_names}
-    parameters = {name: ca.SX.sym(name) for name in model.parameter_names}
+    states = _symbols((*model.state_names, *added))
+    inputs, parameters = _symbols(model.input_names), _symbols(model.parameter_names)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     always = parameters | {"t": t, "h": h}
     p, x, command = (_vertcat(part.values()) for part in (parameters, states, inputs))
@@ -220,7 +228,7 @@ def _build(model: Model) -> Graph:
     )
 
     # Motion between the samples.
-    drive = {name: ca.SX.sym(name) for name in acting.signals}
+    drive = _symbols(acting.signals)
     lasting = [effect for effect in actuators if not is_sampled(model, effect)]
     motion = _Motion.of(model, states, states | drive | always, lasting)
     d = _vertcat(drive.values())
@@ -251,7 +259,6 @@ def _build(model: Model) -> Graph:
     # The step length is not known before the first sample; nothing may depend on it.
     full = ca.densify(ca.substitute(full, h, 1.0))
     start = ca.Function("start", [_vertcat(own.values()), command, p, t], [full], {"cse": True})
-    free = set(model.free_names)
     return Graph(
         model=model,
         actuate=actuate,
@@ -264,7 +271,6 @@ def _build(model: Model) -> Graph:
         n_states=len(states),
         n_actuator_memory=acting.memory.numel(),
         n_sensor_memory=sensing.memory.numel(),
-        free_indices=tuple(i for i, name in enumerate(model.parameter_names) if name in free),
     )
 
 

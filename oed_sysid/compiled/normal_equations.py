@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.compiled.compile import call, doubles
-from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.compiled.kernels import Kernel, Run
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,9 +98,8 @@ def gather(
     """
     n_segments, size = len(starts), kernel.n_columns + 1
     if kernel.library is None:
-        return _gather_numpy(
-            kernel, times, inputs, values, nodes, measured, sigma, starts=starts, linked=linked
-        )
+        run = kernel.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
+        return _summed(run, measured, sigma, starts, linked)
     starts = np.ascontiguousarray(starts, dtype=np.intc)
     gram = np.empty((n_segments, size, size))
     ends = np.empty((n_segments, kernel.n_full)) if linked else None
@@ -117,19 +116,10 @@ def gather(
     return Blocks(gram, ends, dends)
 
 
-def _gather_numpy(
-    kernel: Kernel,
-    times: np.ndarray,
-    inputs: np.ndarray,
-    values: np.ndarray,
-    nodes: np.ndarray,
-    measured: np.ndarray,
-    sigma: np.ndarray,
-    *,
-    starts: np.ndarray,
-    linked: bool,
+def _summed(
+    run: Run, measured: np.ndarray, sigma: np.ndarray, starts: np.ndarray, linked: bool
 ) -> Blocks | None:
-    run = kernel.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
+    """The same sums by NumPy, from a run with its sensitivities."""
     if not run.ok or run.output_sensitivities is None:
         return None
     present = np.isfinite(measured)

@@ -17,7 +17,15 @@ from oed_sysid.data.record import TIME_ADVICE, TURN, clear_wraps, closest, time_
 from oed_sysid.errors import DataError, UnitWarning
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import Table, time_stamp
-from oed_sysid.text.units import dimension, foreign, latin, parse_header, to_si
+from oed_sysid.text.units import (
+    converts,
+    dimension,
+    foreign,
+    latin,
+    parse_header,
+    same_unit,
+    to_si,
+)
 
 # -- columns of a table on their way to channels ---------------------------------------
 
@@ -411,7 +419,7 @@ class Columns:
 def _check_said_once(where: str, channel: str, name: str, unit: str) -> None:
     """Refuse a header whose name ends on another unit than stands in its brackets."""
     suffix = parse_header(name)[1]
-    if suffix is not None and not _same_unit(suffix, unit):
+    if suffix is not None and not same_unit(suffix, unit):
         raise DataError(
             f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are in, "
             f"as '{channel} [{unit}]'."
@@ -420,7 +428,6 @@ def _check_said_once(where: str, channel: str, name: str, unit: str) -> None:
 
 def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> None:
     """Refuse a unit in which its channel cannot be given."""
-    needed = dimension(channel.unit)
     try:
         found = dimension(unit)
     except DataError as error:
@@ -430,21 +437,12 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
             f"{where} is in [{unit}], and a part in a hundred of an angle is none. Write "
             f"'{name} [deg]' if the numbers are degrees."
         )
-    # Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
-    if found != needed or found.radian != needed.radian:
+    if not converts(unit, channel.unit):
         raise DataError(
             f"{where} is in [{unit}] but channel {channel.name} needs [{channel.unit}] or a "
             "unit that converts to it. Correct the unit in the header, as "
             f"'{name} [{channel.unit}]', or choose another column with column=..."
         )
-
-
-def _same_unit(one: str, other: str) -> bool:
-    """Whether two texts mean one unit; what is none of the package's does not."""
-    try:
-        return dimension(one) == dimension(other) and to_si(1.0, one) == to_si(1.0, other)
-    except DataError:
-        return False
 
 
 def _clock_of_digits(times: np.ndarray) -> bool:

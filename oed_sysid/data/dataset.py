@@ -180,7 +180,7 @@ class Dataset:
         time: str | None = None,
         units: Mapping[str, str] | None = None,
     ) -> Dataset:
-        """Read records from a pandas data frame.
+        """Read records from a pandas data frame, or an xarray data set of variables over time.
 
         Columns are found and converted as :func:`read_csv` does. The time is a column, or the
         index if that holds dates or is called ``t`` or ``time``. A column ``record`` tells
@@ -188,8 +188,9 @@ class Dataset:
 
         Parameters
         ----------
-        table : pandas.DataFrame
-            One row per sample.
+        table : pandas.DataFrame or xarray.Dataset
+            One row per sample, or variables with one dimension, the time; of these units come
+            from the attribute ``units``.
         channels : Channels
             What to look for.
         name : str
@@ -219,35 +220,7 @@ class Dataset:
         _check_channels(channels)
         return cls(tuple(_records(tables_of(table, name), channels, time, units)))
 
-    @classmethod
-    def from_xarray(
-        cls,
-        table: Any,
-        channels: Channels,
-        *,
-        name: str = "record",
-        time: str | None = None,
-        units: Mapping[str, str] | None = None,
-    ) -> Dataset:
-        """Read records from an xarray data set of variables over time.
-
-        Units come from the attribute ``units`` of each variable; everything else is as in
-        :meth:`from_dataframe`.
-
-        Parameters
-        ----------
-        table : xarray.Dataset
-            Variables with one dimension, the time.
-        channels : Channels
-            What to look for.
-        name : str
-            Name of the record, where there is one.
-        time : str, optional
-            Name of the time coordinate.
-        units : mapping of str to str, optional
-            Units of variables without one.
-        """
-        return cls.from_dataframe(table, channels, name=name, time=time, units=units)
+    from_xarray = from_dataframe
 
     def to_dataframe(self) -> Any:
         """All records as one pandas data frame: ``record``, ``t [s]``, then one column per channel.

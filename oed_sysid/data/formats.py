@@ -13,6 +13,7 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from datetime import datetime
 from importlib.util import find_spec
+from itertools import zip_longest
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,12 +23,12 @@ from oed_sysid.data import apart
 from oed_sysid.data.apart import guarded, read_apart
 from oed_sysid.data.csv_columns import EPOCH
 from oed_sysid.data.frames import columns_of, is_time, plain
-from oed_sysid.data.log import Log, assemble, library
+from oed_sysid.data.log import TABLE, Log, Rows, assemble, library, topics_of
 from oed_sysid.data.nmea import read_nmea
 from oed_sysid.data.ros import read_bag, read_mcap
 from oed_sysid.errors import DataError
 from oed_sysid.text.csv_table import read_table
-from oed_sysid.text.units import dimension, parse_header, to_si
+from oed_sysid.text.units import is_unit, parse_header, to_si
 
 # -- tables with a header --------------------------------------------------------------
 
@@ -53,21 +54,17 @@ def read_excel(path: Path) -> Log:
     """
     openpyxl = library("openpyxl", "an Excel workbook")
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
-    sheets = {
-        sheet.title: [list(row) for row in sheet.iter_rows(values_only=True)] for sheet in book
-    }
-    book.close()
     tables = {}
-    for title, rows in sheets.items():
-        rows = [row for row in rows if any(cell is not None for cell in row)]
-        if len(rows) < 3:
-            continue
-        headers = [str(cell).strip() if cell is not None else "" for cell in rows[0]]
-        tables[title.replace(" ", "_")] = {
-            header: np.array([_cell(row[i]) for row in rows[1:]])
-            for i, header in enumerate(headers)
-            if header
-        }
+    for sheet in book:
+        every = sheet.iter_rows(values_only=True)
+        rows = [row for row in every if any(cell is not None for cell in row)]
+        if len(rows) > 2:
+            tables[sheet.title.replace(" ", "_")] = {
+                str(header).strip(): np.array([_cell(value) for value in column])
+                for header, *column in zip_longest(*rows)
+                if header is not None
+            }
+    book.close()
     return _log(path, "Excel workbook", tables)
 
 
@@ -90,7 +87,7 @@ def read_parquet(path: Path) -> Log:
     parquet = library("pyarrow.parquet", "a Parquet file")
     table = parquet.read_table(path)
     columns = {name: plain(table[name].to_numpy()) for name in table.column_names}
-    return _log(path, "Parquet file", {path.stem: _numeric(columns)})
+    return _log(path, "Parquet file", {path.stem: columns})
 
 
 def log_of(table: Any, *, name: str = "table") -> Log:
@@ -111,22 +108,17 @@ def log_of(table: Any, *, name: str = "table") -> Log:
     >>> log_of(frame)["table.r [deg/s]"].unit
     'deg/s'
     """
-    columns = columns_of(table)
-    return _log(Path(name), type(table).__name__, {name: _numeric(columns)})
-
-
-def _numeric(columns: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    return {name: values for name, values in columns.items() if values.dtype.kind == "f"}
+    return _log(Path(name), type(table).__name__, {name: columns_of(table)})
 
 
 def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) -> Log:
     topics = {}
     for topic, columns in tables.items():
-        clock = next(filter(is_time, columns), None)
+        fields = {name: values for name, values in columns.items() if values.dtype.kind == "f"}
+        clock = next(filter(is_time, fields), None)
         if clock is None:
             continue
-        times = to_si(columns[clock], parse_header(clock)[1] or "s")[0]
-        fields = {header: values for header, values in columns.items() if header != clock}
+        times = to_si(fields.pop(clock), parse_header(clock)[1] or "s")[0]
         if np.isfinite(times).sum() > 1 and fields:
             topics[topic] = (times, fields)
     if not topics:
@@ -138,7 +130,7 @@ def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) 
     first = min(float(np.nanmin(times)) for times, _ in topics.values())
     origin = None
     if EPOCH[0] < first < EPOCH[1]:
-        origin = f"{datetime.fromtimestamp(first).astimezone().isoformat()}"
+        origin = datetime.fromtimestamp(first).astimezone().isoformat()
     return assemble(path, kind, topics, origin=origin)
 
 
@@ -200,20 +192,8 @@ def _broke_off(path: Path) -> bool:
 # -- ArduPilot DataFlash logs ----------------------------------------------------------
 
 
-# ArduPilot's words for units that this package writes otherwise.
-_SPELLINGS = {
-    "m/s/s": "m/s^2",
-    "deg/s/s": "deg/s^2",
-    "rad/s/s": "rad/s^2",
-    "degheading": "deg",
-    "deglatitude": "deg",
-    "deglongitude": "deg",
-    "°C": "degC",
-    "PWM": "us",
-}
-_PREFIXES = {"d": 1e-1, "c": 1e-2, "m": 1e-3, "µ": 1e-6, "n": 1e-9}
 # What a log is made of, not what the vehicle did.
-_ADMINISTRATION = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "CMD")
+_ADMINISTRATION = ("FMT", "FMTU", "UNIT", "MULT", "PARM", "MSG", "FILE", "CMD", "BAD_DATA")
 
 
 def read_dataflash(path: Path) -> Log:
@@ -232,41 +212,30 @@ def read_dataflash(path: Path) -> Log:
     DataError
         If pymavlink is missing or the file holds no messages.
     """
-    rows, formats, said = _messages(path)
+    rows, units, said = _messages(path)
     notes = []
     if "bad" in said or "skipped" in said:
         notes.append(f"{path.name} is damaged or breaks off: parts of it were skipped.")
-    topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
-    units: dict[str, str] = {}
-    for topic, messages in rows.items():
-        columns, known = formats[topic]
-        times, table = np.array([time for time, _ in messages]), np.array([v for _, v in messages])
-        present = [
-            name for name, one in zip(columns, table.T, strict=True) if np.isfinite(one).any()
-        ]
-        if present:
-            fields = {name: table[:, columns.index(name)] * known[name][1] for name in present}
-            topics[topic] = (times, fields)
-        units |= {f"{topic}.{name}": known[name][0] for name in present if known[name][0]}
-    if not topics:
+    if not rows:
         raise DataError(
             f"{path.name} holds no message with a time: it is empty, torn, or no DataFlash log. "
             "Copy it again from the vehicle."
         )
-    return assemble(path, "ArduPilot log (DataFlash)", topics, units=units, notes=notes)
+    kind = "ArduPilot log (DataFlash)"
+    return assemble(path, kind, topics_of(rows), units=units, notes=notes)
 
 
-def _messages(path: Path) -> tuple[dict, dict, str]:
-    """Rows and formats of every topic of a DataFlash log, and what its reader complained of."""
+def _messages(path: Path) -> tuple[Rows, dict[str, str], str]:
+    """Rows of every topic and units of every field, and what the reader complained of."""
     reader_module = library("pymavlink.DFReader", "an ArduPilot log (DataFlash)")
-    rows: dict[str, list[tuple[float, list[float]]]] = {}
-    formats: dict[str, tuple[list[str], dict[str, tuple[str, float]]]] = {}
+    rows: Rows = {}
+    units: dict[str, tuple[str, float]] = {}
     said = io.StringIO()
     try:
         with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
             reader = reader_module.DFReader_binary(str(path), zero_time_base=True)
             for message in iter(reader.recv_msg, None):
-                _keep(message, rows, formats)
+                _keep(message, rows, units)
             if reader.data_len - reader.offset > 0:
                 said.write("skipped: the last message is not whole")
             reader.close()
@@ -274,59 +243,50 @@ def _messages(path: Path) -> tuple[dict, dict, str]:
         if not rows:
             raise
         said.write("bad")
-    return rows, formats, said.getvalue().lower()
+    known = {name: unit for name, (unit, _) in units.items() if unit}
+    return rows, known, said.getvalue().lower()
 
 
-def _keep(message: object, rows: dict, formats: dict) -> None:
+def _keep(message: Any, rows: Rows, units: dict[str, tuple[str, float]]) -> None:
     """Take the numbers of one message, if it has a time of its own."""
-    kind = message.get_type()  # type: ignore[attr-defined]
-    form = message.fmt  # type: ignore[attr-defined]
-    if kind in _ADMINISTRATION or kind == "BAD_DATA":
+    topic, form = message.get_type(), message.fmt
+    clock = next((name for name in _CLOCKS if name in form.columns), None)
+    if topic in _ADMINISTRATION or clock is None:
         return
-    clock = next(((name, size) for name, size in _CLOCKS if name in form.columns), None)
-    if clock is None:
-        return
-    time = _number(message, clock[0]) * clock[1]
-    topic = kind
-    if form.instance_field is not None:
-        number = int(_number(message, form.instance_field))
-        topic = kind if number == 0 else f"{kind}_{number}"
-    columns = [name for name in form.columns if name not in (clock[0], form.instance_field)]
-    if topic not in formats:
-        formats[topic] = (columns, {name: _unit(form.get_unit(name)) for name in columns})
-        rows[topic] = []
-    rows[topic].append((time, [_number(message, name) for name in formats[topic][0]]))
+    number = {
+        name: float(value)
+        for name in form.columns
+        if isinstance(value := getattr(message, name, None), int | float)
+    }
+    time, instance = number.pop(clock, np.nan), number.pop(form.instance_field, 0.0)
+    topic = f"{topic}_{instance:.0f}" if instance else topic
+    row = {}
+    for name, value in number.items():
+        full = f"{topic}.{name}"
+        if full not in units:
+            units[full] = _unit(form.get_unit(name))
+        row[name] = value * units[full][1]
+    if np.isfinite([*row.values()]).any():
+        rows.setdefault(topic, []).append((time * _CLOCKS[clock], row))
 
 
-_CLOCKS = (("TimeUS", 1e-6), ("TimeMS", 1e-3))
-
-
-def _number(message: object, name: str) -> float:
-    value = getattr(message, name, None)
-    return float(value) if isinstance(value, int | float) else np.nan
+_CLOCKS = {"TimeUS": 1e-6, "TimeMS": 1e-3}
 
 
 def _unit(text: str | None) -> tuple[str, float]:
     """Unit as this package writes it, and the factor that brings the numbers into it."""
     if not text or text in ("UNKNOWN", "instance"):
         return "", 1.0
+    spellings, prefixes = TABLE["spellings"], TABLE["prefixes"]
     scaled = re.fullmatch(r"([\d.e+-]+) (.+)", text)
     factor, unit = (float(scaled[1]), scaled[2]) if scaled else (1.0, text)
-    unit = _SPELLINGS.get(unit, unit)
-    if _known(unit):
+    unit = spellings.get(unit, unit)
+    rest = spellings.get(unit[1:], unit[1:])
+    if is_unit(unit):
         return unit, factor
-    prefix, rest = unit[0], _SPELLINGS.get(unit[1:], unit[1:])
-    if prefix in _PREFIXES and _known(rest):
-        return rest, factor * _PREFIXES[prefix]
+    if unit[0] in prefixes and is_unit(rest):
+        return rest, factor * prefixes[unit[0]]
     return "", 1.0
-
-
-def _known(unit: str) -> bool:
-    try:
-        dimension(unit)
-    except DataError:
-        return False
-    return bool(unit)
 
 
 # -- MATLAB files ----------------------------------------------------------------------

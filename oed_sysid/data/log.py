@@ -34,9 +34,11 @@ good to 1e-4 of the distance within 10 km below 60 degrees of latitude.
 from __future__ import annotations
 
 import re
+import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
+from importlib.resources import files
 from pathlib import Path
 from types import ModuleType
 
@@ -44,7 +46,7 @@ import numpy as np
 
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError
-from oed_sysid.text.units import dimension, parse_header
+from oed_sysid.text.units import is_unit, parse_header
 
 # -- libraries that read one format each -----------------------------------------------
 
@@ -88,84 +90,8 @@ def library(name: str, what: str, *, extra: str = "logs") -> ModuleType:
 # -- units and symbols of fields that logs do not spell out but their formats define ---
 
 
-# Field (topic.field) to unit and, where it is that of a body in NED axes, SNAME symbol.
-_KNOWN: tuple[tuple[str, str, str], ...] = (
-    # PX4
-    (r"vehicle_angular_velocity(_\d+)?\.xyz\[0\]", "rad/s", "p"),
-    (r"vehicle_angular_velocity(_\d+)?\.xyz\[1\]", "rad/s", "q"),
-    (r"vehicle_angular_velocity(_\d+)?\.xyz\[2\]", "rad/s", "r"),
-    (r"vehicle_angular_acceleration(_\d+)?\.xyz\[\d\]", "rad/s^2", ""),
-    (r"vehicle_acceleration(_\d+)?\.xyz\[\d\]", "m/s^2", ""),
-    (r"vehicle_attitude(_\d+)?\.roll", "rad", "phi"),
-    (r"vehicle_attitude(_\d+)?\.pitch", "rad", "theta"),
-    (r"vehicle_attitude(_\d+)?\.yaw", "rad", "psi"),
-    (r"vehicle_local_position(_\d+)?\.x", "m", "x"),
-    (r"vehicle_local_position(_\d+)?\.y", "m", "y"),
-    (r"vehicle_local_position(_\d+)?\.z", "m", "z"),
-    (r"vehicle_local_position(_\d+)?\.v[xyz]", "m/s", ""),
-    (r"vehicle_local_position(_\d+)?\.a[xyz]", "m/s^2", ""),
-    (r"vehicle_local_position(_\d+)?\.heading", "rad", "psi"),
-    (r"vehicle_attitude_setpoint(_\d+)?\.(roll|pitch|yaw)_body", "rad", ""),
-    (r"vehicle_rates_setpoint(_\d+)?\.(roll|pitch|yaw)", "rad/s", ""),
-    (r"sensor_combined(_\d+)?\.gyro_rad\[0\]", "rad/s", "p"),
-    (r"sensor_combined(_\d+)?\.gyro_rad\[1\]", "rad/s", "q"),
-    (r"sensor_combined(_\d+)?\.gyro_rad\[2\]", "rad/s", "r"),
-    (r"sensor_combined(_\d+)?\.accelerometer_m_s2\[\d\]", "m/s^2", ""),
-    (r"sensor_gyro(_\d+)?\.[xyz]", "rad/s", ""),
-    (r"sensor_accel(_\d+)?\.[xyz]", "m/s^2", ""),
-    (r"(actuator_controls\w*|actuator_outputs|actuator_motors|actuator_servos)(_\d+)?\."
-     r"(control|output)\[\d+\]", "1", ""),
-    (r"wind(_estimate)?(_\d+)?\.windspeed_(north|east)", "m/s", ""),
-    # ArduPilot, in its own words
-    (r"ATT(_\d+)?\.Roll", "deg", "phi"),
-    (r"ATT(_\d+)?\.Pitch", "deg", "theta"),
-    (r"ATT(_\d+)?\.Yaw", "deg", "psi"),
-    (r"IMU(_\d+)?\.GyrX", "rad/s", "p"),
-    (r"IMU(_\d+)?\.GyrY", "rad/s", "q"),
-    (r"IMU(_\d+)?\.GyrZ", "rad/s", "r"),
-    (r"IMU(_\d+)?\.Acc[XYZ]", "m/s^2", ""),
-    (r"RC(OU|IN)(_\d+)?\.C\d+", "us", ""),
-    # ROS, REP 103
-    (r".*\borientation\.[wxyz]", "1", ""),
-    (r".*\bangular_velocity\.[xyz]", "rad/s", ""),
-    (r".*\blinear_acceleration\.[xyz]", "m/s^2", ""),
-    (r".*\b(twist\.)?linear\.[xyz]", "m/s", ""),
-    (r".*\b(twist\.)?angular\.[xyz]", "rad/s", ""),
-    (r".*\b(pose\.|point\.)position\.[xyz]|.*\btranslation\.[xyz]", "m", ""),
-    (r".*\bforce\.[xyz]", "N", ""),
-    (r".*\btorque\.[xyz]", "N m", ""),
-    (r".*\bfluid_pressure", "Pa", ""),
-    (r".*\b(latitude|longitude)", "deg", ""),
-    # NMEA 0183 (the parser's names of sentence and field)
-    (r"\w*HD[TM]\.heading|\w*HDG\.heading", "deg", "psi"),
-    (r"\w*ROT\.rate_of_turn", "deg/min", "r"),
-    (r"\w*(RMC|VTG)\.(spd_over_grnd|spd_over_grnd_kts)", "kn", ""),
-    (r"\w*(RMC|VTG)\.true_(course|track)", "deg", ""),
-    (r"\w*VTG\.spd_over_grnd_kmph", "km/h", ""),
-    (r"\w*VHW\.water_speed_knots", "kn", "u"),
-    (r"\w*VHW\.heading_(true|magnetic)", "deg", "psi"),
-    (r"\w*RSA\.rsa_(starboard|port)", "deg", ""),
-    (r"\w*(DPT\.depth|DBT\.depth_meters)", "m", ""),
-    (r"\w*MWV\.wind_angle", "deg", ""),
-)  # fmt: skip
-_COMPILED = tuple((re.compile(pattern), unit, symbol) for pattern, unit, symbol in _KNOWN)
-# Endings of names that loggers write without brackets.
-_ENDINGS = (
-    ("_m_s2", "m/s^2"), ("_m_s_s", "m/s^2"), ("_rad_s", "rad/s"), ("_deg_s", "deg/s"),
-    ("_m_s", "m/s"), ("_rad", "rad"), ("_deg", "deg"), ("_pa", "Pa"), ("_celsius", "degC"),
-    ("_celcius", "degC"), ("_meter", "m"), ("_rpm", "rpm"),
-)  # fmt: skip
-_SYMBOLS = {
-    "phi": ("roll", "heel"),
-    "theta": ("pitch",),
-    "psi": ("yaw", "heading", "hdg", "compass"),
-    "p": ("roll_rate", "rollspeed"),
-    "q": ("pitch_rate", "pitchspeed"),
-    "r": ("yaw_rate", "yawspeed", "rate_of_turn", "rot"),
-    "z": ("depth",),
-    "x": ("north",),
-    "y": ("east",),
-}
+TABLE = tomllib.loads(files(__package__).joinpath("fields.toml").read_text("utf-8"))
+_KNOWN = tuple((re.compile(pattern), unit, symbol) for pattern, unit, symbol in TABLE["known"])
 
 
 def unit_of(name: str) -> str | None:
@@ -183,22 +109,18 @@ def unit_of(name: str) -> str | None:
     >>> unit_of("imu.orientation.w"), unit_of("sheet.rudder [deg]"), unit_of("status.mode")
     ('1', 'deg', None)
     """
-    for pattern, unit, _ in _COMPILED:
+    for pattern, unit, _ in _KNOWN:
         if pattern.fullmatch(name):
             return unit
     bare = re.sub(r"\[\d+\]$", "", name)
-    for ending, unit in _ENDINGS:
+    for ending, unit in TABLE["endings"]:
         if bare.endswith(ending):
             return unit
     header = name.rpartition(".")[2] if "[" not in name else name.split(".", 1)[-1]
     if re.search(r"\[\d*\]$", header):
         return None
     unit = parse_header(header)[1] or ""
-    try:
-        dimension(unit)
-    except DataError:
-        return None
-    return unit or None
+    return unit if is_unit(unit) else None
 
 
 def symbol_of(name: str) -> str:
@@ -209,11 +131,11 @@ def symbol_of(name: str) -> str:
     >>> symbol_of("vehicle_attitude.yaw"), symbol_of("boat.heading"), symbol_of("cpu.load")
     ('psi', 'psi', '')
     """
-    for pattern, _, symbol in _COMPILED:
+    for pattern, _, symbol in _KNOWN:
         if symbol and pattern.fullmatch(name):
             return symbol
     field = parse_header(name.rpartition(".")[2])[0].lower()
-    return next((symbol for symbol, words in _SYMBOLS.items() if field in words), "")
+    return next((symbol for symbol, words in TABLE["symbols"].items() if field in words), "")
 
 
 # -- one field of a log ----------------------------------------------------------------
@@ -265,16 +187,7 @@ class Series:
 # -- fields that follow from others of the same topic ----------------------------------
 
 
-# Names of scalar part and vector part of a quaternion in one topic, and where they come from.
-_QUATERNIONS = (
-    ("q[0]", "q[1]", "q[2]", "q[3]"),
-    ("Q1", "Q2", "Q3", "Q4"),
-    ("q0", "q1", "q2", "q3"),
-    ("e0", "e1", "e2", "e3"),
-    ("qw", "qx", "qy", "qz"),
-)
 _ROS = ("orientation.w", "orientation.x", "orientation.y", "orientation.z")
-_FIXES = (("lat", "lon"), ("Lat", "Lng"), ("latitude", "longitude"), ("Lat", "Lon"))
 _AXIS, _FLATTENING = 6378137.0, 1.0 / 298.257223563  # WGS 84, NIMA TR8350.2
 
 
@@ -349,11 +262,11 @@ def derived(topic: str, fields: Mapping[str, Series]) -> Iterator[Series]:
     fields : mapping
         Field name to series.
     """
-    names = next((names for names in _QUATERNIONS if all(one in fields for one in names)), None)
+    names = next((names for names in TABLE["quaternions"] if fields.keys() >= {*names}), None)
     if names is not None:
         yield from _attitude(topic, fields, names, "", f"from {names[0]} to {names[3]}")
     yield from _ros_attitude(topic, fields)
-    fix = next((pair for pair in _FIXES if all(name in fields for name in pair)), None)
+    fix = next((pair for pair in TABLE["fixes"] if fields.keys() >= {*pair}), None)
     if fix is not None:
         lat, lon = (fields[name] for name in fix)
         position = local_position(_degrees(lat), _degrees(lon))
@@ -498,10 +411,26 @@ class Log:
         return "\n".join([*lines, *self.notes])
 
 
+# Messages by topic: time in s and numbers by name.
+Rows = dict[str, list[tuple[float, dict[str, float]]]]
+Topics = Mapping[str, tuple[np.ndarray, Mapping[str, np.ndarray]]]
+
+
+def topics_of(rows: Rows) -> Topics:
+    """Times ``(n,)`` and fields ``(n,)`` of messages, NaN where one lacks a number."""
+    topics = {}
+    for topic, messages in rows.items():
+        names = dict.fromkeys(name for _, numbers in messages for name in numbers)
+        fields = {n: np.array([numbers.get(n, np.nan) for _, numbers in messages]) for n in names}
+        if fields:
+            topics[topic] = (np.array([time for time, _ in messages]), fields)
+    return topics
+
+
 def assemble(
     path: Path,
     kind: str,
-    topics: Mapping[str, tuple[np.ndarray, Mapping[str, np.ndarray]]],
+    topics: Topics,
     *,
     units: Mapping[str, str] | None = None,
     origin: str | None = None,

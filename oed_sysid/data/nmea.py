@@ -7,6 +7,7 @@ GGA, GLL, ZDA) are the clock, and the sentences between two of them are spread e
 
 from __future__ import annotations
 
+import contextlib
 import re
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -15,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.csv_columns import DAY
-from oed_sysid.data.log import Log, assemble, library
+from oed_sysid.data.log import Log, Rows, assemble, library, topics_of
 from oed_sysid.errors import DataError
 from oed_sysid.text.csv_table import text_lines
 
@@ -48,18 +49,10 @@ def read_nmea(path: Path) -> Log:
     notes = [f"{bad} of {bad + len(parsed)} sentences were torn and left out."] if bad else []
     times, words = _times(path, [stamp for _, _, stamp, _ in parsed], [t for *_, t in parsed])
     notes += [words] if words else []
-    rows: dict[str, list[tuple[float, dict[str, float]]]] = {}
+    rows: Rows = {}
     for (topic, numbers, _, _), time in zip(parsed, times, strict=True):
         rows.setdefault(topic, []).append((time, numbers))
-    topics = {}
-    for topic, messages in rows.items():
-        names = dict.fromkeys(name for _, numbers in messages for name in numbers)
-        values = {
-            name: np.array([numbers.get(name, np.nan) for _, numbers in messages]) for name in names
-        }
-        if values:
-            topics[topic] = (np.array([time for time, _ in messages]), values)
-    return assemble(path, "NMEA 0183", topics, notes=notes)
+    return assemble(path, "NMEA 0183", topics_of(rows), notes=notes)
 
 
 def sentence_of(line: str) -> tuple[float | None, str, dict[str, float]] | None:
@@ -70,14 +63,19 @@ def sentence_of(line: str) -> tuple[float | None, str, dict[str, float]] | None:
     line : str
         From a logger or a port.
     """
+    before, sentence = _parsed(line)
+    return sentence and (_stamp(before), sentence.sentence_type, _numbers(sentence))
+
+
+def _parsed(line: str) -> tuple[str, Any]:
+    """What stands in front of a sentence, and the sentence; None if there is no whole one."""
     pynmea2 = library("pynmea2", "NMEA 0183 sentences")
     if (found := _SENTENCE.search(line)) is None:
-        return None
+        return line, None
     try:
-        sentence = pynmea2.parse(found.group().strip(), check=True)
+        return line[: found.start()], pynmea2.parse(found.group().strip(), check=True)
     except Exception:  # a wrong checksum or a torn line
-        return None
-    return _stamp(line[: found.start()]), sentence.sentence_type, _numbers(sentence)
+        return line, None
 
 
 _Parsed = tuple[str, dict[str, float], float | None, float | None]
@@ -85,35 +83,23 @@ _Parsed = tuple[str, dict[str, float], float | None, float | None]
 
 def _sentences(path: Path) -> tuple[list[_Parsed], int]:
     """Topic, numbers, time of the logger and time of day of every sentence; how many are torn."""
-    pynmea2 = library("pynmea2", "NMEA 0183 sentences")
     parsed: list[_Parsed] = []
-    bad = 0
-    for found in filter(None, (_SENTENCE.search(line) for _, line in text_lines(path))):
-        try:
-            sentence = pynmea2.parse(found.group().strip(), check=True)
-        except Exception:  # a wrong checksum or a torn line
-            bad += 1
-            continue
-        before = found.string[: found.start()]
-        topic = f"{getattr(sentence, 'talker', '') or ''}{sentence.sentence_type}"
-        parsed.append((topic, _numbers(sentence), _stamp(before), _time_of_day(sentence)))
-    return parsed, bad
+    lines = [line for _, line in text_lines(path) if _SENTENCE.search(line)]
+    for line in lines:
+        before, sentence = _parsed(line)
+        if sentence is not None:
+            topic = f"{getattr(sentence, 'talker', '') or ''}{sentence.sentence_type}"
+            parsed.append((topic, _numbers(sentence), _stamp(before), _time_of_day(sentence)))
+    return parsed, len(lines) - len(parsed)
 
 
 def _numbers(sentence: Any) -> dict[str, float]:
+    names = [name for _, name, *_ in getattr(sentence, "fields", ())] + ["latitude", "longitude"]
     result = {}
-    for _, name, *_ in getattr(sentence, "fields", ()):
-        if name in ("lat", "lon", "timestamp", "datestamp"):
-            continue
-        value = getattr(sentence, name, None)
-        try:
-            result[name] = float(value)  # type: ignore[arg-type]
-        except (TypeError, ValueError):
-            continue
-    for name in ("latitude", "longitude"):
-        value = getattr(sentence, name, None)
-        if isinstance(value, float):
-            result[name] = value
+    for name in names:
+        if name not in ("lat", "lon", "timestamp", "datestamp"):
+            with contextlib.suppress(TypeError, ValueError):
+                result[name] = float(getattr(sentence, name, None))  # type: ignore[arg-type]
     return result
 
 
@@ -164,13 +150,10 @@ def _times(
     places, values = np.array(known)[first].astype(float), moments[first]
     if len(values) < 2:
         raise DataError(f"{path.name} covers a single moment. Nothing moves in it.")
-    every = np.arange(len(stamps), dtype=float)
-    times = np.interp(every, places, values)
-    # Beyond the last known moment, at the usual pace.
-    pace = (values[-1] - values[0]) / (places[-1] - places[0])
-    late, early = every > places[-1], every < places[0]
-    times[late] = values[-1] + pace * (every[late] - places[-1])
-    times[early] = values[0] - pace * (places[0] - every[early])
+    # Before the first known moment and after the last one, at the usual pace.
+    pace, last = (values[-1] - values[0]) / (places[-1] - places[0]), len(stamps) - 1.0
+    begin, end = values[0] - pace * places[0], values[-1] + pace * (last - places[-1])
+    times = np.interp(np.arange(last + 1.0), [0.0, *places, last], [begin, *values, end])
     step = float(np.median(np.diff(values)))
     return times, (
         f"Only {len(known)} of {len(stamps)} sentences have a time; the others are spread evenly "

@@ -13,7 +13,12 @@ from scipy.interpolate import CubicSpline, PchipInterpolator
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 
-METHODS = ("spiral", "cubic", "pchip", "linear")
+CURVES = {
+    "cubic": lambda times, values, grid: CubicSpline(times, values)(grid),
+    "pchip": lambda times, values, grid: PchipInterpolator(times, values)(grid),
+    "linear": lambda times, values, grid: np.interp(grid, times, values),
+}
+METHODS = ("spiral", *CURVES)
 TANGENTS = ("chord", "exact")
 # Turns of the direction below this are straight lines.
 STRAIGHT = 1e-9
@@ -45,16 +50,11 @@ def densify(times: np.ndarray, values: np.ndarray, factor: int, *, method: str) 
     [0.    0.101 0.2  ]
     """
     times, values = _checked(times, values, factor)
-    grid = dense_times(times, factor)
+    if method not in METHODS:
+        raise DataError(f"method is {method!r}. Choose one of {', '.join(METHODS)}.")
     if method == "spiral":
         return archimedes_spiral(times, values, factor)
-    if method == "cubic":
-        return CubicSpline(times, values)(grid)
-    if method == "pchip":
-        return PchipInterpolator(times, values)(grid)
-    if method == "linear":
-        return np.interp(grid, times, values)
-    raise DataError(f"method is {method!r}. Choose one of {', '.join(METHODS)}.")
+    return np.asarray(CURVES[method](times, values, dense_times(times, factor)))
 
 
 def dense_times(times: np.ndarray, factor: int) -> np.ndarray:

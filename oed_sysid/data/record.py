@@ -401,7 +401,7 @@ class Record:
                 f"Record {self.name!r} declares {unknown[0]!r} missing, but the outputs are "
                 f"{', '.join(names)}."
             )
-        empty = _empty_outputs(self.outputs, names)
+        empty = empty_outputs(self.outputs, names)
         undeclared = [name for name in empty if name not in self.missing_outputs]
         if undeclared:
             raise DataError(
@@ -498,7 +498,7 @@ class Record:
             times=self.times[rows],
             inputs=self.inputs[rows],
             outputs=outputs,
-            missing_outputs=_empty_outputs(outputs, self.channels.output_names),
+            missing_outputs=empty_outputs(outputs, self.channels.output_names),
         )
 
     def window(self, start: float, stop: float) -> Record:
@@ -543,7 +543,7 @@ class Record:
         """Return the record with other outputs, shape ``(n_samples, n_outputs)``."""
         array = np.array(outputs, dtype=float)
         names = self.channels.output_names
-        empty = _empty_outputs(array, names) if array.shape == self.outputs.shape else ()
+        empty = empty_outputs(array, names) if array.shape == self.outputs.shape else ()
         return replace(self, outputs=array, missing_outputs=empty)
 
     def segments(self, duration: float) -> tuple[Record, ...]:
@@ -562,7 +562,8 @@ class Record:
         )
 
 
-def _empty_outputs(outputs: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
+def empty_outputs(outputs: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
+    """Names of the outputs ``(n_samples, n_outputs)`` without any sample."""
     empty = np.all(np.isnan(outputs), axis=0)
     return tuple(name for name, is_empty in zip(names, empty, strict=True) if is_empty)
 

@@ -9,7 +9,13 @@ from oed_sysid.design.assurance import (
     assess_limits,
     predicted_tracks,
 )
-from oed_sysid.design.controllers import played, write_controller
+from oed_sysid.design.controllers import (
+    Servo,
+    played,
+    write_bag,
+    write_controller,
+    write_overrides,
+)
 from oed_sysid.design.criteria import (
     AOptimal,
     Criterion,
@@ -33,7 +39,6 @@ from oed_sysid.design.experiment_design import Stage, campaign, design_experimen
 from oed_sysid.design.knowledge import Knowledge
 from oed_sysid.design.library import Candidate, Reference, candidate_runs
 from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
-from oed_sysid.design.on_board import Servo, write_bag, write_overrides
 from oed_sysid.design.programme import Budget, ProgrammeSearch, design_programme
 from oed_sysid.design.result import Design, Programme, Standard
 from oed_sysid.design.search import Progress, ZigZags

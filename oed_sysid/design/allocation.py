@@ -31,6 +31,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -193,28 +194,23 @@ def weights(
     """
     time = None if budget is None else library.costs / budget
     count = None if n_runs is None else np.full(library.n_runs, 1.0 / n_runs)
-    if time is None or count is None:
-        only = time if time is not None else count
-        if only is None:
-            raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
-        return relaxed(library, only, tolerance=tolerance)
-    first = relaxed(library, time, tolerance=tolerance)
-    if count @ first.repetitions <= 1 + 1e-9:
-        return first
-    last = relaxed(library, count, tolerance=tolerance)
-    if time @ last.repetitions <= 1 + 1e-9:
-        return last
+    limits = [one for one in (time, count) if one is not None]
+    if not limits:
+        raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
+    found = []
+    for limit in limits:
+        found.append(relaxed(library, limit, tolerance=tolerance))
+        if all(other @ found[-1].repetitions <= 1 + 1e-9 for other in limits):
+            return found[-1]
+    time, count = limits
     low, high = 0.0, 1.0
-    found = [first, last]
     for _ in range(8):
         theta = 0.5 * (low + high)
         middle = relaxed(library, theta * time + (1 - theta) * count, tolerance=tolerance)
         found.append(middle)
         # More weight on whichever limit is passed.
-        if time @ middle.repetitions > count @ middle.repetitions:
-            low = theta
-        else:
-            high = theta
+        over_time = time @ middle.repetitions > count @ middle.repetitions
+        low, high = (theta, high) if over_time else (low, theta)
     bound = min(one.bound for one in found)
     inside = [
         Weights(x, library.value(x), bound, one.sweeps)
@@ -293,15 +289,13 @@ class _Search:
 
     def _fewer(self, counts: np.ndarray) -> list[np.ndarray]:
         """One run left out, or two."""
-        chosen = np.repeat(np.arange(len(counts)), counts)
-        out: set[tuple[int, ...]] = {(int(i),) for i in chosen}
-        out |= {(int(i), int(j)) for n, i in enumerate(chosen) for j in chosen[n + 1 :]}
+        chosen = np.repeat(np.arange(len(counts)), counts).tolist()
+        out = {*combinations(chosen, 1), *combinations(chosen, 2)}
         return [counts - np.bincount(pick, minlength=len(counts)) for pick in out]
 
     def _best_added(self, fewer: np.ndarray) -> list[np.ndarray]:
         """With the few runs added that tell most on their own."""
-        runs = self.fits(fewer)
-        if not len(runs):
+        if not len(runs := self.fits(fewer)):
             return []
         best = runs[np.argsort(-self.added(fewer, runs))[:_TRIED]]
         return [fewer + np.bincount([run], minlength=len(fewer)) for run in best]

@@ -44,8 +44,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from scipy.integrate import cumulative_trapezoid
 
 from oed_sysid.design.limits import LimitBounds, percent
+from oed_sysid.design.missing_effects import SURE
 from oed_sysid.design.vehicles import at_least, draw_models, draw_structures, motion
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -59,13 +61,11 @@ from oed_sysid.likelihood.realisation import at_sea
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
-# Below this probability of keeping the limits a run is not safe, if none was asked for.
-_SAFE = 0.9
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
 _TAIL = 0.025
-# Part of the way from the start to a limit at which a run is stopped, and, of the width of the
-# stated range, what an attitude, depth or speed without a limit may exceed it by.
-_STOP, _BEYOND = 0.9, 0.1
+# A run is stopped this part of the way from the start before a limit, or, of the width of the
+# stated range, beyond that of an attitude, depth or speed without a limit.
+_ROOM = 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
 # Relative error up to which a bound under disturbance forces is taken as it is.
@@ -141,7 +141,7 @@ class Assurance:
     @property
     def is_safe(self) -> bool:
         """Whether the limits hold as surely as was asked for, or on nine vehicles of ten."""
-        return not self.limited or self.probability >= (self.wanted or _SAFE)
+        return not self.limited or self.probability >= (self.wanted or SURE)
 
     @property
     def is_enough(self) -> bool:
@@ -250,18 +250,13 @@ def assess_limits(
     )
     bounds = LimitBounds.of(model, limits or experiment.limits)
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
-    extremes: list[np.ndarray] = []
-    kept, left = np.zeros(n_vehicles, dtype=bool), Counter[str]()
-    for index, vehicle in enumerate(fresh):
+    extremes, first = [], []
+    for vehicle in fresh:
         run = _motion_at_sea(vehicle, experiment, sea, rng)
-        if run is None:
-            left["diverged"] += 1
-            continue
-        extremes.append(np.array([[s.min(), s.max()] for s in map(run.signal, names)]))
-        first = bounds.first_left(run)
-        kept[index] = first is None
-        if first is not None:
-            left[first] += 1
+        first.append("diverged" if run is None else bounds.first_left(run))
+        if run is not None:
+            extremes.append([[s.min(), s.max()] for s in map(run.signal, names)])
+    kept = np.array([one is None for one in first])
     ranges: dict[str, tuple[float, float]] = {}
     rules: tuple[AbortRule, ...] = ()
     stopped = 0.0
@@ -272,7 +267,8 @@ def assess_limits(
         ranges = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
         rules, stopped = _rules(experiment, bounds, ranges, ends, n_vehicles)
     return Assurance(
-        int(kept.sum()), n_vehicles, wanted, spread, dict(left), ranges, bool(bounds.names),
+        int(kept.sum()), n_vehicles, wanted, spread, dict(Counter(filter(None, first))), ranges,
+        bool(bounds.names),
         sea_words(sea) if sea is not None and sea.has_forces else "", rules, stopped, kept,
     )  # fmt: skip
 
@@ -309,10 +305,10 @@ def _rules(
     for name in dict.fromkeys((*limited, *(n for n in WATCHED if n in ranges))):
         if name in limited:
             first = experiment.initial.get(name, 0.0)
-            lower, upper = (first + _STOP * (bound - first) for bound in limited[name])
+            lower, upper = (first + (1 - _ROOM) * (bound - first) for bound in limited[name])
         else:
             low, high = ranges[name]
-            room = _BEYOND * max(high - low, 1e-9)
+            room = _ROOM * max(high - low, 1e-9)
             lower, upper = low - room, high + room
         column = ends[:, list(ranges).index(name)]
         outside = (column[:, 0] < lower) | (column[:, 1] > upper)
@@ -435,18 +431,15 @@ def predicted_tracks(
     own = _track(first)
     if own is None:
         return None
-    found = []
-    for vehicle in draw_structures(model, others, spread, n_vehicles, prior, rng):
-        run = _motion_at_sea(vehicle, experiment, sea, rng)
-        track = None if run is None else _track(run)
-        if track is not None:
-            found.append(track)
+    vehicles = draw_structures(model, others, spread, n_vehicles, prior, rng)
+    runs = [_motion_at_sea(vehicle, experiment, sea, rng) for vehicle in vehicles]
+    found = [track for run in runs if run is not None and (track := _track(run)) is not None]
     if len(found) < max(1, n_vehicles // 2):
         raise DesignError(
             f"The run stays finite on {len(found)} of {n_vehicles} vehicles only, so that no sea "
             "room can be stated. Make it gentler, or shorter."
         )
-    vertical = not _knows(first, "psi") and not (_knows(first, "x", "y"))
+    vertical = not _knows(first, "psi") and not _knows(first, "x", "y")
     return PredictedTracks(first.times, own, np.stack(found), vertical, length)
 
 
@@ -465,21 +458,14 @@ def _track(run: Trajectory) -> np.ndarray | None:
     if _knows(run, "psi"):
         psi = run.signal("psi") - run.signal("psi")[0]
         v = run.signal("v") if _knows(run, "v") else np.zeros_like(u)
-        rates = np.column_stack([u * np.cos(psi) - v * np.sin(psi),
-                                 u * np.sin(psi) + v * np.cos(psi)])  # fmt: skip
-        return _integrated(run.times, rates)
+        rates = [u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)]
+        return cumulative_trapezoid(np.column_stack(rates), run.times, axis=0, initial=0)
     if not _knows(run, "theta", "z"):
         return None
     theta = run.signal("theta")
     w = run.signal("w") if _knows(run, "w") else np.zeros_like(u)
-    along = _integrated(run.times, (u * np.cos(theta) + w * np.sin(theta))[:, None])
-    return np.column_stack([along[:, 0], run.signal("z")])
-
-
-def _integrated(times: np.ndarray, rates: np.ndarray) -> np.ndarray:
-    """Integral from the first sample by the trapezoidal rule."""
-    steps = 0.5 * (rates[1:] + rates[:-1]) * np.diff(times)[:, None]
-    return np.concatenate([np.zeros((1, rates.shape[1])), np.cumsum(steps, axis=0)])
+    ahead = u * np.cos(theta) + w * np.sin(theta)
+    return np.column_stack([cumulative_trapezoid(ahead, run.times, initial=0), run.signal("z")])
 
 
 def stated(error: float, sea: NoiseModel | None) -> str:

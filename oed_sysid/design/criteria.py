@@ -130,7 +130,7 @@ def soft_minimum(values: np.ndarray, width: float) -> tuple[float, np.ndarray]:
     Examples
     --------
     >>> value, weights = soft_minimum(np.array([1.0, 1.0, 9.0]), 0.1)
-    >>> print(round(value, 2), weights)
+    >>> print(round(value, 2), weights.round(3))
     1.04 [0.5 0.5 0. ]
     """
     weights = np.exp(-(values - values.min()) / width)

@@ -38,7 +38,8 @@ from oed_sysid.design.criteria import DOptimal, quick_inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.limits import LimitBounds, percent, quantity, units_of
-from oed_sysid.design.vehicles import at_least, draw_models, kept_on
+from oed_sysid.design.search import WORTH
+from oed_sysid.design.vehicles import CHECKED, at_least, draw_models, kept_on
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.information.noise import Levels
@@ -48,15 +49,20 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, counted
+from oed_sysid.runtime.display import (
+    TWO_SIDED_95,
+    Report,
+    Section,
+    Table,
+    as_dict,
+    as_text,
+    counted,
+)
 
-# A run that lowers what is missing by less than this per goal is not worth its fuel.
-WORTH = 0.01
 # Share of a goal's tolerance by which records may differ without a word.
 IMMATERIAL = 0.1
-# Parameters that are named where records contradict one another, and standard errors from which on.
-NAMED, APART = 3, 2.0
-_VEHICLES = 200
+# Parameters that are named where records contradict one another.
+NAMED = 3
 
 
 @runtime_checkable
@@ -539,7 +545,7 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
     least = int(np.argmin(found.chances))
     series = [record.name for record in fit.dataset if not record.independent]
     apart = sources.apart(found.worst)
-    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > APART][:NAMED]
+    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > TWO_SIDED_95][:NAMED]
     return Contradiction(
         source="what was known before" if found.worst == 0 else repr(series[found.worst - 1]),
         statistic=(found.statistic, *found.each)[least],
@@ -644,9 +650,9 @@ class _Outlook:
 def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[Model, ...]:
     """Vehicles that remain possible; where nothing is known, of coefficients off by a third."""
     try:
-        return draw_models(expected.model, None, _VEHICLES, expected.prior, rng)
+        return draw_models(expected.model, None, CHECKED, expected.prior, rng)
     except DesignError:
-        return draw_models(expected.model, UNCERTAINTY, _VEHICLES, None, rng)
+        return draw_models(expected.model, UNCERTAINTY, CHECKED, None, rng)
 
 
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:

@@ -36,7 +36,7 @@ from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.criteria import Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Reference, Standard, standard_manoeuvres
-from oed_sysid.design.limits import quantity, units_of
+from oed_sysid.design.limits import REACHED, quantity, units_of
 from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.design.objective import Score
 from oed_sysid.design.result import Design
@@ -61,8 +61,8 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
-# Vehicles of the caution that nobody asked for: it must not take minutes.
-_USUAL_SETS, _USUAL_CHECKS = 80, 400
+# The caution that nobody asked for must not take minutes.
+_USUAL = Caution(n_sets=80, n_checks=400)
 # Arguments that are gone: fields of what now holds them.
 _RUN = {one.name: f"trial=Trial({one.name}=...)" for one in fields(Trial)}
 _GONE = (
@@ -261,7 +261,7 @@ def _usual_caution(given: Model | Fit, limits: Limits, knowledge: Knowledge) -> 
     known = given.information if isinstance(knowledge.prior, str) else knowledge.prior
     if not np.all(np.isfinite(known.covariance)):
         return None
-    return Caution(n_sets=_USUAL_SETS, n_checks=_USUAL_CHECKS)
+    return _USUAL
 
 
 @dataclass(frozen=True, eq=False)
@@ -305,7 +305,7 @@ def _searched(
         named = replace(loop, name=task.trial.name, limits=task.trial.limits)
         return _Found(best, named, (best.value,), objective.n_evaluations)
     if begin is not None:
-        first = again(objective, task.grid, begin)
+        first = again(objective, task.grid, [begin])
     else:
         rough = partial(
             starts, objective, task.grid, rng, n_candidates=search.n_candidates,
@@ -368,13 +368,13 @@ def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str])
     for i, name in enumerate(grid.inputs):
         width = grid.upper[i] - grid.lower[i]
         for bound, side in ((grid.lower[i], "lower"), (grid.upper[i], "upper")):
-            share = float(np.mean(np.abs(commands[:, i] - bound) < 0.01 * width))
+            share = float(np.mean(np.abs(commands[:, i] - bound) < REACHED * width))
             if share > 0:
                 reached = quantity(bound, units[name])
                 words.append(f"{name} {side} limit {reached} for {share:.0%} of the time")
         if np.isfinite(grid.rates[i]):
             slopes = np.abs(np.diff(commands[:, i])) / grid.step
-            share = float(np.mean(slopes > 0.99 * grid.rates[i]))
+            share = float(np.mean(slopes > (1 - REACHED) * grid.rates[i]))
             if share > 0:
                 reached = quantity(grid.rates[i], units[name])
                 words.append(f"{name} rate limit {reached}/s for {share:.0%} of the time")

@@ -84,12 +84,12 @@ class Knowledge:
         names = _shared(model)
         if self.prior is None:
             return None
+        known: Information | str = "model"
         if isinstance(self.prior, Information):
-            rows = prior_factor(model, names, self.prior)
+            known = self.prior
         elif isinstance(given, Fit):
-            rows = prior_factor(model, names, _information(given))
-        else:
-            rows = prior_factor(model, names, "model")
+            known = _information(given)
+        rows = prior_factor(model, names, known)
         if not rows.any():
             return None
         scales = np.array([model.parameter(name).magnitude for name in names])
@@ -233,15 +233,15 @@ class ExpectedInformation:
         DesignError, SimulationError
             If the run diverges.
         """
-        matrix = self.before
-        if run is not None and self.shifts is not None:
-            matrix = matrix + joint_information(
-                self.model, run, self.shifts, noise=self.expected, coloured=self.coloured,
-                start=self.start,
-            )  # fmt: skip
-        elif run is not None:
-            matrix = self.bound(run).matrix
-        return self.relative(matrix)
+        if run is None:
+            return self.relative(self.before)
+        if self.shifts is None:
+            return self.relative(self.bound(run).matrix)
+        more = joint_information(
+            self.model, run, self.shifts, noise=self.expected, coloured=self.coloured,
+            start=self.start,
+        )  # fmt: skip
+        return self.relative(self.before + more)
 
     def bound(self, run: Experiment) -> Information:
         """Information on the parameters after a run, prior knowledge included."""
@@ -262,12 +262,10 @@ class ExpectedInformation:
         """
         if self.sea is None or self.shifts is None:
             return self
-        white, forced = (
-            log_determinant(
-                self.relative(information_of(self.model, run, noise=noise, priors=None).matrix)
-            )
-            for noise in (self.sigma, self.sea)
-        )
+        told = [
+            information_of(self.model, run, noise=n, priors=None) for n in (self.sigma, self.sea)
+        ]
+        white, forced = (log_determinant(self.relative(one.matrix)) for one in told)
         n = len(self.names)
         return replace(self, raised=float(np.exp(0.5 * max(white - forced, 0.0) / n)))
 

@@ -55,7 +55,26 @@ def span(lower: float, upper: float, unit: str) -> str:
         return f"from {quantity(lower, unit)}"
     if lower == -upper:
         return f"+-{quantity(upper, unit)}"
+    return between(lower, upper, unit)
+
+
+def between(lower: float, upper: float, unit: str) -> str:
+    """Return two numbers with one unit.
+
+    >>> between(0.1, 0.2, "rad")
+    '5.73 to 11.46 deg'
+    """
     return f"{quantity(lower, unit).split(' ')[0]} to {quantity(upper, unit)}"
+
+
+def outside(lower: float, upper: float, unit: str) -> str:
+    """Return where a value is outside a range, whose ends may be none.
+
+    >>> outside(-float("inf"), 12.0, "m")
+    'above 12 m'
+    """
+    ends = (("below", lower), ("above", upper))
+    return " or ".join(f"{word} {quantity(end, unit)}" for word, end in ends if abs(end) < 1e30)
 
 
 def percent(share: float) -> str:

@@ -234,7 +234,8 @@ FALSE_CLAIMS = 0.01
 _CERTAIN = 300.0
 # Share of an effect that parameters cannot imitate, below which no run of this kind shows it.
 _ABSORBED = 1e-6
-# Probability with which the smallest size that shows is stated.
+# Probability from which on something counts as sure: limits kept if no probability was asked for,
+# and the smallest size of an effect that shows.
 SURE = 0.9
 
 

@@ -89,31 +89,22 @@ class VehicleInformation:
         self.edges = np.ascontiguousarray(edges, dtype=np.intc)
         self.kernel = kernel(model)
         self.values = model.value_vector
-        self.rivals: tuple[tuple[Kernel, np.ndarray, float], ...] = ()
+        self.rivals: list[tuple[Kernel, np.ndarray, float]] = []
         if shifts is not None:
-            self.rivals = tuple(
-                (runner, rival.value_vector, float(factor))
-                for runner, rival, factor in zip(
-                    shifts.kernels, shifts.models, shifts.factors, strict=True
-                )
-            )
+            values = [rival.value_vector for rival in shifts.models]
+            self.rivals = list(zip(shifts.kernels, values, map(float, shifts.factors), strict=True))
         n_own, free = len(model.states), model.free_parameters
         weights = start_weights(model, start)  # type: ignore[arg-type]
         states = [i for i in range(n_own) if np.isfinite(weights[i])]
-        local = [n_own + i for i, p in enumerate(free) if p.per_record]
-        shared = [n_own + i for i, p in enumerate(free) if not p.per_record]
-        self.columns = np.array([*states, *local, *shared], dtype=int)
+        local = [i for i, parameter in enumerate(free) if parameter.per_record]
+        shared = [i for i, parameter in enumerate(free) if not parameter.per_record]
+        self.columns = np.array([*states, *(n_own + i for i in (*local, *shared))], dtype=int)
         self.n_nuisance = len(states) + len(local)
-        self.names = tuple(free[i - n_own].name for i in shared)
-        self.scales = np.array(
-            [
-                *(model.states[i].scale for i in states),
-                *(free[i - n_own].magnitude for i in (*local, *shared)),
-            ]
-        )
+        units = [model.states[i].scale for i in states]
+        self.scales = np.array([*units, *(free[i].magnitude for i in (*local, *shared))])
         # Of nuisance unknowns only; priors on parameters are added to the information later.
         known = [weights[i] for i in states]
-        known += [1.0 / (free[i - n_own].prior_spread or np.inf) for i in local]
+        known += [1.0 / (free[i].prior_spread or np.inf) for i in local]
         self.nuisance_prior = (np.array(known) * self.scales[: self.n_nuisance]) ** 2
 
     def evaluation(self, commands: np.ndarray) -> Evaluation | None:
@@ -191,7 +182,7 @@ class VehicleInformation:
         run = self.kernel.run(times, part, self.values, z, sensitivities=True)
         if not run.ok or run.output_sensitivities is None:
             return None
-        n_kept, n_full = len(self.columns), self.kernel.n_full
+        n_kept = len(self.columns)
         weights = by_rows[first:] / self.noise.sigma[:, None]
         # <W, S chain> = <W chain', S>: one product, no copy of the sensitivities.
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
@@ -206,11 +197,8 @@ class VehicleInformation:
             moved = factor * (other.outputs - run.outputs)
             total += float(np.vdot(weights[:, :, n_kept + position], moved))
         total -= float(np.vdot(by_rows[first:], evaluation.rows[first:]))
-        signals = np.empty((len(times), len(columns)))
-        for index, column in enumerate(columns):
-            source = run.states[:, column] if column < n_full else run.outputs[:, column - n_full]
-            signals[:, index] = source - evaluation.signals[first:, column]
-        return total, signals
+        signals = np.hstack([run.states, run.outputs])[:, columns]
+        return total, signals - evaluation.signals[first:, columns]
 
     def _chains(self, maps: np.ndarray) -> np.ndarray:
         """See :class:`Evaluation`; ``maps`` are derivatives of the states at the edges."""
@@ -234,23 +222,15 @@ class VehicleInformation:
         if self.noise.is_white:
             return rows
         present = np.ones(rows.shape[:2], dtype=bool)
-        unit = Noise(np.ones(rows.shape[1]), self.noise.coefficients)
-        return unit.whiten(rows, present)
+        return Noise(np.ones(rows.shape[1]), self.noise.coefficients).whiten(rows, present)
 
     def unwhitened(self, weights: np.ndarray) -> np.ndarray:
         """Adjoint of :meth:`whitened`, for gradients."""
         if self.noise.is_white:
             return weights
         n_times, n_outputs = weights.shape[:2]
-        result = weights.copy()
-        present = np.ones((n_times, 1), dtype=bool)
-        for column in range(n_outputs):
-            colour = self.noise.coefficients[column]
-            if colour:
-                unit = Noise(np.ones(1), (colour,))
-                matrix = unit.whiten(np.eye(n_times)[:, None, :], present)[:, 0]
-                result[:, column] = matrix.T @ weights[:, column]
-        return result
+        unit = np.broadcast_to(np.eye(n_times)[:, None], (n_times, n_outputs, n_times))
+        return np.einsum("koj,koc->joc", self.whitened(unit), weights, optimize=True)
 
 
 T = TypeVar("T")
@@ -373,40 +353,32 @@ class Objective:
         commands[:, :, self._positions] = designed
         return commands
 
-    def score(self, numbers: np.ndarray, *, with_scenarios: bool = True) -> Score:
-        """Evaluate one member of the family; see :meth:`score_commands`."""
-        return self.score_commands(
-            self.all_commands(numbers)[0], numbers, with_scenarios=with_scenarios
-        )
-
-    def score_commands(
-        self, commands: np.ndarray, numbers: np.ndarray, *, with_scenarios: bool = True
+    def score(
+        self,
+        numbers: np.ndarray,
+        *,
+        commands: np.ndarray | None = None,
+        with_scenarios: bool = True,
     ) -> Score:
-        """Evaluate commands ``(n_times, n_inputs)``, on uncertain vehicles too where asked."""
-        self.n_evaluations += 1
-        evaluations = []
-        for vehicle in self.vehicles:
-            evaluation = vehicle.evaluation(commands)
-            if evaluation is None:
-                return Score(numbers, commands, -np.inf, np.inf, ())
-            evaluations.append(evaluation)
-        values = [self._measured(i, evaluation)[0] for i, evaluation in enumerate(evaluations)]
-        excess = max(self.bounds.worst(evaluation.signals) for evaluation in evaluations)
-        value = self._combined(values)[0]
-        if self.scenarios is None or not with_scenarios:
-            return Score(numbers, commands, value, excess, tuple(evaluations))
-        scenarios = self.scenarios
-        runs = self._each(lambda i: scenarios.run(i, commands), len(scenarios))
-        excess = max(excess, scenarios.level(runs))
-        return Score(numbers, commands, value, excess, tuple(evaluations), tuple(runs))
+        """Evaluate one member of the family, on uncertain vehicles too where asked.
 
-    def information(self, vehicle: int, evaluation: Evaluation) -> np.ndarray:
-        """Scaled information on parameters (and rival shifts), priors included."""
-        matrix = self.vehicles[vehicle].information(evaluation.rows)
-        reduced, _ = eliminate(matrix, self.vehicles[vehicle].n_nuisance)
-        n = len(self.priors[vehicle])
-        reduced[:n, :n] += self.priors[vehicle]
-        return reduced
+        Commands ``(n_times, n_inputs)`` are given where they are no member of a shape.
+        """
+        played = self.all_commands(numbers)[0] if commands is None else commands
+        self.n_evaluations += 1
+        evaluations: list[Evaluation] = []
+        for vehicle in self.vehicles:
+            evaluation = vehicle.evaluation(played)
+            if evaluation is None:
+                return Score(numbers, played, -np.inf, np.inf, ())
+            evaluations.append(evaluation)
+        value = self._combined([self._measured(i, one)[0] for i, one in enumerate(evaluations)])[0]
+        excess = max(self.bounds.worst(one.signals) for one in evaluations)
+        runs: list[ScenarioRun] = []
+        if (scenarios := self.scenarios) is not None and with_scenarios:
+            runs = self._each(lambda i: scenarios.run(i, played), len(scenarios))
+            excess = max(excess, scenarios.level(runs))
+        return Score(numbers, played, value, excess, tuple(evaluations), tuple(runs))
 
     def _measured(self, index: int, evaluation: Evaluation) -> tuple[float, np.ndarray]:
         """Criterion of one vehicle and its derivative by the whole information matrix."""
@@ -434,12 +406,10 @@ class Objective:
         for i, vehicle in enumerate(self.vehicles):
             whitened = vehicle.whitened(score.evaluations[i].rows)
             slopes.append(2 * weights[i] * vehicle.unwhitened(whitened @ parts[i][1]))
-        decisive = (
-            self.scenarios.decisive(score.scenarios) if self.scenarios and score.scenarios else []
-        )
-        n_limited = len(self.scenarios.bounds.names) if self.scenarios else 0
+        scenarios, edges, columns = self.scenarios, self.vehicles[0].edges, self.bounds.columns
+        decisive = scenarios.decisive(score.scenarios) if scenarios and score.scenarios else []
+        n_limited = len(scenarios.bounds.names) if scenarios else 0
         by_scenario = {i: np.zeros((len(self.times), n_limited, size)) for i in decisive}
-        columns = self.bounds.columns
         gradient = np.zeros(size)
         signals = np.zeros((len(self.vehicles), len(self.times), len(columns), size))
 
@@ -448,22 +418,19 @@ class Objective:
             if not len(differs):
                 return
             step = _STEP * signs[index]
+            # A linearly interpolated command acts from the sample before.
+            edge = int(np.searchsorted(edges, max(differs[0] - 1, 0), "right")) - 1
             for i, vehicle in enumerate(self.vehicles):
-                # A linearly interpolated command acts from the sample before.
-                edge = int(np.searchsorted(vehicle.edges, max(differs[0] - 1, 0), "right")) - 1
                 change = vehicle.change(
                     score.evaluations[i], commands[index], edge, slopes[i], columns
                 )
                 if change is not None:
                     gradient[index] += change[0] / step
-                    signals[i, vehicle.edges[edge] :, :, index] = change[1] / step
-            if self.scenarios is None:
-                return
-            edges = self.vehicles[0].edges
-            edge = int(np.searchsorted(edges, max(differs[0] - 1, 0), "right")) - 1
-            for i in decisive:
-                moved = self.scenarios.change(i, score.scenarios[i], commands[index], edge)
-                by_scenario[i][edges[edge] :, :, index] = moved / step
+                    signals[i, edges[edge] :, :, index] = change[1] / step
+            for i, by_numbers in by_scenario.items():
+                assert scenarios is not None
+                moved = scenarios.change(i, score.scenarios[i], commands[index], edge)
+                by_numbers[edges[edge] :, :, index] = moved / step
 
         self.n_evaluations += size
         self._each(one, size)

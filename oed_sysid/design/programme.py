@@ -37,7 +37,7 @@ from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.design.result import Design, Programme, Standard, joint_share
 from oed_sysid.design.trial import Search, Task, Trial
-from oed_sysid.design.vehicles import draw_models, kept_on
+from oed_sysid.design.vehicles import CHECKED, draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -51,8 +51,8 @@ from oed_sysid.runtime.threads import single_threaded
 # Shares of the room between start and limits within which commands are refined: the rest is for
 # vehicles that differ.
 _ROOM = (0.75, 0.5)
-# Fresh vehicles that judge the runs chosen, and those that judge a refined command before.
-_CHECKED, _SCREENED = 200, 60
+# Vehicles that judge a refined command before it is chosen.
+_SCREENED = 60
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -360,7 +360,7 @@ class _Planner:
         them every run keeps its limits.
         """
         expected, safe = self.expected, dict[str, Assurance]()
-        judges = draw_models(expected.model, self.spread, _CHECKED, expected.prior, self.rng)
+        judges = draw_models(expected.model, self.spread, CHECKED, expected.prior, self.rng)
         while True:
             for run in plan.picked:
                 if run.name not in safe:

@@ -27,14 +27,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
+from itertools import islice, product
 
 import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
-from oed_sysid.design.vehicles import Scenarios, motion
+from oed_sysid.design.vehicles import motion
 from oed_sysid.design.waveforms import Grid
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
@@ -52,12 +51,11 @@ def rough_commands(grid: Grid, rng: np.random.Generator) -> np.ndarray:
     Random telegraph, square wave, random levels, multisine or 3-2-1-1 blocks,
     each at a random pace between two samples and a quarter of the duration.
     """
-    n_times, n_inputs = len(grid.times), len(grid.inputs)
-    columns = []
-    for _ in range(n_inputs):
+    n_times = len(grid.times)
+    index, columns = np.arange(n_times), []
+    for _ in grid.inputs:
         pace = float(np.exp(rng.uniform(np.log(2.0), np.log(max(n_times / 4, 3.0)))))
         kind = rng.integers(5)
-        index = np.arange(n_times)
         if kind == 0:
             switches = rng.random(n_times) < 1.0 / pace
             column = np.where(np.cumsum(switches) % 2, 1.0, -1.0)
@@ -73,8 +71,7 @@ def rough_commands(grid: Grid, rng: np.random.Generator) -> np.ndarray:
             unit = max(int(pace / 2), 1)
             block = np.repeat([1.0, -1.0, 1.0, -1.0], np.array([3, 2, 1, 1]) * unit)
             pause = np.zeros(int(rng.uniform(0, 4) * unit))
-            pattern = np.concatenate([block, pause, -block, pause])
-            column = np.resize(pattern, n_times)
+            column = np.resize(np.concatenate([block, pause, -block, pause]), n_times)
         columns.append(column * rng.choice([-1.0, 1.0]))
     return np.column_stack(columns)
 
@@ -102,45 +99,36 @@ def starts(
     given : sequence of ndarray (n_times, n_inputs)
         Manoeuvres of the designed inputs that are tried first, at full size.
     """
+    shape = objective.shape
     found: list[Score] = []
-    for commands in given:
-        numbers = objective.shape.start(commands)
+    for number in range(len(given) + n_candidates):
+        is_rough = number >= len(given)
+        if is_rough:
+            unit = rough_commands(grid, rng)
+            room = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
+            numbers = shape.start(grid.limited((grid.neutral + room * unit)[None])[0])
+        else:
+            numbers = shape.start(given[number])
+        if numbers is None and is_rough:
+            numbers = rng.random(shape.size)
         if numbers is not None:
             found += _largest(objective, grid, numbers, with_scenarios=False)
-    for _ in range(n_candidates):
-        unit = rough_commands(grid, rng)
-        numbers = None
-        orders = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower) * unit
-        numbers = objective.shape.start(grid.limited((grid.neutral + orders)[None])[0])
-        if numbers is None:
-            numbers = rng.random(objective.shape.size)
-        found += _largest(objective, grid, numbers, with_scenarios=False)
     found.sort(key=lambda score: (not score.feasible, -score.value))
     kept: list[Score] = []
     for score in found:
-        if np.isfinite(score.value) and all(
-            np.sqrt(np.mean((score.numbers - other.numbers) ** 2)) > 0.05 for other in kept
-        ):
+        apart = [np.sqrt(np.mean((score.numbers - other.numbers) ** 2)) for other in kept]
+        if len(kept) < n_starts and np.isfinite(score.value) and min(apart, default=1.0) > 0.05:
             kept.append(score)
-        if len(kept) == n_starts:
-            break
-    if objective.scenarios is None:
-        return kept
-    if kept:
-        objective.scenarios.waive(objective.score(kept[0].numbers).scenarios)
     # Many vehicles take time: only what is kept is shrunk until they keep the limits too.
-    return [
-        smaller
-        for score in kept
-        for smaller in _largest(objective, grid, score.numbers, with_scenarios=True)
-    ]
+    return again(objective, grid, kept) if objective.scenarios is not None else kept
 
 
-def again(objective: Objective, grid: Grid, before: Score) -> list[Score]:
-    """Return a member of the same family, shrunk until it keeps the limits of this objective."""
-    if objective.scenarios is not None:
-        objective.scenarios.waive(objective.score(before.numbers).scenarios)
-    return _largest(objective, grid, before.numbers, with_scenarios=True)
+def again(objective: Objective, grid: Grid, before: Sequence[Score]) -> list[Score]:
+    """Return members of the same family, shrunk until they keep the limits of this objective."""
+    if objective.scenarios is not None and before:
+        objective.scenarios.waive(objective.score(before[0].numbers).scenarios)
+    found = (_largest(objective, grid, one.numbers, with_scenarios=True) for one in before)
+    return [score for scores in found for score in scores]
 
 
 def _largest(
@@ -168,8 +156,9 @@ _MARGIN = 5e-4
 # Loss of criterion that weighs as much as an excess of the whole width of a limit.
 _PRICE = 300.0
 _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
-# The search ends when five steps together gain less than this.
-_WORTH_MORE = 0.01
+# A gain of a criterion, or of a goal's log, that is worth no more effort: of five steps together,
+# of a run.
+WORTH = 0.01
 _N_FINISHES, _INWARD = 3, 0.85
 
 
@@ -252,7 +241,8 @@ def refine(
             break
         if report is not None:
             report(index, state.current)
-        if state.is_done:
+        # Enough where the last five steps together gained too little.
+        if len(state.merits) > 6 and state.merits[-1] - state.merits[-6] < WORTH:
             break
         if journal is not None:
             journal.keep((index + 1, state, objective.n_evaluations))
@@ -268,11 +258,6 @@ class _Progressed:
         self.last_step = np.zeros(size)
         self.merits = [_merit(start)]
 
-    @property
-    def is_done(self) -> bool:
-        """Whether the last five steps together gained too little."""
-        return len(self.merits) > 6 and self.merits[-1] - self.merits[-6] < _WORTH_MORE
-
     def step(self, objective: Objective) -> bool:
         """Take one step that raises the merit; False where none is found."""
         slope = objective.linearise(self.current)
@@ -284,7 +269,15 @@ class _Progressed:
             if trial.excess < self.nearest.excess:
                 self.nearest = trial
             if gained > 0.05 * predicted and gained > 0:
-                self._move(trial, step, gained, predicted)
+                # Bounds widen or narrow; where the linear program promises too much they are too
+                # wide.
+                turned = step * self.last_step
+                factor = np.where(turned < 0, 0.6, np.where(turned > 0, 1.3, 1.0))
+                shrunk, grown = gained < 0.3 * predicted, gained > 0.8 * predicted
+                factor = factor * (0.6 if shrunk else 1.4 if grown else 1)
+                self.radius = np.clip(factor * self.radius, _SMALLEST_RADIUS, _LARGEST_RADIUS)
+                self.current, self.last_step = trial, step
+                self.merits.append(_merit(trial))
                 return True
             self.radius = 0.4 * self.radius
         return False
@@ -302,18 +295,6 @@ class _Progressed:
             if _merit(second) > _merit(trial):
                 return second, bent, predicted
         return trial, step, predicted
-
-    def _move(self, trial: Score, step: np.ndarray, gained: float, predicted: float) -> None:
-        """Accept a step, and widen or narrow the bounds of the next one."""
-        turned = step * self.last_step
-        factor = np.where(turned < 0, 0.6, np.where(turned > 0, 1.3, 1.0))
-        # Where the linear program promises too much its bounds are too wide.
-        factor = factor * (
-            0.6 if gained < 0.3 * predicted else 1.4 if gained > 0.8 * predicted else 1
-        )
-        self.radius = np.clip(factor * self.radius, _SMALLEST_RADIUS, _LARGEST_RADIUS)
-        self.current, self.last_step = trial, step
-        self.merits.append(_merit(trial))
 
 
 def _merit(score: Score) -> float:
@@ -418,15 +399,14 @@ def refine_all(
     nearest = min(begin, key=lambda score: score.excess)
     rough: list[Score] = []
 
-    def tell(number: int, index: int, score: Score) -> None:
-        if progress is not None:
-            progress(Progress(number, index, score.value, score.excess))
-
     def refined(number: int, start: Score, n_steps: int) -> tuple[Score | None, Score]:
+        def tell(index: int, score: Score) -> None:
+            if progress is not None:
+                progress(Progress(number, index, score.value, score.excess))
+
         def work() -> tuple[Score | None, Score, int]:
-            report = partial(tell, number)
-            best, close = refine(objective, start, n_steps=n_steps, report=report, journal=keep)
-            return best, close, objective.n_evaluations
+            found = refine(objective, start, n_steps=n_steps, report=tell, journal=keep)
+            return *found, objective.n_evaluations
 
         best, close, objective.n_evaluations = keep.once(f"start {number + 1}", work)
         return best, close
@@ -512,72 +492,64 @@ def search_zigzags(
             f"A zigzag commands one input, not {', '.join(grid.inputs)}. Give inputs=[one of them] "
             "and constants for the others."
         )
-    n = family.n_swings
-    span = float(min(grid.upper[0] - grid.neutral[0], grid.neutral[0] - grid.lower[0]))
+    n, neutral = family.n_swings, float(grid.neutral[0])
+    span = float(min(grid.upper[0] - neutral, neutral - grid.lower[0]))
     rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
+    scenarios = objective.scenarios
 
     def plan(numbers: np.ndarray) -> Experiment:
+        sizes = np.maximum(numbers, 0.02)
+        shape = ZigZagLike(
+            grid.inputs[0], tuple((span * sizes[:n]).tolist()),
+            tuple((family.largest_switch * sizes[n:]).tolist()), feedback=(family.feedback,),
+            rate=rate, sign=sign, start=grid.step, neutral=neutral, reference=None,
+        )  # fmt: skip
         return Experiment(
-            "designed zigzag",
-            ZigZagLike(
-                grid.inputs[0],
-                tuple(float(x) for x in span * np.maximum(numbers[:n], 0.02)),
-                tuple(float(x) for x in family.largest_switch * np.maximum(numbers[n:], 0.02)),
-                feedback=(family.feedback,), rate=rate, sign=sign, start=grid.step,
-                neutral=float(grid.neutral[0]), reference=None,
-            ),
-            duration=float(grid.times[-1]), sample_time=grid.step, constants=constants,
-            initial=initial, feedback="true",
+            "designed zigzag", shape, duration=float(grid.times[-1]), sample_time=grid.step,
+            constants=constants, initial=initial, feedback="true",
         )  # fmt: skip
 
-    def judge(numbers: np.ndarray) -> Score | None:
-        made = motion(model, plan(numbers))
-        if made is None:
-            return None
-        score = objective.score_commands(made.inputs, numbers, with_scenarios=False)
-        return score if np.isfinite(score.value) else None
+    def fails(index: int, run: Experiment) -> bool:
+        assert scenarios is not None
+        made = motion(scenarios.models[index], run)
+        return made is None or scenarios.run(index, made.inputs).excess > 0
+
+    def is_safe(run: Experiment) -> bool:
+        """Whether enough of the uncertain vehicles, each closing the loop, keep the limits."""
+        if scenarios is None:
+            return True
+        failing = (i for i in range(len(scenarios)) if fails(i, run))
+        return next(islice(failing, scenarios.n_waived, None), None) is None
+
+    def drawn(number: int) -> np.ndarray:
+        """Numbers of one trial: regular zigzags, then random ones, then near the best."""
+        if number < len(regular):
+            return np.repeat(regular[number], n)
+        if best is None or number < n_random:
+            return rng.uniform(0.05, 1.0, 2 * n)
+        moved = rng.random(2 * n) < max(0.3, 1.0 / n)
+        step = width * moved * rng.standard_normal(2 * n)
+        return np.clip(best.numbers + step, 0.02, 1.0)
 
     best: Score | None = None
     nearest: Score | None = None
     width = 0.3
-    for trial in range(family.n_trials):
-        numbers, is_local = _tried(family, trial, best, width, rng)
-        score = judge(numbers)
-        if score is None:
+    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
+    regular = list(product(_SIZES, _SIZES))
+    n_random = len(regular) + family.n_trials // 4
+    for number in range(family.n_trials):
+        is_local, numbers = number >= n_random, drawn(number)
+        made = motion(model, plan(numbers))
+        score = None
+        if made is not None:
+            score = objective.score(numbers, commands=made.inputs, with_scenarios=False)
+        if score is None or not np.isfinite(score.value):
             continue
         nearest = score if nearest is None else min(nearest, score, key=lambda one: one.excess)
         better = score.feasible and (best is None or score.value > best.value)
-        if better and _is_safe(plan(numbers), objective.scenarios):
+        if better and is_safe(plan(numbers)):
             best = score
             width = min(0.4, 1.3 * width) if is_local else width
         elif is_local:
             width = max(0.03, 0.97 * width)
     return best, nearest, None if best is None else plan(best.numbers)
-
-
-def _tried(
-    family: ZigZags, trial: int, best: Score | None, width: float, rng: np.random.Generator
-) -> tuple[np.ndarray, bool]:
-    """Numbers of one trial, and whether the search is local by then."""
-    n = family.n_swings
-    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
-    regular = list(product(_SIZES, _SIZES))
-    if trial < len(regular):
-        return np.repeat(regular[trial], n), False
-    is_local = trial >= len(regular) + family.n_trials // 4
-    if best is None or not is_local:
-        return rng.uniform(0.05, 1.0, 2 * n), is_local
-    moved = rng.random(2 * n) < max(0.3, 1.0 / n)
-    step = width * moved * rng.standard_normal(2 * n)
-    return np.clip(best.numbers + step, 0.02, 1.0), True
-
-
-def _is_safe(run: Experiment, scenarios: Scenarios | None) -> bool:
-    """Whether enough of the uncertain vehicles, each closing the loop, keep the limits."""
-    failed = 0
-    for index, vehicle in enumerate(scenarios.models if scenarios is not None else ()):
-        made = motion(vehicle, run)
-        failed += made is None or scenarios.run(index, made.inputs).excess > 0  # type: ignore[union-attr]
-        if failed > scenarios.n_waived:  # type: ignore[union-attr]
-            return False
-    return True

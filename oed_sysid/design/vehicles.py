@@ -29,7 +29,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import betaincinv
 
-from oed_sysid.compiled.kernels import kernel
+from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.design.criteria import Criterion
 from oed_sysid.design.limits import LimitBounds
 from oed_sysid.errors import DesignError, OedSysidError
@@ -40,6 +40,8 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import at_sea
 from oed_sysid.physics.model import Model
 
+# Fresh vehicles that judge runs that are chosen from several.
+CHECKED = 200
 # How much wider than declared a prior may be: one that says 8 % where 25 % is true.
 DOUBT = 3.0
 
@@ -120,6 +122,7 @@ def draw_models(
     """
     names = model.free_names
     values = np.array([model.values[name] for name in names])
+    lower, upper = np.array([(p.lower, p.upper) for p in model.free_parameters]).reshape(-1, 2).T
     found = []
     deviations = _deviations(model, prior) if spread is None else None
     for number in range(n_sets):
@@ -127,8 +130,9 @@ def draw_models(
             drawn = values * (1 + (spread or 0.0) * rng.uniform(-1, 1, len(names)))
         else:
             wide = DOUBT if prior is None and number % 2 else 1.0
-            drawn = values + wide * deviations @ rng.standard_normal(deviations.shape[1])
-        found.append(model.with_values(_bounded(model, names, drawn)))
+            drawn = values + wide * deviations @ rng.standard_normal(len(names))
+        inside = np.clip(drawn, lower, upper).tolist()
+        found.append(model.with_values(dict(zip(names, inside, strict=True))))
     return tuple(found)
 
 
@@ -152,27 +156,18 @@ def draw_structures(
         See :func:`draw_models`; ``n_sets`` over all structures.
     """
     structures = (model, *others)
-    counts = [len(range(i, n_sets, len(structures))) for i in range(len(structures))]
+    n = len(structures)
     drawn = [
-        draw_models(one, spread, count, prior, rng)
-        for one, count in zip(structures, counts, strict=True)
+        draw_models(one, spread, len(range(i, n_sets, n)), prior, rng)
+        for i, one in enumerate(structures)
     ]
-    return tuple(drawn[i % len(structures)][i // len(structures)] for i in range(n_sets))
-
-
-def _bounded(model: Model, names: Sequence[str], drawn: np.ndarray) -> dict[str, float]:
-    return {
-        name: float(np.clip(value, model.parameter(name).lower, model.parameter(name).upper))
-        for name, value in zip(names, drawn, strict=True)
-    }
+    return tuple(drawn[i % n][i // n] for i in range(n_sets))
 
 
 def _deviations(model: Model, prior: Information | None) -> np.ndarray:
     """Root of the covariance of what is known, shape ``(n_free, n_free)``."""
     names = model.free_names
-    root = np.zeros((len(names), len(names)))
-    for i, parameter in enumerate(model.free_parameters):
-        root[i, i] = parameter.prior_spread or 0.0
+    root = np.diag([parameter.prior_spread or 0.0 for parameter in model.free_parameters])
     if prior is not None:
         covariance = prior.covariance
         if not np.all(np.isfinite(covariance)):
@@ -398,11 +393,7 @@ class Scenarios:
 
     def run(self, index: int, commands: np.ndarray) -> ScenarioRun:
         """Simulate one vehicle."""
-        values = self.values[index]
-        runner, commands = self.kernels[index], self._pushed(index, commands)
-        z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
-        run = runner.run(self.times, commands, values, z)
-        signals = self._limited(run.states, run.outputs)
+        run, signals = self._simulated(index, commands)
         excess = self.bounds.worst(signals) if run.ok else np.inf
         return ScenarioRun(signals, run.states[self.edges], excess)
 
@@ -410,26 +401,25 @@ class Scenarios:
         self, index: int, before: ScenarioRun, commands: np.ndarray, edge: int
     ) -> np.ndarray:
         """Change of the limited signals from an edge on, zero where the trajectory diverges."""
-        first, values = int(self.edges[edge]), self.values[index]
-        z, runner = before.nodes[edge], self.kernels[index]
-        commands = self._pushed(index, commands)
-        if edge == 0:
-            z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
-        run = runner.run(self.times[first:], commands[first:], values, z)
-        changed = self._limited(run.states, run.outputs) - before.signals[first:]
+        first = int(self.edges[edge])
+        run, signals = self._simulated(index, commands, first, before.nodes[edge])
+        changed = signals - before.signals[first:]
         return changed if run.ok else np.zeros_like(changed)
 
-    def _pushed(self, index: int, commands: np.ndarray) -> np.ndarray:
-        """Commands with the waves of one vehicle beside them."""
-        return np.hstack([commands, self._waves[index]]) if self._waves else commands
-
-    def _limited(self, states: np.ndarray, outputs: np.ndarray) -> np.ndarray:
+    def _simulated(
+        self, index: int, commands: np.ndarray, first: int = 0, node: np.ndarray | None = None
+    ) -> tuple[Run, np.ndarray]:
+        """Run of one vehicle, in its own waves, from a sample on, and the limited signals."""
+        values, runner, z = self.values[index], self.kernels[index], node
+        if self._waves:
+            commands = np.hstack([commands, self._waves[index]])
+        if z is None or first == 0:
+            z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
+        run = runner.run(self.times[first:], commands[first:], values, z)
         # Own states come first in every structure; outputs count after those of the nominal one.
-        n_full = self._n_full
-        signals = np.empty((len(states), len(self._columns)))
-        for i, column in enumerate(self._columns):
-            signals[:, i] = states[:, column] if column < n_full else outputs[:, column - n_full]
-        return signals
+        states, outputs = run.states[:, : self._n_full], run.outputs
+        missing = np.zeros((len(states), self._n_full - states.shape[1]))
+        return run, np.hstack([states, missing, outputs])[:, self._columns]
 
     def waive(self, runs: Sequence[ScenarioRun]) -> None:
         """Leave the allowed number of vehicles, those furthest outside, out of the search.

@@ -287,6 +287,11 @@ class Manoeuvre(Excitation):
         """The one commanded channel, as a tuple."""
         return (self.input,)
 
+    @property
+    def duration(self) -> float | None:
+        """None: it depends on the vehicle or has no end; for kinds that do not know it."""
+        return None
+
     def controllers(self) -> dict[str, Controller]:
         """Return the fresh controller under the name of the input."""
         return {self.input: self.controller()}

@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from copy import copy
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any
 
@@ -114,29 +115,31 @@ class Problem:
                 f"Problem name {self.name!r} is no identifier. Use letters, digits and "
                 "underscores, beginning with a letter."
             )
-        object.__setattr__(self, "effects", tuple(self.effects))
-        object.__setattr__(self, "references", tuple(self.references))
-        object.__setattr__(self, "experiments", dict(self.experiments))
         others = {name: model for name, model in self.models.items() if name != DEFAULT}
-        if DEFAULT in self.models and self.models[DEFAULT] != self.model:
+        if self.models.get(DEFAULT, self.model) != self.model:
             raise ProblemError(
                 f"Problem {self.name!r} has two default models. Leave {DEFAULT!r} out of models."
             )
-        object.__setattr__(self, "models", {DEFAULT: self.model, **others})
-        object.__setattr__(self, "others", dict(self.others))
+        kept: dict[str, object] = {
+            "title": self.title or self.name.replace("_", " "),
+            "effects": tuple(self.effects),
+            "references": tuple(self.references),
+            "experiments": dict(self.experiments),
+            "models": {DEFAULT: self.model, **others},
+            "others": dict(self.others),
+        }
+        for name, value in kept.items():
+            object.__setattr__(self, name, value)
         if twice := [name for name in self.others if name in self.models]:
             raise ProblemError(
                 f"Problem {self.name!r} has a model and a problem called {twice[0]!r}. Rename one."
             )
-        if not self.title:
-            object.__setattr__(self, "title", self.name.replace("_", " "))
         self._check_effects()
         self._check_truth()
         try:
-            for experiment in self.experiments.values():
-                experiment.check_model(self.model)
             self.limits.check_names(self.model)
             for experiment in self.experiments.values():
+                experiment.check_model(self.model)
                 self._check_constants(experiment)
         except OedSysidError as error:
             raise ProblemError(f"Problem {self.name!r}: {error}") from None
@@ -154,24 +157,24 @@ class Problem:
     def _check_kinds(self) -> None:
         """Refuse parts of another kind before anything is asked of them."""
 
-        def check(what: str, value: object, kind: type | tuple[type, ...], words: str) -> None:
+        def check(what: str, value: object, kind: Any, words: str) -> None:
             if not isinstance(value, kind):
                 raise ProblemError(
                     f"Problem {self.name!r:.60}: {what} is a {type(value).__name__}, expected "
                     f"{words}."
                 )
 
-        check("name", self.name, str, "text")
-        check("model", self.model, Model, "a Model")
-        for what in ("title", "description"):
+        for what in ("name", "title", "description"):
             check(what, getattr(self, what), str, "text")
-        for what in ("effects", "references"):
+        check("model", self.model, Model, "a Model")
+        for what, part, words in (
+            ("effects", Effect, "an Effect, such as Force(...)"),
+            ("references", str, "text"),
+        ):
             value = getattr(self, what)
-            check(what, value, tuple | list, f"a tuple; one alone is ({what[:-1]},)")  # type: ignore[arg-type]
-        for effect in self.effects:
-            check("one of its effects", effect, Effect, "an Effect, such as Force(...)")
-        for reference in self.references:
-            check("one of its references", reference, str, "text")
+            check(what, value, (tuple, list), f"a tuple; one alone is ({what[:-1]},)")
+            for one in value:
+                check(f"one of its {what}", one, part, words)
         for what, kind in (
             ("experiments", Experiment),
             ("models", Model),
@@ -184,20 +187,17 @@ class Problem:
                 check(f"a name in {what}", key, str, "text")
                 check(f"{what}[{key!r}]", value, kind, f"a {kind.__name__}")
         check("limits", self.limits, Limits, "Limits(...)")
-        if self.records is not None and not callable(self.records):
-            raise ProblemError(
-                f"Problem {self.name!r}: records is a {type(self.records).__name__}, expected a "
-                "function without arguments that returns the Dataset."
-            )
-        if self.truth is not None:
-            check("truth", self.truth, Mapping, "a mapping from names to numbers")
-            for key, value in self.truth.items():
-                number = isinstance(value, int | float) and not isinstance(value, bool)
-                if not number or not math.isfinite(value):
-                    raise ProblemError(
-                        f"Problem {self.name!r}: the truth of {key!r} is {value!r:.40}. Give "
-                        "a number."
-                    )
+        if self.records is not None:
+            words = "a function without arguments that returns the Dataset"
+            check("records", self.records, Callable, words)
+        truth = {} if self.truth is None else self.truth
+        check("truth", truth, Mapping, "a mapping from names to numbers")
+        for key, value in truth.items():
+            number = isinstance(value, int | float) and not isinstance(value, bool)
+            if not number or not math.isfinite(value):
+                raise ProblemError(
+                    f"Problem {self.name!r}: the truth of {key!r} is {value!r:.40}. Give a number."
+                )
 
     def _check_effects(self) -> None:
         seen: set[str] = set()
@@ -258,11 +258,7 @@ class Problem:
         """
         if name in self.others:
             return self.others[name]
-        if name not in self.models:
-            raise ProblemError(
-                f"Problem {self.name!r} has no model {name!r}. It has {', '.join(self.variants)} "
-                f"({DEFAULT} is the nominal one)." + closest(name, self.variants)
-            )
+        self._check_known("model", name, self.variants, f" ({DEFAULT} is the nominal one)")
         if name == DEFAULT:
             return self
         model = self.models[name]
@@ -290,21 +286,21 @@ class Problem:
     def effect(self, name: str) -> Effect:
         """Return one candidate effect by name."""
         names = [effect.name for effect in self.effects]
-        if name not in names:
-            raise ProblemError(
-                f"Problem {self.name!r} has no candidate {name!r}. It has "
-                f"{', '.join(names) or 'none'}." + closest(name, names)
-            )
+        self._check_known("candidate", name, names)
         return self.effects[names.index(name)]
 
     def experiment(self, name: str) -> Experiment:
         """Return one experiment by name."""
-        if name not in self.experiments:
-            raise ProblemError(
-                f"Problem {self.name!r} has no experiment {name!r}. It has "
-                f"{', '.join(self.experiments) or 'none'}." + closest(name, self.experiments)
-            )
+        self._check_known("experiment", name, self.experiments)
         return self.experiments[name]
+
+    def _check_known(self, kind: str, name: str, known: Iterable[str], note: str = "") -> None:
+        """Raise :class:`ProblemError` for a part that there is not."""
+        if name not in known:
+            raise ProblemError(
+                f"Problem {self.name!r} has no {kind} {name!r}. It has "
+                f"{', '.join(known) or 'none'}{note}." + closest(name, known)
+            )
 
     def data(self) -> Dataset:
         """Return the measured records of this problem.
@@ -367,11 +363,6 @@ class Problem:
 # -- what is wrong although every part is well formed ---------------------------------------
 
 
-def dimension_faults(model: Model) -> tuple[str, ...]:
-    """Say which expressions of a model are not in the unit of what they give."""
-    return tuple(_Units(model).faults())
-
-
 def effect_faults(effects: Iterable[Effect], model: Model) -> tuple[str, ...]:
     """Say which expressions of effects are not in the unit of what they change.
 
@@ -383,7 +374,6 @@ def effect_faults(effects: Iterable[Effect], model: Model) -> tuple[str, ...]:
         A model that can carry each of them, with or without it.
     """
     units = _Units(model)
-    list(units.faults())
     return tuple(fault for effect in effects for fault in units.copy().of_effect(effect))
 
 
@@ -397,19 +387,12 @@ def notes(models: Iterable[Model], effects: Iterable[Effect]) -> tuple[str, ...]
     effects : iterable of Effect
         The candidates.
     """
-    found: list[str] = []
-    nominal = None
-    for model in models:
-        units = _Units(model)
-        list(units.faults())
-        nominal = nominal or units
-        found += units.notes()
-    if nominal is not None:
-        for effect in effects:
-            units = nominal.copy()
-            list(units.of_effect(effect))
-            found += units.notes()
-    return tuple(dict.fromkeys(found))
+    read = [_Units(model) for model in models]
+    for effect in effects:
+        extended = read[0].copy()
+        list(extended.of_effect(effect))
+        read.append(extended)
+    return tuple(dict.fromkeys(line for units in read for line in units.notes()))
 
 
 class _Units:
@@ -424,10 +407,11 @@ class _Units:
         self.known |= {channel.name: Form(dimension(channel.unit)) for channel in model.inputs}
         self.known |= {p.name: _stated(p.unit) for p in model.all_parameters}
         self.outputs = {output.name: Form(dimension(output.unit)) for output in model.outputs}
+        self.faults = tuple(self._faults())
 
     def copy(self) -> _Units:
         """The same, to be extended by one effect."""
-        other = _Units(self.model)
+        other = copy(self)
         other.units, other.known, other.masses = (
             self.units.copy(),
             dict(self.known),
@@ -444,7 +428,7 @@ class _Units:
                 self.units.equal(force, usual)
         return self.units.notes()
 
-    def faults(self) -> Iterator[str]:
+    def _faults(self) -> Iterator[str]:
         """Yield what is wrong in a model and its effects."""
         model, known = self.model, self.known
         for effect in model.effects:
@@ -566,14 +550,9 @@ def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
     """
     if not effect.amplitude_names:
         return ()
-    for parameter in effect.parameters:
-        if parameter.name in effect.amplitude_names and not (
-            parameter.lower <= 0.0 <= parameter.upper
-        ):
-            return (
-                f"its amplitude {parameter.name!r} cannot be zero within "
-                f"[{parameter.lower:g}, {parameter.upper:g}]",
-            )
+    for p in effect.parameters:
+        if p.name in effect.amplitude_names and not p.lower <= 0.0 <= p.upper:
+            return (f"its amplitude {p.name!r} cannot be zero within [{p.lower:g}, {p.upper:g}]",)
     rng = np.random.default_rng(0)
     absent = effect.absent().parameters
     values = model.values | {parameter.name: parameter.value for parameter in absent}
@@ -582,11 +561,12 @@ def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
     for _ in range(3):  # a term may vanish at one place by chance
         scope: dict[str, float] = {name: rng.normal() for name in names}
         scope |= values | {"t": rng.uniform(0, 10), "h": model.step}
+        with np.errstate(all="ignore"):
+            inner = dict(scope)
+            for name, definition in effect.definitions.items():
+                inner[name] = expressions.to_numpy(definition, inner, effect.tables)  # type: ignore[assignment]
         for key, text in effect.terms.items():
             with np.errstate(all="ignore"):
-                inner = dict(scope)
-                for name, definition in effect.definitions.items():
-                    inner[name] = expressions.to_numpy(definition, inner, effect.tables)  # type: ignore[assignment]
                 value = expressions.to_numpy(text, inner, effect.tables)
             expected = 0.0 if effect.stage in ("force", "inertia") else scope[str(key)]
             gap = float(np.abs(value - expected))
@@ -626,7 +606,7 @@ def faults(name: str, models: Mapping[str, Model], effects: tuple[Effect, ...]) 
     found = [
         f"Problem {name!r}, model {which!r}, {fault}"
         for which, model in models.items()
-        for fault in dimension_faults(model)
+        for fault in _Units(model).faults
     ]
     nominal = next(iter(models.values()))
     found += [f"Problem {name!r}, {fault}" for fault in effect_faults(effects, nominal)]

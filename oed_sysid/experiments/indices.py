@@ -327,8 +327,10 @@ def turning_indices(
     along = (north - origin[0]) * math.cos(course) + (east - origin[1]) * math.sin(course)
     across = (east - origin[1]) * math.cos(course) - (north - origin[0]) * math.sin(course)
     quarter, half = (
-        _time_of_turn(moments, side * change, angle, begin) for angle in (math.pi / 2, math.pi)
+        first_reach(moments, side * change, angle, after=begin) for angle in (math.pi / 2, math.pi)
     )
+    assert quarter is not None  # the turn is longer
+    assert half is not None
     track_north, track_east = np.gradient(north, moments), np.gradient(east, moments)
     if speed is None:
         speeds = np.hypot(track_north, track_east)
@@ -355,14 +357,6 @@ def turning_indices(
         steady_speed_ratio=ratio,
         drift=drift,
     )
-
-
-def _time_of_turn(times: FloatArray, change: FloatArray, angle: float, execute: float) -> float:
-    """Return the time [s] at which the heading has changed by an angle."""
-    time = first_reach(times, change, angle, after=execute)
-    if time is None:  # pragma: no cover - the caller has checked the largest change
-        raise DataError(f"The turn never reaches {math.degrees(angle):.0f} degrees.")
-    return time
 
 
 def _text(value: float | None, unit: str) -> str:

@@ -98,11 +98,6 @@ class SlopeLimit:
 class _Reversing(Stepwise):
     """What both zigzags share."""
 
-    @property
-    def duration(self) -> float | None:
-        """None: it depends on the vehicle; 5 reversals are usual."""
-        return None
-
     def controller(self) -> Controller:
         """Return a fresh controller."""
         return _Swings(self)  # type: ignore[arg-type]

@@ -118,11 +118,6 @@ class Constant(OpenLoop):
     rules: ClassVar[Mapping[str, Rule]] = {"value": finite}
     value: float
 
-    @property
-    def duration(self) -> float | None:
-        """None: it has no end."""
-        return None
-
     def waveform(self) -> Waveform:
         """Return the function of time."""
         return lambda times: np.full(len(times), self.value)
@@ -178,11 +173,6 @@ class TurningCircle(Scheduled):
     start: float = 0.0
     rate: float | None = None
     neutral: float = 0.0
-
-    @property
-    def duration(self) -> float | None:
-        """None: it depends on the vehicle; 540 degrees of turn are usual."""
-        return None
 
     def schedule(self) -> tuple[Numbers, Numbers]:
         """Return times since ``start`` and orders."""

@@ -137,9 +137,13 @@ class Multisine(OpenLoop):
         total = float(np.sum(np.asarray(self.amplitudes)))
         if self.period is None:
             return total
-        n_points = _OVERSAMPLING * round(self.period * self.frequencies[-1])
-        grid = np.max(np.abs(self._sum(np.arange(n_points) * self.period / n_points)))
+        grid = np.max(np.abs(self._cycle(self.period)))
         return min(total, float(grid) / math.cos(math.pi / _OVERSAMPLING))
+
+    def _cycle(self, period: float) -> FloatArray:
+        """One period about neutral, on a grid of the shortest cycle's parts."""
+        n_points = _OVERSAMPLING * round(period * self.frequencies[-1])
+        return self._sum(np.arange(n_points) * period / n_points)
 
     @property
     def crest_factor(self) -> float:
@@ -379,6 +383,5 @@ def peak_factor(signal: Multisine) -> float:
     """Half the range of a periodic multisine over that of a sine of equal power."""
     if signal.period is None:
         raise ModelError("The multisine has no period, so its peak factor is not known.")
-    n = _OVERSAMPLING * round(signal.period * signal.frequencies[-1])
-    values = signal._sum(np.arange(n) * signal.period / n)
+    values = signal._cycle(signal.period)
     return float(np.ptp(values) / (2 * np.sqrt(2) * np.sqrt(np.mean(values**2))))

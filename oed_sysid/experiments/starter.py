@@ -14,12 +14,14 @@ import re
 import shlex
 import shutil
 import tempfile
+import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from string import Template
+from textwrap import indent
 
 import numpy as np
 
@@ -43,40 +45,11 @@ _INTEGRALS = {"psi": "r", "theta": "q", "phi": "p"}
 _TAKEN = {*CONSTANTS, *FUNCTIONS, "t", "h", "dot", "force"}
 
 
+_FILES = files("oed_sysid.experiments").joinpath("starter_files")
 # What each template is, the columns of its data, the run to judge by and what is hidden.
-TEMPLATES: dict[str, dict[str, str]] = {
-    "generic": {},
-    "ship": {
-        "what": "A ship in surge, sway and yaw, with rudder and propeller",
-        "columns": "rudder [deg], thrust [kN], psi [deg], r [deg/s]",
-        "test": "circle",
-        "hidden": "surge_rudder_drag",
-    },
-    "auv": {
-        "what": "An underwater vehicle in six degrees of freedom",
-        "columns": "ds [deg], dr [deg], T [N], theta [deg], q [deg/s]",
-        "test": "wide",
-        "hidden": "fin_lag",
-    },
-    "usv": {
-        "what": "A catamaran that steers by its two propellers",
-        "columns": "n_port [rpm], n_starboard [rpm], psi [deg], r [deg/s]",
-        "test": "turns",
-        "hidden": "propeller_lag",
-    },
-    "torpedo": {
-        "what": "A torpedo-shaped vehicle in the diving plane",
-        "columns": "stern [deg], thrust [N], theta [deg], q [deg/s]",
-        "test": "zigzag_15",
-        "hidden": "fin_lag",
-    },
-    "sailboat": {
-        "what": "A sailing drone that surges, sways, rolls and yaws in measured wind",
-        "columns": "rudder [deg], wind [m/s], angle [deg], phi [deg], psi [deg]",
-        "test": "broad",
-        "hidden": "rudder_lag",
-    },
-}
+TEMPLATES: dict[str, dict[str, str]] = tomllib.loads(
+    _FILES.joinpath("templates.toml").read_text("utf-8")
+)
 
 
 def new_problem(
@@ -179,8 +152,7 @@ def _write_template(place: Path, template: str, words: dict[str, str]) -> None:
 
 def _filled_template(name: str, words: dict[str, str]) -> str:
     """Text of a starter file with its words filled in."""
-    file = files("oed_sysid.experiments").joinpath("starter_files", f"{name}.txt")
-    return Template(file.read_text("utf-8")).substitute(words)
+    return Template(_FILES.joinpath(f"{name}.txt").read_text("utf-8")).substitute(words)
 
 
 def _identifier(text: str) -> str:
@@ -234,16 +206,13 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     make_folder(place / "data")
     shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
     write_text(place / FILE, code)
-    listed = ", ".join(f"`{s.name}` [{s.unit}]" for s in (*commands, *measured))
-    write_text(
-        place / "README.md",
-        f"# {words['title']}\n\n"
-        f"Written from `{log.name}`: {listed}. Commands: "
-        f"{', '.join(s.name for s in commands) or 'none'}. The model is linear and a beginning "
-        "only: put in what you know of the vehicle.\n\n"
-        f"```\noed-sysid problems {words['folder']}\n"
-        f"oed-sysid fit {words['folder']} {words['folder']}/data/{log.stem}.csv\n```\n",
-    )
+    listed = {
+        "log": log.name,
+        "stem": log.stem,
+        "signals": ", ".join(f"`{s.name}` [{s.unit}]" for s in (*commands, *measured)),
+        "commands": ", ".join(s.name for s in commands) or "none",
+    }
+    write_text(place / "README.md", _filled_template("from_log_readme", words | listed))
 
 
 def _signals(log: Path) -> tuple[np.ndarray, list[_Signal]]:
@@ -326,12 +295,10 @@ def _parts(
         ],
     }
     indents = {"effects": 4, "limits": 12}
-    text = {name: _indented(lines, indents.get(name, 8)) for name, lines in lists.items()}
+    text = {
+        name: indent("\n".join(lines), " " * indents.get(name, 8)) for name, lines in lists.items()
+    }
     return text | {"log": log, "step": f"{step:.4g}"}
-
-
-def _indented(lines: list[str], width: int) -> str:
-    return "\n".join(" " * width + line for line in lines)
 
 
 def _dynamics(
@@ -364,7 +331,7 @@ def _candidates(
     found = [
         f'Force("{s.name}_quadratic", {{"{s.name}": "-E_{s.name}*{s.name}*abs({s.name})"}}, '
         f'(Parameter("E_{s.name}", 0.0, scale={0.1 / scales[s.name]:.3g}),),\n'
-        f'        description="damping that grows with {s.name}"),'
+        f'    description="damping that grows with {s.name}"),'
         for s in acting
         if s.name not in integral
     ]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -14,6 +14,7 @@ from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.graph import Graph
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.trajectory import state_scales
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, as_text
 
@@ -121,35 +122,41 @@ def equilibrium(
     >>> trim.ok, round(trim.states["w"], 6), trim.rates["z"] == trim.states["w"]
     (True, 0.5, True)
     """
-    given = dict(inputs or {}) | dict(fixed or {})
     graph = graph_module.build(model)
     names, wanted = graph.state_names, tuple(free)
-    _check(model, names, given, wanted, (*(steady or ()), *(guess or {})))
-    function = _rates(graph, model.step)
-    depended = _depended(function, names)
-    target = tuple(steady) if steady is not None else depended
     order = (*names, *model.input_names)
-    unknowns = tuple(n for n in order if n not in given and n in (*depended, *wanted))
+    given = {**(inputs or {}), **(fixed or {})}
     known = {**dict.fromkeys(order, 0.0), **(guess or {}), **given}
+    function = _settled(graph, model.step)
+    # States on which some rate depends; a position usually is not among them.
+    used = {column for _, column in zip(*function.sparsity_out(1).get_triplet(), strict=True)}
+    depended = tuple(name for index, name in enumerate(names) if index in used)
+    target = tuple(steady) if steady is not None else depended
+    _check(model, order, given, wanted, (*target, *known))
+    unknowns = tuple(name for name in order if name in {*depended, *wanted} - given.keys())
     point = np.array([known[name] for name in order])
-    search = _Search(model, function, names, [names.index(n) for n in target],
-                     [order.index(n) for n in unknowns], point)  # fmt: skip
-    full = search.solved(_bounds(limits or Limits(), unknowns))
-    return _described(model, search, full, target, unknowns)
+    rows, columns = [names.index(n) for n in target], [order.index(n) for n in unknowns]
+    scales = np.array([*state_scales(model, len(names)), *np.ones(len(model.input_names))])
 
+    def settled(trial: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Point with the unknowns in their places; rates there, and their derivatives."""
+        full = point.copy()
+        full[columns] = trial
+        found = function(full[: len(names)], full[len(names) :], model.value_vector)
+        return full, np.array(found[0]).ravel(), np.array(found[1])
 
-def _described(
-    model: Model,
-    search: _Search,
-    full: np.ndarray,
-    target: tuple[str, ...],
-    unknowns: tuple[str, ...],
-) -> Equilibrium:
-    """The point that a search has ended at, and whether it is an equilibrium."""
-    misses, names = search.misses(full), search.names
-    ok = bool(np.isfinite(misses).all() and (misses < _STEADY).all())
-    worst = target[int(np.argmax(misses))] if len(misses) else ""
-    rates = dict(zip(names, search.rates(full).tolist(), strict=True))
+    def misses(trial: np.ndarray) -> np.ndarray:
+        return settled(trial)[1][rows] / scales[rows]
+
+    def slopes(trial: np.ndarray) -> np.ndarray:
+        return settled(trial)[2][np.ix_(rows, columns)] / scales[rows, np.newaxis]
+
+    bounds = _bounds(limits, unknowns)
+    best = _zero(misses, slopes, point[columns], scales[columns], bounds)
+    full, found, _ = settled(best)
+    left, rates = np.abs(misses(best)), dict(zip(names, found.tolist(), strict=True))
+    ok = bool(np.isfinite(left).all() and (left < _STEADY).all())
+    worst = target[int(np.argmax(left))] if target else ""
     return Equilibrium(
         states=dict(zip(names, full[: len(names)].tolist(), strict=True)),
         inputs=dict(zip(model.input_names, full[len(names) :].tolist(), strict=True)),
@@ -161,65 +168,29 @@ def _described(
     )
 
 
-class _Search:
-    """Zero of chosen rates, in units of their states' scales, by least squares within bounds."""
-
-    def __init__(
-        self,
-        model: Model,
-        function: ca.Function,
-        names: tuple[str, ...],
-        rows: list[int],
-        columns: list[int],
-        point: np.ndarray,
-    ) -> None:
-        self.function, self.values = function, model.value_vector
-        self.names, self.n = names, len(names)
-        self.rows, self.columns, self.point = rows, columns, point
-        self.scales = np.array([*_scales(model, names), *np.ones(len(model.input_names))])
-
-    def full(self, trial: np.ndarray) -> np.ndarray:
-        """States and inputs with the unknowns in their places."""
-        full = self.point.copy()
-        full[self.columns] = trial
-        return full
-
-    def rates(self, full: np.ndarray) -> np.ndarray:
-        """Rate of every state."""
-        return np.array(self.function(full[: self.n], full[self.n :], self.values)[0]).ravel()
-
-    def residuals(self, trial: np.ndarray) -> np.ndarray:
-        """Rates that should vanish, in scales per second."""
-        return self.rates(self.full(trial))[self.rows] / self.scales[self.rows]
-
-    def derivatives(self, trial: np.ndarray) -> np.ndarray:
-        """Their derivatives by the unknowns."""
-        full = self.full(trial)
-        jacobian = np.array(self.function(full[: self.n], full[self.n :], self.values)[1])
-        return jacobian[np.ix_(self.rows, self.columns)] / self.scales[self.rows, np.newaxis]
-
-    def misses(self, full: np.ndarray) -> np.ndarray:
-        """How far each rate is from zero."""
-        return np.abs(self.residuals(full[self.columns]))
-
-    def solved(self, bounds: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
-        """States and inputs at the best point found from several starts."""
-        first, sizes = self.point[self.columns], self.scales[self.columns]
-        best = first
-        for push in (0.0, 0.1, 1.0, -1.0) if self.columns and self.rows else ():
-            # Zero is often a singular start: |u|u has no slope there.
-            start = np.clip(first + push * sizes, *bounds)
-            if not np.isfinite(self.residuals(start)).all():
-                continue
-            found = least_squares(
-                self.residuals, start, self.derivatives, bounds, x_scale=sizes, xtol=1e-15,
-                ftol=1e-15, gtol=1e-15, max_nfev=500,
-            )  # fmt: skip
-            if np.linalg.norm(found.fun) < np.linalg.norm(self.residuals(best)) or not push:
-                best = found.x
-            if np.abs(self.residuals(best)).max() < _STEADY:
-                break
-        return self.full(best)
+def _zero(
+    misses: Callable[[np.ndarray], np.ndarray],
+    slopes: Callable[[np.ndarray], np.ndarray],
+    first: np.ndarray,
+    sizes: np.ndarray,
+    bounds: tuple[np.ndarray, np.ndarray],
+) -> np.ndarray:
+    """Where least squares within bounds, from several starts, leaves least of the misses."""
+    best = first
+    for push in (0.0, 0.1, 1.0, -1.0) if len(first) and len(misses(first)) else ():
+        # Zero is often a singular start: |u|u has no slope there.
+        start = np.clip(first + push * sizes, *bounds)
+        if not np.isfinite(misses(start)).all():
+            continue
+        found = least_squares(
+            misses, start, slopes, bounds, x_scale=sizes, xtol=1e-15, ftol=1e-15, gtol=1e-15,
+            max_nfev=500,
+        )  # fmt: skip
+        if np.linalg.norm(found.fun) < np.linalg.norm(misses(best)) or not push:
+            best = found.x
+        if np.abs(misses(best)).max() < _STEADY:
+            break
+    return best
 
 
 def linearise(
@@ -278,9 +249,8 @@ def linearise(
     n_states = graph.n_states
     x = np.array([point.states[name] for name in graph.state_names])
     u = np.array([point.inputs[name] for name in model.input_names])
-    _, motion = _rates(graph, model.step)(x, u, model.value_vector)
-    seen = np.array(_readings(graph, model.step)(x, u, model.value_vector))
-    motion, rows = np.array(motion), [model.output_names.index(name) for name in kept]
+    motion, seen = map(np.array, _settled(graph, model.step)(x, u, model.value_vector)[1:])
+    rows = [model.output_names.index(name) for name in kept]
     return control.ss(
         motion[:, :n_states],
         motion[:, n_states:],
@@ -293,46 +263,30 @@ def linearise(
     )
 
 
-def _settled(graph: Graph, step: float) -> tuple[tuple[ca.SX, ca.SX, ca.SX], ca.SX, ca.SX]:
-    """Symbols ``(states, inputs, parameters)``, settled signals and settled full state."""
+def _settled(graph: Graph, step: float) -> ca.Function:
+    """Rates, and the derivatives of rates and of outputs by states and inputs.
+
+    Actuators and sensors are settled, and the time is zero.
+    """
     model = graph.model
     x = ca.SX.sym("x", graph.n_states)
     u = ca.SX.sym("u", len(model.inputs))
     p = ca.SX.sym("p", len(model.all_parameters))
     full = graph.start(x[: graph.n_own, 0], u, p, 0.0)
-    memory = full[graph.n_states : graph.n_states + graph.n_actuator_memory, 0]
+    memory, sensors = ca.vertsplit(
+        full[graph.n_states :, 0],
+        [0, graph.n_actuator_memory, full.numel() - graph.n_states],
+    )
     signals, _ = graph.actuate(memory, u, p, 0.0, step)
-    return (x, u, p), signals, full
-
-
-def _rates(graph: Graph, step: float) -> ca.Function:
-    """Rates and their derivatives by states and inputs, with settled actuators."""
-    (x, u, p), signals, _ = _settled(graph, step)
     rates = graph.rates(x, signals, p, 0.0)
-    return ca.Function("steady", [x, u, p], [rates, ca.jacobian(rates, ca.vertcat(x, u))])
-
-
-def _readings(graph: Graph, step: float) -> ca.Function:
-    """Return the derivatives of settled sensors by states and inputs."""
-    (x, u, p), signals, full = _settled(graph, step)
-    sensors = full[graph.n_states + graph.n_actuator_memory :, 0]
     y, _ = graph.observe(x, signals, sensors, p, 0.0, step)
-    return ca.Function("readings", [x, u, p], [ca.densify(ca.jacobian(y, ca.vertcat(x, u)))])
+    both = ca.vertcat(x, u)
+    slopes = [ca.jacobian(rates, both), ca.densify(ca.jacobian(y, both))]
+    return ca.Function("settled", [x, u, p], [rates, *slopes])
 
 
-def _depended(function: ca.Function, names: tuple[str, ...]) -> tuple[str, ...]:
-    """States on which some rate depends; a position usually is not among them."""
-    used = {column for _, column in zip(*function.sparsity_out(1).get_triplet(), strict=True)}
-    return tuple(name for index, name in enumerate(names) if index in used)
-
-
-def _scales(model: Model, names: tuple[str, ...]) -> np.ndarray:
-    known = {state.name: state.scale for state in model.states}
-    return np.array([known.get(name, 1.0) for name in names])
-
-
-def _bounds(limits: Limits, unknowns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    ranges = dict(limits.inputs) | dict(limits.signals)
+def _bounds(limits: Limits | None, unknowns: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    ranges = {} if limits is None else dict(limits.inputs) | dict(limits.signals)
     pairs = [ranges.get(name, (-np.inf, np.inf)) for name in unknowns]
     lower, upper = np.array(pairs, dtype=float).reshape(-1, 2).T
     return lower, upper
@@ -340,13 +294,12 @@ def _bounds(limits: Limits, unknowns: tuple[str, ...]) -> tuple[np.ndarray, np.n
 
 def _check(
     model: Model,
-    states: tuple[str, ...],
+    known: tuple[str, ...],
     given: Mapping[str, float],
     free: tuple[str, ...],
     mentioned: tuple[str, ...],
 ) -> None:
     """Raise if a name is unknown, or an input neither given nor free."""
-    known = (*states, *model.input_names)
     for name in (*given, *free, *mentioned):
         if name not in known:
             raise SimulationError(

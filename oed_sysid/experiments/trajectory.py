@@ -69,15 +69,10 @@ class Trajectory:
         A state goes before an output of the same name, and that before an
         input: ``signal("z")`` is the true depth, ``output("z")`` the measured.
         """
-        for names, columns in (
-            (self.state_names, self.states),
-            (self.output_names, self.outputs),
-            (self.input_names, self.inputs),
-        ):
-            if name in names:
-                return columns[:, names.index(name)]
-        known = dict.fromkeys((*self.state_names, *self.output_names, *self.input_names))
-        raise SimulationError(f"There is no signal {name!r}. There are {', '.join(known)}.")
+        known = self.signals
+        if name not in known:
+            raise SimulationError(f"There is no signal {name!r}. There are {', '.join(known)}.")
+        return known[name]
 
     def output(self, name: str) -> np.ndarray:
         """Return one noise-free output, shape ``(n_times,)``."""
@@ -91,7 +86,11 @@ class Trajectory:
     def signals(self) -> dict[str, np.ndarray]:
         """All signals by name, as :meth:`signal` gives them."""
         names = (*self.state_names, *self.output_names, *self.input_names)
-        return {name: self.signal(name) for name in dict.fromkeys(names)}
+        columns = (*self.states.T, *self.outputs.T, *self.inputs.T)
+        found: dict[str, np.ndarray] = {}
+        for name, column in zip(names, columns, strict=True):
+            found.setdefault(name, column)
+        return found
 
 
 def simulate_inputs(
@@ -162,7 +161,7 @@ def simulate_inputs(
     return trajectory
 
 
-def _scales(model: Model, n_states: int) -> np.ndarray:
+def state_scales(model: Model, n_states: int) -> np.ndarray:
     """Sizes of the states, those of effects 1."""
     own = [state.scale for state in model.states]
     return np.array(own + [1.0] * (n_states - len(own)))
@@ -171,7 +170,7 @@ def _scales(model: Model, n_states: int) -> np.ndarray:
 def _runaway(model: Model, trajectory: Trajectory) -> int:
     """First sample at which the state is no number, or none that a vehicle has; -1 for none."""
     states = trajectory.states[: trajectory.failed_at] if not trajectory.ok else trajectory.states
-    beyond = np.abs(states) > RUNAWAY * np.maximum(_scales(model, states.shape[1]), 1.0)
+    beyond = np.abs(states) > RUNAWAY * np.maximum(state_scales(model, states.shape[1]), 1.0)
     found = np.flatnonzero(beyond.any(axis=1))
     return int(found[0]) if found.size else trajectory.failed_at
 
@@ -245,7 +244,7 @@ def _divergence(model: Model, trajectory: Trajectory, end: int) -> str:
             "root of a negative number in its equations or initial expressions."
         )
     state = trajectory.states[end if is_number else last]
-    worst = int(np.argmax(np.abs(state) / _scales(model, len(state))))
+    worst = int(np.argmax(np.abs(state) / state_scales(model, len(state))))
     value = f"{trajectory.state_names[worst]} = {state[worst]:.4g}"
     if last < 0:
         return f"Model {model.name!r} starts with {value}, which no vehicle has. Check its unit."
@@ -342,25 +341,21 @@ def simulate_batch(
     runner = kernel(model)
     outputs = np.full((n_batch, len(moments), len(model.outputs)), np.nan)
 
-    def run(member: int) -> None:
-        own_inputs = commands[member if len(commands) > 1 else 0]
-        own = starts[member if len(starts) > 1 else 0]
-        z, _ = runner.start(own, own_inputs[0], table[member], moments[0])
-        outputs[member] = runner.run(moments, own_inputs, table[member], z).outputs
-
-    def run_all(members: Iterable[int]) -> None:
+    def run(members: Iterable[int]) -> None:
         for member in members:
-            run(member)
+            own_inputs, own = commands[member % len(commands)], starts[member % len(starts)]
+            z, _ = runner.start(own, own_inputs[0], table[member], moments[0])
+            outputs[member] = runner.run(moments, own_inputs, table[member], z).outputs
 
     # The interpreter keeps Python's lock; threads would only get in each other's way.
     workers = (n_workers or os.cpu_count() or 1) if runner.is_compiled else 1
     if workers == 1 or n_batch == 1:
-        run_all(range(n_batch))
+        run(range(n_batch))
         return outputs
     # A few chunks per worker: short runs cost less than handing them over one by one.
     chunks = np.array_split(np.arange(n_batch), min(n_batch, 4 * workers))
     with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(run_all, chunks))
+        list(pool.map(run, chunks))
     return outputs
 
 
@@ -431,8 +426,10 @@ def reference_trajectory(
     states = np.empty((len(moments), graph.n_states))
     outputs = np.empty((len(moments), len(model.outputs)))
     steps_to = np.diff(moments)
-    # Without sampled actuators nothing depends on the step, and CVODES goes from sample to sample.
-    longest = model.step if _is_sampled(graph) else np.inf
+    # Actuators that depend on memory, time or step depend on the length of the step; without them
+    # CVODES goes from sample to sample.
+    sampled = any(graph.actuate.jac_sparsity(0, index).nnz() for index in (0, 3, 4))
+    longest = model.step if sampled else np.inf
     for k, time in enumerate(moments):
         states[k] = z[: graph.n_states]
         since = steps_to[max(k - 1, 0)] if len(moments) > 1 else 1.0
@@ -457,11 +454,6 @@ def reference_trajectory(
     )
 
 
-def _is_sampled(graph: Graph) -> bool:
-    """Whether actuators depend on memory, time or step, and so on the length of the step."""
-    return any(graph.actuate.jac_sparsity(0, index).nnz() for index in (0, 3, 4))
-
-
 def _integrator(graph: Graph, tolerance: float) -> ca.Function:
     """Integrator over one step, in time from 0 to 1, so that it is built once."""
     model, n_inputs = graph.model, len(graph.model.inputs)
@@ -475,12 +467,10 @@ def _integrator(graph: Graph, tolerance: float) -> ca.Function:
     signals, _ = graph.actuate(memory, command, p, start, h)
     ode = h * graph.rates(x, signals, p, start + fraction * h)
     problem = {"x": x, "t": fraction, "p": ca.vertcat(memory, begin, end, p, start, h), "ode": ode}
-    sizes = [*(state.scale for state in model.states)]
-    sizes += [1.0] * (graph.n_states - len(sizes))
     options: dict[str, Any] = {
         "linear_multistep_method": "adams",
         "reltol": tolerance,
-        "abstol": tolerance * min(sizes),
+        "abstol": tolerance * float(min(state_scales(model, graph.n_states), default=1.0)),
         "max_num_steps": 100_000,
     }
     return ca.integrator("reference", "cvodes", problem, 0.0, 1.0, options)

@@ -21,16 +21,14 @@ import warnings
 import zipfile
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from importlib.resources import files
 from pathlib import Path
-from string import Template
 from xml.etree import ElementTree
 
 import numpy as np
 
 from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.errors import FileError
-from oed_sysid.export.program import IN_C, Example, Program, Routine, example
+from oed_sysid.export.program import IN_C, Example, Program, Routine, example, template
 from oed_sysid.runtime.files import whole_file
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.typeset import safe
@@ -45,15 +43,11 @@ TOLERANCE = 1e-9
 def header(program: Program, file: Path | None = None) -> str:
     """Text of the header: sizes, names, and what can be called."""
     return template("model.h").substitute(
-        **_names(program),
-        nx=len(program.state_names),
-        nz=program.n_full,
+        **program.head,
         nu=len(program.model.inputs),
         ny=len(program.model.outputs),
         np=len(program.model.all_parameters),
         nf=len(program.free),
-        own=program.n_own,
-        step=repr(program.model.step),
     )
 
 
@@ -65,9 +59,7 @@ def source(program: Program, file: Path | None = None) -> str:
         gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
     )
     return template("model.c").substitute(
-        **_names(program),
-        na=program.n_actuator,
-        ns=program.n_sensor,
+        **program.head,
         nd=program.n_signals,
         linear=", ".join(str(int(one)) for one in program.linear_inputs) or "0",
         any_linear=int(any(program.linear_inputs)),
@@ -91,11 +83,10 @@ def example_test(program: Program, file: Path | None = None) -> str:
 def self_test(program: Program, run: Example) -> str:
     """Text of a program that repeats one trajectory."""
     return template("self_test.c").substitute(
-        **_names(program),
+        **program.head | {"own": _numbers(run.own)},
         n=len(run.times),
         times=_numbers(run.times),
         inputs=_numbers(run.inputs),
-        own=_numbers(run.own),
         parameters=_numbers(run.parameters),
         expected=_numbers(run.outputs),
         tolerance=repr(TOLERANCE),
@@ -118,12 +109,6 @@ def _function(routine: Routine) -> str:
     return "\n".join([*lines, "}"])
 
 
-def _names(program: Program) -> dict[str, str]:
-    """What the heads of all files say."""
-    name = program.identifier
-    return {"origin": program.origin, "name": name, "upper": name.upper()}
-
-
 def _numbers(values: Iterable[float] | np.ndarray) -> str:
     flat = np.ravel(np.asarray(values, dtype=float))
     texts = [repr(float(value)).replace("nan", "NAN").replace("inf", "INFINITY") for value in flat]
@@ -133,11 +118,6 @@ def _numbers(values: Iterable[float] | np.ndarray) -> str:
 
 def _strings(names: Iterable[str]) -> str:
     return ", ".join(f'"{name}"' for name in names) or '""'
-
-
-def template(name: str) -> Template:
-    """Text around the functions, kept in a file of its own."""
-    return Template(files("oed_sysid.export").joinpath("templates", name).read_text("utf-8"))
 
 
 # -- a Functional Mock-up Unit ---------------------------------------------------------
@@ -179,7 +159,7 @@ def write_fmu(program: Program, path: Path) -> tuple[Path, ...]:
     texts = {
         f"{name}.h": header(program),
         f"{name}.c": code,
-        f"{name}_fmu.c": template("fmu.c").substitute(**_names(program), guid=guid),
+        f"{name}_fmu.c": template("fmu.c").substitute(**program.head, guid=guid),
     }
     with tempfile.TemporaryDirectory() as folder:
         place = Path(folder)

@@ -24,8 +24,12 @@ from __future__ import annotations
 
 import keyword
 import re
+import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from importlib.resources import files
+from pathlib import Path
+from string import Template
 
 import casadi as ca
 import numpy as np
@@ -199,6 +203,22 @@ class Program:
         return f"{origin}; fitted to {records} ({safe(self.fit.estimator)})"
 
     @property
+    def head(self) -> dict[str, object]:
+        """What templates of every language fill in: origin, names and sizes."""
+        name = self.identifier
+        return {
+            **{"origin": self.origin, "name": name, "upper": name.upper()},
+            **{"step": repr(self.model.step), "own": self.n_own, "nz": self.n_full},
+            **{"na": self.n_actuator, "ns": self.n_sensor, "nx": len(self.state_names)},
+        }
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Standard errors of the estimated parameters."""
+        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
+        return dict(zip(self.free, errors.tolist(), strict=True))
+
+    @property
     def is_plain(self) -> bool:
         """Whether code can carry every name as it is."""
         model, records = self.model, () if self.fit is None else self.fit.dataset.names
@@ -208,8 +228,7 @@ class Program:
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
         model = self.model
-        errors = np.sqrt(np.maximum(np.diag(self.covariance), 0.0))
-        std = dict(zip(self.free, errors.tolist(), strict=True))
+        std = self.std_errors
         return {
             "model": model.name,
             "made_by": f"oed_sysid {__version__}",
@@ -367,6 +386,11 @@ def _routine(function: ca.Function) -> Routine:
     )
 
 
+def template(name: str) -> Template:
+    """Text around the functions, kept in a file of its own."""
+    return Template(files("oed_sysid.export").joinpath("templates", name).read_text("utf-8"))
+
+
 def python_function(dialect: Dialect, routine: Routine, zero: str) -> str:
     """Text of a function of Python that returns lists of its results."""
     names = ", ".join(name for name, _ in routine.arguments)
@@ -411,59 +435,18 @@ def example(program: Program) -> Example:
 # -- elementary operations as they are written in C ------------------------------------
 
 
-_ARITHMETIC = {
-    "copy": "{0}", "add": "{0} + {1}", "sub": "{0} - {1}", "mul": "{0}*{1}", "div": "{0}/{1}",
-    "neg": "-{0}", "sq": "{0}*{0}", "twice": "2*{0}", "inv": "1/{0}",
-}  # fmt: skip
 _SAME = (
     "exp", "log", "sqrt", "sin", "cos", "tan", "asin", "acos", "atan", "sinh", "cosh", "tanh",
     "asinh", "acosh", "atanh", "floor", "ceil", "erf", "log1p", "expm1",
 )  # fmt: skip
-C = _ARITHMETIC | {word: f"{word}({{0}})" for word in _SAME} | {
-    "pow": "pow({0}, {1})", "constpow": "pow({0}, {1})", "atan2": "atan2({0}, {1})",
-    "abs": "fabs({0})", "sign": "({0} > 0) - ({0} < 0)", "fmod": "fmod({0}, {1})",
-    "copysign": "copysign({0}, {1})", "remainder": "remainder({0}, {1})",
-    "hypot": "hypot({0}, {1})", "fmin": "fmin({0}, {1})", "fmax": "fmax({0}, {1})",
-    "lt": "{0} < {1}", "le": "{0} <= {1}", "eq": "{0} == {1}", "ne": "{0} != {1}",
-    "not": "!{0}", "and": "{0} && {1}", "or": "{0} || {1}", "if": "{0} ? {1} : 0.0",
-}  # fmt: skip
-PYTHON = _ARITHMETIC | {word: f"np.{word}({{0}})" for word in _SAME} | {
-    "asin": "np.arcsin({0})", "acos": "np.arccos({0})", "atan": "np.arctan({0})",
-    "asinh": "np.arcsinh({0})", "acosh": "np.arccosh({0})", "atanh": "np.arctanh({0})",
-    "erf": "_erf({0})", "pow": "np.power({0}, {1})", "constpow": "np.power({0}, {1})",
-    "atan2": "np.arctan2({0}, {1})", "abs": "np.abs({0})", "sign": "np.sign({0})",
-    "fmod": "np.fmod({0}, {1})", "copysign": "np.copysign({0}, {1})",
-    "remainder": "{0} - {1}*np.rint({0}/{1})", "hypot": "np.hypot({0}, {1})",
-    "fmin": "np.fmin({0}, {1})", "fmax": "np.fmax({0}, {1})",
-    "lt": "1.0*({0} < {1})", "le": "1.0*({0} <= {1})", "eq": "1.0*({0} == {1})",
-    "ne": "1.0*({0} != {1})", "not": "1.0*({0} == 0)", "and": "1.0*(({0} != 0) & ({1} != 0))",
-    "or": "1.0*(({0} != 0) | ({1} != 0))", "if": "np.where({0} != 0, {1}, 0.0)",
-}  # fmt: skip
-MATLAB = _ARITHMETIC | {word: f"{word}({{0}})" for word in _SAME} | {
-    "pow": "power({0}, {1})", "constpow": "power({0}, {1})", "atan2": "atan2({0}, {1})",
-    "abs": "abs({0})", "sign": "sign({0})", "fmod": "rem({0}, {1})",
-    "copysign": "abs({0})*(1 - 2*({1} < 0))", "remainder": "{0} - {1}*round({0}/{1})",
-    "hypot": "hypot({0}, {1})", "fmin": "min({0}, {1})", "fmax": "max({0}, {1})",
-    "lt": "double({0} < {1})", "le": "double({0} <= {1})", "eq": "double({0} == {1})",
-    "ne": "double({0} ~= {1})", "not": "double({0} == 0)",
-    "and": "double({0} ~= 0 && {1} ~= 0)", "or": "double({0} ~= 0 || {1} ~= 0)",
-    "if": "choose({0}, {1})",
-}  # fmt: skip
-_SYMBOLIC = {word: f"sp.{word}({{0}})" for word in _SAME} | {"ceil": "sp.ceiling({0})"}
-SYMPY = _ARITHMETIC | _SYMBOLIC | {
-    "pow": "{0}**{1}", "constpow": "{0}**{1}", "atan2": "sp.atan2({0}, {1})",
-    "abs": "sp.Abs({0})", "sign": "sp.sign({0})", "hypot": "sp.sqrt({0}**2 + {1}**2)",
-    "fmin": "sp.Min({0}, {1})", "fmax": "sp.Max({0}, {1})", "log1p": "sp.log(1 + {0})",
-    "expm1": "(sp.exp({0}) - 1)", "fmod": "({0} - {1}*sp.sign({0}*{1})*sp.floor(sp.Abs({0}/{1})))",
-    "copysign": "sp.Abs({0})*sp.sign({1})", "remainder": "({0} - {1}*sp.floor({0}/{1} + 0.5))",
-    "lt": "sp.Piecewise((1, {0} < {1}), (0, True))",
-    "le": "sp.Piecewise((1, {0} <= {1}), (0, True))",
-    "eq": "sp.Piecewise((1, sp.Eq({0}, {1})), (0, True))",
-    "ne": "sp.Piecewise((0, sp.Eq({0}, {1})), (1, True))",
-    "not": "sp.Piecewise((1, sp.Eq({0}, 0)), (0, True))",
-    "and": "({0})*({1})", "or": "sp.Max({0}, {1})",
-    "if": "sp.Piecewise(({1}, sp.Ne({0}, 0)), (0, True))",
-}  # fmt: skip
+_TABLE = tomllib.loads(Path(__file__).with_name("operations.toml").read_text(encoding="utf-8"))
+
+
+def _formats(language: str) -> dict[str, str]:
+    """Right-hand side of every operation in a language."""
+    own = dict(_TABLE[language])
+    prefix = own.pop("prefix")
+    return _TABLE["every"] | {word: f"{prefix}{word}({{0}})" for word in _SAME} | own
 
 
 @dataclass(frozen=True)
@@ -526,7 +509,7 @@ def _from_one(name: str, length: int, index: int) -> str:
     return name if name in _SCALARS else f"{name}({index + 1})"
 
 
-IN_C = Dialect(C, _from_zero, _from_zero, ";")
-IN_PYTHON = Dialect(PYTHON, _from_zero, _from_zero, "")
-IN_MATLAB = Dialect(MATLAB, _from_one, _from_one, ";")
-IN_SYMPY = Dialect(SYMPY, _from_zero, _from_zero, "")
+IN_C = Dialect(_formats("c"), _from_zero, _from_zero, ";")
+IN_PYTHON = Dialect(_formats("python"), _from_zero, _from_zero, "")
+IN_MATLAB = Dialect(_formats("matlab"), _from_one, _from_one, ";")
+IN_SYMPY = Dialect(_formats("sympy"), _from_zero, _from_zero, "")

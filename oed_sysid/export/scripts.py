@@ -22,7 +22,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from string import Template
 from typing import Any
 
 import numpy as np
@@ -30,13 +29,13 @@ import numpy as np
 from oed_sysid.compiled.graph import GAMMA, STAGES, build
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiments.steady import equilibrium, linearise
-from oed_sysid.export.c_code import template
 from oed_sysid.export.program import (
     IN_MATLAB,
     IN_PYTHON,
     Program,
     Routine,
     python_function,
+    template,
 )
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import whole_file, write_text
@@ -58,7 +57,7 @@ def python_text(program: Program, file: Path) -> str:
         gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
     )
     return template("model.py.txt").substitute(
-        origin=program.origin,
+        **program.head,
         title=repr(safe(model.name)),
         states=names.states,
         inputs=names.inputs,
@@ -66,10 +65,6 @@ def python_text(program: Program, file: Path) -> str:
         linear=program.linear_inputs,
         outputs=names.outputs,
         output_units=names.output_units,
-        own=program.n_own,
-        na=program.n_actuator,
-        ns=program.n_sensor,
-        step=repr(model.step),
         parameters="\n".join(rows),
         estimated=names.free,
         covariance=program.covariance.tolist(),
@@ -96,18 +91,13 @@ def matlab_text(program: Program, file: Path) -> str:
         )
     model, names = program.model, program.names
     return template("model.m.txt").substitute(
-        origin=program.origin,
-        name=file.stem,
+        **program.head | {"name": file.stem},
         states=_strings(names.states),
         inputs=_strings(names.inputs),
         input_units=_strings(names.input_units),
         linear=" ".join(str(int(one)) for one in program.linear_inputs),
         outputs=_strings(names.outputs),
         output_units=_strings(names.output_units),
-        own=program.n_own,
-        na=program.n_actuator,
-        ns=program.n_sensor,
-        step=repr(model.step),
         parameters=_strings(names.parameters),
         values="\n".join(repr(float(value)) for value in model.value_vector),
         estimated=_strings(names.free),
@@ -173,47 +163,6 @@ def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:
 # -- a linear model for python-control -------------------------------------------------
 
 
-_TEXT = Template('''"""$origin.
-
-Linear about the trim below: deviations of states, inputs and outputs, SI units and radians.
-Needs python-control; `python $file` prints the poles.
-"""
-
-import control
-import numpy as np
-
-TRIM = {
-    "states": $states,
-    "inputs": $inputs,
-}
-A = np.array($a)
-B = np.array($b)
-C = np.array($c)
-D = np.array($d)
-# Standard errors of the entries of A and B that follow from those of the parameters.
-A_STD = np.array($a_std)
-B_STD = np.array($b_std)
-PARAMETERS = $parameters
-ESTIMATED = $estimated
-COVARIANCE = np.array($covariance).reshape(len(ESTIMATED), len(ESTIMATED))
-
-system = control.ss(
-    A,
-    B,
-    C,
-    D,
-    inputs=$input_names,
-    outputs=$output_names,
-    states=$state_names,
-    name=$name,
-)
-
-if __name__ == "__main__":
-    for pole in system.poles():
-        print(f"{pole:.6g}")
-''')
-
-
 def control_text(program: Program, file: Path, trim: Mapping[str, float] | None = None) -> str:
     """Text of a Python file that makes a ``control.StateSpace``.
 
@@ -234,33 +183,22 @@ def control_text(program: Program, file: Path, trim: Mapping[str, float] | None 
     """
     model = program.model
     matrices, point = _linear(model, dict(trim or {}))
-    steps = np.sqrt(np.maximum(np.diag(program.covariance), 0.0))
-    slopes = []
-    for name, step in zip(program.free, steps, strict=True):
+    slopes: tuple[list[np.ndarray], list[np.ndarray]] = ([], [])
+    for name, step in program.std_errors.items():
         # A thousandth of the standard error is far below the curvature and above rounding.
         size = 1e-3 * step or 1e-9
         up, _ = _linear(_moved(model, name, size), dict(trim or {}), guess=point)
         down, _ = _linear(_moved(model, name, -size), dict(trim or {}), guess=point)
-        slopes.append([(p - m) / (2 * size) for p, m in zip(up, down, strict=True)])
-    spread = [
-        np.sqrt(
-            np.maximum(
-                np.einsum(
-                    "iab,ij,jab->ab",
-                    np.array([one[k] for one in slopes]),
-                    program.covariance,
-                    np.array([one[k] for one in slopes]),
-                ),
-                0.0,
-            )
-        )
-        if slopes
-        else np.zeros_like(matrices[k])
-        for k in (0, 1)
-    ]
+        for k, found in enumerate(slopes):
+            found.append((up[k] - down[k]) / (2 * size))
+    spread = []
+    for matrix, found in zip(matrices, slopes, strict=False):
+        by = np.array(found).reshape(-1, *matrix.shape)
+        square = np.einsum("iab,ij,jab->ab", by, program.covariance, by)
+        spread.append(np.sqrt(np.maximum(square, 0.0)))
     names, values = program.names, [float(value) for value in model.value_vector]
     a, b, c, d = (_rows(one) for one in matrices)
-    return _TEXT.substitute(
+    return template("linear.py.txt").substitute(
         origin=program.origin,
         file=safe(file.name),
         states=dict(zip(names.states, point.states.values(), strict=False)),

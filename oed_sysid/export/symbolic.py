@@ -5,72 +5,12 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from string import Template
 
-import numpy as np
-
-from oed_sysid.export.program import IN_SYMPY, Program, python_function
+from oed_sysid.export.program import IN_SYMPY, Program, python_function, template
 from oed_sysid.physics.model import Model
 from oed_sysid.text import notation
 from oed_sysid.text.expressions import to_latex
 from oed_sysid.text.typeset import safe, safe_unit
-
-_MODULE = Template('''"""$origin.
-
-Exact equations as SymPy expressions: RATES of STATES for SIGNALS (what the actuators make of the
-inputs), READINGS of the sensors. `[rate.subs(VALUES) for rate in RATES]` has numbers. Needs SymPy.
-"""
-
-import sympy as sp
-
-t, h = sp.symbols("t h", real=True)
-STATES = $states
-INPUTS = $inputs
-SIGNALS = $signals
-PARAMETERS = $parameters
-OUTPUT_NAMES = $outputs
-ACTUATOR_MEMORY = $memory_a
-SENSOR_MEMORY = $memory_s
-VALUES = dict(zip(PARAMETERS, $values))
-ESTIMATED = $estimated
-COVARIANCE = $covariance  # of the estimated ones
-
-
-$functions
-
-
-RATES = rates(STATES, SIGNALS, PARAMETERS, t)
-READINGS, _ = observe(STATES, SIGNALS, SENSOR_MEMORY, PARAMETERS, t, h)
-
-if __name__ == "__main__":
-    for state, rate in zip(STATES, RATES):
-        print(f"{state}' = {rate}")
-''')
-
-_PAGE = Template(r"""% $origin.
-\documentclass{article}
-\usepackage{amsmath,booktabs,longtable}
-\allowdisplaybreaks
-\begin{document}
-\section*{$title}
-\subsection*{Equations}
-\begin{align*}
-$letters
-\end{align*}
-\subsection*{With numbers}
-\begin{align*}
-$numbers
-\end{align*}
-\subsection*{Parameters}
-\begin{longtable}{lrrl}
-\toprule
-parameter & value & 95\,\% interval & unit \\
-\midrule
-$rows
-\bottomrule
-\end{longtable}
-\end{document}
-""")
 
 
 def module_text(program: Program, file: Path) -> str:
@@ -84,7 +24,7 @@ def module_text(program: Program, file: Path) -> str:
     known = program.names
     used = {"t", "h", *known.states, *known.parameters}
     signals = tuple(name if name not in used else f"{name}_signal" for name in known.signals)
-    return _MODULE.substitute(
+    return template("sympy.py.txt").substitute(
         origin=program.origin,
         states=symbols(known.states),
         inputs=symbols(known.inputs),
@@ -106,17 +46,15 @@ def latex_text(program: Program, file: Path) -> str:
     """The equations and a table of values as a LaTeX document."""
     model = program.model
     values = dict(zip(model.parameter_names, map(float, model.value_vector), strict=True))
-    errors = np.sqrt(np.maximum(np.diag(program.covariance), 0.0))
-    std = dict(zip(program.free, errors.tolist(), strict=True))
     rows = []
     for name, value in values.items():
         interval = ""
-        if program.fit is not None and name in std:
+        if program.fit is not None and name in program.std_errors:
             low, high = program.fit.interval(name)
             interval = f"${low:.4g}$ to ${high:.4g}$"
         unit = safe_unit(model.parameter(name).unit).replace("^", r"\^{}")
         rows.append(rf"${_name(name)}$ & ${value:.5g}$ & {interval} & {unit} \\")
-    return _PAGE.substitute(
+    return template("page.tex.txt").substitute(
         origin=program.origin,
         title=safe(model.name).replace("_", r"\_"),
         letters=" \\\\\n".join(_equations(program, {})),

@@ -355,56 +355,41 @@ def prior_factor(
         rows = np.zeros((len(priors.factor), len(names)))
         rows[:, [names.index(name) for name in priors.names]] = priors.factor / priors.scales
         return rows
-    stds = _prior_deviations(model, names, priors)
-    return np.diag([1.0 / stds[name] if name in stds else 0.0 for name in names])
-
-
-def _prior_deviations(
-    model: Model, names: Sequence[str], priors: str | Mapping[str, float]
-) -> Mapping[str, float]:
-    """Standard deviations that are known, by parameter."""
-    if priors == "model":
-        return {p.name: s for p in model.free_parameters if (s := p.prior_spread) is not None}
     if isinstance(priors, str):
-        raise DesignError(
-            f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
-            "Information."
-        )
-    for name, std in priors.items():
-        if name not in names or not std > 0:
+        if priors != "model":
             raise DesignError(
-                f"The prior {name!r}: {std} is of no use. Give a positive standard deviation of "
-                f"one of {', '.join(names)}."
+                f"priors is {priors!r}. Choose 'model', None, standard deviations by name, or an "
+                "Information."
             )
-    return priors
+        own = {p.name: p.prior_spread for p in model.free_parameters if p.name in names}
+        priors = {name: std for name, std in own.items() if std is not None}
+    return np.diag(_weights("prior", names, priors))
 
 
 def start_weights(model: Model, start: str | Mapping[str, float]) -> np.ndarray:
     """Weights of the start states: 0 unknown, infinity known, else 1 / std; shape ``(n_own,)``."""
     names = model.state_names
-    if isinstance(start, str):
-        if start not in ("unknown", "known"):
+    if not isinstance(start, str):
+        return _weights("start deviation", names, start, exact=True)
+    if start not in ("unknown", "known"):
+        raise DesignError(
+            f"start is {start!r}. Choose 'unknown', 'known', or standard deviations by state."
+        )
+    return np.full(len(names), 0.0 if start == "unknown" else np.inf)
+
+
+def _weights(
+    what: str, names: Sequence[str], stds: Mapping[str, float], *, exact: bool = False
+) -> np.ndarray:
+    """One over standard deviations, 0 where nothing is known, infinity of what is exact."""
+    for name, std in stds.items():
+        if name not in names or not (std > 0 or (exact and std == 0)):
             raise DesignError(
-                f"start is {start!r}. Choose 'unknown', 'known', or standard deviations by state."
-            )
-        return np.full(len(names), 0.0 if start == "unknown" else np.inf)
-    for name, std in start.items():
-        if name not in names or not std >= 0:
-            raise DesignError(
-                f"The start deviation {name!r}: {std} is of no use. Give a standard deviation of "
-                f"one of {', '.join(names)}."
+                f"The {what} {name!r}: {std} is of no use. Give a {'' if exact else 'positive '}"
+                f"standard deviation of one of {', '.join(names)}."
             )
     with np.errstate(divide="ignore"):
-        return np.array(
-            [np.divide(1.0, start[name]) if name in start else 0.0 for name in names], dtype=float
-        )
-
-
-def rows_to_parameters(factor: np.ndarray, keep: Sequence[int]) -> np.ndarray:
-    """Factor of the information on some unknowns when the others are unknown too."""
-    n = factor.shape[1]
-    rest = [i for i in range(n) if i not in keep]
-    return triangle(factor[:, [*rest, *keep]])[len(rest) :, len(rest) :]
+        return 1.0 / np.array([float(stds.get(name, np.inf)) for name in names])
 
 
 class _Estimator(Protocol):
@@ -446,17 +431,19 @@ class Confirmation:
     @property
     def interval(self) -> tuple[float, float]:
         """Range in which 99 % of the ratios fall if the bound is exact."""
-        n = self.n_runs - self.n_failed
-        low, high = chdtri(n, [0.995, 0.005]) / n
-        return float(np.sqrt(low)), float(np.sqrt(high))
+        return self._range(0.005)
 
     @property
     def confirmed(self) -> bool:
         """Whether all ratios lie in the interval, widened for looking at several."""
-        n = self.n_runs - self.n_failed
-        tail = 0.005 / max(len(self.names), 1)
-        low, high = np.sqrt(chdtri(n, [1 - tail, tail]) / n)
+        low, high = self._range(0.005 / max(len(self.names), 1))
         return bool(np.all((self.ratios > low) & (self.ratios < high)))
+
+    def _range(self, tail: float) -> tuple[float, float]:
+        """Range of a ratio with this probability beyond either end."""
+        n = self.n_runs - self.n_failed
+        low, high = np.sqrt(chdtri(n, [1 - tail, tail]) / n)
+        return float(low), float(high)
 
     def document(self) -> Report:
         """Return the comparison as a table."""
@@ -544,8 +531,7 @@ def confirm_bound(
             f"Only {len(good)} of {n_runs} estimations converged; the experiments do not determine "
             "the parameters. See information_of(...).null_directions()."
         )
-    errors = np.array([errors for errors, _ in good])
-    stated = np.array([stated for _, stated in good])
+    errors, stated = (np.array(part) for part in zip(*good, strict=True))
     predicted = information.std_errors
     return Confirmation(
         names=names,

@@ -56,9 +56,7 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     """
     columns = _columns(information, names or information.names)
     norms = np.linalg.norm(columns, axis=0)
-    if not np.all(norms > 0):
-        return float(np.inf)
-    if columns.shape[0] < columns.shape[1]:
+    if not np.all(norms > 0) or columns.shape[0] < columns.shape[1]:
         return float(np.inf)
     smallest = np.linalg.svd(columns / norms, compute_uv=False)[-1]
     return float(1.0 / smallest) if smallest > 1e-14 else float(np.inf)
@@ -398,8 +396,6 @@ _RUNS = {
 
 def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
     """Which parameters share a direction, and why, as a naval architect says it."""
-    if not place.partners:
-        return f"{place.name} moves no output in these runs."
     partners = ", ".join(name for name, _ in place.partners)
     looks = " and ".join(f"{name} {change:+.1%}" for name, change in place.partners)
     text = (
@@ -414,7 +410,7 @@ def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
     for partner, _ in place.partners:
         one, other = _symbols(place.name), _symbols(partner)
         own, its = sorted(set(one) - set(other)), sorted(set(other) - set(one))
-        cosine = _cosine(_product(one, motions), _product(other, motions))
+        cosine = _cosine(one, other, motions)
         if len(own) != 1 or len(its) != 1 or not abs(cosine) > ALIKE:
             continue
         run = _RUNS.get(frozenset((*own, *its)), "a run that moves them apart")
@@ -434,16 +430,13 @@ def _symbols(name: str) -> tuple[str, ...]:
     return () if found.is_dot else tuple(factor.symbol for factor in found.factors)
 
 
-def _product(symbols: Sequence[str], motions: Mapping[str, np.ndarray]) -> np.ndarray | None:
-    if not symbols or any(symbol not in motions for symbol in symbols):
-        return None
-    return np.prod([motions[symbol] for symbol in symbols], axis=0)
-
-
-def _cosine(one: np.ndarray | None, other: np.ndarray | None) -> float:
-    if one is None or other is None or not (np.any(one) and np.any(other)):
+def _cosine(one: Sequence[str], other: Sequence[str], motions: Mapping[str, np.ndarray]) -> float:
+    """Cosine between two products of motions; zero where one is not known or does not move."""
+    if not one or not other or any(symbol not in motions for symbol in (*one, *other)):
         return 0.0
-    return float(one @ other / np.linalg.norm(one) / np.linalg.norm(other))
+    first, second = (np.prod([motions[s] for s in product], axis=0) for product in (one, other))
+    size = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return float(first @ second) / size if size else 0.0
 
 
 def _columns(information: Information, names: Sequence[str]) -> np.ndarray:

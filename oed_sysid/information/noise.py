@@ -336,7 +336,13 @@ def _understood(sea: str) -> tuple[str | None, dict[str, float]]:
             f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, or levels by equation "
             "such as Z=0.3,M=0.06,time=2."
         )
-    return word, dict(_assignment(sea, part) for part in parts)
+    given = {}
+    for part in parts:
+        name, equals, number = map(str.strip, part.partition("="))
+        if not (equals and name and _NUMBER.fullmatch(number)):
+            raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
+        given[name] = float(number)
+    return word, given
 
 
 def natural_forces(
@@ -399,10 +405,3 @@ def sea_words(noise: NoiseModel) -> str:
             width = 100.0 * float(sea.bandwidth or 0.0)
             said.append(f"{listed} in waves of {sea.period:.3g} s, {width:.2g} % wide")
     return "; ".join(said) or "none"
-
-
-def _assignment(sea: str, part: str) -> tuple[str, float]:
-    name, equals, number = part.partition("=")
-    if not (equals and name.strip() and _NUMBER.fullmatch(number.strip())):
-        raise DesignError(f"{part!r} in the sea {sea!r} is not understood. Write NAME=NUMBER.")
-    return name.strip(), float(number)

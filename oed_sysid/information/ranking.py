@@ -99,10 +99,10 @@ class SensitivityRanking:
 
     def row(self, name: str) -> Sensitivity:
         """Return one parameter."""
-        for row in self.rows:
-            if row.name == name:
-                return row
-        raise DesignError(f"{name!r} was not ranked; ranked are {', '.join(self.by_information)}.")
+        if name not in self.by_information:
+            ranked = ", ".join(self.by_information)
+            raise DesignError(f"{name!r} was not ranked; ranked are {ranked}.")
+        return self.rows[self.by_information.index(name)]
 
     @property
     def disagreements(self) -> tuple[str, ...]:
@@ -266,23 +266,19 @@ def rank_parameters(
             )
         )
     rows.sort(key=lambda row: row.error)
+    # States and inputs in all runs, one behind the other.
+    moved = np.vstack(
+        [np.hstack([_signals(model, play, model.state_names), play.inputs]) for play in played]
+    )
     together = identifiable_subset(
         expected.joint(factors, None),
         model.values,
         assumed={p.name: p.prior_spread for p in model.free_parameters if p.prior_spread},
-        motions=_motions(model, played),
+        motions=dict(zip((*model.state_names, *model.input_names), moved.T, strict=True)),
     )
     return SensitivityRanking(
         tuple(rows), change, wanted, tuple(play.name for play in played), information, together
     )
-
-
-def _motions(model: Model, played: Sequence[Play]) -> dict[str, np.ndarray]:
-    """States and inputs in all runs, one behind the other."""
-    states = np.vstack([_signals(model, play, model.state_names) for play in played])
-    inputs = np.vstack([play.inputs for play in played])
-    names = (*model.state_names, *model.input_names)
-    return dict(zip(names, np.hstack([states, inputs]).T, strict=True))
 
 
 def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
@@ -300,8 +296,8 @@ def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
 
 def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, float]:
     """Output change summed over signals, and mean relative change of the peaks."""
-    change = sum(np.abs(b - a).sum(axis=0) for a, b in zip(base, new, strict=True))
-    size = sum(np.abs(a).sum(axis=0) for a in base)
+    whole, changed = np.vstack(base), np.vstack(new)
+    size = np.abs(whole).sum(axis=0)
     peaks = np.mean(
         [
             np.abs(np.abs(b).max(axis=0) / np.maximum(np.abs(a).max(axis=0), 1e-300) - 1)
@@ -309,7 +305,7 @@ def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, floa
         ]
     )
     with np.errstate(invalid="ignore", divide="ignore"):
-        shares = np.where(np.asarray(size) > 0, np.asarray(change) / np.asarray(size), 0.0)
+        shares = np.where(size > 0, np.abs(changed - whole).sum(axis=0) / size, 0.0)
     total = float(np.sum(shares))
     # A diverging variant is a very large change, not a missing number.
     return (total, float(peaks)) if np.isfinite(total) else (float("inf"), float("inf"))
@@ -435,9 +431,7 @@ def reduce_model(
     n_dropped, open_ended = 0, True
     for count, (_, cost) in enumerate(order, start=1):
         names = [information.names[i] for i, _ in order[:count]]
-        reduced = (
-            model.with_values(dict.fromkeys(names, 0.0)) if _allows_zero(model, names) else None
-        )
+        reduced = _without(model, names)
         rms = float(np.sqrt(cost / n_samples))
         drops.append(Drop(names[-1], cost, rms, _changes(reduced, model, played, base, spans)))
         fits = rms <= largest_rms if largest_rms is not None else cost <= 2.0 * count
@@ -479,8 +473,11 @@ def _cost(fisher: np.ndarray, values: np.ndarray, gone: list[int]) -> float:
     return float(values[gone] @ schur @ values[gone])
 
 
-def _allows_zero(model: Model, names: Sequence[str]) -> bool:
-    return all(model.parameter(n).lower <= 0.0 <= model.parameter(n).upper for n in names)
+def _without(model: Model, names: Sequence[str]) -> Model | None:
+    """The model with parameters at zero; None where a bound forbids it."""
+    bounds = [model.parameter(name) for name in names]
+    may = all(p.lower <= 0.0 <= p.upper for p in bounds)
+    return model.with_values(dict.fromkeys(names, 0.0)) if may else None
 
 
 def _changes(
@@ -491,14 +488,15 @@ def _changes(
     spans: Sequence[np.ndarray],
 ) -> dict[str, float]:
     """Relative rms change of each output; infinite where the reduced model diverges."""
+    lost = dict.fromkeys(model.output_names, float("inf"))
     if reduced is None:
-        return dict.fromkeys(model.output_names, float("inf"))
+        return lost
     change, size = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
     for play, outputs, span in zip(played, base, spans, strict=True):
         try:
             new = respond(reduced, play).outputs
         except SimulationError:
-            return dict.fromkeys(model.output_names, float("inf"))
+            return lost
         change += ((new - outputs) ** 2).sum(axis=0)
         size += np.maximum(((outputs - outputs[0]) ** 2).sum(axis=0), len(outputs) * span**2)
     return dict(zip(model.output_names, map(float, np.sqrt(change / size)), strict=True))

@@ -226,14 +226,13 @@ def _recorded(model: Model, record: Record) -> Play:
 def _own(model: Model, given: Mapping[str, float] | np.ndarray, base: np.ndarray) -> np.ndarray:
     if not isinstance(given, Mapping):
         return np.asarray(given, dtype=float)
-    own = base.copy()
-    for name, value in given.items():
-        own[model.state_names.index(name)] = value
-    return own
+    known = dict(zip(model.state_names, base.tolist(), strict=True)) | dict(given)
+    return np.array([known[name] for name in model.state_names], dtype=float)
 
 
-# Size of a change that is put through the filter, in noise units.
-_SMALL = 1e-3
+# A change of this share of what counts stands for a derivative: of the noise where it is put
+# through a filter, of an effect's size.
+TANGENT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,18 +325,11 @@ class Innovations:
         measured = np.where(play.present, nominal, np.nan)
         if outputs is not None:
             measured[:, [name not in outputs for name in model.output_names]] = np.nan
+        run = (play.times, play.inputs, values, play.initial)
         swept = kernel.filter(
-            play.times,
-            play.inputs,
-            values,
-            play.initial,
-            measured,
-            random,
-            names=free,
-            rows=True,
-            gains=changes is not None,
+            *run, measured, random, names=free, rows=True, gains=changes is not None,
             longest_step=held,
-        )
+        )  # fmt: skip
         if not swept.ok or swept.rows is None:
             raise DesignError(
                 f"The filter of run {play.name!r} diverges. Check levels and times of the "
@@ -353,11 +345,10 @@ class Innovations:
         for position in range(changes.shape[2]):
             change = changes[:, :, position]
             # Small, so that the filter stays on the nominal trajectory, where it is linear.
-            share = _SMALL / max(float(np.abs(change / white).max()), 1.0)
+            share = TANGENT / max(float(np.abs(change / white).max()), 1.0)
             innovations, _ = kernel.replay(
-                play.times, play.inputs, values, play.initial, measured + share * change, random,
-                swept.gains, longest_step=held,
-            )  # fmt: skip
+                *run, measured + share * change, random, swept.gains, longest_step=held
+            )
             # A model that had the change would lower the innovations by it.
             moved[:, position] = -innovations[seen] / share / roots
         return np.hstack([rows, moved]), nominal

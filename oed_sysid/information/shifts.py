@@ -27,13 +27,10 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.response import Play
+from oed_sysid.information.response import TANGENT, Play
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-
-# Share of the size that stands for a tangent.
-TANGENT = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -24,6 +24,7 @@ import shlex
 import sys
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING, fields, is_dataclass
+from operator import attrgetter
 from pathlib import Path
 from types import UnionType
 from typing import Any, Union, get_args, get_origin, get_type_hints
@@ -67,6 +68,25 @@ _WRITTEN: dict[Any, Callable[[Any], Any]] = {
     (tuple, list): lambda value: {"tuple": [encode(item) for item in value]},
     Mapping: lambda value: {"mapping": [[encode(k), encode(v)] for k, v in value.items()]},
 }
+
+
+def dataclasses_of(kind: type) -> tuple[type, ...]:
+    """A dataclass, all that its fields are declared to hold, and what these are the base of.
+
+    >>> from oed_sysid.likelihood.noise_model import NoiseModel
+    >>> [one.__name__ for one in dataclasses_of(NoiseModel)]
+    ['NoiseModel', 'Sea']
+    """
+    found: list[type] = []
+    waiting: list[Any] = [kind]
+    while waiting:
+        one = waiting.pop(0)
+        if not (isinstance(one, type) and is_dataclass(one)):
+            waiting += get_args(one)
+        elif one not in found:
+            found.append(one)
+            waiting += [*get_type_hints(one).values(), *one.__subclasses__()]
+    return tuple(found)
 
 
 def decode(data: Any, classes: Iterable[type]) -> Any:
@@ -397,28 +417,42 @@ def check_fit(fit: Estimate, where: str) -> None:
         The file, for the message.
     """
     n, records, n_outputs = len(fit.names), tuple(fit.dataset), len(fit.model.outputs)
-    factor, scales = fit.information.factor, fit.information.scales
-    shapes = {"estimates": (n,), "covariance": (n, n)}
-    shapes |= {"sigma": (n_outputs,), "sigma_estimated": (n_outputs,)}
-    per_record = ("predictions", "residuals", "states", "initial_states", "local_values")
-    sampled = [(name, i) for name in per_record[:2] for i in range(len(records))]
+    information, each, forces = fit.information, (n_outputs,), (len(fit.noise.places),)
+    shapes = {"estimates": (n,), "covariance": (n, n), "sigma": each, "sigma_estimated": each}
+    shapes |= dict.fromkeys(("noise.white", "noise.colour", "noise.colour_time"), each)
+    shapes |= {"noise.force": forces, "noise.force_time": forces}
+    shapes |= {"information.scales": (len(information.names),)}
+    arrays = {name: (attrgetter(name)(fit), shape) for name, shape in shapes.items()}
+    per_record = ["predictions", "residuals", "states", "initial_states", "local_values"]
+    sampled = ["predictions", "residuals"]
+    if fit.innovations is not None:
+        per_record, sampled = ([*names, "innovations", "innovation_std"]
+                               for names in (per_record, sampled))  # fmt: skip
+    known = fit.model.parameter_names
+    estimated = [*fit.names, *(name for local in fit.local_values for name in local)]
     checks = [
-        *((np.shape(getattr(fit, name)) == shape,
-           f"{name} of shape {np.shape(getattr(fit, name))}, expected {shape}")
-          for name, shape in shapes.items()),
-        *((name in fit.model.parameter_names,
-           f"an estimate of {name!r}, which is no parameter of the model") for name in fit.names),
+        *((isinstance(found, np.ndarray) and found.shape == shape,
+           f"{name} of shape {np.shape(found)}, expected {shape}")
+          for name, (found, shape) in arrays.items()),
+        (np.asarray(fit.sigma_estimated).dtype == bool,
+         "sigma_estimated that is not true or false"),
+        *((name in known, f"an estimate of {name!r}, which is no parameter of the model")
+          for name in estimated),
         (fit.dataset.channels == fit.model.channels, "records with other channels than the model"),
-        (factor.ndim == 2 and len(fit.information.names) == factor.shape[-1] == scales.size,
-         f"information of shape {np.shape(factor)}"),
-        *((len(getattr(fit, name)) == len(records),
-           f"{len(getattr(fit, name))} {name} for {len(records)} records") for name in per_record),
+        (len(fit.noise.outputs) == n_outputs, f"noise of {len(fit.noise.outputs)} outputs"),
+        (np.ndim(information.factor) == 2
+         and np.shape(information.factor)[-1] == len(information.names),
+         f"information of shape {np.shape(information.factor)}"),
+        *((len(getattr(fit, name) or ()) == len(records),
+           f"{len(getattr(fit, name) or ())} {name} for {len(records)} records")
+          for name in per_record),
     ]  # fmt: skip
     faults = [fault for right, fault in checks if not right]
     faults += [
-        f"{name} of shape {np.shape(getattr(fit, name)[i])} for record {records[i].name!r}"
-        for name, i in sampled[: 0 if faults else None]
-        if np.shape(getattr(fit, name)[i]) != (records[i].n_samples, n_outputs)
+        f"{name} of shape {np.shape(part)} for record {record.name!r}"
+        for name in sampled[: 0 if faults else None]
+        for part, record in zip(getattr(fit, name), records, strict=True)
+        if np.shape(part) != (record.n_samples, n_outputs)
     ]
     if faults:
         raise DataError(

@@ -89,12 +89,11 @@ from oed_sysid.likelihood.projection import NOTHING
 FEWEST_RECORDS = 4
 # Chance that a fit whose errors are right is told that its records differ.
 CHANCE = 0.01
-# Errors that are too small by less are not worth a word.
+# Standard deviations that are wrong by a smaller factor are not worth a word.
 WORTH_TELLING = 1.5
-# Share of the joint information in a direction below which a source tells nothing of it.
+# Share of the joint information in a direction below which a source tells nothing of it, and
+# squared part in an unseen direction from which on an unknown is not determined.
 TOLD = 1e-6
-# Squared part in an unseen direction from which on an unknown is not determined.
-PART = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -230,7 +229,7 @@ def _inverse(matrix: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndar
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
     clear = values > NOTHING * max(float(values[-1]), 0.0)
     inner = vectors[:, clear] / scale[:, None]
-    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > PART
+    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > TOLD
     return (inner / values[clear]) @ inner.T, blind
 
 

@@ -82,7 +82,7 @@ def _constrained(
     place = [model.parameter_names.index(name) for name in layout.free_names]
     for index, record in enumerate(problem.dataset):
         columns = layout.record_columns(index)
-        own, free = np.split(unknowns[columns], [layout.n_own])
+        own = unknowns[columns[: layout.n_own]]
         at = layout.parameters(unknowns, index)
         whole = model.with_values(dict(zip(layout.free_names, at, strict=True))).value_vector
         z, dz = runner.start(own, record.inputs[0], whole, record.times[0])
@@ -91,7 +91,7 @@ def _constrained(
             return
         by_own_and_free = run.output_sensitivities[:, :, : len(z)] @ dz
         by_own_and_free[:, :, layout.n_own :] += run.output_sensitivities[:, :, len(z) :]
-        slopes = np.concatenate([np.ones(layout.n_own), layout.slopes(free)])
+        slopes = layout.record_slopes(unknowns, index)
         for text, sample, excess, by_outputs, by_values in user.tightest(run.outputs, whole):
             row = np.concatenate([np.zeros(layout.n_own), by_values[place]])
             where = ""

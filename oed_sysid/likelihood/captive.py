@@ -104,35 +104,33 @@ class CaptiveTests:
     noise: Mapping[str, float]
 
     def __post_init__(self) -> None:
+        def check(good: bool, words: str) -> None:
+            if not good:
+                raise DataError(f"Captive tests {self.name!r}{words}")
+
         sizes = set()
         for what in ("motions", "inputs", "forces"):
-            columns = {
-                name: np.array(values, dtype=float) for name, values in getattr(self, what).items()
-            }
+            columns = {k: np.array(v, dtype=float) for k, v in getattr(self, what).items()}
             object.__setattr__(self, what, columns)
             sizes |= {column.shape for column in columns.values()}
-            if what != "forces":
-                for name, column in columns.items():
-                    if not np.isfinite(column).all():
-                        raise DataError(
-                            f"Captive tests {self.name!r}: {name} has values that are not finite. "
-                            "Leave these tests out."
-                        )
-        if len(sizes) != 1 or len(next(iter(sizes))) != 1:
-            raise DataError(
-                f"Captive tests {self.name!r} have columns of shapes "
-                f"{', '.join(map(str, sorted(sizes)))}; expected one value per test in each."
-            )
-        if not self.forces:
-            raise DataError(f"Captive tests {self.name!r} have no force. Give at least one axis.")
-        if not self.n_tests:
-            raise DataError(f"Captive tests {self.name!r} are none. Give at least one test.")
-        for axis in self.forces:
-            if not self.noise.get(axis, 0.0) > 0.0:
-                raise DataError(
-                    f"Captive tests {self.name!r}: the noise of {axis} is "
-                    f"{self.noise.get(axis)}. Give its standard deviation, above zero."
+            for name, column in columns.items() if what != "forces" else ():
+                check(
+                    bool(np.isfinite(column).all()),
+                    f": {name} has values that are not finite. Leave these tests out.",
                 )
+        shapes = ", ".join(map(str, sorted(sizes)))
+        check(
+            len(sizes) == 1 and len(next(iter(sizes))) == 1,
+            f" have columns of shapes {shapes}; expected one value per test in each.",
+        )
+        check(bool(self.forces), " have no force. Give at least one axis.")
+        check(self.n_tests > 0, " are none. Give at least one test.")
+        for axis in self.forces:
+            noise = self.noise.get(axis)
+            check(
+                (noise or 0.0) > 0.0,
+                f": the noise of {axis} is {noise}. Give its standard deviation, above zero.",
+            )
 
     @property
     def n_tests(self) -> int:
@@ -295,22 +293,19 @@ class CaptiveTests:
 
     def relative_errors(self, model: Model) -> dict[str, float]:
         """Rms error of the model's forces over their own rms, by axis."""
-        found = self.predict(model)
-        errors = {}
+        return dict(self.errors(model).relative)
+
+    def errors(self, model: Model) -> CaptiveErrors:
+        """Rms errors of the model's forces over their own rms, and over their noise, by axis."""
+        found, relative, in_noise = self.predict(model), {}, {}
         for axis, measured in self.forces.items():
             seen = np.isfinite(measured)
             size = float(np.linalg.norm(measured[seen]))
             error = float(np.linalg.norm((found[axis] - measured)[seen]))
-            errors[axis] = error / size if size > 0.0 and np.isfinite(error) else np.inf
-        return errors
-
-    def _misfits(self, model: Model) -> dict[str, float]:
-        """Rms error of the model's forces over their noise, by axis."""
-        found, sizes = self.predict(model), {}
-        for axis, measured in self.forces.items():
-            scaled = (found[axis] - measured)[np.isfinite(measured)] / self.noise[axis]
-            sizes[axis] = float(np.sqrt(np.mean(scaled**2))) if len(scaled) else np.nan
-        return sizes
+            relative[axis] = error / size if size > 0.0 and np.isfinite(error) else np.inf
+            count = int(seen.sum())
+            in_noise[axis] = error / np.sqrt(count) / self.noise[axis] if count else np.nan
+        return CaptiveErrors(relative, in_noise)
 
     def fit(self, estimator: Estimator, model: Model, dataset: Dataset | None = None) -> Fit:
         """Fit a model to these tests and to free-running records together.
@@ -346,15 +341,13 @@ class CaptiveTests:
         known: list[StartState] = [{} for _ in records] + [still] * len(tests)
         fit = estimator.fit(towed, whole, start_states=known)
         fitted = model.with_values(fit.model.values)
-        fit = replace(
-            fit, captive=CaptiveErrors(self.relative_errors(fitted), self._misfits(fitted))
-        )
+        fit = replace(fit, captive=self.errors(fitted))
         if dataset is None:
             return fit
         n, n_outputs = len(records), len(model.outputs)
         return replace(
             fit,
-            model=model.with_values(fit.model.values),
+            model=fitted,
             dataset=dataset,
             estimator=f"{fit.estimator}, with captive tests {self.name}",
             sigma=fit.sigma[:n_outputs],

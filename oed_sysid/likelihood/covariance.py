@@ -40,6 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import gammaincc
@@ -47,7 +48,7 @@ from scipy.stats import chi2
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.data.record import sampled_alike
-from oed_sysid.likelihood.between_records import Sources, sources_of
+from oed_sysid.likelihood.between_records import CHANCE, Sources, sources_of
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -55,17 +56,14 @@ from oed_sysid.likelihood.information import (
     coloured_score_covariance,
     effective_sample_size,
 )
-from oed_sysid.likelihood.projection import share_of
+from oed_sysid.likelihood.noise_levels import RARE
+from oed_sysid.likelihood.projection import BLIND, eliminate, inverse_of, share_of
 from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
 
-# A combination of initial states seen less than this share of the best is not projected out.
-BLIND = 1e-10
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
 # With so few independent samples that more is lost, no correction helps.
 MOST_LOST = 2.0
-# Chance of a sum of squares of independent tests below which their own residuals tell the errors.
-STRAY_CHANCE = 1e-3
 
 
 def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
@@ -299,7 +297,7 @@ def tests_stray(rows: np.ndarray, scores: np.ndarray, white: np.ndarray) -> bool
     freedom, squares, _ = _leverage(rows, scores, white)
     told = freedom > 0.5
     chances = gammaincc(0.5 * freedom[told], 0.5 * squares[told])
-    return bool((chances * np.sum(told) < STRAY_CHANCE).any())
+    return bool((chances * np.sum(told) < RARE).any())
 
 
 def tests_middle(
@@ -386,10 +384,8 @@ def _project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
     return outer - basis @ (basis.T @ outer)
 
 
-# Chance in white innovations, all frequencies and outputs together, below which a peak is one.
-PEAK_CHANCE = 1e-2
 # Periods that are searched: at least so many samples, and so many of them in a block.
-FEWEST_SAMPLES, FEWEST_PERIODS = 4, 4
+FEWEST = 4
 # Longest block, in samples, and neighbouring frequencies that are taken together on either side.
 BLOCK, NEIGHBOURS = 4096, (1, 3, 9)
 # Shares of a record that must be measured, and by which intervals may differ.
@@ -449,7 +445,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
     best = Peak(output, np.inf, 1.0, 1.0)
     usable = [one for one in series if np.mean(np.isfinite(one)) > PRESENT]
     length = min([BLOCK, *(len(one) for one in usable)])
-    if not usable or length < 2 * FEWEST_SAMPLES * FEWEST_PERIODS:
+    if not usable or length < 2 * FEWEST * FEWEST:
         return best
     power, count = np.zeros(length // 2 + 1), 0
     for one in usable:
@@ -459,7 +455,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
             if size > 0.0:
                 power += np.abs(np.fft.rfft(block)) ** 2 / size
                 count += 1
-    first, last = FEWEST_PERIODS, length // FEWEST_SAMPLES
+    first, last = FEWEST, length // FEWEST
     widths = [width for width in NEIGHBOURS if 2 * width + 1 <= (last - first) // 2]
     tries = max((last - first) * len(widths), 1)
     for width in widths:
@@ -497,7 +493,7 @@ def clear_peaks(
             if not series:
                 continue
             peak = spectral_peak(series, time * records[regular[0]].sample_time, name)
-            if peak.chance * len(outputs) < PEAK_CHANCE and (
+            if peak.chance * len(outputs) < CHANCE and (
                 name not in found or peak.chance < found[name].chance
             ):
                 found[name] = peak
@@ -520,80 +516,172 @@ def _own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:
     return parts, stride
 
 
-def widened(
-    problem: Filtered,
-    unknowns: np.ndarray,
-    matrix: np.ndarray,
-    covariance: np.ndarray,
-    period: float,
-) -> np.ndarray:
-    """Covariance of the shared parameters where innovations swing with a period.
+class ReducedFilter:
+    r"""What innovations say of the shared parameters, everything else estimated along.
+
+    With the information ``H`` of all unknowns, start states, per-record parameters and levels ``o``
+    are eliminated from that of the shared parameters ``p``,
+    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`.
 
     Parameters
     ----------
     problem : Filtered
     unknowns : ndarray (n_unknowns,)
+        The optimum.
     matrix : ndarray (n_unknowns, n_unknowns)
-        Information of all unknowns, priors included.
-    covariance : ndarray (n_shared, n_shared)
-        That of white innovations, infinite where nothing is seen.
-    period : float
-        Longest clear period, s.
-    """
-    layout, limits = problem.layout, problem.limits
-    n_shared = len(layout.shared)
-    finite = np.flatnonzero(np.isfinite(np.diag(covariance)))
-    if not len(finite):
-        return covariance
-    share = _share(problem, matrix)
-    slopes = layout.shared_values(unknowns)[1]
-    told = shared_rows(problem, unknowns, matrix)
-    weight = limits.prior_weight
-    middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
-    if problem.knowledge is not None:
-        middle = middle + problem.knowledge.information
-    middle = middle / slopes[:, None] / slopes + told.coloured(MEMORY * period)
-    middle += tests_middle(*told.tests, covariance, scattered=False)
-    robust = sandwich(covariance, middle)
-    white, found = np.diag(covariance)[finite], np.diag(robust)[finite]
-    grow = np.ones(n_shared)
-    grow[finite] = np.sqrt(np.maximum(1.0, white / np.where(found > 0, found, np.inf)))
-    return robust * grow[:, None] * grow
+        Information of all unknowns there, priors excluded.
 
-
-def shared_rows(problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray) -> Scores:
-    """Derivatives of innovations by the shared parameters, all else estimated along.
-
-    Parameters
+    Attributes
     ----------
-    problem : Filtered
-    unknowns : ndarray (n_unknowns,)
-    matrix : ndarray (n_unknowns, n_unknowns)
-        Information of all unknowns, priors included.
+    passes : list of FilterPass
+    std : list of ndarray (n_times, n_outputs)
+        Standard deviations of the innovations, per record.
+    information : Information
+        Of the shared parameters.
     """
-    layout = problem.layout
-    n_shared = len(layout.shared)
-    share = _share(problem, matrix)
-    slopes = layout.shared_values(unknowns)[1]
-    jacobians, scores = [], []
-    for index, part in enumerate(problem.passes(unknowns, rows=True)):
-        columns = layout.record_columns(index)
-        size = np.concatenate(
-            [np.ones(layout.n_own), layout.slopes(unknowns[columns[layout.n_own :]])]
+
+    def __init__(self, problem: Filtered, unknowns: np.ndarray, matrix: np.ndarray) -> None:
+        self.problem, self.unknowns = problem, unknowns
+        layout, limits = problem.layout, problem.limits
+        self._matrix = matrix + np.diag(limits.prior_weight)
+        shared = np.arange(len(layout.shared))
+        self._slopes = layout.shared_values(unknowns)[1]
+        others = problem.open_unknowns(len(shared))
+        # H_po H_oo^-1 in the columns of all unknowns, zero where one is not estimated.
+        self._share = np.zeros((len(shared), len(matrix)))
+        self._share[:, others] = share_of(self._matrix, shared, others)
+        reduced = (np.eye(*self._share.shape) - self._share) @ self._matrix[:, shared]
+        scales = limits.scale[shared] * self._slopes
+        self.information = Information.from_matrix(
+            layout.shared_names, self._by_values(reduced), scales
         )
-        assert part.rows is not None
-        onto = (np.eye(n_shared, len(share.T)) - share)[:, columns].T
-        jacobian = part.rows[..., : len(columns)] @ (size[:, None] * onto / slopes)
-        jacobian[~np.isfinite(part.innovations)] = 0.0
-        jacobians.append(jacobian)
-        scores.append(part.innovations / np.sqrt(part.variances))
-    return Scores(problem.records, jacobians, scores)
+        # Derivatives serve the comparison of records alone.
+        self.passes = problem.passes(unknowns, columns=len(shared) > 0)
+        self.std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in self.passes]
 
+    def _by_values(self, matrix: np.ndarray) -> np.ndarray:
+        """Information by values, of parameters whose logarithm is unknown too."""
+        return np.asarray(matrix / self._slopes[:, None] / self._slopes)
 
-def _share(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
-    """``H_po H_oo^-1`` in the columns of all unknowns, zero where one is not estimated."""
-    n_shared = len(problem.layout.shared)
-    others = problem.open_unknowns(n_shared)
-    share = np.zeros((n_shared, len(matrix)))
-    share[:, others] = share_of(matrix, np.arange(n_shared), others)
-    return share
+    @cached_property
+    def peaks(self) -> list[Peak]:
+        """Outputs whose innovations swing with a period of their own."""
+        whitened = [
+            np.full(one.shape, np.nan) if record.independent else part.innovations / one
+            for record, part, one in zip(self.problem.records, self.passes, self.std, strict=True)
+        ]
+        return clear_peaks(whitened, self.problem.records, self.problem.model.output_names)
+
+    @cached_property
+    def told(self) -> Scores:
+        """Derivatives of innovations by the shared parameters, all else estimated along."""
+        layout, jacobians, scores = self.problem.layout, [], []
+        onto = (np.eye(*self._share.shape) - self._share).T / self._slopes
+        for index, part in enumerate(self.problem.passes(self.unknowns, rows=True)):
+            columns = layout.record_columns(index)
+            assert part.rows is not None
+            size = layout.record_slopes(self.unknowns, index)
+            jacobian = part.rows[..., : len(columns)] @ (size[:, None] * onto[columns])
+            jacobian[~np.isfinite(part.innovations)] = 0.0
+            jacobians.append(jacobian)
+            scores.append(part.innovations / np.sqrt(part.variances))
+        return Scores(self.problem.records, jacobians, scores)
+
+    def covariance(self, *, tests: bool) -> tuple[np.ndarray, bool]:
+        """Covariance of the shared parameters, and whether independent tests scatter.
+
+        Parameters
+        ----------
+        tests : bool
+            Whether their part is that of their residuals where these are larger than declared.
+        """
+        white = covariance = self.information.covariance
+        if self.peaks:
+            covariance = self._widened(max(peak.period for peak in self.peaks))
+        independent = any(record.independent for record in self.problem.records)
+        if not (tests and independent and len(white)) or not self.told.stray(white):
+            return covariance, False
+        rows, residuals = self.told.tests
+        more = tests_middle(rows, residuals, white, scattered=True)
+        more -= tests_middle(rows, residuals, white, scattered=False)
+        seen = np.where(np.isfinite(white), white, 0.0)
+        return covariance + seen @ more @ seen, True
+
+    def _widened(self, period: float) -> np.ndarray:
+        """Covariance where innovations swing with a period, never below that of white ones."""
+        white, share = self.information.covariance, self._share
+        n_shared = len(share)
+        finite = np.flatnonzero(np.isfinite(np.diag(white)))
+        if not len(finite):
+            return white
+        weight = self.problem.limits.prior_weight
+        middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
+        if self.problem.knowledge is not None:
+            middle = middle + self.problem.knowledge.information
+        middle = self._by_values(middle) + self.told.coloured(MEMORY * period)
+        middle += tests_middle(*self.told.tests, white, scattered=False)
+        robust = sandwich(white, middle)
+        least, found = np.diag(white)[finite], np.diag(robust)[finite]
+        grow = np.ones(n_shared)
+        grow[finite] = np.sqrt(np.maximum(1.0, least / np.where(found > 0, found, np.inf)))
+        return robust * grow[:, None] * grow
+
+    @property
+    def sources(self) -> Sources | None:
+        """What priors and each record say of the shared parameters.
+
+        Derivatives are those at frozen gain; levels of the noise are taken as they are, as mean and
+        variance of an innovation are estimated independently of one another.
+        """
+        limits, n_shared = self.problem.limits, len(self._slopes)
+        each = [self._of_record(index) for index in range(len(self.passes))]
+        series = [not record.independent for record in self.problem.records]
+        told = [one for one, is_series in zip(each, series, strict=True) if is_series]
+        weight = limits.prior_weight[:n_shared]
+        prior = np.diag(weight / self._slopes**2)
+        if self.problem.knowledge is not None:
+            prior = prior + self._by_values(self.problem.knowledge.information)
+        for (information, _), is_series in zip(each, series, strict=True):
+            prior = prior if is_series else prior + information
+        away = limits.prior_mean[:n_shared] - self.unknowns[:n_shared]
+        gradient = sum((score for _, score in each), weight * away / self._slopes)
+        matrices, scores = [one for one, _ in told], [one for _, one in told]
+        return sources_of(matrices, scores, prior, gradient=gradient)
+
+    def _of_record(self, index: int) -> tuple[np.ndarray, np.ndarray]:
+        """Information and score of the shared parameters from one record.
+
+        Its start states and own parameters are estimated along; levels of the noise are as they
+        are.
+        """
+        layout, limits, part = self.problem.layout, self.problem.limits, self.passes[index]
+        columns = layout.record_columns(index)
+        size, width = layout.record_slopes(self.unknowns, index), len(columns)
+        matrix = part.gram[:width, :width] * size[:, None] * size
+        right = -part.gram[:width, -1] * size
+        shared = layout.n_own + layout.shared
+        others = np.setdiff1d(np.arange(width), shared)
+        others = others[~limits.held[columns[others]]]
+        own = limits.prior_weight[columns[others]]
+        matrix[others, others] += own
+        right[others] += own * (limits.prior_mean - self.unknowns)[columns[others]]
+        share = share_of(matrix, shared, others)
+        information = matrix[np.ix_(shared, shared)] - share @ matrix[np.ix_(others, shared)]
+        return self._by_values(information), (right[shared] - share @ right[others]) / self._slopes
+
+    @property
+    def level_errors(self) -> dict[str, float]:
+        """Standard errors of levels, relative, and of the logarithms of times."""
+        levels, block = self.problem.levels, self.problem.layout.levels
+        others = self.problem.open_unknowns(0)
+        where = np.arange(block.start, block.stop)
+        reduced = eliminate(self._matrix, where, others[others < block.start])
+        variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
+        errors = np.where(np.diag(reduced) > 0, np.sqrt(variances), np.inf)
+        found = {}
+        for name, value, error in zip(levels.names, self.unknowns[block], errors, strict=True):
+            if name.endswith("level"):
+                # Of a variance: twice the relative error of its root.
+                error = 0.5 * error / value if value > 0 else np.inf
+            found[name] = float(error)
+        return found

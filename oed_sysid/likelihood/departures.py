@@ -53,8 +53,9 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
-# Standard errors from which a departure counts: one output in 10^5 by chance.
-CLEAR = 4.5
+# Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
+# one value is not another, or a signal is no noise.
+CLEAR, CLEARLY = 4.5, 3.0
 # Share of the misfit beyond noise that a delay must explain where residuals are coloured.
 DELAY_SHARE = 0.3
 
@@ -349,8 +350,6 @@ UNITS: dict[str, tuple[tuple[float, str], ...]] = {
     "1/s": ((1.0 / 60.0, "rpm read as 1/s"), (60.0, "1/s read as rpm")),
     "N": ((1e3, "kN read as N"), (1e-3, "N read as kN")),
 }
-# Standard errors from which on a value is not zero.
-OWN_SIGN = 3.0
 # Factor within which a start value has to be what the other unit would give.
 NEAR = 2.0
 # Change of the outputs, in noise levels, below which two runs are the same.
@@ -409,7 +408,7 @@ def other_way(fit: Estimate, nominal: Mapping[str, float]) -> tuple[OtherWay, ..
     errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
     ratios, loose = {}, []
     for name, value in zip(fit.names, fit.estimates, strict=True):
-        if name not in nominal or not nominal[name] or not abs(value) > OWN_SIGN * errors[name]:
+        if name not in nominal or not nominal[name] or not abs(value) > CLEARLY * errors[name]:
             loose.append(name)  # the records do not say its sign, or nobody did before
         else:
             ratios[name] = float(value) / nominal[name]

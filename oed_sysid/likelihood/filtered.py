@@ -15,9 +15,9 @@ enters as a prior.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -29,22 +29,22 @@ from oed_sysid.compiled.filtering import (
     FilterPass,
     filter_kernel,
 )
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.shooting import Follows, Point
-from oed_sysid.likelihood.unknowns import KnownStarts, Layout, Limits
+from oed_sysid.likelihood.unknowns import KnownStarts, Posed
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import both_cores
 
-# Step of differences of whole filters, in standard deviations of the unknown, others known: a
-# smaller one says no more of a smooth model, and drowns in rounding that an unstable one amplifies.
-DIFFERENCE = 1.0
-# Most that a variance clear of zero by so many standard deviations, a time, or the period of a sea
-# grows or shrinks in one step.
-FARTHEST, CLEAR_OF_ZERO, LONGER, WIDER = 10.0, 1.0, 3.0, 1.4
+# Most that a variance clear of zero by so many standard deviations, or a time, grows or shrinks in
+# one step.
+FARTHEST, CLEAR_OF_ZERO, LONGER = 10.0, 1.0, 3.0
+# Ratio of periods of a sea that are tried, and most that one changes in a step: a wave of bandwidth
+# 0.3 is half as strong at the next one.
+NEXT_PERIOD = 1.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class Knowledge:
     information: np.ndarray
 
 
-class Filtered:
+class Filtered(Posed):
     """Likelihood of one model, data set and noise model.
 
     Parameters
@@ -89,21 +89,14 @@ class Filtered:
         known_starts: KnownStarts | None = None,
         knowledge: Knowledge | None = None,
     ) -> None:
-        self.model, self.dataset, self.levels = model, dataset, levels
-        self.knowledge = knowledge
-        self.records: tuple[Record, ...] = tuple(dataset)
         self.kernel = kernel or filter_kernel(disturbed_model(model, levels.disturbances))
-        self.layout = Layout.of(model, len(self.records), len(levels))
-        self.known_starts = known_starts
-        self.limits = _limits(model, self.layout, levels, known_starts)
+        wide = self.kernel.model
+        super().__init__(model, dataset, wide, known_starts, len(levels))
+        self.levels, self.knowledge = levels, knowledge
+        for name in ("lower", "upper", "prior_mean", "prior_weight"):
+            getattr(self.limits, name)[self.layout.levels] = getattr(levels, name)
         if knowledge is not None:  # what other records say already holds these priors
             self.limits.prior_weight[: len(self.layout.shared)] = 0.0
-        wide = self.kernel.model
-        positions = {name: i for i, name in enumerate(wide.parameter_names)}
-        self._base = wide.value_vector
-        for name, value in model.values.items():
-            self._base[positions[name]] = value
-        self._free = np.array([positions[name] for name in model.free_names], dtype=int)
         self.own = active_components(wide, model)
         self.active, self.passing = self.own, np.zeros(0, dtype=int)
         if self.own is not None:
@@ -112,19 +105,8 @@ class Filtered:
                 self.active = both  # what an uncertain command is remembered as is uncertain
             elif both is not None:
                 self.passing = np.setdiff1d(both, self.own)
-        self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
 
     # -- points --------------------------------------------------------------------
-
-    def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
-        """Values of all parameters of the kernel's model for one record."""
-        values = self._base.copy()
-        values[self._free] = self.layout.parameters(unknowns, record)
-        return values
-
-    def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
-        """The model's own initial states of one record, shape ``(n_own,)``."""
-        return unknowns[self._columns[record][: self.layout.n_own]]
 
     def alone(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray, bool]:
         """Outputs, full states and success of the undisturbed model along one record."""
@@ -187,7 +169,7 @@ class Filtered:
         lower, upper = lower.copy(), upper.copy()
         least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
         most = np.where(clear, (FARTHEST - 1.0) * here, np.inf)
-        longer = [WIDER if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
+        longer = [NEXT_PERIOD if kind == SEA_PERIOD else LONGER for kind, _ in self.levels.entries]
         least = np.where(variance, least, -np.log(longer))
         most = np.where(variance, most, np.log(longer))
         lower[block] = np.maximum(lower[block], least)
@@ -196,7 +178,7 @@ class Filtered:
 
     def prior_cost(self, unknowns: np.ndarray) -> float:
         """Half the weighted sum of squares of the departures from the priors."""
-        cost = 0.5 * float(self.limits.prior_weight @ (unknowns - self.limits.prior_mean) ** 2)
+        cost = self.limits.prior_cost(unknowns)
         if self.knowledge is not None:
             away = unknowns[: len(self.layout.shared)] - self.knowledge.mean
             cost += 0.5 * float(away @ self.knowledge.information @ away)
@@ -218,24 +200,11 @@ class Filtered:
         starts = self.known_starts
         return Filtered(self.model, self.dataset, levels, kernel=self.kernel, known_starts=starts)
 
-    def holding(self, positions: np.ndarray, values: np.ndarray) -> Filtered:
-        """Return the same problem with some unknowns held at given values."""
-        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
-        lower[positions] = upper[positions] = values
-        other = copy.copy(self)
-        other.limits = replace(self.limits, lower=lower, upper=upper)
-        return other
-
     def open_unknowns(self, first: int) -> np.ndarray:
         """Positions from ``first`` on of what is estimated; levels count as such."""
         held = self.limits.held.copy()
         held[self.layout.levels] = False
         return first + np.flatnonzero(~held[first:])
-
-    @property
-    def state_scale(self) -> np.ndarray:
-        """Typical magnitudes of the own states."""
-        return np.array([state.scale for state in self.model.states])
 
     # -- evaluation ----------------------------------------------------------------
 
@@ -271,34 +240,49 @@ class Filtered:
         measured : sequence of ndarray, optional
             Measurements in place of those of the records.
         """
-        noise = self.levels.disturbed(self.noise(unknowns))
         if not columns or levels_only:
             names = ()
         elif names is None:
             names = self.layout.free_names
+        noise = self.levels.disturbed(self.noise(unknowns))
+        wanted = {
+            "names": names,
+            "own_columns": columns and not levels_only,
+            "levels": self.levels.entries if columns else (),
+            "rows": rows,
+            "gains": gains,
+            "moves": moves,
+        }
 
         def one(index: int) -> FilterPass:
-            record = self.records[index]
-            part = self.kernel.filter(
-                record.times,
-                record.inputs,
-                self.values(unknowns, index),
-                self.initial_state(unknowns, index),
-                record.outputs if measured is None else measured[index],
-                self._noise_in(index, noise),
-                names=names,
-                own_columns=columns and not levels_only,
-                active=self.active,
-                passing=self.passing,
-                levels=self.levels.entries if columns else (),
-                rows=rows,
-                gains=gains,
-                moves=moves,
-                longest_step=self.levels.noise.longest_step(record.times),
-            )
-            return _white_alone(part, self.levels.entries) if record.independent else part
+            outputs = None if measured is None else measured[index]
+            return self._pass(unknowns, index, noise, wanted, outputs)
 
         return both_cores(one, range(len(self.records)))
+
+    def _pass(
+        self,
+        unknowns: np.ndarray,
+        index: int,
+        noise: Disturbed,
+        wanted: Mapping[str, Any],
+        measured: np.ndarray | None = None,
+    ) -> FilterPass:
+        """Filter one record."""
+        record = self.records[index]
+        part = self.kernel.filter(
+            record.times,
+            record.inputs,
+            self.values(unknowns, index),
+            self.initial_state(unknowns, index),
+            record.outputs if measured is None else measured,
+            self._noise_in(index, noise),
+            active=self.active,
+            passing=self.passing,
+            **wanted,
+            longest_step=self.levels.noise.longest_step(record.times),
+        )
+        return _white_alone(part, self.levels.entries) if record.independent else part
 
     def _noise_in(self, index: int, noise: Disturbed) -> Disturbed:
         """Noise of one record: white alone where nothing links its samples."""
@@ -365,10 +349,9 @@ class Filtered:
         matrix, right = np.zeros((n, n)), np.zeros(n)
         scale = self.levels.scale
         tail = np.arange(levels.start, levels.stop)
-        for columns, part in zip(self._columns, found, strict=True):
+        for index, (columns, part) in enumerate(zip(self._columns, found, strict=True)):
             where = np.concatenate([columns, tail])
-            slopes = self.layout.slopes(unknowns[columns[self.layout.n_own :]])
-            size = np.concatenate([np.ones(self.layout.n_own), slopes, scale])
+            size = np.concatenate([self.layout.record_slopes(unknowns, index), scale])
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale
@@ -387,7 +370,7 @@ class Filtered:
         base : sequence of FilterPass
             Passes there, with the derivatives of every innovation.
         std : ndarray (n_unknowns,)
-            Sizes of the differences, in hundreds.
+            Sizes of the differences.
         """
         n, layout = self.layout.n_unknowns, self.layout
         n_own, n_levels = layout.n_own, len(self.levels)
@@ -407,7 +390,7 @@ class Filtered:
             spread = np.zeros_like(slope)
             spread[:, width:] = rows[:, width + n_levels :] * self.levels.scale
             for position, column in enumerate(columns[n_own:], start=n_own):
-                other, length = moved[column][index], DIFFERENCE * std[column]
+                other, length = moved[column][index], std[column]
                 slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
                     root * length
                 )
@@ -418,7 +401,11 @@ class Filtered:
         return matrix, right
 
     def _moved(self, unknowns: np.ndarray, std: np.ndarray) -> dict[int, dict[int, FilterPass]]:
-        """Passes with each parameter moved, by unknown and record."""
+        """Passes with each parameter moved, by unknown and record.
+
+        By one standard deviation, others known: a smaller step says no more of a smooth model, and
+        drowns in rounding that an unstable one amplifies.
+        """
         noise = self.levels.disturbed(self.noise(unknowns))
         jobs = [
             (int(column), index)
@@ -429,20 +416,8 @@ class Filtered:
         def one(job: tuple[int, int]) -> FilterPass:
             column, index = job
             shifted = unknowns.copy()
-            shifted[column] += DIFFERENCE * std[column]
-            record = self.records[index]
-            return self.kernel.filter(
-                record.times,
-                record.inputs,
-                self.values(shifted, index),
-                self.initial_state(shifted, index),
-                record.outputs,
-                self._noise_in(index, noise),
-                own_columns=False,
-                active=self.active,
-                passing=self.passing,
-                longest_step=self.levels.noise.longest_step(record.times),
-            )
+            shifted[column] += std[column]
+            return self._pass(shifted, index, noise, {"own_columns": False})
 
         found: dict[int, dict[int, FilterPass]] = {}
         for (column, index), part in zip(jobs, both_cores(one, jobs), strict=True):
@@ -514,15 +489,3 @@ def active_components(wide: Model, model: Model, *, passing: bool = False) -> np
         memories = [(e.name, len(e.memory)) for e in wide.effects if e.stage == stage]
         extend(memories, single=stage == "actuator")
     return np.array(kept, dtype=int)
-
-
-def _limits(
-    model: Model,
-    layout: Layout,
-    levels: Levels,
-    starts: KnownStarts | None,
-) -> Limits:
-    limits = Limits.of(model, layout, starts)
-    for name in ("lower", "upper", "prior_mean", "prior_weight"):
-        getattr(limits, name)[layout.levels] = getattr(levels, name)
-    return limits

@@ -10,32 +10,30 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.likelihood.archive import check_fit, decode_result, encode, made_by, write_result
-from oed_sysid.likelihood.between_records import RecordScatter, Sources
+from oed_sysid.data.dataset import Dataset
+from oed_sysid.likelihood.archive import (
+    check_fit,
+    dataclasses_of,
+    decode_result,
+    encode,
+    made_by,
+    write_result,
+)
+from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.estimate import (
     ActuatorStart,
     Attempts,
-    Binding,
     CaptiveErrors,
     Delay,
     Estimate,
     Posterior,
     ProcessNoiseTest,
-    Status,
     checked_scatter,
 )
-from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.judgement import Concern, grave, judge
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.likelihood.prediction import Initial, Prediction, predict
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
-from oed_sysid.physics import Actuator, Environment, ExtraState, Force, Inertia, Memory, Sensor
-from oed_sysid.physics.base import RandomProcess
-from oed_sysid.physics.channels import Channels, Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -48,13 +46,10 @@ from oed_sysid.runtime.display import (
     counted,
     share,
 )
-from oed_sysid.text.callables import Function
 from oed_sysid.text.units import shown_unit
 
 # Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
 SMOOTHED = 100.0
-# Prior standard deviations beyond which an estimate contradicts the prior.
-SURPRISING = 3.0
 # Correlation of two estimates from which on they can hardly be told apart.
 ALIKE = 0.95
 # Records that a page draws, and correlated pairs that are named.
@@ -672,11 +667,11 @@ def _off_priors(fit: Fit) -> Iterator[str]:
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
         mean, spread = parameter.prior_mean, parameter.prior_spread
-        if mean is not None and spread is not None and abs(value - mean) > SURPRISING * spread:
+        if mean is not None and spread is not None and abs(value - mean) > CLEARLY * spread:
             far.append(name)
     if far:
         yield (
-            f"Further than {SURPRISING:g} standard deviations from the prior: "
+            f"Further than {CLEARLY:g} standard deviations from the prior: "
             f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
         )
 
@@ -729,29 +724,4 @@ def _typed(content: dict[str, Any]) -> dict[str, Any]:
 
 
 # Everything that a saved fit is made of.
-ARCHIVED: tuple[type, ...] = (
-    *(
-        Fit,
-        Status,
-        ProcessNoiseTest,
-        Binding,
-        Delay,
-        ActuatorStart,
-        CaptiveErrors,
-        Attempts,
-        Posterior,
-        Information,
-        NoiseModel,
-        Sea,
-        RecordScatter,
-        Sources,
-        Model,
-        Function,
-        Parameter,
-        Dataset,
-        Record,
-        Channels,
-    ),
-    *(State, Input, Output, Actuator, Environment, Force, Inertia, Sensor, ExtraState, Memory),
-    RandomProcess,
-)
+ARCHIVED = dataclasses_of(Fit)

@@ -63,19 +63,21 @@ LINE_SEARCH_STEPS, SHORTER = 5, 0.4
 # A trajectory whose scaled jumps sum to less is continuous.
 CLOSED = 1e-8
 # Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
-# shrink are theirs, and then so are gains below a share of the cost, or a cost, of the others:
-# estimates are within 0.04 standard errors of where they would end.
-NEARLY_CLOSED, ROUNDING_SHARE, ROUNDING_COST = 1e-6, 1e-8, 1e-3
-# With disturbance forces: the step that ends the iterations at frozen gain, the rise of the cost
-# that its gradient may cause near the end, most steps of the exact one, the gain below which the
-# last of these was enough, and its equations serve where it led, and the promised gain below which
-# a search without a way on has arrived.
-FROZEN_TOLERANCE, SLACK, POLISH_STEPS, SETTLED, STALLED_NEAR = 1e-3, 0.1, 8, 0.1, 0.1
+# shrink are theirs, and then so are gains below a share of the cost, or the tolerance at frozen
+# gain, of the others: estimates are within 0.04 standard errors of where they would end.
+NEARLY_CLOSED, ROUNDING_SHARE = 1e-6, 1e-8
+# With disturbance forces: the step that ends the iterations at frozen gain, and most steps of the
+# exact one.
+FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
+# Change of the cost that is none near the end: the rise that the frozen gradient may cause, the
+# gain below which the last exact step was enough, and its equations serve where it led, and the
+# promised gain below which a search without a way on has arrived.
+NEAR = 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
-MOST_DAMPING, FEW_LENGTHS = 10.0, 3
-# Steps at frozen gain after which one looks back, and the fall of the cost over these that is too
-# small to go on for, least and in tolerances: its gradient then leads to and fro.
-LOOK_BACK, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
+MOST_DAMPING = 10.0
+# Lengths that are tried there, and steps after which one looks back, and the fall of the cost over
+# these that is too small to go on for, least and in tolerances: its gradient leads to and fro.
+FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # Information by differences of whole filters over that at frozen gain beyond which it is rounding
 # that an unstable model amplifies. Rounding falls with the square of the step, information does
 # not: where a standard deviation is smaller than at frozen gain by the second factor, and as much
@@ -386,7 +388,7 @@ class Convergence:
     def gain(self, cost: float, *, at_floor: bool) -> float:
         """Gain that is none; more where rounding errors have been reached."""
         least = max(self.tolerance, self.share * cost)
-        floor = min(ROUNDING_SHARE * abs(cost), ROUNDING_COST)
+        floor = min(ROUNDING_SHARE * abs(cost), FROZEN_TOLERANCE)
         return max(least, floor) if at_floor else least
 
 
@@ -692,30 +694,30 @@ def solve_filtered(
     begin = whitened(problem, point)
     if begin is None:
         return None
-    control = StepControl(FEW_LENGTHS, MOST_DAMPING, SLACK, differentiated)
+    control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)
     descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)
     fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)
     lowest = [begin.cost]
 
     def to_and_fro(progress: Progress) -> bool:
         lowest.append(descent.lowest.cost)
-        return len(lowest) > LOOK_BACK and lowest[-1 - LOOK_BACK] - lowest[-1] < fall
+        return len(lowest) > FEW and lowest[-1 - FEW] - lowest[-1] < fall
 
     reason = descent.run(max_iterations, callback=callback, enough=to_and_fro)
     reason = "converged" if reason == "enough" else reason
     descent.now, equations = descent.lowest, None
-    exact_control = StepControl(FEW_LENGTHS, MOST_DAMPING)
+    exact_control = StepControl(FEW, MOST_DAMPING)
     if reason != "interrupted" and polish and descent.refine(differentiated, exact_control):
-        last = descent.run(polish, enough=lambda progress: progress.decrement < SETTLED)
+        last = descent.run(polish, enough=lambda progress: progress.decrement < NEAR)
         if last == "enough":  # the equations before hold where so small a step has led
             equations = _shifted(descent.before, descent.now.point)
         # The exact gradient has the last word, whatever the frozen one ended with.
         if last == "interrupted":
             reason = last
-        elif reason == "iterations" and descent.decrease < STALLED_NEAR:
+        elif reason == "iterations" and descent.decrease < NEAR:
             reason = "converged"
     # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
-    if reason == "stalled" and descent.decrease < STALLED_NEAR:
+    if reason == "stalled" and descent.decrease < NEAR:
         reason = "converged"
     now = descent.now
     matrix, right = equations or (now.equations.matrix, now.equations.right)

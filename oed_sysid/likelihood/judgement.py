@@ -51,9 +51,12 @@ import numpy as np
 from scipy.special import ndtr, stdtr
 
 from oed_sysid.compiled.kernels import kernel
+from oed_sysid.likelihood.between_records import FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
     CLEAR,
+    CLEARLY,
+    SAME,
     clear_delay,
     clear_starts,
     estimate_delays,
@@ -92,14 +95,10 @@ RUNAWAY, UNSEEN = 1e8, 1e4
 STILL = 1e-2
 # A model that leaves this share of the squares about the mean explains nothing.
 BARELY = 0.99
-# A signal this many times its noise moves.
-MOVES = 3.0
+# Samples per unknown that are few.
 FEW = 3.0
-ABSORBED = 1.5
-# Chance of a correlation over records; the fewest records for one.
-FOLLOWS_CHANCE, FOLLOWS_RECORDS = 0.05, 4
-# Effect on the outputs of noise in a logged input, in noise levels.
-INPUT_EFFECT = 0.1
+# Chance of a correlation over records.
+FOLLOWS_CHANCE = 0.05
 # Parameters that are named where records differ.
 NAMED = 3
 # Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
@@ -415,7 +414,7 @@ def _absorbed(fit: Estimate) -> Iterator[Found]:
         if not fit.sigma_estimated[column] or n < 20 or not floor[column] > 0:
             continue
         factor = float(fit.sigma[column] / floor[column])
-        if factor > ABSORBED and effective < COLOUR_LIMIT * n:
+        if factor > WORTH_TELLING and effective < COLOUR_LIMIT * n:
             yield Found(factor, name, facts={
                 "sigma": fit.sigma[column], "floor": floor[column],
                 "unit": fit.model.outputs[column].unit,
@@ -505,7 +504,7 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
             scaled = scaled[np.isfinite(scaled)]
             change, count = change + float(scaled @ scaled), count + len(scaled)
         size = float(np.sqrt(change / max(count, 1)))
-        if size > INPUT_EFFECT:
+        if size > SAME:
             facts = {"level": level, "unit": fit.model.inputs[column].unit}
             yield Found(size, name, facts=facts)
 
@@ -645,7 +644,7 @@ class _Motion:
 
     def beyond(self, noise: np.ndarray) -> np.ndarray:
         """Which signals move by more than their noise."""
-        return self.own > (MOVES * noise) ** 2 * self.count
+        return self.own > (CLEARLY * noise) ** 2 * self.count
 
 
 def _degenerate(fit: Estimate) -> Iterator[Found]:
@@ -736,7 +735,7 @@ def _follows(fit: Estimate) -> Iterator[Found]:
     """Parameters of records that follow the amplitude of a signal over the records."""
     n = len(fit.dataset)
     names = fit.local_values[0] if fit.local_values else {}
-    if n < FOLLOWS_RECORDS or not names:
+    if n < FEWEST_RECORDS or not names:
         return
     sizes = {
         channel.name: np.array([np.max(np.abs(r.inputs[:, i])) for r in fit.dataset])
@@ -841,14 +840,14 @@ CHECKS = (
         "95 % {low:.2f} to {high:.2f}). {so}",
     ),
     Check(
-        "absorbed", _absorbed, f"a factor of {ABSORBED:g}, of correlated residuals",
+        "absorbed", _absorbed, f"a factor of {WORTH_TELLING:g}, of correlated residuals",
         "The estimated noise of {signal}, {sigma:.3g} {unit}, is {size:.3g} times its "
         "high-frequency content ({floor:.3g}): it "
         "holds what the model does not explain. A misfit of one says nothing here; "
         "declare noise_std, check signs and units, or look for what is missing.",
     ),
     Check(
-        "input_noise", _inputs, f"{INPUT_EFFECT:g} noise levels",
+        "input_noise", _inputs, f"{SAME:g} noise levels",
         "The log of input {signal} carries white noise of {level:.3g} "
         "{unit}; fed to the model it moves the outputs by {size:.2g} noise "
         "levels. The vehicle answers to the true input: fit the command instead of the "

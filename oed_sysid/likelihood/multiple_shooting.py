@@ -13,7 +13,7 @@ from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
 from oed_sysid.likelihood.binding import binding
-from oed_sysid.likelihood.departures import clear_delay, clear_starts, estimate_delays
+from oed_sysid.likelihood.departures import CLEARLY, clear_delay, clear_starts, estimate_delays
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
@@ -68,11 +68,8 @@ from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.threads import one_thread
 
-# Residuals of a white fit, in noise, beyond which its values may be bent far off by what it takes
-# for noise: disturbance forces are then looked for from the start values too.
-BENT = 3.0
-# Iterations of a white fit after which such residuals end it where disturbance forces are looked
-# for, or known from an earlier fit, and the share of the cost that has to be left.
+# Iterations of a white fit after which residuals that are no noise end it where disturbance forces
+# are looked for, or known from an earlier fit, and the share of the cost that has to be left.
 PATIENCE, KNOWN, ENOUGH = 8, 2, 0.7
 # Ends of a white fit that are where it was going.
 ENDED = ("converged", "enough")
@@ -631,8 +628,9 @@ def _failed(fit: Fit, code: str) -> Fit:
 def _starts(fit: Fit, task: _Task, setting: Setting) -> list[Start]:
     """Where a fit with process noise begins: at the white fit, and where that may be far off."""
     here = Start(fit.model.values, fit.initial_states, fit.local_values)
+    # Residuals beyond noise may have bent the values far off by what the fit takes for noise.
     left = np.nan_to_num(np.array(list(fit.rms.values())) / setting.white, posinf=np.inf)
-    if np.isfinite(fit.cost) and left.max() <= BENT:
+    if np.isfinite(fit.cost) and left.max() <= CLEARLY:
         return [here]
     begin = Shooting(task.model, fit.dataset, setting.white, known_starts=task.known_starts)
     unknowns = begin.start_unknowns()
@@ -701,7 +699,7 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
 def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     """Tell when residuals are no white noise of the given levels, wherever iterations end."""
     count = sum(int(np.isfinite(record.outputs).sum()) for record in shooting.records)
-    large = 0.5 * BENT**2 * count
+    large = 0.5 * CLEARLY**2 * count
 
     def told(progress: Progress) -> bool:
         left = progress.cost - max(progress.decrement, 0.0)

@@ -128,11 +128,8 @@ class Multistart:
         starts = self.starts(model)
         cells = {f"seed {self.seed}, start {i}": start for i, start in enumerate(starts)}
         work = partial(_fit_from, self.estimator, model, dataset)
-        fits = list(
-            run_cells(
-                work, cells, store=self.store, n_jobs=self.n_jobs, progress=self.progress
-            ).values()
-        )
+        run = run_cells(work, cells, store=self.store, n_jobs=self.n_jobs, progress=self.progress)
+        fits = list(run.values())
         likelihoods = np.array([fit.log_likelihood for fit in fits])
         # Priors are part of what is sought; noise levels that are estimated are too.
         goals = np.array([_goal(fit) for fit in fits])
@@ -156,25 +153,21 @@ def _fit_from(
 
 def _goal(fit: Fit) -> float:
     """Log-likelihood and log-density of the priors, up to a constant."""
-    total = fit.log_likelihood
+    away = []
     for name, value in fit.values.items():
-        parameter = fit.model.parameter(name)
-        if parameter.prior_std is not None and parameter.prior_mean is not None:
-            away = value - parameter.prior_mean
-            if parameter.log:
-                away = np.log(value / parameter.prior_mean)
-            total -= 0.5 * (away / parameter.prior_std) ** 2
+        one = fit.model.parameter(name)
+        if one.prior_std is not None and one.prior_mean is not None:
+            off = np.log(value / one.prior_mean) if one.log else value - one.prior_mean
+            away.append(off / one.prior_std)
     for known, own in zip(fit.start_states, fit.initial_states, strict=False):
-        for name, (mean, std) in known.items():
-            if std > 0:
-                found = own[fit.model.state_names.index(name)]
-                total -= 0.5 * ((found - mean) / std) ** 2
+        values = dict(zip(fit.model.state_names, own, strict=True))
+        away += [(values[name] - mean) / std for name, (mean, std) in known.items() if std > 0]
+    total = fit.log_likelihood - 0.5 * float(np.sum(np.square(away)))
     return total if np.isfinite(total) else -np.inf
 
 
 # Doublings of the step before a side is declared open, and refinements of an end.
-MAXIMUM_DOUBLINGS = 12
-REFINEMENTS = 12
+MOST_STEPS = 12
 # An end is known well enough when the misfit is within this share of its quantile.
 CLOSE = 2e-3
 
@@ -321,7 +314,7 @@ class _Walker:
         unknowns = found.point.unknowns
         white = ReducedProblem(shooting, found.linearisation, unknowns).information.covariance
         variance = white[self.position, self.position]
-        reported = fit.covariance[fit.names.index(name), fit.names.index(name)]
+        reported = fit.std_errors[name] ** 2
         usable = np.isfinite(variance) and np.isfinite(reported) and variance > 0
         self.inflation = float(reported / variance) if usable else 1.0
         scale = float(shooting.limits.scale[self.position])
@@ -335,7 +328,7 @@ class _Walker:
         bound = float((limits.lower if direction < 0 else limits.upper)[self.position])
         inner, inner_rise, solution = self.estimate, 0.0, self.best
         step = self.step
-        for _ in range(MAXIMUM_DOUBLINGS):
+        for _ in range(MOST_STEPS):
             value = inner + direction * step
             at_bound = (value - bound) * direction >= 0
             value = bound if at_bound else value
@@ -358,27 +351,23 @@ class _Walker:
         self,
         inner: tuple[float, float],
         outer: tuple[float, float],
-        solution: Solution,
+        near: Solution,
         threshold: float,
     ) -> tuple[float, str]:
         """Find the crossing between two values, secant steps on the root of the rise."""
-        root = np.sqrt(threshold)
-        value = outer[0]
-        for _ in range(REFINEMENTS):
+        root, value = np.sqrt(threshold), outer[0]
+        for _ in range(MOST_STEPS):
             low, high = np.sqrt(max(inner[1], 0.0)), np.sqrt(outer[1])
             share = np.clip((root - low) / max(high - low, 1e-12), 0.05, 0.95)
             value = inner[0] + share * (outer[0] - inner[0])
-            there = self._refit(value, solution)
-            if there is None:
-                outer = (value, outer[1])
-                continue
-            rise = self._record(value, there)
+            there = self._refit(value, near)
+            rise = np.inf if there is None else self._record(value, there)
             if abs(rise - threshold) < CLOSE * threshold:
                 break
-            if rise < threshold:
-                inner, solution = (value, rise), there
+            if there is not None and rise < threshold:
+                inner, near = (value, rise), there
             else:
-                outer = (value, rise)
+                outer = (value, outer[1] if there is None else rise)
         return float(value), "data"
 
     def _record(self, value: float, solution: Solution) -> float:

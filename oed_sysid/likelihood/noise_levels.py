@@ -270,8 +270,8 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
     return np.sqrt(np.nansum(stacked**2, axis=0) / np.maximum(share, 1e-9))
 
 
-# Spikes that normal noise shows in one data set of so many.
-SPIKE_CHANCE = 1e-3
+# Chance that noise as declared is taken for spikes in a data set, or for a scatter of tests.
+RARE = 1e-3
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
 STRUCTURED_SPIKE = 8.0
 # Share of the departures within which tails are looked at, and where it ends in normal numbers.
@@ -314,7 +314,7 @@ def spike_masks(
             continue
         least = 1.0 if declared is not None and declared[column] else 0.0
         count = 0 if taken is None else taken[column]
-        chance = SPIKE_CHANCE / n_outputs
+        chance = RARE / n_outputs
         found = _outliers(series, pieces, max(usual, BESIDE * least), least, count, chance)
         for mask, index, one in zip(masks, rows, found, strict=True):
             mask[index, column] = one
@@ -370,7 +370,7 @@ def _outliers(
     if structured or count < SEVERAL:
         return masks
     # Where there are several spikes some meet: as many in a row as chance makes of so many.
-    longest = max(int(np.log(SPIKE_CHANCE / n) / np.log(min(count / n, 0.5))), 2)
+    longest = max(int(np.log(RARE / n) / np.log(min(count / n, 0.5))), 2)
     for mask, away in zip(masks, off, strict=True):
         big = np.abs(away) > surely * slow
         mask |= big & (_run_lengths(big) <= longest)

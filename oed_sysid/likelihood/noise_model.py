@@ -12,7 +12,7 @@ For a record with states ``x``, outputs ``y`` and inputs ``u``
 ``c`` coloured and ``v`` white errors of the sensors (Gelb 1974, *Applied optimal estimation*,
 section 3.8). Waves are forces of second order instead: a :class:`Sea` of some period and width
 acts on several equations, each with a level of its own
-(:mod:`oed_sysid.compiled.filter_pass` has the equations). A :class:`NoiseModel` holds all levels
+(:mod:`oed_sysid.compiled.filtering` has the equations). A :class:`NoiseModel` holds all levels
 and times; white noise alone is its simplest case.
 """
 
@@ -70,20 +70,21 @@ class Sea:
         if self.levels is not None:
             named = {k if " " in k else f"force {k}": float(v) for k, v in self.levels.items()}
             object.__setattr__(self, "levels", named)
-            if not all(np.isfinite(v) and v >= 0 for v in named.values()):
-                raise ModelError(f"A sea has levels {dict(named)}. Give them as zero or above.")
-            if self.shape is None:
-                object.__setattr__(self, "shape", "velocity")
-        if self.period is not None and not (np.isfinite(self.period) and self.period > 0):
-            raise ModelError(f"A sea has a period of {self.period} s. Give one above zero.")
-        if self.bandwidth is not None and not 0 < self.bandwidth < 2:
-            raise ModelError(
-                f"A sea has a bandwidth of {self.bandwidth}. It is a share of the frequency: give "
-                "one above zero and below 2, such as 0.2."
-            )
-        if self.shape not in (None, *SHAPES):
-            known = " or ".join(SHAPES)
-            raise ModelError(f"A sea has the shape {self.shape!r}. Choose {known}.")
+            object.__setattr__(self, "shape", "velocity" if self.shape is None else self.shape)
+        faults = (
+            (bool(np.all((self.level >= 0) & np.isfinite(self.level))),
+             f"levels {dict(self.levels or {})}. Give them as zero or above."),
+            (self.period is None or 0 < self.period < np.inf,
+             f"a period of {self.period} s. Give one above zero."),
+            (self.bandwidth is None or 0 < self.bandwidth < 2,
+             f"a bandwidth of {self.bandwidth}. It is a share of the frequency: give one above "
+             "zero and below 2, such as 0.2."),
+            (self.shape in (None, *SHAPES),
+             f"the shape {self.shape!r}. Choose {' or '.join(SHAPES)}."),
+        )  # fmt: skip
+        for right, words in faults:
+            if not right:
+                raise ModelError(f"A sea has {words}")
 
     @property
     def places(self) -> tuple[str, ...]:

@@ -29,11 +29,11 @@ from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, Layout, StartState
-from oed_sysid.likelihood.whole_runs import WholeRun
+from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
 
-# Draws that show whether a first-order band would mislead, draws of a band, and at once.
-N_PROBE, N_DRAWS, CHUNK = 20, 200, 20
+# Draws of a band; those at once show whether one of first order would mislead.
+N_DRAWS = 200
 RUNAWAY = 1e100  # a draw beyond is no run of a vehicle
 # Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
 # inverse) first order misleads.
@@ -352,7 +352,7 @@ def _variance(
         # The same draws, to first order and simulated, over the whole run: what differs is no
         # chance, and no moment at which nothing moves to first order.
         first, few = (
-            spread.mean_square(runs, run.outputs, N_PROBE).mean(axis=0, keepdims=True)
+            spread.mean_square(runs, run.outputs, CHUNK).mean(axis=0, keepdims=True)
             for runs in (linear, alone)
         )
         names = run.shooting.layout.shared_names

@@ -17,6 +17,8 @@ from scipy.optimize import lsq_linear
 
 # Scaled information below this share of the largest is none.
 NOTHING = 1e-12
+# Singular directions below this share of the largest are not projected out, nor answered.
+BLIND = 1e-10
 # Below this share of the largest eigenvalue of the equilibrated matrix, a
 # direction is rounding error: the square of the information's null tolerance.
 NULL_EIGENVALUE = 1e-13

@@ -5,7 +5,7 @@ noise of logged inputs and times of their own are admitted one after the other, 
 worth it.
 
 *Is what disturbs a vehicle a sea?* At the estimate with forces of first order, resonators
-(:mod:`oed_sysid.compiled.filter_pass`) are admitted with variance zero in every equation at once.
+(:mod:`oed_sysid.compiled.filtering`) are admitted with variance zero in every equation at once.
 With the score ``s`` and the information ``I`` of everything unknown, resonators last,
 
 .. math:: T = \max_{d \ge 0} (2 s' d - d' I d) - \max_{d_r = 0} (2 s' d - d' I d)
@@ -31,7 +31,9 @@ from scipy.special import comb
 from scipy.stats import chi2
 
 from oed_sysid.compiled.filtering import FilterKernel
-from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.between_records import WORTH_TELLING
+from oed_sysid.likelihood.covariance import FEWEST
+from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
     POLISH_STEPS,
     FilteredSolution,
@@ -57,9 +59,6 @@ VANISHED = 0.02
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
-# High-frequency content, over the level declared, from which levels also begin at what
-# these show.
-LOUD = 1.5
 # Steps after which the likeliest of several starts goes on and the others only where they promise
 # to overtake, and at frozen gain before the exact ones where those before did not converge; and
 # steps of everything else before levels move too.
@@ -70,9 +69,8 @@ BEFORE_SEA = 8
 ARRIVED = 0.2
 # Probability of a test above its threshold where no sea acts.
 FALSE_SEA = 0.005
-# Periods that are tried: from so many samples to this share of the shortest record, with a ratio at
-# which a wave of the bandwidth that is tried is half as strong at the next one.
-FEWEST_SAMPLES, SHARE_OF_RECORD, RATIO, BANDWIDTH = 4.0, 1 / 4, 1.4, 0.3
+# Bandwidth that is tried, and the share of the shortest record up to which periods are.
+BANDWIDTH, SHARE_OF_RECORD = 0.3, 1 / 4
 # Levels of a sea to begin with, over those of first order.
 BEGIN = (0.06, 0.2, 0.6, 2.0)
 
@@ -153,7 +151,7 @@ def fit_disturbed(
     # high-frequency content, forces that follow every wiggle seem likely, and parameters follow
     # the forces: there levels begin at what these show, too.
     shown, seen = credible_levels(setting.dataset)
-    loud = setting.estimated & seen & (shown > LOUD * begin.white)
+    loud = setting.estimated & seen & (shown > WORTH_TELLING * begin.white)
     noises = [begin, replace(begin, white=np.where(loud, shown, begin.white))]
     begun = [
         _begun(model, setting, start, noise, test.unit, kernel)
@@ -546,10 +544,14 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         return best or found
     if not _clearly_a_sea(best, found, setting):
         return found
-    # Forces of first order join the sea where the records ask for them.
+    return _with_forces(best, setting)
+
+
+def _with_forces(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+    """Let forces of first order join a sea where the records ask for them."""
     sample = min(record.sample_time for record in found.problem.records)
-    rest = [place for place in setting.at_sea if place not in best.noise.places]
-    return _joined(best, setting, rest, [count * sample for count in TIMES], [Sea()])
+    rest = [place for place in setting.at_sea if place not in found.noise.places]
+    return _joined(found, setting, rest, [count * sample for count in TIMES], [Sea()])
 
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
@@ -577,12 +579,12 @@ def _likeliest_period(
 def _periods(found: FilteredSolution) -> list[float]:
     """Periods that are tried, s."""
     records = [record for record in found.problem.records if not record.independent]
-    shortest = FEWEST_SAMPLES * max(record.sample_time for record in records)
+    shortest = FEWEST * max(record.sample_time for record in records)
     longest = SHARE_OF_RECORD * min(record.duration for record in records)
     if longest < shortest:
         return []
-    count = int(np.floor(np.log(longest / shortest) / np.log(RATIO))) + 1
-    return [float(one) for one in shortest * RATIO ** np.arange(count)]
+    count = int(np.floor(np.log(longest / shortest) / np.log(NEXT_PERIOD))) + 1
+    return [float(one) for one in shortest * NEXT_PERIOD ** np.arange(count)]
 
 
 def _again(

@@ -5,7 +5,7 @@ r"""One trial at sea, simulated: disturbance forces and coloured sensors drawn f
 
 beginning in the stationary distribution, held from sample to sample; the same for the coloured part
 of a sensor's error, to which white noise is added. A sea is drawn with the exact transition of its
-two states (:mod:`oed_sysid.compiled.filter_pass`), as often as a wave needs, linear in between. A
+two states (:mod:`oed_sysid.compiled.filtering`), as often as a wave needs, linear in between. A
 manoeuvre that reacts sees the disturbed vehicle, by its sensors' white noise alone.
 """
 
@@ -15,7 +15,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.compiled.filter_pass import narrow_band
+from oed_sysid.compiled.filtering import narrow_band
 from oed_sysid.data.dataset import Record
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Piecewise

@@ -12,16 +12,15 @@ is linear in the length of the records.
 
 from __future__ import annotations
 
-import copy
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.start_guess import (
     check_channels,
@@ -31,7 +30,7 @@ from oed_sysid.likelihood.start_guess import (
     measured_states,
     state_series,
 )
-from oed_sysid.likelihood.unknowns import KnownStarts, Layout, Limits, node_maps, on_its_turn
+from oed_sysid.likelihood.unknowns import KnownStarts, Posed, node_maps, on_its_turn
 from oed_sysid.physics.model import Model
 
 
@@ -136,7 +135,7 @@ class Linearisation:
     defects: tuple[np.ndarray, ...]
 
 
-class Shooting:
+class Shooting(Posed):
     """Least squares over multiple-shooting trajectories of one model and data set.
 
     Parameters
@@ -170,18 +169,10 @@ class Shooting:
         known_starts: KnownStarts | None = None,
     ) -> None:
         check_channels(model, dataset)
-        self.model = model
-        self.dataset = dataset
-        self.records: tuple[Record, ...] = tuple(dataset)
+        super().__init__(model, dataset, model, known_starts)
         self.kernel: Kernel = kernel(model)
         self.sigma = np.asarray(sigma, dtype=float)
         self.loss = loss
-        self.layout = Layout.of(model, len(self.records))
-        self.known_starts = known_starts
-        self.limits = Limits.of(model, self.layout, known_starts)
-        names = model.parameter_names
-        self._free_index = np.array([names.index(n) for n in model.free_names], dtype=int)
-        self._base_values = model.value_vector
         self.starts = tuple(cut(record, interval) for record in self.records)
         self._guesses = tuple(
             {name: on_its_turn(model, record, name, value) for name, value in guess.items()}
@@ -189,7 +180,6 @@ class Shooting:
                 self.records, initial_states or ({},) * len(self.records), strict=True
             )
         )
-        self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
         extra = self.kernel.n_full - self.kernel.n_own
         self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])
         self._guess_states()
@@ -211,17 +201,6 @@ class Shooting:
         self.guess_std = stds
 
     # -- points --------------------------------------------------------------------
-
-    def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
-        """Values of all parameters for one record, shape ``(n_parameters,)``."""
-        values = self._base_values.copy()
-        free = unknowns[self._columns[record][self.layout.n_own :]]
-        values[self._free_index] = self.layout.natural(free)
-        return values
-
-    def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
-        """The model's own initial states of one record, shape ``(n_own,)``."""
-        return unknowns[self._columns[record][: self.layout.n_own]]
 
     def white(self, unknowns: np.ndarray) -> np.ndarray:
         """Levels of the white noise of the sensors, ``(n_outputs,)``."""
@@ -275,7 +254,7 @@ class Shooting:
             if self.known_starts is not None:
                 known = np.isfinite(self.known_starts.std[index])
                 own[known] = self.known_starts.mean[index][known]
-            unknowns[columns] = [*own, *self.layout.inward(self._base_values[self._free_index])]
+            unknowns[columns] = [*own, *self.layout.inward(self._base[self._free])]
         return unknowns
 
     def state_guess(self, unknowns: np.ndarray, record: int) -> np.ndarray:
@@ -412,11 +391,6 @@ class Shooting:
 
     # -- the same problem, slightly changed ------------------------------------------
 
-    def _with(self, **changes: object) -> Shooting:
-        other = copy.copy(self)
-        other.__dict__.update(changes)
-        return other
-
     def with_intervals(self, n_samples: int) -> Shooting:
         """Return the same problem cut into intervals of ``n_samples`` samples."""
         starts = (np.arange(0, len(r.times), n_samples, dtype=np.intc) for r in self.records)
@@ -429,12 +403,6 @@ class Shooting:
     def with_sigma(self, sigma: np.ndarray) -> Shooting:
         """Return the same problem with other noise levels."""
         return self._with(sigma=np.asarray(sigma, dtype=float))
-
-    def holding(self, positions: np.ndarray, values: np.ndarray) -> Shooting:
-        """Return the same problem with some unknowns held at given values."""
-        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
-        lower[positions] = upper[positions] = values
-        return self._with(limits=replace(self.limits, lower=lower, upper=upper))
 
     @property
     def n_unknowns(self) -> int:

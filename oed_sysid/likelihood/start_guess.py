@@ -192,23 +192,28 @@ def _equations(
 ) -> list[Equation]:
     """Parameter-free equations with a known left side, as functions of the states."""
     touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
-    result: list[Equation] = []
-    for state, text in model.kinematics.items():
-        if state in slopes and state not in touched:
-            equation = _function(model, record, text, touched)
-            if equation is not None:
-                result.append((*equation, *slopes[state]))
+    told = [
+        (text, slopes[state])
+        for state, text in model.kinematics.items()
+        if state in slopes and state not in touched
+    ]
     for column, output in enumerate(model.outputs):
-        present = np.isfinite(record.outputs[:, column])
-        if output.source in model.state_names or output.name in touched or present.sum() < 2:
+        series = _filled(record, column)
+        if series is None or output.source in model.state_names or output.name in touched:
             continue
-        equation = _function(model, record, output.source, touched)
-        if equation is not None:
-            series = np.interp(record.times, record.times[present], record.outputs[present, column])
-            spread = float(np.std(series)) + 1e-12
-            error = output.noise_std or 0.02 * spread
-            result.append((*equation, series, error))
-    return result
+        error = output.noise_std or 0.02 * (float(np.std(series)) + 1e-12)
+        told.append((output.source, (series, error)))
+    found = [(_function(model, record, text, touched), known) for text, known in told]
+    return [(*one, *known) for one, known in found if one is not None]
+
+
+def _filled(record: Record, column: int) -> np.ndarray | None:
+    """Series of an output, linear over what is missing; None where next to nothing is measured."""
+    series = record.outputs[:, column]
+    present = np.isfinite(series)
+    if present.sum() < 2:
+        return None
+    return np.interp(record.times, record.times[present], series[present])
 
 
 def _function(
@@ -259,16 +264,13 @@ def check_channels(model: Model, dataset: Dataset) -> None:
             "Dataset(records); check() takes the dataset first, everything else the model."
         )
     for record in dataset:
-        if record.channels.input_names != model.input_names:
-            raise DataError(
-                f"Record {record.name!r} has inputs {record.channels.input_names}, model "
-                f"{model.name!r} expects {model.input_names}. Read it with the model's channels."
-            )
-        if record.channels.output_names != model.output_names:
-            raise DataError(
-                f"Record {record.name!r} has outputs {record.channels.output_names}, model "
-                f"{model.name!r} expects {model.output_names}. Read it with the model's channels."
-            )
+        for what in ("input", "output"):
+            found, expected = (getattr(one, f"{what}_names") for one in (record.channels, model))
+            if found != expected:
+                raise DataError(
+                    f"Record {record.name!r} has {what}s {found}, model {model.name!r} expects "
+                    f"{expected}. Read it with the model's channels."
+                )
 
 
 def cut(record: Record, interval: float | None) -> np.ndarray:
@@ -303,12 +305,9 @@ def measured_states(model: Model, record: Record) -> dict[int, np.ndarray]:
     """Smoothed series of every state that an output measures directly."""
     result: dict[int, np.ndarray] = {}
     for state, column in measured_columns(model).items():
-        series = record.outputs[:, column]
-        present = np.isfinite(series)
-        if present.sum() < 2:
-            continue
-        filled = np.interp(record.times, record.times[present], series[present])
-        result[state] = smooth(filled)
+        filled = _filled(record, column)
+        if filled is not None:
+            result[state] = smooth(filled)
     return result
 
 

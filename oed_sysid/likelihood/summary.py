@@ -8,20 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterPass
-from oed_sysid.likelihood.between_records import Sources, scatter_of, sources_of
-from oed_sysid.likelihood.covariance import (
-    ReducedProblem,
-    clear_peaks,
-    shared_rows,
-    tests_middle,
-    widened,
-)
+from oed_sysid.likelihood.between_records import Sources, scatter_of
+from oed_sysid.likelihood.covariance import ReducedFilter, ReducedProblem
+from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.fit import Fit, Status
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, Solution
 from oed_sysid.likelihood.information import Information
-from oed_sysid.likelihood.projection import eliminate, inverse_of, share_of
 from oed_sysid.likelihood.shooting import Shooting
 
 ADVICE = {
@@ -173,12 +166,10 @@ def _failed(shooting: Shooting, how: Procedure) -> Fit:
 
 
 def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
-    r"""Build the result of an estimation with disturbance forces from its last iterate.
+    """Build the result of an estimation with disturbance forces from its last iterate.
 
-    With the information ``H`` of all unknowns, start states, per-record parameters and
-    levels ``o`` are eliminated from that of the shared parameters ``p``,
-    :math:`H_{pp} - H_{po} H_{oo}^{-1} H_{op}`. Where innovations swing with a period of their own,
-    the covariance is that of :mod:`oed_sysid.likelihood.covariance`.
+    Where innovations swing with a period of their own, the covariance is that of
+    :mod:`oed_sysid.likelihood.covariance`.
 
     Parameters
     ----------
@@ -186,157 +177,25 @@ def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
     how : Procedure
     """
     problem, unknowns = solution.problem, solution.point.unknowns
-    layout, limits = problem.layout, problem.limits
-    matrix = solution.matrix + np.diag(limits.prior_weight)
-    shared = np.arange(len(layout.shared))
-    slopes = layout.shared_values(unknowns)[1]
-    reduced = eliminate(matrix, shared, problem.open_unknowns(len(shared)))
-    information = Information.from_matrix(
-        layout.shared_names, reduced / slopes[:, None] / slopes, limits.scale[shared] * slopes
-    )
-    # Derivatives serve the comparison of records alone.
-    passes = problem.passes(unknowns, columns=len(shared) > 0)
-    std = [np.sqrt(np.maximum(part.variances, 1e-300)) for part in passes]
-    whitened = [
-        np.full(part.innovations.shape, np.nan) if record.independent else part.innovations / one
-        for record, part, one in zip(problem.records, passes, std, strict=True)
-    ]
-    peaks = clear_peaks(whitened, problem.records, problem.model.output_names)
-    white = covariance = information.covariance
-    if peaks:
-        period = max(peak.period for peak in peaks)
-        white = covariance = widened(problem, unknowns, matrix, covariance, period)
-    if how.coloured != "never":
-        covariance = _with_stray_tests(problem, unknowns, matrix, information, covariance)
+    reduced = ReducedFilter(problem, unknowns, solution.matrix)
+    covariance, scattered = reduced.covariance(tests=how.coloured != "never")
     paths = []
     for index in range(len(problem.records)):
         outputs, path, _ = problem.alone(unknowns, index)
         paths.append((outputs, path if problem.own is None else path[:, problem.own]))
-    cost = 0.5 * sum(part.square for part in passes) + problem.prior_cost(unknowns)
-    sources = _sources(problem, unknowns, passes)
-    fit = how.fit(problem, unknowns, (solution.reason, cost), information, paths, sources)
+    cost = 0.5 * sum(part.square for part in reduced.passes) + problem.prior_cost(unknowns)
+    end = solution.reason, cost
+    fit = how.fit(problem, unknowns, end, reduced.information, paths, reduced.sources)
     return replace(
         fit,
         covariance=covariance,
-        coloured=bool(peaks),
+        coloured=bool(reduced.peaks),
         noise=problem.noise(unknowns),
-        noise_std=_level_errors(solution, matrix),
-        innovations=tuple(part.innovations for part in passes),
+        noise_std=reduced.level_errors,
+        innovations=tuple(part.innovations for part in reduced.passes),
         innovation_std=tuple(
             np.where(np.isfinite(record.outputs), one, 1.0)
-            for record, one in zip(problem.records, std, strict=True)
+            for record, one in zip(problem.records, reduced.std, strict=True)
         ),
-        tests_scatter=covariance is not white,
+        tests_scatter=scattered,
     )
-
-
-def _with_stray_tests(
-    problem: Filtered,
-    unknowns: np.ndarray,
-    matrix: np.ndarray,
-    information: Information,
-    covariance: np.ndarray,
-) -> np.ndarray:
-    """Covariance with what independent tests scatter beyond their declared noise."""
-    white = information.covariance
-    if not any(record.independent for record in problem.records) or not len(white):
-        return covariance
-    told = shared_rows(problem, unknowns, matrix)
-    if not told.stray(white):
-        return covariance
-    rows, residuals = told.tests
-    more = tests_middle(rows, residuals, white, scattered=True)
-    more -= tests_middle(rows, residuals, white, scattered=False)
-    seen = np.where(np.isfinite(white), white, 0.0)
-    return covariance + seen @ more @ seen
-
-
-def _sources(
-    problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass]
-) -> Sources | None:
-    """What priors and each record say of the shared parameters.
-
-    Derivatives are those at frozen gain; levels of the noise are taken as they are, as mean and
-    variance of an innovation are estimated independently of one another.
-    """
-    layout, limits = problem.layout, problem.limits
-    n_shared = len(layout.shared)
-    slopes = layout.shared_values(unknowns)[1]
-    matrices, scores = [], []
-    tests = np.zeros((n_shared, n_shared))
-    slope = np.zeros(n_shared)
-    for index, part in enumerate(passes):
-        information, score = record_information(problem, unknowns, index, part)
-        slope += score
-        if problem.records[index].independent:
-            tests += information
-            continue
-        matrices.append(information)
-        scores.append(score)
-    weight = limits.prior_weight[:n_shared]
-    prior = np.diag(weight / slopes**2) + tests
-    if problem.knowledge is not None:
-        prior = prior + problem.knowledge.information / slopes[:, None] / slopes
-    away = limits.prior_mean[:n_shared] - unknowns[:n_shared]
-    gradient = slope + weight * away / slopes
-    return sources_of(matrices, scores, prior, gradient=gradient)
-
-
-def record_information(
-    problem: Filtered, unknowns: np.ndarray, index: int, part: FilterPass
-) -> tuple[np.ndarray, np.ndarray]:
-    """Information and score of the shared parameters from one record.
-
-    Its start states and own parameters are estimated along; levels of the noise are as they are.
-
-    Parameters
-    ----------
-    problem : Filtered
-    unknowns : ndarray (n_unknowns,)
-    index : int
-        Of the record.
-    part : FilterPass
-        Of this record at these unknowns, with derivatives.
-
-    Returns
-    -------
-    information : ndarray (n_shared, n_shared)
-    score : ndarray (n_shared,)
-    """
-    layout, limits = problem.layout, problem.limits
-    n_own, columns = layout.n_own, layout.record_columns(index)
-    size = np.concatenate([np.ones(n_own), layout.slopes(unknowns[columns[n_own:]])])
-    width = len(columns)
-    matrix = part.gram[:width, :width] * size[:, None] * size
-    right = -part.gram[:width, -1] * size
-    shared = n_own + layout.shared
-    others = np.setdiff1d(np.arange(width), shared)
-    others = others[~limits.held[columns[others]]]
-    own = limits.prior_weight[columns[others]]
-    matrix[others, others] += own
-    right[others] += own * (limits.prior_mean - unknowns)[columns[others]]
-    share = share_of(matrix, shared, others)
-    information = matrix[np.ix_(shared, shared)] - share @ matrix[np.ix_(others, shared)]
-    score = right[shared] - share @ right[others]
-    slopes = layout.shared_values(unknowns)[1]
-    return information / slopes[:, None] / slopes, score / slopes
-
-
-def _level_errors(solution: FilteredSolution, matrix: np.ndarray) -> dict[str, float]:
-    """Standard errors of levels, relative, and of the logarithms of times."""
-    problem, unknowns = solution.problem, solution.point.unknowns
-    levels, block = problem.levels, problem.layout.levels
-    if not len(levels):
-        return {}
-    where = np.arange(block.start, block.stop)
-    others = problem.open_unknowns(0)
-    reduced = eliminate(matrix, where, others[others < block.start])
-    variances = np.maximum(np.diag(inverse_of(reduced)), 0.0)
-    errors = np.where(np.diag(reduced) > 0, np.sqrt(variances), np.inf)
-    found = {}
-    for name, value, error in zip(levels.names, unknowns[block], errors, strict=True):
-        if name.endswith("level"):
-            # Of a variance: twice the relative error of its root.
-            error = 0.5 * error / value if value > 0 else np.inf
-        found[name] = float(error)
-    return found

@@ -17,8 +17,10 @@ known with a stated error, that is with a normal prior (:class:`KnownStarts`).
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
 
@@ -112,6 +114,11 @@ class Layout:
         if self.logged is None:
             return np.ones(len(free))
         return np.where(self.logged, self.natural(free), 1.0)
+
+    def record_slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Derivatives of own states and free parameters of a record by their unknowns."""
+        free = unknowns[self.record_columns(record)[self.n_own :]]
+        return np.concatenate([np.ones(self.n_own), self.slopes(free)])
 
     def parameters(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """Values of the free parameters in one record, shape ``(n_free,)``."""
@@ -307,6 +314,63 @@ class Limits:
         """Gauss-Newton matrix and right-hand side with what the priors add to them."""
         away = self.prior_weight * (self.prior_mean - unknowns)
         return matrix + np.diag(self.prior_weight), right + away
+
+
+class Posed:
+    """Records, the unknowns of a model over them, and what is known of these before.
+
+    Parameters
+    ----------
+    model : Model
+        Free parameters are unknown; its values are the start values.
+    dataset : Dataset
+    wide : Model
+        The model that is run: itself, or one that holds it.
+    known_starts : KnownStarts, optional
+        Start states that are held or known with a stated error; by default all are free.
+    n_levels : int
+        Levels and times of the noise that are unknown.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        dataset: Dataset,
+        wide: Model,
+        known_starts: KnownStarts | None,
+        n_levels: int = 0,
+    ) -> None:
+        self.model, self.dataset, self.known_starts = model, dataset, known_starts
+        self.records: tuple[Record, ...] = tuple(dataset)
+        self.layout = Layout.of(model, len(self.records), n_levels)
+        self.limits = Limits.of(model, self.layout, known_starts)
+        positions = {name: i for i, name in enumerate(wide.parameter_names)}
+        self._base = wide.value_vector
+        for name, value in model.values.items():
+            self._base[positions[name]] = value
+        self._free = np.array([positions[name] for name in model.free_names], dtype=int)
+        self._columns = tuple(self.layout.record_columns(i) for i in range(len(self.records)))
+
+    def values(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Values of all parameters of the model that is run, for one record."""
+        values = self._base.copy()
+        values[self._free] = self.layout.parameters(unknowns, record)
+        return values
+
+    def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """The model's own initial states of one record, shape ``(n_own,)``."""
+        return unknowns[self._columns[record][: self.layout.n_own]]
+
+    def _with(self, **changes: object) -> Self:
+        other = copy.copy(self)
+        other.__dict__.update(changes)
+        return other
+
+    def holding(self, positions: np.ndarray, values: np.ndarray) -> Self:
+        """Return the same problem with some unknowns held at given values."""
+        lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
+        lower[positions] = upper[positions] = values
+        return self._with(limits=replace(self.limits, lower=lower, upper=upper))
 
 
 def node_maps(

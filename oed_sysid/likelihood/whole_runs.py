@@ -36,6 +36,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_batch
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.gauss_newton import solve
@@ -46,7 +47,7 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import inverse_of
+from oed_sysid.likelihood.projection import BLIND, inverse_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
@@ -58,11 +59,9 @@ from oed_sysid.text.units import shown_unit
 DRAWS, CHUNK = 120, 20
 # Widths beyond which runs are no chance: one in some ten thousand were they normal.
 BEYOND = 4.0
-# Whole-run error of a fit with process noise over that of one without from which its values are
-# not those of the runs that it was fitted to; and the share of drawn runs that remain below.
-WORSE, SELDOM = 1.5, 0.99
-# Singular directions of whitened derivatives below this share of the largest are not answered.
-SINGULAR = 1e-10
+# Share of drawn runs below whose whole-run error, over that of a fit without process noise, the
+# values of one with it are those of the runs that it was fitted to.
+SELDOM = 0.99
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +189,7 @@ class WholeRun:
         own = self.jacobian[:, :, self.others] * self.weights()[:, :, None]
         prior = np.sqrt(self.shooting.limits.prior_weight[self.others])
         rows = np.vstack([own.reshape(-1, len(self.others)), np.diag(prior)])
-        inverse = np.linalg.pinv(rows, rcond=SINGULAR)
+        inverse = np.linalg.pinv(rows, rcond=BLIND)
         return inverse[:, : len(rows) - len(prior)], inverse @ inverse.T
 
     def simulated(self, unknowns: np.ndarray) -> np.ndarray:
@@ -388,7 +387,7 @@ class WholeRuns:
         if bad:
             what = "process noise" if self.process_noise else "noise of the sensors"
             found.append(f"{what} would not have left whole runs as bad in {', '.join(bad)}")
-        if self.process_noise and self.ratio > max(WORSE, self.usual_ratio):
+        if self.process_noise and self.ratio > max(WORTH_TELLING, self.usual_ratio):
             found.append(
                 f"with process noise a whole run is off {self.ratio:.2g} times as much as without"
             )

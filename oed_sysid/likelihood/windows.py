@@ -31,15 +31,12 @@ from oed_sysid.compiled.normal_equations import Elimination, eliminate, gather
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Equations, Iterate, StepControl
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
+from oed_sysid.likelihood.start_guess import VAGUE
 from oed_sysid.likelihood.unknowns import Limits
 
-# Simulated start states may leave their guesses by this many state scales (soft).
-# Measured ones stay near the measurement: with start states held, even wild
-# parameters enter almost linearly.
-NODE_FREEDOM = 10.0
 # What a start state of a window is known to before its samples where all of it is to be found, in
 # units of the state's scale; and the weight of what is held.
-VAGUE, HELD = 30.0, 1e20
+UNKNOWN, HELD = 30.0, 1e20
 # The way in only has to arrive nearby: stop when an iteration gains less than this share.
 ENOUGH = 1e-2
 # Lengths, in samples, of the windows in the globalisation phase; beyond the
@@ -99,8 +96,10 @@ class Windows:
             stop = n if record.independent else n // n_samples * n_samples
             starts = np.arange(0, stop, n if record.independent else n_samples, dtype=np.intc)
             parts.append(Part(index, starts, np.ones(len(starts), dtype=bool), stop))
+        # Measured start states stay near the measurement, simulated ones may leave their guesses:
+        # with start states held, even wild parameters enter almost linearly.
         std = np.where(np.isfinite(shooting.guess_std), shooting.guess_std, np.inf)
-        weight = np.minimum(std, NODE_FREEDOM * shooting.state_scale) ** -2.0
+        weight = np.minimum(std, VAGUE * shooting.state_scale) ** -2.0
         return cls(shooting, parts, weight, unknowns)
 
     @classmethod
@@ -112,7 +111,7 @@ class Windows:
         Every transition from a sample to the next belongs to exactly one.
         """
         parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
-        weight = (VAGUE * shooting.state_scale) ** -2.0
+        weight = (UNKNOWN * shooting.state_scale) ** -2.0
         weight[shooting.layout.n_own :] = HELD
         return cls(shooting, parts, np.tile(weight, (len(shooting.records), 1)), unknowns)
 

@@ -95,8 +95,8 @@ from oed_sysid.physics.table import (
     derivative,
     derivative_group,
     hull_derivatives,
+    table_from_csv,
 )
-from oed_sysid.physics.table_files import table_from_csv
 from oed_sysid.physics.unknown import (
     InputNoise,
     RandomForce,

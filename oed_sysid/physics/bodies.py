@@ -17,8 +17,7 @@ Examples
 """
 
 from oed_sysid.physics.body_candidates import catamaran_effects, underwater_vehicle_effects
-from oed_sysid.physics.builder import rigid_body
-from oed_sysid.physics.rigid_body import RigidBody, fin, load_cell, thruster
+from oed_sysid.physics.rigid_body import RigidBody, fin, load_cell, rigid_body, thruster
 from oed_sysid.runtime.version import exported
 
 __all__ = exported(globals())

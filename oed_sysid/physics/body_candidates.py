@@ -6,17 +6,14 @@ freedom that the body has, and on outputs that the model measures, are returned.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
+from typing import Any
 
-from oed_sysid.physics import forces, signals
+from oed_sysid.physics import signals
 from oed_sysid.physics.base import Effect, Force, amplitude
-from oed_sysid.physics.candidates import SEA_WATER_DENSITY
-from oed_sysid.physics.frames import VELOCITIES, plus, times
+from oed_sysid.physics.candidates import FOSSEN, SEA_WATER_DENSITY, listed
+from oed_sysid.physics.frames import UNITS, VELOCITIES, plus, times
 from oed_sysid.physics.rigid_body import RigidBody
-from oed_sysid.text import notation
-
-_ARMS = {"K": "p", "M": "q", "N": "r"}
-FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
 
 
 def underwater_vehicle_effects(
@@ -65,60 +62,21 @@ def underwater_vehicle_effects(
     displaced = SEA_WATER_DENSITY * diameter**2 * length
     spin = SEA_WATER_DENSITY * diameter**2 * length**3 * 0.01
     roll = side * diameter**2 * speed * 0.02
-    make = forces
-    # What each plane of motion has: effect, name, axis, signal and typical size.
-    planes = (("Z", "w", "M", "q", "heave", "pitch"), ("Y", "v", "N", "r", "sway", "yaw"))
-    found: list[Effect] = []
-    for axis, v, moment, rate, word, turn in planes:
-        flow = f"{v}_r"
-        rows: tuple[tuple[Callable[..., Effect], str, str, str, float], ...] = (
-            (make.quadratic_drag, f"{word}_crossflow_drag", axis, flow, side),
-            (make.quadratic_drag, f"{turn}_quadratic_damping", moment, rate, side * length**3 / 8),
-            (make.quadratic_drag, f"{turn}_crossflow_moment", moment, flow, 0.1 * side * length),
-            (
-                make.quadratic_drag, f"{word}_quadratic_{turn}_damping", axis, rate,
-                0.1 * side * length**2,
-            ),
-            (make.coupling, f"{word}_lift", axis, flow, 0.2 * side),
-            (make.coupling, f"{turn}_munk_moment", moment, flow, 0.05 * side * length),
-            (make.coupling, f"{word}_lift_of_{turn}_rate", axis, rate, 0.05 * side * length),
-            (make.coupling, f"{turn}_damping", moment, rate, 0.02 * side * length**2),
-        )  # fmt: skip
-        found += [effect(name, on, by, scale=size) for effect, name, on, by, size in rows]
-        found += [
-            make.hull_asymmetry(f"hull_asymmetry_{word}", axis, scale=0.005 * side),
-            make.hull_asymmetry(f"hull_asymmetry_{turn}", moment, scale=0.002 * side * length),
-            make.induced_drag(f"surge_induced_drag_{word}", flow, scale=0.3 * side),
-        ]
-    found += [
-        make.linear_damping("surge_linear_drag", "X", "u_r", scale=0.02 * side * speed),
-        make.linear_damping("roll_linear_damping", "K", "p", scale=roll),
-        make.quadratic_drag("roll_quadratic_damping", "K", "p", scale=roll),
-        *(make.deflection_drag(f"surge_drag_of_{fin}", fin, scale=0.05 * side) for fin in fins),
-    ]
-    masses = (
-        ("surge_added_mass_error", "X", "u", 0.05 * displaced),
-        ("sway_added_mass_error", "Y", "v", 0.2 * displaced),
-        ("heave_added_mass_error", "Z", "w", 0.2 * displaced),
-        ("pitch_added_inertia_error", "M", "q", spin),
-        ("yaw_added_inertia_error", "N", "r", spin),
-    )
-    found += _weights(body, displaced * 0.7 * 9.81)
-    found += [
-        make.added_mass_error(n, axis, v, scale=size, bound=2 * size) for n, axis, v, size in masses
-    ]
-    found += [
+    known_sizes = {"side": side, "displaced": displaced, "spin": spin, "roll": roll}
+    known_sizes |= {"length": length, "diameter": diameter, "speed": speed}
+
+    def make(kind: str, **known: Any) -> list[Effect]:
+        return listed(f"underwater_{kind}", **known_sizes, **known)
+
+    found = [
+        *make("hull"),
+        *(effect for fin in fins for effect in make("fin_drag", fin=fin)),
+        *_weights(body, displaced * 0.7 * 9.81),
+        *make("inertia"),
         body.current(scale=0.1 * speed),
-        make.thrust_speed_loss(thrust=thrust, scale=0.1 / speed),
-        _reaction(thrust, diameter),
-    ]
-    for fin in fins:
-        found.append(signals.actuator_offset(f"{fin}_offset", fin, scale=0.02))
-        found.append(signals.stall(f"{fin}_stall", fin, scale=2.0))
-    found += [
-        signals.actuator_lag("fin_lag", fins, scale=0.2),
-        signals.actuator_delay("fin_delay", fins, max_delay=0.6, step=step, scale=0.2),
-        signals.rate_limit("fin_rate_limit", fins, scale=2.0),
+        *make("drive", thrust=thrust),
+        *(effect for fin in fins for effect in make("fin", fin=fin)),
+        *make("fins", fins=fins, step=step),
         *_sensors(body, outputs or (), speed),
     ]
     return _beyond(known, [effect for effect in found if _suits(effect, body)])
@@ -164,36 +122,13 @@ def catamaran_effects(
     """
     side = SEA_WATER_DENSITY * draught * length  # half rho times lateral area of two hulls
     port, starboard = thrusts
-    masses = (
-        ("surge_added_mass_error", "X", "u", 0.05 * side * length),
-        ("sway_added_mass_error", "Y", "v", 0.2 * side * length),
-        ("yaw_added_inertia_error", "N", "r", 0.02 * side * length**3),
-    )
-    found: list[Effect] = [
-        forces.linear_damping("surge_linear_drag", "X", "u_r", scale=0.05 * side * speed),
-        forces.quadratic_drag("surge_quadratic_drag", "X", "u_r", scale=0.05 * side),
-        forces.cubic_damping("surge_wave_resistance", "X", "u_r", scale=0.03 * side / speed),
-        forces.linear_damping("sway_linear_damping", "Y", "v_r", scale=0.2 * side * speed),
-        forces.quadratic_drag("sway_crossflow_drag", "Y", "v_r", scale=side),
-        forces.quadratic_drag("yaw_quadratic_damping", "N", "r", scale=side * length**3 / 16),
-        forces.crossed_drag("yaw_drift_damping", "N", "v_r", "r", scale=side * length**2 / 8),
-        forces.coupling("sway_lift", "Y", "v_r", scale=0.2 * side),
-        forces.coupling("yaw_munk_moment", "N", "v_r", scale=0.05 * side * length),
-        forces.coupling("yaw_damping", "N", "r", scale=0.03 * side * length**2),
-        forces.coupling("sway_of_yaw_rate", "Y", "r", scale=0.05 * side * length),
-        forces.induced_drag("surge_induced_drag", "v_r", scale=0.2 * side),
-        _product("speed_loss_in_turn", "X", "v_r*r", "kg", 0.2 * side * length),
-        _product("thrust_asymmetry", "X", f"({port} - {starboard})", "1", 0.1),
-        _product("thrust_moment", "N", f"({port} + {starboard})", "m", 0.05 * length),
-        forces.thrust_speed_loss("port_thrust_speed_loss", thrust=port, scale=0.2 / speed),
-        forces.thrust_speed_loss(
-            "starboard_thrust_speed_loss", thrust=starboard, scale=0.2 / speed
-        ),
-        *(forces.added_mass_error(n, axis, v, scale=m, bound=2 * m) for n, axis, v, m in masses),
+    sizes = {"side": side, "length": length, "speed": speed}
+    sides = {"port": port, "starboard": starboard}
+    sides |= {"difference": f"({port} - {starboard})", "sum": f"({port} + {starboard})"}
+    found = [
+        *listed("catamaran", **sizes, **sides),
         body.current(scale=0.1 * speed),
-        forces.steady_wind(force=0.02 * side * speed**2, arm=0.2 * length),
-        signals.actuator_lag("propeller_lag", thrusts, scale=0.3),
-        signals.actuator_delay("propeller_delay", thrusts, max_delay=0.6, step=step, scale=0.2),
+        *listed("catamaran_drive", **sizes, thrusts=thrusts, step=step),
     ]
     return _beyond(known, [*found, *_sensors(body, outputs or (), speed)])
 
@@ -220,91 +155,42 @@ def _beyond(known: Force | None, found: Sequence[Effect]) -> tuple[Effect, ...]:
     return tuple(effect for effect in found if not repeats(effect))
 
 
-def _product(name: str, axis: str, factor: str, unit: str, scale: float) -> Force:
-    size = amplitude(name, unit, scale=scale)
-    words = {
-        "speed_loss_in_turn": "resistance of drift and turn together",
-        "thrust_asymmetry": "the two propellers push differently",
-        "thrust_moment": "equal thrusts turn the vehicle",
-    }
-    return Force(
-        name,
-        {axis: f"{size.name}*{factor}"},
-        (size,),
-        description=words[name],
-        source=FOSSEN,
-        needs="turns to both sides at several thrusts",
-    )
-
-
-def _reaction(thrust: str, diameter: float) -> Force:
-    """Torque of the propeller on the body."""
-    size = amplitude("propeller_torque", "m", scale=0.5 * diameter)
-    return Force(
-        "propeller_torque",
-        {"K": f"{size.name}*{thrust}"},
-        (size,),
-        description="the propeller turns the body the other way",
-        source=FOSSEN,
-        needs="several thrusts, with roll measured",
-    )
-
-
 def _weights(body: RigidBody, weight: float) -> list[Effect]:
     """Excess buoyancy, and shifts of the centre of gravity, in any attitude."""
-    down, axes = body.rotation[2], body.axes
-    size = amplitude(
-        "excess_buoyancy", "N", scale=0.01 * weight, description="weight less buoyancy"
-    )
-    pulls = {a: times(size.name, g) for a, g in zip("XYZ", down, strict=True) if g != "0"}
+    x, y, z = body.rotation[2]
+    name, words = "excess_buoyancy", "weight differs from buoyancy"
+    size = amplitude(name, "N", scale=0.01 * weight, description="weight less buoyancy")
+    needs = "several speeds: a constant force, where hull and fin forces grow with speed"
+    rows = [(name, size, {"X": x, "Y": y, "Z": z}, words, needs)]
+    levers = {
+        "x": {"M": f"-{z}", "N": y},
+        "y": {"K": z, "N": f"-{x}"},
+        "z": {"K": f"-{y}", "M": x},
+    }
+    for letter, arms in levers.items():
+        name, words = f"cg_offset_{letter}", f"centre of gravity is shifted along {letter}"
+        size = amplitude(name, "N m", scale=0.002 * weight)
+        rows.append((name, size, arms, words, "several speeds, or large angles"))
     found: list[Effect] = []
-    kept = {axis: text for axis, text in pulls.items() if axis in axes}
-    if kept:
-        found.append(
-            Force(
-                "excess_buoyancy",
-                kept,
-                (size,),
-                description="weight differs from buoyancy",
-                source=FOSSEN,
-                needs="several speeds: a constant force, where hull and fin forces grow with speed",
-            )
-        )
-    x, y, z = down
-    for letter, levers in (
-        ("x", {"M": f"-{z}", "N": y}),
-        ("y", {"K": z, "N": f"-{x}"}),
-        ("z", {"K": f"-{y}", "M": x}),
-    ):
-        shift = amplitude(f"cg_offset_{letter}", "N m", scale=0.002 * weight)
+    for name, size, arms, words, needs in rows:
         terms = {
-            axis: plus(times(shift.name, g))
-            for axis, g in levers.items()
-            if axis in axes and g not in ("0", "-0")
+            axis: plus(times(size.name, arm))
+            for axis, arm in arms.items()
+            if axis in body.axes and arm not in ("0", "-0")
         }
         if terms:
-            found.append(
-                Force(
-                    f"cg_offset_{letter}",
-                    terms,
-                    (shift,),
-                    description=f"centre of gravity is shifted along {letter}",
-                    source=FOSSEN,
-                    needs="several speeds, or large angles",
-                )
-            )
+            parts = (size,)
+            found.append(Force(name, terms, parts, description=words, source=FOSSEN, needs=needs))
     return found
 
 
 def _sensors(body: RigidBody, outputs: Collection[str], speed: float) -> list[Effect]:
     """Errors of measured motions."""
     found: list[Effect] = []
-    sizes = {**dict.fromkeys("uvw", 0.03 * speed), **dict.fromkeys("pqr", 0.01)}
     for name in outputs:
-        if name in sizes:
-            unit = notation.FACTOR_UNITS[name] if name in "uvw" else "rad/s"
-            found.append(signals.sensor_bias(f"bias_{name}", name, unit, scale=sizes[name]))
-            found.append(signals.sensor_scale(f"scale_{name}", name, scale=0.05))
+        if name in VELOCITIES:
+            size = 0.03 * speed if name in "uvw" else 0.01
+            found += listed("motion_sensor", output=name, unit=UNITS[name], size=size)
         elif name in body.angles and name != "psi":
             found.append(signals.sensor_bias(f"bias_{name}", name, "rad", scale=0.02))
     if "u" in outputs and "v" in outputs:

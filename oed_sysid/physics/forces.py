@@ -21,42 +21,20 @@ from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.signals import actuator_offset
 from oed_sysid.physics.table import (
     ABKOWITZ,
+    SOURCES,
     THROUGH_WATER,
     Derived,
-    Row,
     derivative_group,
-    derivative_row,
+    row,
+    within,
 )
 from oed_sysid.text import notation
 
-FOSSEN = "Fossen (2021), Handbook of marine craft hydrodynamics and motion control"
-DAMPING, WEIGHT, THRUST = (f"{FOSSEN}, ch. {chapter}, Wiley." for chapter in (6, 4, 9))
-CURRENT = f"{FOSSEN}, ch. 10."
-FALTINSEN = "Faltinsen (1990), Sea loads on ships and offshore structures, ch. 6, Cambridge."
-HOERNER = "Hoerner (1965), Fluid-dynamic drag, ch. 7 (drag due to lift)."
-PRESTERO = "Prestero (2001), Verification of a six-degree of freedom simulation model, MIT."
-FEDYAEVSKY = "Fedyaevsky & Sobolev (1964), Control and stability in ship design."
-IMO = "IMO (2008), Intact stability code, resolution MSC.267(85)."
-NAYFEH = "Nayfeh & Mook (1979), Nonlinear oscillations, ch. 2, Wiley."
-NEWMAN = "Newman (1977), Marine hydrodynamics, ch. 4, MIT Press."
-VANTORRE = "Vantorre et al. (2017), Manoeuvring in shallow and confined water, Encyclopedia."
-CUMMINS = "Cummins (1962), The impulse response function and ship motions, Schiffstechnik 9."
-WIND = "Isherwood (1973), Wind resistance of merchant ships, Trans. RINA 115; Fossen (2021) ch. 10."
-WAVES = "Faltinsen (1990), Sea loads on ships and offshore structures, ch. 3."
-CARLTON = "Carlton (2018), Marine propellers and propulsion, ch. 6 and 12, Butterworth-Heinemann."
-HOOFT = "Hooft & Nienhuis (1994), The prediction of the ship's manoeuvrability, SNAME Trans. 102."
+CURRENT, WEIGHT = SOURCES["CURRENT"], SOURCES["WEIGHT"]
 NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
 BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
-MMG = "Yasukawa & Yoshimura (2015), Introduction of MMG standard method, J. Mar. Sci. Tech. 20."
-ARMSTRONG = "Armstrong-Helouvry et al. (1994), A survey of models ... for machines with friction."
-DAHL = "Dahl (1968), A solid friction model, Aerospace Corporation TOR-0158(3107-18)-1."
-NORDIN = "Nordin & Gutman (2002), Controlling mechanical systems with backlash, Automatica 38."
-MOTOR = "Hanselman (2006), Brushless permanent magnet motor design, ch. 10 (cogging)."
-WEN = "Wen (1976), Method for random vibration of hysteretic systems, J. Eng. Mech. 102."
-PADE = "Golub & Van Loan (2013), Matrix computations, 9.3 (Pade approximation)."
 
 AIR_DENSITY = 1.225  # kg/m3, ICAO standard atmosphere at sea level
-VELOCITY = {"{velocity}": "{velocity}"}
 
 
 def _fixed(
@@ -76,8 +54,7 @@ def _fixed(
 # -- hull: damping and drag -------------------------------------------------------------
 
 
-@derivative_row("{axis}_{velocity}", VELOCITY, DAMPING,
-                "low and high {velocity}, to tell it from quadratic drag")
+@row(Force)
 def linear_damping(name: str, axis: str, velocity: str, *, scale: float | None = None,
                    value: float = 0.0, parameter: str | None = None) -> None:
     """Force proportional to a velocity: skin friction at low Reynolds number, wave making.
@@ -87,8 +64,7 @@ def linear_damping(name: str, axis: str, velocity: str, *, scale: float | None =
     """
 
 
-@derivative_row("{axis}_abs{velocity}{velocity}", VELOCITY, FALTINSEN,
-                "large {velocity} at varied forward speed")
+@row(Force)
 def quadratic_drag(name: str, axis: str, velocity: str, *, scale: float | None = None,
                    value: float = 0.0, parameter: str | None = None) -> None:
     r"""Separated-flow drag :math:`E\,v|v|`; on another axis than the velocity's, its moment.
@@ -98,44 +74,38 @@ def quadratic_drag(name: str, axis: str, velocity: str, *, scale: float | None =
     """
 
 
-@derivative_row("{axis}_{velocity}{velocity}{velocity}", VELOCITY, DAMPING,
-                "small and large {velocity}")
+@row(Force)
 def cubic_damping(name: str, axis: str, velocity: str, *, scale: float | None = None,
                   value: float = 0.0, parameter: str | None = None) -> None:
     """Damping that grows with the third power of a velocity."""
 
 
-@derivative_row("{axis}_abs{absolute}{velocity}", {"{absolute}": "{absolute}", **VELOCITY},
-                FEDYAEVSKY, "large {absolute} and {velocity} in varied proportion")
+@row(Force)
 def crossed_drag(name: str, axis: str, absolute: str, velocity: str, *, scale: float | None = None,
                  value: float = 0.0, parameter: str | None = None) -> None:
     r"""Cross-flow drag of combined drift and turn, such as :math:`E\,|v_r|r`."""
 
 
-@derivative_row("{axis}_{velocity}{velocity}", VELOCITY, HOERNER,
-                "large {velocity} while forward speed is measured")
+@row(Force)
 def induced_drag(name: str, velocity: str, *, axis: str = "X", scale: float | None = None,
                  value: float = 0.0, parameter: str | None = None) -> None:
     r"""Drag due to lift, :math:`E\,w_r^2`: resistance grows with the angle of attack."""
 
 
-@derivative_row("{axis}_uu{deflection}{deflection}", {"u": "{velocity}"}, HOERNER,
-                "large {deflection}, held and alternating")
+@row(Force)
 def deflection_drag(name: str, deflection: str, *, axis: str = "X", velocity: str = "u_r",
                     scale: float | None = None, value: float = 0.0,
                     parameter: str | None = None) -> None:
     r"""Drag of a deflected fin or rudder, :math:`E\,u_r^2 d^2`."""
 
 
-@derivative_row("{axis}_uu", {"u": "{velocity}"}, PRESTERO,
-                "several speeds, to tell it from offsets that do not grow with speed")
+@row(Force)
 def hull_asymmetry(name: str, axis: str, *, velocity: str = "u_r", scale: float | None = None,
                    value: float = 0.0, parameter: str | None = None) -> None:
     r"""Lift or moment of a hull that is not symmetric, :math:`E\,u_r^2`."""
 
 
-@derivative_row("{axis}_u{velocity}", {"u": "{speed}", **VELOCITY}, ABKOWITZ,
-                "{velocity} independent of the other motions")
+@row(Force)
 def coupling(name: str, axis: str, velocity: str, *, speed: str = "u_r", scale: float | None = None,
              value: float = 0.0, parameter: str | None = None) -> None:
     r"""Lift-type coupling :math:`E\,u_r v` of one motion into another axis."""
@@ -144,10 +114,7 @@ def coupling(name: str, axis: str, velocity: str, *, speed: str = "u_r", scale: 
 # -- weight, buoyancy and restoring moments ---------------------------------------------
 
 
-@Row(Force, {"X": "-{E}*sin({angle})", "Z": "{E}*cos({angle})"}, "N", WEIGHT,
-     "weight differs from buoyancy",
-     "several speeds: a constant force, where hull and fin forces grow with speed",
-     size={"description": "weight minus buoyancy"})
+@row(Force)
 def excess_buoyancy(name: str = "excess_buoyancy", *, angle: str = "theta", scale: float = 2.0,
                     value: float = 0.0) -> None:
     r"""Weight that buoyancy does not carry, :math:`E = W - B`, in the diving plane.
@@ -157,39 +124,31 @@ def excess_buoyancy(name: str = "excess_buoyancy", *, angle: str = "theta", scal
     """
 
 
-@Row(Force, {"{axis}": "-{E}*cos({angle})"}, "N m", WEIGHT,
-     "centres of gravity and buoyancy are apart along the hull",
-     "several speeds: a constant moment, where fin moments grow with speed",
-     size={"description": "lever times weight"})
+@row(Force)
 def cg_offset(name: str = "cg_offset_x", *, axis: str = "M", angle: str = "theta",
               scale: float = 0.5, value: float = 0.0) -> None:
     r"""Centre of gravity ahead of that of buoyancy: :math:`M = -E\cos\theta`, :math:`E = x_gW`."""
 
 
-@Row(Force, {"{axis}": "-{E}*sin({angle})"}, "N m", WEIGHT,
-     "righting moment of a low centre of gravity", "large {angle} at low speed")
+@row(Force)
 def metacentric_moment(name: str, axis: str, angle: str, *, scale: float | None = None,
                        value: float = 0.0, parameter: str | None = None) -> None:
     r"""Righting moment :math:`-E\sin\theta` with :math:`E = \overline{BG}\,W`."""
 
 
-@derivative_row("{axis}_{angle}{angle}{angle}", None, NAYFEH,
-                "small and large {angle}: the natural frequency changes with amplitude")
+@row(Force)
 def cubic_restoring(name: str, axis: str = "K", angle: str = "phi", *, scale: float | None = None,
                     value: float = 0.0, parameter: str | None = None) -> None:
     r"""Hardening or softening of the restoring moment, :math:`E\,\varphi^3`."""
 
 
-@derivative_row("{axis}_0", None, IMO,
-                "a mean angle that is not zero; nothing tells it from a bias of the angle's sensor",
-                "constant heeling moment")
+@row(Force)
 def heel_moment(name: str, axis: str = "K", *, scale: float | None = None, value: float = 0.0,
                 parameter: str | None = None) -> None:
     """Constant moment of shifted cargo or steady wind."""
 
 
-@Row(Force, {"{axis}": "-{E}*{table}({angle})"}, "N", IMO, "righting arm curve",
-     "{angle} over the whole range of the table")
+@row(Force)
 def righting_arm_table(name: str, angles: Sequence[float], arms: Sequence[float], *,
                        axis: str = "K", angle: str = "phi", scale: float | None = None,
                        value: float = 0.0, parameter: str | None = None) -> Derived:
@@ -201,10 +160,7 @@ def righting_arm_table(name: str, angles: Sequence[float], arms: Sequence[float]
     return {"table": table, "tables": {table: (np.asarray(angles, float), np.asarray(arms, float))}}
 
 
-@Row(Force, {"{axis}": "{E}*({depth} - {zero})"}, "N/m", WEIGHT,
-     "the hull is compressed more than the water",
-     "a change of depth that is large against the manoeuvre",
-     size={"description": "force per depth"})
+@row(Force)
 def hull_compressibility(name: str = "hull_compressibility", *, axis: str = "Z", depth: str = "z",
                          reference: float = 10.0, scale: float = 0.15,
                          value: float = 0.0) -> Derived:
@@ -215,9 +171,7 @@ def hull_compressibility(name: str = "hull_compressibility", *, axis: str = "Z",
 # -- mass and added mass ----------------------------------------------------------------
 
 
-@Row(Inertia, {("{axis}", "{state}"): "{E}"}, "{unit}", NEWMAN,
-     "inertia of {state} in {axis} differs from its nominal value",
-     "accelerations at several speeds, to tell inertia from damping")
+@row(Inertia)
 def added_mass_error(name: str, axis: str, state: str, *, scale: float | None = None,
                      value: float = 0.0, bound: float = np.inf) -> Derived:
     """Error of one entry of the inertia matrix; ``bound`` keeps the matrix positive.
@@ -225,11 +179,11 @@ def added_mass_error(name: str, axis: str, state: str, *, scale: float | None = 
     >>> added_mass_error("heave_added_mass_error", "Z", "w").terms
     {('Z', 'w'): 'E_heave_added_mass_error'}
     """
-    return {"unit": notation.unit(f"{axis}_{state}dot")}
+    unit = notation.unit(f"{axis}_{state}dot")
+    return {"unit": unit, "terms": {(axis, state): "{E}"}}
 
 
-@Row(Inertia, {}, "{unit}", NEWMAN, "inertial coupling of {first[1]} and {second[1]}",
-     "angular and linear accelerations that are not in proportion")
+@row(Inertia)
 def added_mass_coupling(name: str, first: tuple[str, str], second: tuple[str, str], *,
                         scale: float | None = None, value: float = 0.0,
                         bound: float = np.inf) -> Derived:
@@ -238,8 +192,7 @@ def added_mass_coupling(name: str, first: tuple[str, str], second: tuple[str, st
     return {"unit": unit, "terms": {first: "{E}", second: "{E}"}}
 
 
-@Row(Inertia, {}, "1", VANTORRE, "added mass changed in proportion, by depth of water or loading",
-     "accelerations at several speeds; one depth or loading per data set", size={"bound": 0.9})
+@row(Inertia)
 def added_mass_factor(name: str, entries: Mapping[tuple[str, str], str], *, scale: float = 0.2,
                       value: float = 0.0) -> Derived:
     """Relative change of several entries at once: shallow water, loading, fouling.
@@ -249,9 +202,7 @@ def added_mass_factor(name: str, entries: Mapping[tuple[str, str], str], *, scal
     return {"terms": {key: f"{{E}}*({text})" for key, text in entries.items()}}
 
 
-@Row(Force, {"{axis}": "{E}*({state} - {slow})"}, "{unit}", CUMMINS,
-     "the force of {state} fades with time", "quick and slow motion",
-     states=(("{slow}", "({state} - {slow})/{tau}", "{state}", "{state_unit}"),))
+@row(Force)
 def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = None,
                  time_constant: float = 2.0, scale: float | None = None,
                  value: float = 0.0) -> Derived:
@@ -274,28 +225,19 @@ def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = N
 # -- current, wind and waves ------------------------------------------------------------
 
 
-@Row(Environment, {"{flow[0]}": "{flow[0]} - {E}*cos({angle})",
-                   "{flow[1]}": "{flow[1]} - {E}*sin({angle})"}, "m/s", CURRENT,
-     "steady horizontal current, positive forward",
-     "velocity over ground measured, at several speeds", size={"bound": 2.0})
+@row(Environment)
 def current_forward(name: str = "current_horizontal", *, flow: tuple[str, str] = ("u_r", "w_r"),
                     angle: str = "theta", scale: float = 0.15, value: float = 0.0) -> None:
     """Horizontal water velocity along the track, diving plane."""
 
 
-@Row(Environment, {"{flow[0]}": "{flow[0]} + {E}*sin({angle})",
-                   "{flow[1]}": "{flow[1]} - {E}*cos({angle})"}, "m/s", CURRENT,
-     "steady vertical current, positive down",
-     "velocity over ground measured, at several speeds and pitch angles", size={"bound": 2.0})
+@row(Environment)
 def current_down(name: str = "current_vertical", *, flow: tuple[str, str] = ("u_r", "w_r"),
                  angle: str = "theta", scale: float = 0.05, value: float = 0.0) -> None:
     """Vertical water velocity, diving plane, positive down."""
 
 
-@Row(Environment, {"{flow[0]}": "{flow[0]} - ({E_n}*cos({heading}) + {E_e}*sin({heading}))",
-                   "{flow[1]}": "{flow[1]} - ({E_e}*cos({heading}) - {E_n}*sin({heading}))"},
-     None, CURRENT, "steady horizontal current",
-     "position or velocity over ground, on several headings (a turning circle)")
+@row(Environment)
 def current_horizontal_plane(name: str = "current", *, flow: tuple[str, str] = ("u_r", "v_r"),
                              heading: str = "psi", scale: float = 0.3, north: float = 0.0,
                              east: float = 0.0) -> Derived:
@@ -304,8 +246,7 @@ def current_horizontal_plane(name: str = "current", *, flow: tuple[str, str] = (
             for way, value in (("north", north), ("east", east))}
 
 
-@Row(Force, {"{axis}": "{E_cos}*cos({omega}*t) + {E_sin}*sin({omega}*t)"}, None, WAVES,
-     "force of a regular wave", "many wave periods, with motion of other frequencies")
+@row(Force)
 def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
                spread: float = 0.4, scale: float = 1.0, per_record: bool = False) -> Derived:
     r"""Regular wave, :math:`E_c\cos\omega t + E_s\sin\omega t`, of unknown frequency.
@@ -318,8 +259,7 @@ def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
     return {**_phases(name, unit, scale, per_record=per_record), "omega": omega}
 
 
-@Row(Force, {}, None, WIND, "force of a steady wind",
-     "several headings to the wind (a turning circle)")
+@row(Force)
 def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
                 heading: str = "psi", force: float = 1.0, arm: float = 1.0) -> Derived:
     r"""Steady wind on a vehicle whose own speed is small against it, without coefficient tables.
@@ -351,10 +291,7 @@ def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
             "terms": {axis: terms[axis] for axis in axes}, "amplitudes": (north.name, east.name)}
 
 
-@Row(Force, {}, "1", WIND, "wind load on the superstructure", "several headings to the wind",
-     definitions={"air_u": "u - {speed}*cos({direction} - {heading})",
-                  "air_v": "v - {speed}*sin({direction} - {heading})",
-                  "attack": "atan2(-air_v, 1e-9 - air_u)"})
+@row(Force)
 def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Sequence[float]]], *,
               speed: float, direction: float, area: float, length: float, heading: str = "psi",
               scale: float = 0.3, value: float = 0.0) -> Derived:
@@ -380,15 +317,13 @@ def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Seque
 # -- propeller and rudder ---------------------------------------------------------------
 
 
-@Row(Actuator, {"{signal}": "{signal}*(1 - {E}*t)"}, "1/s", CARLTON,
-     "thrust changes during the record at the same command", "a long record at constant command")
+@row(Actuator)
 def thrust_decay(name: str = "thrust_decay", signal: str = "T", *, scale: float = 0.0015,
                  value: float = 0.0) -> None:
     """Thrust that falls with time, ``T (1 - E t)``, as a battery does; short records only."""
 
 
-@Row(Force, {"{axis}": "{E}*{thrust}*{velocity}"}, "s/m", CARLTON,
-     "thrust depends on the speed of advance", "several thrusts at several speeds, or coasting")
+@row(Force)
 def thrust_speed_loss(name: str = "thrust_speed_loss", *, axis: str = "X", thrust: str = "T",
                       velocity: str = "u_r", scale: float = 0.08, value: float = 0.0) -> None:
     """Thrust that falls with the advance speed: adds ``E T u_r``, with ``E`` below zero.
@@ -397,10 +332,7 @@ def thrust_speed_loss(name: str = "thrust_speed_loss", *, axis: str = "X", thrus
     """
 
 
-@Row(Force, {"{axis}": "{T_nn}*{revolutions}*abs({revolutions}) "
-                       "+ {T_nu}*abs({revolutions})*{velocity}"}, None, THRUST,
-     "propeller thrust with a linear thrust coefficient",
-     "several rates of revolution at several speeds")
+@row(Force)
 def propeller_thrust(name: str = "propeller", *, axis: str = "X", revolutions: str = "n",
                      velocity: str = "u_r", bollard: float, advance: float = 0.0) -> Derived:
     r"""Thrust of a propeller, :math:`T_{nn}\,n|n| + T_{nu}\,|n|u_r`, for a base model.
@@ -412,8 +344,7 @@ def propeller_thrust(name: str = "propeller", *, axis: str = "X", revolutions: s
             "T_nu": Parameter("T_nu", advance, "kg", description="thrust per |n|u")}
 
 
-@Row(Force, {"Y": "{E_Y}*{thrust}", "N": "{E_N}*{thrust}"}, None, HOOFT,
-     "a right-handed screw pushes the stern sideways", "turns to both sides, at several thrusts")
+@row(Force)
 def single_screw_asymmetry(name: str = "single_screw_asymmetry", *, thrust: str = "T",
                            arm: float = 1.0, scale: float = 0.02) -> Derived:
     """Side force and yaw moment of a single screw: ``Y = E_Y T`` and ``N = E_N T``.
@@ -430,23 +361,20 @@ def rudder_neutral_angle(name: str = "rudder_neutral_angle", signal: str = "delt
     return actuator_offset(name, signal, scale=scale, value=value)
 
 
-@derivative_row("{axis}_uu{rudder}{rudder}{rudder}", {"u": "{velocity}"}, ABKOWITZ,
-                "small and large {rudder}")
+@row(Force)
 def rudder_stall(name: str, axis: str, *, rudder: str = "delta", velocity: str = "u_r",
                  scale: float | None = None, value: float = 0.0) -> None:
     r"""Rudder force that grows less than its angle, :math:`E\,u_r^2\delta^3`."""
 
 
-@Row(Force, {"{axis}": "{E}*{thrust}*{rudder}"}, "{unit}", MMG,
-     "the rudder acts in the propeller's slipstream", "rudder angles at several thrusts and speeds")
+@row(Force)
 def rudder_in_slipstream(name: str, axis: str, *, thrust: str = "T", rudder: str = "delta",
                          scale: float = 0.3, value: float = 0.0) -> Derived:
     r"""Rudder force of the slipstream, :math:`E\,T\delta`; for a moment ``E`` holds the arm."""
     return {"unit": "m" if axis in "KMN" else "1"}
 
 
-@Row(Force, {}, "1", VANTORRE, "hull forces changed in proportion, by the depth of the water",
-     "turns at several speeds in one depth of water", size={"bound": 3.0})
+@row(Force)
 def shallow_water(name: str = "shallow_water", *, terms: Mapping[str, str], scale: float = 0.3,
                   value: float = 0.0) -> Derived:
     r"""Hull forces that grow in proportion where the water is shallow, :math:`E\,\tau_{hull}`.
@@ -487,8 +415,7 @@ def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N
 # -- motors, joints and linkages --------------------------------------------------------
 
 
-@Row(Force, {"{axis}": "-{E}*tanh({velocity}/{v0})"}, "{unit}", ARMSTRONG,
-     "dry friction against {velocity}", "slow and fast {velocity} in both directions")
+@row(Force)
 def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                      velocity_unit: str = "m/s", smooth: float = 0.01, scale: float = 1.0,
                      value: float = 0.0) -> Derived:
@@ -500,9 +427,7 @@ def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
     return {"v0": _fixed(f"v0_{name}", smooth, velocity_unit, "smoothing")}
 
 
-@Row(Force, {"{axis}": "-{E}*exp(-({velocity}/{vs})**2)*tanh({velocity}/{v0})"}, "{unit}",
-     ARMSTRONG, "friction near rest is larger than when {velocity} is large",
-     "{velocity} that crosses zero slowly")
+@row(Force)
 def stribeck_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                       velocity_unit: str = "m/s", smooth: float = 0.01, stribeck: float = 0.1,
                       scale: float = 1.0, value: float = 0.0) -> Derived:
@@ -515,9 +440,7 @@ def stribeck_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
             "vs": _fixed(f"vs_{name}", stribeck, velocity_unit, "Stribeck", lower=smooth)}
 
 
-@Row(Force, {"{axis}": "{E_cos}*cos({n}*{angle}) + {E_sin}*sin({n}*{angle})"}, None, MOTOR,
-     "torque that repeats {periods} times a turn",
-     "slow turning through many periods, in both directions")
+@row(Force)
 def cogging(name: str, axis: str, angle: str, *, periods: int, unit: str = "N m",
             scale: float = 0.1) -> Derived:
     r"""Cogging torque, :math:`E_c\cos n\vartheta + E_s\sin n\vartheta`, ``periods`` per turn."""
@@ -525,9 +448,7 @@ def cogging(name: str, axis: str, angle: str, *, periods: int, unit: str = "N m"
             "n": _fixed(f"n_{name}", float(periods), "1", "periods per turn")}
 
 
-@Row(Force, {"{axis}": "{k}*clip({position}, -{E}, {E})"}, "{unit}", NORDIN,
-     "dead zone of {position} within which the spring does not act", "small and large {position}",
-     size={"positive": True, "description": "half-width"})
+@row(Force)
 def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: str = "m",
               stiffness_unit: str = "N/m", scale: float = 0.01, value: float = 0.0) -> Derived:
     r"""Dead zone of a spring: of a force :math:`-k x` the part within :math:`\pm E` is lost.
@@ -537,9 +458,7 @@ def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: st
     return {"k": _fixed(f"k_{name}", stiffness, stiffness_unit, "stiffness")}
 
 
-@Row(Force, {"{axis}": "-{E}*sign({position})*max(abs({position}) - {stop}, 0)"}, "{unit}", NAYFEH,
-     "an end stop of {position}", "{position} up to the stop",
-     size={"positive": True, "description": "stiffness of the stop"})
+@row(Force)
 def end_stop(name: str, axis: str, position: str, *, reach: float, unit: str = "N/m",
              position_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> Derived:
     r"""Stop at an unknown position, :math:`-E\,\operatorname{sgn}(x)\max(|x| - x_s, 0)`.
@@ -552,9 +471,7 @@ def end_stop(name: str, axis: str, position: str, *, reach: float, unit: str = "
     return {"stop": stop}
 
 
-@Row(Force, {"{axis}": "{E}*{z}"}, "{unit}", CUMMINS,
-     "{signal} acts through a first-order hidden state", "quick and slow changes of {signal}",
-     states=(("{z}", "({signal} - {z})/{tau}", "{start}", "{signal_unit}"),))
+@row(Force)
 def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
                start: str = "0", time_constant: float = 1.0, span: float = 10.0,
                scale: float = 1.0, value: float = 0.0) -> Derived:
@@ -567,16 +484,11 @@ def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str
     >>> hidden_lag("tank", "K", "p", unit="N m s/rad").terms
     {'K': 'E_tank*z_tank'}
     """
-    tau = Parameter(f"tau_{name}", time_constant, "s", time_constant / span, time_constant * span,
-                    log=True, description="time constant")
+    tau = within(f"tau_{name}", time_constant, "s", span, "time constant")
     return {"tau": tau, "z": f"z_{name}"}
 
 
-@Row(Force, {"{axis}": "{E}*{z}"}, "{unit}", FALTINSEN,
-     "{signal} drives a hidden oscillator", "{signal} near the frequency of the oscillator",
-     states=(("{z}", "{rate}", "0", "{signal_unit}"),
-             ("{rate}", "{omega}**2*({signal} - {z}) - 2*{zeta}*{omega}*{rate}", "0",
-              "{signal_unit}/s")))
+@row(Force)
 def hidden_oscillator(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
                       frequency: float = 1.0, span: float = 5.0, damping: float = 0.2,
                       scale: float = 1.0, value: float = 0.0) -> Derived:
@@ -586,16 +498,12 @@ def hidden_oscillator(name: str, axis: str, signal: str, *, unit: str, signal_un
 
     What an anti-roll tank, sloshing or a flexible mast does; frequency and damping are estimated.
     """
-    omega = Parameter(f"omega_{name}", frequency, "rad/s", frequency / span, frequency * span,
-                      log=True, description="natural frequency")
+    omega = within(f"omega_{name}", frequency, "rad/s", span, "natural frequency")
     zeta = Parameter(f"zeta_{name}", damping, "1", 0.02, 2.0, log=True, description="damping ratio")
     return {"omega": omega, "zeta": zeta, "z": f"z_{name}", "rate": f"y_{name}"}
 
 
-@Row(Force, {"{axis}": "-{E}*{z}"}, "{unit}", DAHL,
-     "dry friction against {velocity} that remembers its direction",
-     "reversals of {velocity}, small and large",
-     states=(("{z}", "{sigma}*({velocity} - abs({velocity})*{z})", "0", "1"),))
+@row(Force)
 def dahl_friction(name: str, axis: str, velocity: str, *, stiffness: float, unit: str = "N",
                   displacement_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> Derived:
     r"""Dry friction with memory (hysteresis), :math:`-E z`, :math:`\dot z = \sigma(v - |v| z)`.
@@ -608,11 +516,7 @@ def dahl_friction(name: str, axis: str, velocity: str, *, stiffness: float, unit
     return {"sigma": sigma, "z": f"z_{name}"}
 
 
-@Row(Force, {"{axis}": "-{E}*{z}"}, "{unit}", WEN,
-     "restoring force that remembers the path of {velocity}",
-     "reversals of {velocity} of several sizes",
-     states=(("{z}", "({velocity} - 0.5*(abs({velocity})*abs({z})*{z} + {velocity}*{z}**2))/{x}",
-              "0", "1"),))
+@row(Force)
 def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float, unit: str = "N",
                         displacement_unit: str = "m", scale: float = 1.0,
                         value: float = 0.0) -> Derived:
@@ -627,11 +531,7 @@ def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float,
     return {"x": gives, "z": f"z_{name}"}
 
 
-# Of the two states of the delay, the first is the signal through 1/(1 + ts/2 + t2s2/12), the
-# other its rate times tau; their second derivative times tau squared is what stands in brackets.
-@Row(Force, {"{axis}": "{E}*({low} - {high}/2 + ({second})/12)"}, "{unit}", PADE,
-     "force of {signal} as it was a while ago", "quick changes of {signal}",
-     states=(("{low}", "{high}/{tau}", "{start}"), ("{high}", "({second})/{tau}", "0")))
+@row(Force)
 def delayed_force(name: str, axis: str, signal: str, *, unit: str, start: str, delay: float = 1.0,
                   scale: float = 1.0, value: float = 0.0) -> Derived:
     r"""Force of what a state or signal was a while ago, :math:`E\,x(t - \tau)`.

@@ -12,25 +12,13 @@ import math
 from collections.abc import Sequence
 
 from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
-from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import Derived, Row, channels
+from oed_sysid.physics.table import Derived, channels, row, within
 
-AMERONGEN = "van Amerongen (1982), Adaptive steering of ships, TU Delft."
-TAO = "Tao & Kokotović (1996), Adaptive control of systems with actuator nonlinearities, Wiley."
-ABBOTT = "Abbott & von Doenhoff (1959), Theory of wing sections, Dover."
-FRANKLIN = "Franklin, Powell & Workman (1998), Digital control of dynamic systems, ch. 4."
-KINSEY = "Kinsey & Whitcomb (2007), In situ alignment calibration, IEEE Trans. Robotics 23."
-GROVES = "Groves (2013), Principles of GNSS, inertial and multisensor navigation, ch. 4."
-
-POSITIVE = {"positive": True}
-HALF = {"positive": True, "description": "half-width"}
-# The 1e-9 s of the texts keep divisions by a vanishing time constant finite.
 # Rows of a table: laid out to be read as such.
 # fmt: off
 
 
-@Row(Actuator, {"{signal}": "{signal} + {E}"}, "{unit}", AMERONGEN,
-     "constant offset of {signal}", "several speeds, to tell it from constant forces")
+@row(Actuator)
 def actuator_offset(name: str, signal: str, unit: str = "rad", *, scale: float = 0.02,
                     value: float = 0.0) -> None:
     """Constant difference between actual and commanded value.
@@ -40,23 +28,17 @@ def actuator_offset(name: str, signal: str, unit: str = "rad", *, scale: float =
     """
 
 
-@Row(Actuator, {"{signal}": "{signal}*(1 + {E})"}, "1", AMERONGEN, "relative error of {signal}",
-     "a measurement of the deflection, or known force derivatives", size={"bound": 0.9})
+@row(Actuator)
 def actuator_gain_error(name: str, signal: str, *, scale: float = 0.1, value: float = 0.0) -> None:
     """Actual value is ``1 + E`` times the command; free force derivatives absorb it."""
 
 
-@Row(Actuator, {"{signal}": "{signal}*(1 - {E}*{signal}**2)"}, "1/rad^2", ABBOTT,
-     "effect of {signal} grows less than in proportion", "small and large {signal}")
+@row(Actuator)
 def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> None:
     """Loss of lift at large angles, :math:`d(1 - E d^2)`; valid before full stall."""
 
 
-@Row(Actuator, {"{c}": "{c} + (actual{_c} - {c})*{E}/h*(1 - decay)"}, "s", FRANKLIN,
-     "{signal} follows its command with a first-order lag",
-     "steps or reversals, sampled faster than the lag", size=POSITIVE, each="signal",
-     definitions={"decay": "exp(-h/({E} + 1e-9))"},
-     memory={"actual{_c}": "{c} + (actual{_c} - {c})*decay"})
+@row(Actuator)
 def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25, value: float = 0.0,
                  parameter: str | None = None) -> None:
     """First-order lag of time constant ``E``, of one signal or of several alike.
@@ -66,8 +48,7 @@ def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25,
     """
 
 
-@Row(Actuator, {}, None, FRANKLIN, "{signal} follows its command after a dead time",
-     "steps or reversals, sampled faster than the delay", each="signal")
+@row(Actuator)
 def actuator_delay(name: str, signal: str | Sequence[str], *, max_delay: float = 1.0,
                    step: float = 0.1, scale: float = 0.2, value: float = 0.0) -> Derived:
     """Pure delay of ``E`` seconds; ``step`` is the shortest integration step.
@@ -77,14 +58,7 @@ def actuator_delay(name: str, signal: str | Sequence[str], *, max_delay: float =
     return _late(name, channels(signal), max_delay, step, scale, value)
 
 
-@Row(Actuator, {"{c}": "where(abs(way{_c})*{E} <= h, {c} - way{_c}*abs(way{_c})*{E}/(2*h), "
-                       "actual{_c} + toward{_c}*h/max({E}, 1e-9)/2)"},
-     "{per}", AMERONGEN, "{signal} changes at no more than 1/{E} per second",
-     "steps of different size: the time to arrive grows with the step", each="signal",
-     size={"positive": True, "description": "1 / maximum rate"},
-     definitions={"way{_c}": "{c} - actual{_c}", "toward{_c}": "sign(way{_c})"},
-     memory={"actual{_c}": "where(abs(way{_c})*{E} <= h, {c}, "
-                           "actual{_c} + toward{_c}*h/max({E}, 1e-9))"})
+@row(Actuator)
 def rate_limit(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 3.0,
                value: float = 0.0) -> Derived:
     """Limited rate, by its slowness ``E = 1/rate`` so that zero means unlimited.
@@ -104,19 +78,13 @@ def maximum_rate(effect: Actuator) -> float:
     return 1.0 / slowness if slowness > 0 else math.inf
 
 
-@Row(Actuator, {"{c}": "where(abs({c}) >= {E}, {c} - {E}*sign({c}), 0)"}, "{unit}", TAO,
-     "small {signal} commands have no effect", "commands near zero and far from it",
-     size=HALF, each="signal")
+@row(Actuator)
 def deadband(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 0.03,
              value: float = 0.0) -> None:
     """Commands within ``±E`` do nothing, larger ones lose ``E``; of one signal or of several."""
 
 
-@Row(Actuator, {"{c}": "held{_c}"}, "{unit}", TAO, "backlash between command and actual {signal}",
-     "reversals of small and large amplitude", size=HALF, each="signal",
-     definitions={"held{_c}": "where(actual{_c} > {c} + {E}, {c} + {E}, "
-                              "where(actual{_c} < {c} - {E}, {c} - {E}, actual{_c}))"},
-     memory={"actual{_c}": "held{_c}"})
+@row(Actuator)
 def backlash(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 0.03,
              value: float = 0.0) -> None:
     """Backlash of half-width ``E``: the actual value moves when its flank is touched.
@@ -125,27 +93,21 @@ def backlash(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale
     """
 
 
-@Row(Actuator, {"{signal}": "max(min({signal}, {stop}), -{stop})"}, None, AMERONGEN,
-     "mechanical stops of {signal}", "commands beyond the stops")
+@row(Actuator)
 def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> Derived:
     """Mechanical stops at ``±limit``, a known property of a base model."""
     stop = amplitude(name, unit, value=limit, parameter=f"limit_{name}", positive=True)
     return {"stop": stop, "amplitudes": ()}
 
 
-@Row(Actuator, {"{signal}": "where(abs({signal})*{E} <= 1, {signal}, "
-                            "sign({signal})/max({E}, 1e-9))"},
-     "{per}", AMERONGEN, "{signal} goes no further than 1/{E}",
-     "commands below and beyond the limit",
-     size={"positive": True, "description": "1 / limit"})
+@row(Actuator)
 def unknown_limit(name: str, signal: str, unit: str = "rad", *, scale: float = 3.0,
                   value: float = 0.0) -> Derived:
     """Saturation at an unknown limit, by its inverse ``E`` so that zero means unlimited."""
     return {"per": f"1/({unit})" if "/" in unit else f"1/{unit or 1}"}
 
 
-@Row(Actuator, {"{signal}": "{signal} + {E}*{fading}"}, None, FRANKLIN,
-     "{signal} was not at its command when the record began", "a record that begins in a manoeuvre")
+@row(Actuator)
 def actuator_start(name: str, signal: str, unit: str = "rad", *, time_constant: float = 1.0,
                    span: float = 10.0, scale: float = 0.1) -> Derived:
     r"""Start of an actuator beside its first command, which fades, :math:`E_i e^{-t/\tau}`.
@@ -153,15 +115,13 @@ def actuator_start(name: str, signal: str, unit: str = "rad", *, time_constant: 
     Another size in every record; the time constant is estimated.
     """
     size = amplitude(name, unit, scale=scale, per_record=True)
-    tau = Parameter(f"tau_{name}", time_constant, "s", time_constant / span, time_constant * span,
-                    log=True, description="time constant")
+    tau = within(f"tau_{name}", time_constant, "s", span, "time constant")
     return {"E": size, "tau": tau, "fading": f"fading_{name}",
             "memory": (Memory(f"fading_{name}", f"fading_{name}*exp(-h/{tau.name})", "1"),),
             "amplitudes": (size.name,)}
 
 
-@Row(Sensor, {"{output}": "{output} + {E}"}, "{unit}", GROVES, "constant error of {output}",
-     "{output} linked to other outputs, over longer than the initial transient")
+@row(Sensor)
 def sensor_bias(name: str, output: str, unit: str, *, scale: float, value: float = 0.0,
                 per_record: bool = False) -> None:
     """Constant error.
@@ -171,50 +131,37 @@ def sensor_bias(name: str, output: str, unit: str, *, scale: float, value: float
     """
 
 
-@Row(Sensor, {"{output}": "{output}*(1 + {E})"}, "1", GROVES, "relative error of {output}",
-     "large changes of {output}", size={"bound": 0.9})
+@row(Sensor)
 def sensor_scale(name: str, output: str, *, scale: float = 0.05, value: float = 0.0) -> None:
     r"""Relative error, :math:`(1 + E)\,y`."""
 
 
-@Row(Sensor, {"{first}": "{first} - {E}*{second}", "{second}": "{second} + {E}*{first}"}, "rad",
-     KINSEY, "the sensor of {first} and {second} is rotated in its mount",
-     "{first} of varied size, independent of {second}", size={"bound": 0.5})
+@row(Sensor)
 def sensor_misalignment(name: str, first: str, second: str, *, scale: float = 0.02,
                         value: float = 0.0) -> None:
     """Small rotation of a pair of axes: ``first - E second`` and ``second + E first``."""
 
 
-@Row(Sensor, {"{output}": "{output} - {E}*{rate}"}, "m", GROVES,
-     "the sensor of {output} is off the origin", "quick changes of {rate}",
-     size={"description": "distance from the origin"})
+@row(Sensor)
 def sensor_lever_arm(name: str, output: str, rate: str, *, scale: float = 0.3,
                      value: float = 0.0) -> None:
     """Velocity sensor ahead of the origin: ``output - E rate``, as ``w - E q``."""
 
 
-@Row(Sensor, {"{c}": "{c}_lagged"}, "s", FRANKLIN,
-     "{outputs} measured through a first-order filter",
-     "quick changes, sampled faster than the lag", size=POSITIVE, each="outputs",
-     definitions={"decay": "exp(-h/({E} + 1e-9))", "{c}_behind": "{E}*({c} - {c}_before)/h",
-                  "{c}_lagged":
-                      "{c} - {c}_behind + ({c}_filtered - {c}_before + {c}_behind)*decay"},
-     memory={"{c}_filtered": "{c}_lagged", "{c}_before": "{c}"})
+@row(Sensor)
 def sensor_lag(name: str, outputs: str | Sequence[str], *, scale: float = 0.3,
                value: float = 0.0) -> None:
     """First-order lag of one or several outputs, exact for signals linear between samples."""
 
 
-@Row(Sensor, {}, None, GROVES, "{output} arrives late",
-     "quick changes, sampled faster than the delay", each="output")
+@row(Sensor)
 def sensor_delay(name: str, output: str, *, max_delay: float = 1.0, interval: float = 0.1,
                  scale: float = 0.2, value: float = 0.0) -> Derived:
     """Late measurement, interpolated between samples a regular ``interval`` apart."""
     return _late(name, (output,), max_delay, interval, scale, value)
 
 
-@Row(Sensor, {"{output}": "{output} + {E}*t"}, "{unit}", GROVES, "linear drift of {output}",
-     "a long record")
+@row(Sensor)
 def sensor_drift(name: str, output: str, unit: str, *, scale: float, value: float = 0.0) -> None:
     r"""Error that grows with time, :math:`y + E\,t`; ``unit`` is that of ``E``."""
 

@@ -1,37 +1,49 @@
 r"""Effects of the library as rows of one table, and the builder that makes effects of them.
 
-A row says at which stage an effect acts, its terms, the unit of its amplitude, where it comes from
+A row of ``effects.toml`` says an effect's terms, the unit of its amplitude, where it comes from
 and what a manoeuvre must contain for it to show. Braces hold the arguments of the constructor, so
 that one row serves every axis, velocity or signal:
 
-.. code-block:: python
+.. code-block:: toml
 
-    @Row(Force, {"{axis}": "-{E}*sin({angle})"}, "N m", FOSSEN, "righting moment ...", "large ...")
-    def metacentric_moment(name: str, axis: str, angle: str, *, value: float = 0.0) -> None: ...
+    [metacentric_moment]
+    terms = { "{axis}" = "-{E}*sin({angle})" }
+    unit = "N m"
 
-``{E}`` is the amplitude. The function below a row states the arguments and the paragraph; where
-names have to be worked out it returns them: a :class:`~oed_sysid.physics.parameters.Parameter`
-becomes one of the effect's, and anything else stands for its name in the texts.
+``{E}`` is the amplitude. The constructor of the same name states the stage, the arguments and the
+paragraph; where names have to be worked out it returns them: a
+:class:`~oed_sysid.physics.parameters.Parameter` becomes one of the effect's, and anything else
+stands for its name in the texts.
 
-Hydrodynamic derivatives (:func:`derivative_row`) need less: axis, factors and unit follow from
-the name of the coefficient, SNAME (1950).
+Hydrodynamic derivatives need less: axis, factors and unit follow from the name of the
+coefficient, SNAME (1950).
 """
 
 from __future__ import annotations
 
 import inspect
+import tomllib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import wraps
+from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
-from oed_sysid.errors import ModelError
+import numpy as np
+
+from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.base import Effect, ExtraState, Force, Memory, amplitude
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text import notation
+from oed_sysid.text.callables import Table, check_table
+from oed_sysid.text.csv_table import read_table
+from oed_sysid.text.units import parse_header, to_si
 
+_TABLE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
+#: Citations by the names that rows use.
+SOURCES: Mapping[str, str] = _TABLE.pop("sources")
 SNAME = "SNAME (1950), Technical and Research Bulletin 1-5."
-ABKOWITZ = "Abkowitz (1964), Lectures on ship hydrodynamics, report Hy-5, Lyngby."
+ABKOWITZ = SOURCES["ABKOWITZ"]
 #: Source of a term that fits and is no physics with a name.
 POLYNOMIAL = "Taylor series: no physics of its own."
 
@@ -45,18 +57,18 @@ Derived = Mapping[str, Any] | None
 
 @dataclass(frozen=True)
 class Row(Generic[Kind]):
-    """One effect of the library, as a decorator of the function that states its arguments.
+    """One effect of the library.
 
     Parameters
     ----------
     kind : type of Effect
         Stage at which it acts.
+    source, needs, description : str
+        Citation, what shows it, and words.
     terms : mapping
         What it contributes, as of :class:`~oed_sysid.physics.Effect`.
     unit : str or None
         Of the amplitude; None where the constructor gives the amplitudes itself.
-    source, description, needs : str
-        Citation, words, and what shows it.
     size : mapping
         Further facts of the amplitude: ``positive``, ``bound``, ``description``.
     each : str
@@ -64,42 +76,30 @@ class Row(Generic[Kind]):
         ``{_c}`` tells their names apart.
     definitions, memory : mapping
         As of an effect; memory begins at the signal.
-    states : tuple of tuple of str
+    states : sequence of sequence of str
         Name, rate, start and unit of continuous states.
-    derivative, symbols
-        Coefficient and signals of its factors, as of :func:`derivative_row`.
+    derivative : str
+        Name of a hydrodynamic derivative, with arguments in braces; signals as their letters.
+        Everything else follows from it.
+    symbols : mapping or None
+        Signals for factors, as of :func:`derivative`; None for velocities through the water.
     """
 
     kind: type[Kind]
-    terms: Mapping[Any, str]
-    unit: str | None
     source: str
-    description: str
     needs: str
+    description: str = ""
+    terms: Mapping[str, str] = field(default_factory=dict)
+    unit: str | None = None
     size: Mapping[str, Any] = field(default_factory=dict)
     each: str = ""
     definitions: Mapping[str, str] = field(default_factory=dict)
     memory: Mapping[str, str] = field(default_factory=dict)
-    states: tuple[tuple[str, ...], ...] = ()
+    states: Sequence[Sequence[str]] = ()
     derivative: str = ""
     symbols: Mapping[str, str] | None = None
 
-    def __call__(self, function: Callable[Arguments, Derived]) -> Callable[Arguments, Kind]:
-        """Return the constructor with a function's arguments, and enter it into the library."""
-        stated = inspect.signature(function).replace(return_annotation=self.kind.__name__)
-        make = self._derivative if self.derivative else self._effect
-
-        @wraps(function)
-        def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Any:
-            bound = stated.bind(*args, **kwargs)
-            bound.apply_defaults()
-            return make(bound.arguments, function(*args, **kwargs) or {})
-
-        construct.__signature__ = stated  # type: ignore[attr-defined]
-        LIBRARY[function.__name__] = Entry(self, construct)
-        return construct
-
-    def _effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
+    def effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
         """The effect for the arguments of a constructor and what follows from them."""
         # What the constructor worked out goes before the argument of the same name.
         known = {**arguments, **derived}
@@ -140,7 +140,7 @@ class Row(Generic[Kind]):
         unit = self.unit.format(**known)
         return {"E": amplitude(known["name"], unit, **{**given, **self.size}), **others}
 
-    def _derivative(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
+    def force(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Force:
         """The effect of one hydrodynamic derivative."""
         # The name of a derivative has the letter of the velocity, the term has the signal: w, w_r.
         letters = {k: factor_of(v) for k, v in arguments.items() if isinstance(v, str)}
@@ -171,25 +171,28 @@ class Entry:
 LIBRARY: dict[str, Entry] = {}
 
 
-def derivative_row(
-    coefficient: str,
-    symbols: Mapping[str, str] | None,
-    source: str,
-    needs: str,
-    description: str = "",
-) -> Row[Force]:
-    """Row of one hydrodynamic derivative.
+def row(
+    kind: type[Kind],
+) -> Callable[[Callable[Arguments, Derived]], Callable[Arguments, Kind]]:
+    """Make a constructor of the function that states the arguments of the row of its name."""
 
-    Parameters
-    ----------
-    coefficient : str
-        Name of the derivative, with arguments in braces; signals as their letters.
-    symbols : mapping or None
-        Signals for factors, as of :func:`derivative`; None for velocities through the water.
-    source, needs, description : str
-        As of a :class:`Row`.
-    """
-    return Row(Force, {}, None, source, description, needs, derivative=coefficient, symbols=symbols)
+    def enter(function: Callable[Arguments, Derived]) -> Callable[Arguments, Kind]:
+        facts = _TABLE[function.__name__]
+        own = Row(kind, **{**facts, "source": SOURCES[facts["source"]]})
+        stated = inspect.signature(function).replace(return_annotation=kind.__name__)
+        make = own.force if own.derivative else own.effect
+
+        @wraps(function)
+        def construct(*args: Arguments.args, **kwargs: Arguments.kwargs) -> Any:
+            bound = stated.bind(*args, **kwargs)
+            bound.apply_defaults()
+            return make(bound.arguments, function(*args, **kwargs) or {})
+
+        construct.__signature__ = stated  # type: ignore[attr-defined]
+        LIBRARY[function.__name__] = Entry(own, construct)
+        return construct
+
+    return enter
 
 
 def _amplitudes(parameters: Mapping[str, Parameter]) -> tuple[str, ...] | None:
@@ -210,6 +213,12 @@ def _filled(texts: Mapping[Any, str], scopes: Sequence[Mapping[str, Any]]) -> di
             place = tuple(_formatted(key, scope)) if isinstance(key, tuple) else key.format(**scope)
             found[place] = text.format(**scope)
     return found
+
+
+def within(name: str, value: float, unit: str, span: float, words: str) -> Parameter:
+    """A positive parameter that may be wrong by a factor of up to ``span``."""
+    bounds = value / span, value * span
+    return Parameter(name, value, unit, *bounds, log=True, description=words)
 
 
 def channels(signal: str | Sequence[str]) -> tuple[str, ...]:
@@ -383,3 +392,71 @@ def _joined(terms: Iterable[tuple[str, str]]) -> dict[str, str]:
     for axis, text in terms:
         found[axis] = f"{found[axis]} + {text}" if axis in found else text
     return found
+
+
+# -- tables of an effect, from CSV files with units in their headers ---------------------
+
+
+def table_from_csv(path: str | Path) -> Table:
+    r"""Read a table of one or two arguments; the last column holds its values.
+
+    Two columns make a table of one argument, ``phi [deg],gz [m]``, in any order of
+    rows. Three make one of two, ``beta [deg],V [m/s],K [N m]``: one row for each point of a
+    full grid. Units are converted to SI.
+
+    Returns
+    -------
+    tuple of ndarray
+        ``(x (n,), y (n,))`` or ``(x (n,), y (m,), values (n, m))``, as the ``tables`` of
+        an effect or a model take it.
+
+    Raises
+    ------
+    DataError
+        If a header has no unit, or a point of the grid is missing or given twice.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "arm.csv"
+    ...     _ = file.write_text("phi [deg],gz [m]\n0,0\n30,0.4\n90,0.1\n")
+    ...     x, y = table_from_csv(file)
+    >>> print(np.round(x, 3), y)
+    [0.    0.524 1.571] [0.  0.4 0.1]
+    """
+    path = Path(path)
+    table = read_table(path)
+    columns = []
+    for header, column in zip(table.headers, table.values.T, strict=True):
+        name, unit = parse_header(header)
+        if unit is None:
+            raise DataError(
+                f"{path.name}: column {header!r} has no unit. Write it as '{name} [deg]', "
+                f"'{name} [m]' or '{name} [1]'."
+            )
+        if np.isnan(column).any():
+            row = int(table.row_numbers[np.flatnonzero(np.isnan(column))[0]])
+            raise DataError(f"{path.name}, row {row}: column {name!r} is empty. Fill the gap.")
+        columns.append(to_si(column, unit)[0])
+    if len(columns) == 2:
+        order = np.argsort(columns[0], kind="stable")
+        return check_table(path.name, (columns[0][order], columns[1][order]))
+    if len(columns) != 3:
+        raise DataError(
+            f"{path.name} has {len(columns)} columns; expected two (x, value) or three "
+            "(x, y, value)."
+        )
+    x, i = np.unique(columns[0], return_inverse=True)
+    y, j = np.unique(columns[1], return_inverse=True)
+    count = np.zeros((len(x), len(y)), dtype=int)
+    np.add.at(count, (i, j), 1)
+    if (count != 1).any():
+        a, b = np.argwhere(count != 1)[0]
+        raise DataError(
+            f"{path.name} has {count[a, b]} rows for the point ({x[a]:g}, {y[b]:g}) in SI units; "
+            "a table of two arguments needs exactly one for every pair."
+        )
+    values = np.empty((len(x), len(y)))
+    values[i, j] = columns[2]
+    return check_table(path.name, (x, y, values))

@@ -65,18 +65,11 @@ def whole_file(path: str | Path, *, ending: str | None = None) -> Iterator[Path]
     target = Path(path)
     try:
         real = Path(os.path.realpath(target))
-        if real.exists() and not real.is_file():
-            if real.is_dir():
-                raise FileError(
-                    f"{str(target)!r} cannot be written: it is a folder. Give a file in it."
-                )
+        if real.exists() and not real.is_file() and not real.is_dir():
             yield real
             return
-        if real.exists() and not os.access(real, os.W_OK):
-            # Renaming would get around the protection that the user gave the file.
-            raise FileError(
-                f"{str(target)!r} cannot be written: it is write-protected. Give another place."
-            )
+        if words := _refusal(real):
+            raise FileError(f"{str(target)!r} cannot be written: {words}")
         real.parent.mkdir(parents=True, exist_ok=True)
         ending = real.suffix if ending is None else ending
         part = real.with_name(f".{secrets.token_hex(8)}{ending}")
@@ -155,16 +148,11 @@ away, or give another place.
     target = Path(path)
     real = Path(os.path.realpath(target))
     cannot = f"{str(target)!r} cannot be written: "
-    if not folder and real.exists():
-        if real.is_dir():
-            raise FileError(f"{cannot}it is a folder. Give a file in it.")
-        if not os.access(real, os.W_OK):
-            raise FileError(f"{cannot}it is write-protected. Give another place.")
-        if not real.is_file():
-            return  # a device or a pipe
     home = real if folder else real.parent
-    words = _obstacle(home)
-    if words:
+    words = "" if folder else _refusal(real)
+    if not (words or folder) and real.exists() and not real.is_file():
+        return  # a device or a pipe
+    if words := words or _obstacle(home):
         raise FileError(cannot + words)
     try:  # What the permissions promise, a system of its own kind (/proc) need not keep.
         tempfile.TemporaryFile(dir=_nearest(home)).close()
@@ -174,6 +162,16 @@ away, or give another place.
             f"{cannot}nothing can be made in {str(_nearest(home))!r} ({reason}). Give another "
             "place."
         ) from error
+
+
+def _refusal(real: Path) -> str:
+    """What keeps a file that is there from being replaced, and what to do; empty if nothing."""
+    if real.is_dir():
+        return "it is a folder. Give a file in it."
+    # Renaming would get around the protection that the user gave the file.
+    if real.exists() and not os.access(real, os.W_OK):
+        return "it is write-protected. Give another place."
+    return ""
 
 
 def _nearest(folder: Path) -> Path:

@@ -155,7 +155,9 @@ class Journal:
                 result = work()
             with _to_the_end(at_once=False):
                 self._write(key, (result, None if rng is None else rng.bit_generator.state))
-                self._unlink(self._file(key, part=True))
+                if state := self._file(key, part=True):
+                    with suppress(OSError):
+                        state.unlink(missing_ok=True)
         else:
             result, state = kept
             self.n_read += 1
@@ -209,7 +211,13 @@ class Journal:
         file = self._file(key, part=part)
         if file is None:
             return None
-        kept = _kept(file, lambda body: _Unpickler(io.BytesIO(body), self._shared).load())
+
+        def load(body: bytes) -> Any:
+            reader = pickle.Unpickler(io.BytesIO(body))
+            reader.persistent_load = self._shared.__getitem__  # type: ignore[method-assign]
+            return reader.load()
+
+        kept = _kept(file, load)
         return kept[1] if kept is not None and kept[0] == key else None
 
     def _write(self, key: str, content: Any, *, part: bool = False) -> None:
@@ -218,7 +226,10 @@ class Journal:
             return
         body = io.BytesIO()
         try:
-            _Pickler(body, self._names).dump((key, content))
+            # Names in place of objects that the reader has.
+            writer = pickle.Pickler(body, protocol=pickle.HIGHEST_PROTOCOL)
+            writer.persistent_id = lambda one: self._names.get(id(one))  # type: ignore[method-assign]
+            writer.dump((key, content))
             if not file.parent.is_dir():
                 self._begin(file.parent)
             write_bytes(file, sealed(body.getvalue()))
@@ -241,12 +252,6 @@ class Journal:
                 newest = max(path.stat().st_mtime for path in other.parent.iterdir())
                 if time.time() - newest > 86400.0 * KEPT_DAYS:
                     shutil.rmtree(other.parent, ignore_errors=True)
-
-    @staticmethod
-    def _unlink(file: Path | None) -> None:
-        if file is not None:
-            with suppress(OSError):
-                file.unlink(missing_ok=True)
 
     def _share(self, name: str, value: Any) -> None:
         """Let later steps refer to a result and to what it is made of."""
@@ -314,32 +319,10 @@ def package_digest() -> str:
             digest.update(f"{name} {version(name)}".encode())
     folder = Path(__file__).resolve().parents[1]
     for path in sorted(folder.rglob("*")):
-        if path.suffix in (".py", ".c"):
+        if path.suffix in (".py", ".c", ".toml"):
             digest.update(path.relative_to(folder).as_posix().encode())
             digest.update(path.read_bytes())
     return digest.hexdigest()
-
-
-class _Pickler(pickle.Pickler):
-    """Pickler that writes names in place of objects that the reader has."""
-
-    def __init__(self, file: io.BytesIO, names: Mapping[int, str]) -> None:
-        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
-        self._names = names
-
-    def persistent_id(self, value: Any) -> str | None:
-        return self._names.get(id(value))
-
-
-class _Unpickler(pickle.Unpickler):
-    """The counterpart of :class:`_Pickler`."""
-
-    def __init__(self, file: io.BytesIO, shared: Mapping[str, Any]) -> None:
-        super().__init__(file)
-        self._shared = shared
-
-    def persistent_load(self, name: str) -> Any:
-        return self._shared[name]
 
 
 def _parts(name: str, value: Any, *, depth: int) -> Iterator[tuple[str, Any]]:

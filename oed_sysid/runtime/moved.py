@@ -7,53 +7,18 @@ now holds its names, not a copy of it.
 from __future__ import annotations
 
 import sys
+import tomllib
 import warnings
 from collections.abc import Sequence
 from importlib import import_module
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
+from pathlib import Path
 from types import ModuleType
 
 # Old public path and where its names are, below the package.
-MOVED = {
-    "batch": "runtime",
-    "benchmark": "baselines.benchmark",
-    "bodies": "physics.bodies",
-    "channels": "physics.channels",
-    "compatibility": "evidence.check",
-    "diagnosis": "evidence",
-    "effects": "physics",
-    "estimators": "baselines",
-    "estimators.baselines": "baselines",
-    "estimators.baselines.equation_error": "baselines.least_squares",
-    "estimators.baselines.ls_svm": "baselines.support_vectors",
-    "estimators.baselines.regression_form": "baselines.equations",
-    "estimators.baselines.regression_rows": "baselines.equations",
-    "estimators.baselines.swarm": "baselines.population",
-    "estimators.baselines.trajectory_cost": "baselines.population",
-    "estimators.base": "likelihood.estimator",
-    "estimators.multiple_shooting": "likelihood.multiple_shooting",
-    "estimators.multistart": "likelihood.multistart",
-    "estimators.profile": "likelihood.multistart",
-    "experiment": "experiments.experiment",
-    "fitting": "likelihood",
-    "language": "text",
-    "logs": "data.logs",
-    "manoeuvres": "experiments.manoeuvres",
-    "model": "physics.model",
-    "noise": "likelihood",
-    "noise.model": "likelihood.noise_model",
-    "parameters": "physics.parameters",
-    "predictions": "prediction",
-    "predictions.course_control": "prediction.laws",
-    "predictions.smooth_heading": "prediction.helmsman",
-    "predictions.zigzag_control": "prediction.laws",
-    "problem": "experiments.problem",
-    "report": "results",
-    "sensitivity": "information",
-    "simulation": "experiments.simulation",
-}
+MOVED: dict[str, str] = tomllib.loads(Path(__file__).with_suffix(".toml").read_text("utf-8"))
 
 
 def new_path(name: str) -> str | None:

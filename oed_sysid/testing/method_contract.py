@@ -65,7 +65,8 @@ from oed_sysid.information.noise import noise_of
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
-from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP, refuse
 
 # -- the contract of an estimator ------------------------------------------------------
 
@@ -137,51 +138,43 @@ def check_estimator(
     AssertionError
         With a line for every broken promise.
     """
-    broken: list[str] = []
     if not isinstance(estimator, Estimator) or not str(estimator.name):
         raise AssertionError("An estimator has a name and fit(model, dataset) -> Fit.")
-    first = model.with_values(_start(model) if start is None else start)
+    free = model.free_parameters
+    if start is None:
+        start = {p.name: float(np.clip(_above(p), p.lower, p.upper)) for p in free}
+    first = model.with_values(start)
     exact = Dataset(tuple(simulate(model, e, noise=False) for e in experiments))
-    before = copy.deepcopy((first, [(r.times, r.inputs, r.outputs) for r in exact]))
-    fit = estimator.fit(first, exact)
-    again = estimator.fit(first, exact)
-    broken += _shape(fit, first, exact)
-    if fit.status.code not in ("converged", "iterations", "stalled"):
-        broken.append(f"ends without noise as {fit.status}")
-    error = float(np.max(np.abs(_errors(fit, model)) / _magnitudes(model)))
-    if not error <= tolerance:
-        worst = model.free_names[int(np.argmax(np.abs(_errors(fit, model)) / _magnitudes(model)))]
-        broken.append(f"is off by {error:.2g} in {worst} without noise, promised {tolerance:g}")
-    if not np.array_equal(fit.estimates, again.estimates):
-        broken.append("gives two results for the same data; take a seed")
-    after = (first, [(r.times, r.inputs, r.outputs) for r in exact])
-    if not _same(before, after):
-        broken.append("changes the model or the data that it is given")
-    share = float("nan")
+    before = copy.deepcopy((first, _arrays(exact)))
+    fit, again = (estimator.fit(first, exact) for _ in range(2))
+    after = zip(before[1], _arrays(exact), strict=True)
+    same = before[0] == first and all(np.array_equal(*pair, equal_nan=True) for pair in after)
+    errors = [abs(fit.values[p.name] - p.value) / p.magnitude for p in free]
+    error, share, least = float(max(errors)), float("nan"), coverage or 0.0
+    worst = model.free_names[int(np.argmax(errors))]
     if coverage is not None:
         share = _coverage(estimator, model, first, experiments, rng, n_repeats)
-        if share < coverage:
-            broken.append(f"its 95 % intervals hold the truth in {share:.0%}, below {coverage:.0%}")
-    if broken:
-        lines = "\n".join(f"- {text}" for text in broken)
-        raise AssertionError(f"Estimator {estimator.name!r}:\n{lines}")
+    claims = (
+        (fit.status.code in ("converged", "iterations", "stalled"),
+         f"ends without noise as {fit.status}"),
+        (error <= tolerance,
+         f"is off by {error:.2g} in {worst} without noise, promised {tolerance:g}"),
+        (np.array_equal(fit.estimates, again.estimates),
+         "gives two results for the same data; take a seed"),
+        (same, "changes the model or the data that it is given"),
+        (not share < least, f"its 95 % intervals hold the truth in {share:.0%}, below {least:.0%}"),
+    )  # fmt: skip
+    broken = [*_shape(fit, first, exact), *(words for is_kept, words in claims if not is_kept)]
+    refuse(f"Estimator {estimator.name!r}", broken)
     return EstimatorCheck(error, share)
 
 
-def _start(model: Model) -> dict[str, float]:
-    return {
-        p.name: float(np.clip(p.value + 0.1 * p.magnitude, p.lower, p.upper))
-        for p in model.free_parameters
-    }
+def _above(parameter: Parameter) -> float:
+    return parameter.value + 0.1 * parameter.magnitude
 
 
-def _magnitudes(model: Model) -> np.ndarray:
-    return np.array([p.magnitude for p in model.free_parameters])
-
-
-def _errors(fit: Fit, model: Model) -> np.ndarray:
-    """Estimates minus truth, shape ``(n_free,)``."""
-    return np.array([fit.values[name] - model.values[name] for name in model.free_names])
+def _arrays(dataset: Dataset) -> list[np.ndarray]:
+    return [part for r in dataset for part in (r.times, r.inputs, r.outputs)]
 
 
 def _shape(fit: Fit, model: Model, dataset: Dataset) -> list[str]:
@@ -202,17 +195,6 @@ def _shape(fit: Fit, model: Model, dataset: Dataset) -> list[str]:
     if not fit.report():
         broken.append("returns a fit without a report")
     return broken
-
-
-def _same(before: tuple, after: tuple) -> bool:
-    if before[0] != after[0]:
-        return False
-    pairs = zip(before[1], after[1], strict=True)
-    return all(
-        np.array_equal(old, new, equal_nan=True)
-        for first, second in pairs
-        for old, new in zip(first, second, strict=True)
-    )
 
 
 def _coverage(
@@ -285,51 +267,41 @@ def check_criterion(
         measure = criterion.bind(setting)
     except OedSysidError as error:
         raise AssertionError(f"Criterion {name!r}:\n- does not bind: {error}") from None
-    broken: list[str] = []
     matrices = [_matrix(rng, len(names)) for _ in range(n_points)]
-    for matrix in matrices:
-        broken += _at_point(measure, matrix, rng)
-        if monotone:
-            broken += _monotone(measure, matrix, rng)
+    broken = [line for one in matrices for line in _at_point(measure, one, rng, monotone)]
     if invariant:
         broken += _invariant(criterion, setting, matrices, rng)
     blind = _matrix(rng, len(names))
     blind[0], blind[:, 0] = 0.0, 0.0
-    value, gradient = measure(blind)
-    if not (np.isfinite(value) and np.isfinite(gradient).all()):
+    if not all(np.isfinite(part).all() for part in measure(blind)):
         broken.append("is not finite where nothing is known of a parameter")
-    if broken:
-        lines = "\n".join(f"- {line}" for line in dict.fromkeys(broken))
-        raise AssertionError(f"Criterion {name!r}:\n{lines}")
+    refuse(f"Criterion {name!r}", broken)
 
 
-def _at_point(measure: Any, matrix: np.ndarray, rng: np.random.Generator) -> list[str]:
-    """Value and derivative at one information matrix."""
-    broken = _repeatable(measure, matrix)
-    _, gradient = measure(matrix)
+def _at_point(
+    measure: Any, matrix: np.ndarray, rng: np.random.Generator, monotone: bool
+) -> list[str]:
+    """Value and derivative at one information matrix, and what one more measurement changes."""
+    kept = matrix.copy()
+    (value, gradient), (again, _) = measure(matrix), measure(matrix)
+    broken = [] if np.array_equal(matrix, kept) else ["changes the matrix that it is given"]
+    matrix[:] = kept
+    if value != again:
+        broken.append("gives two results for the same information")
     if gradient.shape != matrix.shape or not np.isfinite(gradient).all():
         return [*broken, f"returns a derivative of shape {gradient.shape} or not finite"]
     if not np.allclose(gradient, gradient.T, rtol=1e-6, atol=1e-9 * np.abs(gradient).max()):
         broken.append("returns a derivative that is not symmetric")
-    return broken + _derivative(measure, matrix, gradient, rng)
-
-
-def _repeatable(measure: Any, matrix: np.ndarray) -> list[str]:
-    """The same result twice, from a matrix that stays as it is."""
-    kept = matrix.copy()
-    first, again = measure(matrix)[0], measure(matrix)[0]
-    broken = [] if np.array_equal(matrix, kept) else ["changes the matrix that it is given"]
-    matrix[:] = kept
-    return broken if first == again else [*broken, "gives two results for the same information"]
-
-
-def _monotone(measure: Any, matrix: np.ndarray, rng: np.random.Generator) -> list[str]:
-    """One more measurement never counts less."""
-    row = rng.normal(size=len(matrix)) * np.sqrt(np.diag(matrix))
-    value, more = measure(matrix)[0], measure(matrix + np.outer(row, row))[0]
-    if more >= value - ROUNDING * max(abs(value), 1.0):
-        return []
-    return [f"falls from {value:.6g} to {more:.6g} by one more measurement"]
+    row, other = rng.normal(size=(2, len(matrix))) * np.sqrt(np.diag(matrix))
+    direction = np.outer(row, row)
+    up, down = (measure(matrix + sign * STEP * direction)[0] for sign in (1, -1))
+    slope, stated = (up - down) / (2.0 * STEP), float(np.sum(gradient * direction))
+    if abs(slope - stated) > CENTRAL * max(abs(slope), abs(stated), 1e-3):
+        broken.append(f"states the slope {stated:.6g} where differences find {slope:.6g}")
+    more = measure(matrix + np.outer(other, other))[0]
+    if monotone and more < value - ROUNDING * max(abs(value), 1.0):
+        broken.append(f"falls from {value:.6g} to {more:.6g} by one more measurement")
+    return broken
 
 
 def _invariant(
@@ -352,16 +324,3 @@ def _matrix(rng: np.random.Generator, n: int) -> np.ndarray:
     """A well conditioned information matrix with errors of some per cent."""
     rows = rng.normal(size=(4 * n, n)) * np.exp(rng.uniform(1.0, 3.0, n))
     return rows.T @ rows
-
-
-def _derivative(
-    measure: Any, matrix: np.ndarray, gradient: np.ndarray, rng: np.random.Generator
-) -> list[str]:
-    row = rng.normal(size=len(matrix)) * np.sqrt(np.diag(matrix))
-    direction = np.outer(row, row)
-    up, down = (measure(matrix + sign * STEP * direction)[0] for sign in (1, -1))
-    slope = (up - down) / (2.0 * STEP)
-    stated = float(np.sum(gradient * direction))
-    if abs(slope - stated) > CENTRAL * max(abs(slope), abs(stated), 1e-3):
-        return [f"states the slope {stated:.6g} where differences find {slope:.6g}"]
-    return []

@@ -29,7 +29,7 @@ The contract of an effect, to be run on every effect that is added.
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -111,8 +111,14 @@ def check_effect(
     broken += probe.slope_at_zero(rng)
     if mirror:
         broken += probe.mirrored(rng, frozenset(mirror), amplitude_sign)
-    if broken:
-        raise AssertionError(f"Effect {effect.name!r}:\n" + "\n".join(f"- {b}" for b in broken))
+    refuse(f"Effect {effect.name!r}", broken)
+
+
+def refuse(who: str, broken: Iterable[str]) -> None:
+    """Raise with a line for every broken promise, if there is one."""
+    lines = "".join(f"\n- {line}" for line in dict.fromkeys(broken))
+    if lines:
+        raise AssertionError(f"{who}:{lines}")
 
 
 def _words(effect: Effect) -> list[str]:
@@ -167,7 +173,7 @@ class _Probe:
         return self._run(model, own, commands, sensitivities=False)[0]
 
     def _run(
-        self, model: Model, own: np.ndarray, commands: np.ndarray, *, sensitivities: bool
+        self, model: Model, own: np.ndarray, commands: np.ndarray, *, sensitivities: bool = True
     ) -> tuple[np.ndarray, np.ndarray]:
         kernel = Kernel(model, compiled=False)
         times = model.step * np.arange(self.n_times)
@@ -216,22 +222,19 @@ class _Probe:
         own, commands = self.scenario(rng)
         values = self.random_values(rng)
         model = self.with_effect(values)
-        _, exact = self._run(model, own, commands, sensitivities=True)
+        _, exact = self._run(model, own, commands)
         names = [*model.state_names, *model.free_names]
         sizes = [state.scale for state in model.states]
         sizes += [parameter.magnitude for parameter in model.free_parameters]
+        point, n_own = np.array([*own, *(model.values[n] for n in model.free_names)]), len(own)
         broken = []
         for column, (name, size) in enumerate(zip(names, sizes, strict=True)):
             sides = []
             for sign in (1.0, -1.0):
-                shift = sign * STEP * size
-                moved = own.copy()
-                changed = model
-                if column < len(own):
-                    moved[column] += shift
-                else:
-                    changed = model.with_values({name: model.values[name] + shift})
-                sides.append(self.outputs(changed, moved, commands))
+                moved = point.copy()
+                moved[column] += sign * STEP * size
+                changed = model.with_values(dict(zip(names[n_own:], moved[n_own:], strict=True)))
+                sides.append(self.outputs(changed, moved[:n_own], commands))
             difference = (sides[0] - sides[1]) / (2 * STEP * size)
             noise = 1e-14 * np.abs(sides[0]).max() / STEP
             broken += _compare(exact[:, :, column] * size, difference * size, name, CENTRAL, noise)
@@ -241,7 +244,7 @@ class _Probe:
         """Sensitivities at zero amplitude against growing amplitude."""
         own, commands = self.scenario(rng)
         model = self.with_effect(self.zero)
-        base, exact = self._run(model, own, commands, sensitivities=True)
+        base, exact = self._run(model, own, commands)
         broken = []
         for name in self.effect.amplitude_names:
             column = len(own) + model.free_names.index(name)
@@ -347,9 +350,7 @@ def check_problem(
     if effects:
         for effect in problem.effects:
             broken += _effect(problem, effect, rng)
-    if broken:
-        lines = "\n".join(f"- {line}" for line in broken)
-        raise AssertionError(f"Problem {problem.name!r}:\n{lines}")
+    refuse(f"Problem {problem.name!r}", broken)
 
 
 def _readme(name_or_folder: str | Path) -> tuple[str, list[str]]:

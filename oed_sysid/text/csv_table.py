@@ -28,7 +28,7 @@ import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.runtime import files
-from oed_sysid.text.units import dimension, parse_header
+from oed_sysid.text.units import is_unit, parse_header
 
 # -- one cell of a table ---------------------------------------------------------------
 
@@ -640,11 +640,7 @@ def _check_second_line(path: Path, headers: list[str], cells: list[str]) -> None
 def _unit(word: str) -> bool:
     if not re.search(r"[^\W\d]|[%°]", word) or word.lower() in ("nan", "na"):
         return False
-    try:
-        dimension(word)
-    except DataError:
-        return False
-    return True
+    return is_unit(word)
 
 
 def _rows(

@@ -13,13 +13,14 @@ Every unit that is understood, with its factor to SI.
 
 from __future__ import annotations
 
-import math
 import re
+import tomllib
 import unicodedata
 from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import lru_cache
 from math import pi
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -29,42 +30,17 @@ from oed_sysid.errors import DataError
 # -- every unit that is understood -----------------------------------------------------
 
 
+_TABLE = tomllib.loads(Path(__file__).with_name("units.toml").read_text(encoding="utf-8"))
 # Symbols that the package calculates with.
-SI = ("kg", "m", "s", "A", "K", "rad", "N", "Pa", "J", "W", "V", "Ohm", "Hz")
-# unit: (factor to SI, SI unit). Factors are exact by definition of the unit.
-_DEGREE = math.pi / 180.0
-UNITS: dict[str, tuple[float, str]] = {
-    **{symbol: (1.0, symbol) for symbol in SI},
-    **{"1": (1.0, "1"), "-": (1.0, "1"), "%": (0.01, "1"), "percent": (0.01, "1")},
-    **{"um": (1e-6, "m"), "mm": (1e-3, "m"), "cm": (1e-2, "m"), "dm": (0.1, "m")},
-    **{"km": (1e3, "m"), "nmi": (1852.0, "m"), "ft": (0.3048, "m")},
-    **{
-        "ns": (1e-9, "s"),
-        "us": (1e-6, "s"),
-        "ms": (1e-3, "s"),
-        "min": (60.0, "s"),
-        "h": (3600.0, "s"),
-    },
-    **{"g": (1e-3, "kg"), "t": (1e3, "kg")},
-    **{"deg": (_DEGREE, "rad"), "°": (_DEGREE, "rad"), "mrad": (1e-3, "rad"), "rev": (1.0, "1")},
-    **dict.fromkeys(("kn", "kt"), (1852.0 / 3600.0, "m/s")),
-    "mps": (1.0, "m/s"),
-    **{"mmps": (1e-3, "m/s"), "cmps": (1e-2, "m/s"), "kmh": (1 / 3.6, "m/s")},
-    **{"mps2": (1.0, "m/s^2"), "radps": (1.0, "rad/s"), "degps": (_DEGREE, "rad/s")},
-    **{"mradps": (1e-3, "rad/s"), "radps2": (1.0, "rad/s^2"), "degps2": (_DEGREE, "rad/s^2")},
-    **{"rps": (1.0, "1/s"), "rpm": (1 / 60.0, "1/s"), "kHz": (1e3, "Hz"), "mHz": (1e-3, "Hz")},
-    **{"mN": (1e-3, "N"), "kN": (1e3, "N"), "MN": (1e6, "N"), "kgf": (9.80665, "N")},
-    **{"Nm": (1.0, "N m"), "mNm": (1e-3, "N m"), "kNm": (1e3, "N m"), "MNm": (1e6, "N m")},
-    **{"hPa": (1e2, "Pa"), "kPa": (1e3, "Pa"), "MPa": (1e6, "Pa")},
-    **{"mbar": (1e2, "Pa"), "dbar": (1e4, "Pa"), "bar": (1e5, "Pa")},
-    **{"cc": (1e-6, "m^3"), "ml": (1e-6, "m^3"), "l": (1e-3, "m^3")},
-    **{"kgm3": (1.0, "kg/m^3"), "kgm2": (1.0, "kg m^2")},
-    **{"uV": (1e-6, "V"), "mV": (1e-3, "V"), "kV": (1e3, "V"), "mA": (1e-3, "A")},
-    **{"mW": (1e-3, "W"), "kW": (1e3, "W"), "kJ": (1e3, "J"), "degC": (1.0, "K")},
-}
-# Zero of the scale in SI; such a unit cannot be part of a product.
-OFFSETS = {"degC": 273.15}
-SPELLINGS = {"°C": "degC", "µ": "u", "μ": "u", "Ω": "Ohm", "²": "^2", "³": "^3", "⁻": "-"}
+SI = tuple(_TABLE["dimensions"])
+# unit: (factor to SI, SI unit).
+UNITS: dict[str, tuple[float, str]] = {symbol: (1.0, symbol) for symbol in SI}
+for _unit, _names in _TABLE["factors"].items():
+    UNITS |= {name: (factor, _unit) for name, factor in _names.items()}
+OFFSETS: dict[str, float] = _TABLE["offsets"]
+SPELLINGS: dict[str, str] = _TABLE["spellings"]
+# What people write for units, in small letters.
+_MEANT = {word: unit for unit, words in _TABLE["meant"].items() for word in words}
 
 
 # -- exact conversion of units at the edge ---------------------------------------------
@@ -130,24 +106,9 @@ def _nonzero(value: Dimension) -> dict[str, Fraction]:
     return {base: n for base, n in zip(_BASES, value.exponents, strict=True) if n}
 
 
-def _base(*exponents: int, radian: int = 0) -> Dimension:
-    return Dimension(tuple(Fraction(n) for n in exponents), Fraction(radian))
-
-
 _DIMENSIONS = {
-    "kg": _base(1, 0, 0, 0, 0),
-    "m": _base(0, 1, 0, 0, 0),
-    "s": _base(0, 0, 1, 0, 0),
-    "A": _base(0, 0, 0, 1, 0),
-    "K": _base(0, 0, 0, 0, 1),
-    "rad": _base(0, 0, 0, 0, 0, radian=1),
-    "N": _base(1, 1, -2, 0, 0),
-    "Pa": _base(1, -1, -2, 0, 0),
-    "J": _base(1, 2, -2, 0, 0),
-    "W": _base(1, 2, -3, 0, 0),
-    "V": _base(1, 2, -3, -1, 0),
-    "Ohm": _base(1, 2, -3, -2, 0),
-    "Hz": _base(0, 0, -1, 0, 0),
+    symbol: Dimension(tuple(map(Fraction, exponents)), Fraction(radian))
+    for symbol, (*exponents, radian) in _TABLE["dimensions"].items()
 }
 _NAMED_DIMENSIONS: dict[tuple[Fraction, ...], dict[str, Fraction]] = {
     _DIMENSIONS["N"].exponents: {"N": Fraction(1)},
@@ -350,23 +311,6 @@ def foreign(text: str) -> str:
     return f"its {letter!r} is the letter {unicodedata.name(letter, 'without a name')}"
 
 
-# What people write for units, in small letters.
-_MEANT = {
-    **dict.fromkeys(("degree", "degrees", "degs", "&deg;", "&deg", "\ufffd"), "deg"),
-    **dict.fromkeys(("radian", "radians", "rads"), "rad"),
-    **dict.fromkeys(("sec", "secs", "second", "seconds"), "s"),
-    **dict.fromkeys(("minute", "minutes", "mins"), "min"),
-    **dict.fromkeys(("hour", "hours", "hr", "hrs"), "h"),
-    **dict.fromkeys(("millisecond", "milliseconds", "msec"), "ms"),
-    **dict.fromkeys(("meter", "metre", "meters", "metres", "mtr"), "m"),
-    **dict.fromkeys(("feet", "foot"), "ft"),
-    **dict.fromkeys(("knot", "knots", "kts"), "kn"),
-    **dict.fromkeys(("newton", "newtons"), "N"),
-    **dict.fromkeys(("percent", "pct"), "%"),
-    **dict.fromkeys(("rev/min", "rpms", "upm"), "rpm"),
-}
-
-
 def _text(symbols: dict[str, Fraction]) -> str:
     """Write exponents as ``kg m^2/s^2`` or ``m/(s V)``."""
 
@@ -424,6 +368,30 @@ def same_dimension(a: str, b: str) -> bool:
     (True, False)
     """
     return dimension(a) == dimension(b)
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit that is known."""
+    try:
+        return dimension(text) is not None and bool(text)
+    except DataError:
+        return False
+
+
+def converts(unit: str, needed: str) -> bool:
+    """Whether numbers in a unit can be given in another one.
+
+    Dimensions ignore the radian, but revolutions read as radians are wrong by 2 pi.
+    """
+    found, wanted = dimension(unit), dimension(needed)
+    return found == wanted and found.radian == wanted.radian
+
+
+def same_unit(one: str, other: str) -> bool:
+    """Whether two texts mean one unit; what is none of the package's does not."""
+    if not (is_unit(one) and is_unit(other) and same_dimension(one, other)):
+        return False
+    return bool(np.isclose(to_si(1.0, one)[0], to_si(1.0, other)[0], rtol=1e-12, atol=0.0))
 
 
 def to_si(values: ArrayLike, unit: str) -> tuple[np.ndarray, str]:

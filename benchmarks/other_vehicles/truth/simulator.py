@@ -27,6 +27,8 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from benchmarks.truth import gauss_markov, runge_kutta
+
 Pilot = Callable[[float, np.ndarray], float]
 Signal = Callable[[], Pilot]  # a fresh pilot for every run
 
@@ -391,11 +393,7 @@ class Plant:
 
 
 def _rk4(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
-    first = rate(x)
-    second = rate(x + h / 2 * first)
-    third = rate(x + h / 2 * second)
-    fourth = rate(x + h * third)
-    return x + h / 6 * (first + 2 * second + 2 * third + fourth)
+    return runge_kutta(lambda y, _: rate(y), x, h)  # type: ignore[no-any-return]
 
 
 def _gragg(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
@@ -426,15 +424,6 @@ def _dop853(rate: Derivative, x: np.ndarray, h: float) -> np.ndarray:
         first_step=h,
     )
     return found.y[:, -1].reshape(shape)
-
-
-def gauss_markov(memory: float, shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
-    """Stationary first-order sequences of unit variance along the second axis."""
-    drive = rng.standard_normal(shape)
-    drive[:, 1:] *= np.sqrt(1 - memory**2)
-    for k in range(1, shape[1]):
-        drive[:, k] += memory * drive[:, k - 1]
-    return drive
 
 
 def simulate(
@@ -471,7 +460,7 @@ def simulate(
     memory = float(np.exp(-vehicle.sample / vehicle.force_time))
     levels = waves * np.array(list(vehicle.forces.values()))
     shape = (n_records, len(times), len(levels))
-    forces = levels * gauss_markov(memory, shape, rng)
+    forces = levels * gauss_markov(rng.standard_normal(shape), memory, axis=1)
     state = np.array([[run.start.get(name, 0.0) for run in runs] for name in vehicle.states])
     pilots = [[run.commands[name]() for run in runs] for name in vehicle.inputs]
 
