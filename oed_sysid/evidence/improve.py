@@ -313,8 +313,6 @@ def _result(
         validation=None if tested is None else fits[-1].runs_on(tested),
         suspect=_suspect(log, steps, fits[-1]),
     )
-    refused = {d.name: None for d in state.decisions if d.training > d.needed and not d.stands}
-    claimed = {step.added for step in steps}
     return Improvement(
         model=fits[-1].model,
         base=fits[0].model,
@@ -328,7 +326,7 @@ def _result(
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=Yardstick.of(study.train, sigma),
-        rejected=tuple(name for name in refused if name not in claimed),
+        rejected=_rejected(state),
         proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
         notes=tuple(notes),
         log=log,
@@ -336,6 +334,13 @@ def _result(
         last=end.last if steps else None,
         decisions=state.decisions,
     )
+
+
+def _rejected(state: Standing) -> tuple[str, ...]:
+    """What the training records alone would have claimed."""
+    claimed = {effect.name for effect in state.effects}
+    asked = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
+    return tuple(name for name in dict.fromkeys(asked) if name not in claimed)
 
 
 def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:

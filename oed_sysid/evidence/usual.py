@@ -248,10 +248,13 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     return tuple(found.values())
 
 
+def _units(model: Model) -> dict[str, str]:
+    return {state.name: state.unit for state in model.states}
+
+
 def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Terms of every equation that may lack one, absent."""
-    units = {state.name: state.unit for state in model.states}
-    units |= {channel.name: channel.unit for channel in model.inputs}
+    units = _units(model) | {channel.name: channel.unit for channel in model.inputs}
     through = {text: signal for signal, text in model.signals.items() if text in units}
     units |= {signal: units[state] for state, signal in through.items()}
     commands = commanded(model)
@@ -291,7 +294,7 @@ class _Equation:
 
 def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
     """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
-    units = {state.name: state.unit for state in model.states}
+    units = _units(model)
     still = cyclic(model)
     found = []
     for name in sizes.mobility:
@@ -325,7 +328,7 @@ def _frictions(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 def _stops(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """End stops of every coordinate on which a force may depend."""
-    units = {state.name: state.unit for state in model.states}
+    units = _units(model)
     for one in _equations(model, sizes):
         reach = sizes.reach.get(one.position, 0.0)
         if reach > 0 and one.position not in HORIZONTAL and one.position != "psi":
