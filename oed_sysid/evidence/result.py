@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -19,10 +20,6 @@ from oed_sysid.runtime.display import (
     as_text,
     counted,
 )
-
-# Records that a page draws.
-MOST_DRAWN = 3
-
 
 # Findings with which a fit must not be used whatever its residuals say.
 CONTRADICTIONS = (

@@ -248,10 +248,13 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     return tuple(found.values())
 
 
+def _units(model: Model) -> dict[str, str]:
+    return {state.name: state.unit for state in model.states}
+
+
 def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Terms of every equation that may lack one, absent."""
-    units = {state.name: state.unit for state in model.states}
-    units |= {channel.name: channel.unit for channel in model.inputs}
+    units = _units(model) | {channel.name: channel.unit for channel in model.inputs}
     through = {text: signal for signal, text in model.signals.items() if text in units}
     units |= {signal: units[state] for state, signal in through.items()}
     commands = commanded(model)
@@ -261,12 +264,15 @@ def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     for equation in sizes.mobility:
         state = model.axes.get(equation, equation)
         size = SHARE * sizes.force(equation, state)
+        if not size > 0:
+            continue
         for word, factors in _products(model, equation, state, through, commands):
-            sine = word.startswith("righting")
-            text = f"sin({RIGHTING[equation]})" if sine else product_text(factors) or "1"
+            text = product_text(factors) or "1"
             level = prod(levels.get(name, 0.0) for name, _ in factors)
-            term = Term(equation, text, () if sine else factors)
-            if size > 0 and level > 0 and term.symbol not in taken:
+            if word.startswith("righting"):
+                text, factors = f"sin({text})", ()
+            term = Term(equation, text, factors)
+            if level > 0 and term.symbol not in taken:
                 yield _named(term.effect(model, units, size / level), word, equation, text)
 
 
@@ -288,7 +294,7 @@ class _Equation:
 
 def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
     """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
-    units = {state.name: state.unit for state in model.states}
+    units = _units(model)
     still = cyclic(model)
     found = []
     for name in sizes.mobility:
@@ -322,7 +328,7 @@ def _frictions(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 def _stops(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """End stops of every coordinate on which a force may depend."""
-    units = {state.name: state.unit for state in model.states}
+    units = _units(model)
     for one in _equations(model, sizes):
         reach = sizes.reach.get(one.position, 0.0)
         if reach > 0 and one.position not in HORIZONTAL and one.position != "psi":
@@ -409,6 +415,18 @@ def _products(
         yield f"quadratic_{signal}", (absolute, plain)
         if not model.axes or (other == state and other != "u"):
             yield f"cubic_{signal}", (plain,) * 3
+    yield from _of_commands(model, equation, forward, commands)
+    angle = RIGHTING.get(equation)
+    if angle in model.state_names:
+        yield f"righting_{angle}", ((angle, False),)
+        yield f"hardening_{angle}", ((angle, False),) * 3  # or softens as it heels
+
+
+def _of_commands(
+    model: Model, equation: str, forward: tuple[str, bool], commands: dict[str, str]
+) -> Iterator[tuple[str, Factors]]:
+    """Word and factors of every product with a command."""
+    surges = "u" in model.axes.values()
     for signal, unit in commands.items():
         plain = (signal, False)
         if equation == "X" and unit == "rad":
@@ -417,10 +435,6 @@ def _products(
             yield f"advance_{signal}", (forward, plain)  # thrust falls with the speed of advance
         elif not model.axes:
             yield f"quadratic_{signal}", ((signal, True), plain)
-    angle = RIGHTING.get(equation)
-    if angle in model.state_names:
-        yield f"righting_{angle}", ((angle, False),)
-        yield f"hardening_{angle}", ((angle, False),) * 3  # or softens as it heels
 
 
 def _coupled(model: Model, equation: str, state: str) -> list[str]:
@@ -473,17 +487,18 @@ def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
         what = "steady horizontal current along the heading"
         along = {flow["u"]: ("cos(psi)", "sin(psi)")}
         yield _current(("north", "east"), along, scale, what)
-    if {"u", "w"} <= set(flow) and "theta" in angles and "v" not in flow:
+    dives = "theta" in angles and "v" not in flow
+    if dives and {"u", "w"} <= set(flow):
         pair = (flow["u"], flow["w"])
         yield forces.current_forward(flow=pair, scale=scale)
         yield forces.current_down(flow=pair, scale=0.5 * scale)
-    if "u" not in flow and model.axes:
+    if "u" not in flow:
         yield from _drifts(model, scale)
 
 
 def _drifts(model: Model, scale: float) -> Iterator[Effect]:
     """A current that carries positions along, where forces do not know the flow."""
-    for state in model.states:
+    for state in model.states if model.axes else ():
         if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
             name = f"drift_{state.name}"
             size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=scale)
