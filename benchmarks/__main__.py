@@ -15,11 +15,13 @@ import subprocess
 import sys
 from pathlib import Path
 
+from benchmarks.harness import ONE_THREAD
+
 FOLDER = Path(__file__).resolve().parent
 QUICK = ("kernel", "information", "startup", "score", "growth", "swarm", "fit_speed")
 # A part of ``speed`` and what it measures, in the docstring.
 PART = re.compile(r"^(\w+)\n    (.+)$", re.MULTILINE)
-PARTS = ("__init__", "__main__", "harness", "rates")
+PARTS = ("__init__", "__main__", "harness", "kinematics", "rates", "truth")
 
 
 def benchmarks() -> dict[str, str]:
@@ -48,14 +50,13 @@ def main() -> int:
         print(f"{'*' if name in names and not options.list else ' '} {name:18} {text}")
     if options.list:
         return 0
-    threads = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
     failed = []
     for name in names:
         print(f"\n== {name}", flush=True)
         is_file = (FOLDER / f"{name}.py").exists() or (FOLDER / name).is_dir()
         words = [f"benchmarks.{name}"] if is_file else ["benchmarks.speed", name]
         command = [sys.executable, "-m", *words]
-        if subprocess.run(command, env={**os.environ, **threads}, check=False).returncode:
+        if subprocess.run(command, env={**os.environ, **ONE_THREAD}, check=False).returncode:
             failed.append(name)
     if failed:
         print(f"\nfailed: {', '.join(failed)}")

@@ -30,8 +30,7 @@ from benchmarks.missing_physics.cases import true_derivatives
 from benchmarks.missing_physics.simulator import PRIORS, TRAIN, Case, simulate
 from oed_sysid import Dataset, Problem, Record, load_problem
 from oed_sysid.design import Caution, Discriminate, Levels, Search, Trial, design_experiment
-from oed_sysid.design.criteria import eliminate
-from oed_sysid.design.missing_effects import told_apart
+from oed_sysid.design.criteria import eliminate, told_apart
 from oed_sysid.design.result import Design
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.study import Study

@@ -116,9 +116,9 @@ def test_spoilt_copy_is_named_and_nothing_else(judged, name: str) -> None:  # ty
     "name", ["theta_sign", "q_deg", "q_sign", "z_up", "z_feet", "u_w_swap", "earth", "w_dead"]
 )
 def test_quick_part_names_what_is_there_or_not(dives, name: str) -> None:  # type: ignore[no-untyped-def]
-    """Signs, units, columns and axes need no second look."""
+    """Signs, units, columns and axes need no second look, nor more than two records."""
     problem, data = dives
-    found = quick_check(spoil(data, name), problem.model)
+    found = quick_check(spoil(Dataset(data.records[:2]), name), problem.model)
     assert named_as(found, name)
     assert found.verdict.startswith("Log suspect")
 

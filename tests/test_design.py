@@ -41,8 +41,8 @@ from oed_sysid.design import (
     design_series,
 )
 from oed_sysid.design.criteria import eliminate
-from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.objective import Objective, VehicleInformation
+from oed_sysid.design.vehicles import LimitBounds
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment as Plan
 from oed_sysid.experiments.manoeuvres import Doublet

@@ -13,8 +13,7 @@ from test_design import LIMITS, grid, quick, ship
 
 from oed_sysid import Input, Limits, Model, Output, Parameter, State
 from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import Scenarios, at_least, draw_models
+from oed_sysid.design.vehicles import LimitBounds, Scenarios, at_least, draw_models
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import Information

@@ -20,7 +20,7 @@ from oed_sysid.design import (
     design_experiment,
     design_programme,
 )
-from oed_sysid.design.missing_effects import log_power, told_apart
+from oed_sysid.design.criteria import log_power, told_apart
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.manoeuvres import Doublet

@@ -30,8 +30,7 @@ from oed_sysid.design import (
     write_bag,
     write_overrides,
 )
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import Scenarios, in_waves
+from oed_sysid.design.vehicles import LimitBounds, Scenarios, in_waves
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
 from oed_sysid.experiments.simulation import simulate, simulate_inputs

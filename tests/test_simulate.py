@@ -123,7 +123,8 @@ def test_looking_ahead_changes_no_bit(
         monkeypatch.setattr("oed_sysid.experiments.simulation._foreseen", lambda *parts: None)
     ahead = simulate(model, test, noise=False)
     monkeypatch.setattr("oed_sysid.experiments.simulation._foreseen", lambda *parts: None)
-    monkeypatch.setattr("oed_sysid.experiments.simulation._MOST_HELD", 1)
+    for limit in ("_FIRST_AHEAD", "_MOST_AHEAD"):
+        monkeypatch.setattr(f"oed_sysid.experiments.simulation.{limit}", 1)
     stepwise = simulate(model, test, noise=False)
     assert len(np.unique(ahead.inputs)) > 10
     np.testing.assert_array_equal(ahead.inputs, stepwise.inputs)

@@ -2,25 +2,26 @@
 
 from __future__ import annotations
 
-import argparse
-import json
+import json as plain
 import sys
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import known, markdown
 from benchmarks.random_forces import reference as cache
 from benchmarks.random_forces.measures import measure, table
 from benchmarks.random_forces.scenarios import SCENARIOS, Scenario
 from benchmarks.random_forces.simulator import Set, simulate
 from benchmarks.random_forces.trial import Outcome, outcome
+from oed_sysid.runtime.files import write_text
 
 SETS, SEED = 40, 0
+KINDS = ("auto", "none", "all", "known")
 
 
 def run(
@@ -78,7 +79,7 @@ def _kept(json_file: Path | None, seed: int, settings: Mapping[str, str]) -> dic
     """Fits of an earlier run of the same seed and settings."""
     if json_file is None or not json_file.exists():
         return {}
-    earlier = json.loads(json_file.read_text(encoding="utf-8"))
+    earlier = plain.loads(json_file.read_text(encoding="utf-8"))
     same = earlier["seed"] == seed and earlier["settings"] == settings
     return dict(earlier["fits"]) if same else {}
 
@@ -94,9 +95,7 @@ def _write(
     if json_file is None:
         return
     content = {"seed": seed, "settings": settings, "scenarios": results, "fits": fits}
-    partial = json_file.with_suffix(".part")
-    partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
-    partial.replace(json_file)
+    write_text(json_file, plain.dumps(content, indent=1))
 
 
 def tell(text: str) -> None:
@@ -107,8 +106,8 @@ def tell(text: str) -> None:
 def compute_reference(names: Sequence[str], sets: int, seed: int) -> None:
     """Fill the cache, and say whether the reference is what it should be."""
     entries = cache.load()
-    print("| scenario | sets | coverage, % | z | converged | levels and times / true, median |")
-    print("|---|---|---|---|---|---|")
+    head = ("scenario", "sets", "coverage, %", "z", "converged", "levels and times / true, median")
+    print("\n".join(markdown(head, ())))
     for name in names:
         scenario = SCENARIOS[name]
         data = simulate(scenario, seed, range(sets))
@@ -121,8 +120,6 @@ def reference_row(
     scenario: Scenario, data: Sequence[Set], lines: Mapping[int, Mapping[str, Any]]
 ) -> str:
     """One row about the reference itself."""
-    from benchmarks.random_forces.reference import structure
-
     rows = [lines[one.number] for one in data]
     fits = [
         Outcome(
@@ -131,7 +128,7 @@ def reference_row(
         for one, row in zip(data, rows, strict=True)
     ]
     found = measure(scenario, fits, {})
-    noise = structure(scenario)
+    noise = cache.structure(scenario)
     ratios = {
         name: np.median([row["estimates"][name] for row in rows]) / noise.values[name]
         for name in noise.free
@@ -144,43 +141,42 @@ def reference_row(
     )
 
 
-def settings_of(options: SimpleNamespace | argparse.Namespace) -> dict[str, Any]:
-    """Settings of the estimator from the command line."""
-    disturbances: str | tuple[str, ...] = options.disturbances
-    if disturbances not in ("auto", "none", "all", "known"):
-        disturbances = tuple(options.disturbances.split(","))
-    told = {"disturbances": disturbances, "loss": options.loss}
-    return told | ({"predict": False} if options.fit_only else {})
+def main(
+    scenarios: Sequence[str] = tuple(SCENARIOS),
+    *,
+    sets: int = SETS,
+    seed: int = SEED,
+    json: Path | None = None,
+    reference: bool = False,
+    disturbances: str = "auto",
+    fit_only: bool = False,
+    loss: str = "square",
+) -> None:
+    """Coverage and errors under disturbance forces and imperfect sensors.
 
-
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Command line of the benchmark."""
-    parser = argparse.ArgumentParser(
-        prog="python -m benchmarks.random_forces",
-        description="Coverage and errors under disturbance forces and imperfect sensors.",
-    )
-    parser.add_argument("scenarios", nargs="*", help=f"default all: {', '.join(SCENARIOS)}")
-    parser.add_argument("--sets", type=int, default=SETS, help="data sets per scenario")
-    parser.add_argument("--seed", type=int, default=SEED)
-    parser.add_argument("--json", type=Path, help="write measures and every fit there")
-    parser.add_argument("--reference", action="store_true", help="compute the reference instead")
-    parser.add_argument(
-        "--disturbances", default="auto", help="auto, none, all, known (swell) or names as Z,M"
-    )
-    parser.add_argument("--fit-only", action="store_true", help="no predictions: much quicker")
-    parser.add_argument("--loss", default="square", help="square, huber or student")
-    options = parser.parse_args(arguments)
-    names = options.scenarios or list(SCENARIOS)
-    if unknown := [name for name in names if name not in SCENARIOS]:
-        parser.error(f"no scenario {unknown[0]!r}; there are {', '.join(SCENARIOS)}")
-    if options.reference:
-        compute_reference(names, options.sets, options.seed)
-        return
-    results = run(
-        names,
-        sets=options.sets,
-        seed=options.seed,
-        settings=settings_of(options),
-        json_file=options.json,
-    )
-    print(table(results))
+    Parameters
+    ----------
+    scenarios : sequence of str
+        all of them by default
+    sets : int
+        data sets per scenario
+    seed : int
+        of the data sets
+    json : Path
+        write measures and every fit there
+    reference : bool
+        compute the reference instead
+    disturbances : str
+        auto, none, all, known (swell) or names as Z,M
+    fit_only : bool
+        no predictions: much quicker
+    loss : str
+        square, huber or student
+    """
+    names = [known(name, SCENARIOS, "scenario") for name in scenarios]
+    if reference:
+        return compute_reference(names, sets, seed)
+    places = disturbances if disturbances in KINDS else tuple(disturbances.split(","))
+    settings = {"disturbances": places, "loss": loss} | ({"predict": False} if fit_only else {})
+    print(table(run(names, sets=sets, seed=seed, settings=settings, json_file=json)))
+    return None

@@ -26,31 +26,6 @@ from oed_sysid.baselines.support_vectors import LeastSquaresSVM, SupportVectorRe
 from oed_sysid.likelihood.estimator import Estimator, Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.multistart import Multistart, Profile, profile
+from oed_sysid.runtime.version import exported
 
-__all__ = [
-    "Estimator",
-    "MultipleShooting",
-    "Multistart",
-    "Solver",
-    "Profile",
-    "profile",
-    "OutputError",
-    "EquationError",
-    "FourierRegression",
-    "FourierStream",
-    "TotalLeastSquares",
-    "LeastSquaresSVM",
-    "SupportVectorRegression",
-    "HeadingDifferences",
-    "GibbsRegression",
-    "OnlineRegression",
-    "EquationStream",
-    "IncrementalLSSVM",
-    "RecursiveLSSVM",
-    "RecursiveLeastSquares",
-    "JointKalmanFilter",
-    "DifferentialSwarm",
-    "DifferentialEvolution",
-    "CovarianceMatrixAdaptation",
-    "ParticleSwarm",
-]
+__all__ = exported(globals())

@@ -78,7 +78,7 @@ EQUAL = 0.05
 
 
 # They are called alike where even the scatter of the runs leaves no room for more than this.
-ALIKE = 0.1
+ALIKE = 2 * EQUAL
 
 
 # From so many runs on their scatter is known well enough to be used.

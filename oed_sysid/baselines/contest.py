@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import math
 import time
 import warnings
 import zlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from math import radians
 from typing import Any, cast
 
 import numpy as np
@@ -29,12 +29,13 @@ from oed_sysid.baselines import (
     SupportVectorRegression,
     TotalLeastSquares,
 )
+from oed_sysid.baselines.kalman import RELATIVE_PRIOR
 from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import closest
 from oed_sysid.errors import ModelError, ProblemError, SimulationError
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import ZigZag, ZigZagLike
+from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import information_of
@@ -146,7 +147,7 @@ def load_scenario(problem: str) -> Scenario:
     model = loaded.true_model() if loaded.truth else loaded.model
     # Start values say nothing about the truth, so priors would be wrong or a gift.
     model = _changed(model, lambda p: replace(p, prior_mean=None, prior_std=None))
-    train, test = _SPLITS.get(problem, _default)(loaded)
+    train, test = _split(loaded, problem)
     if zero := [name for name in model.free_names if model.values[name] == 0.0]:
         raise ProblemError(
             f"The true value of {zero[0]!r} in problem {problem!r} is zero, so that no error can "
@@ -157,7 +158,12 @@ def load_scenario(problem: str) -> Scenario:
     return Scenario(problem, model, train, test, peaks)
 
 
-def _default(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
+def _split(problem: Problem, name: str) -> tuple[tuple[Experiment, ...], Experiment]:
+    """Runs to learn from, and one to judge by."""
+    if name in _SPLITS:
+        own, changes, other, manoeuvre = _SPLITS[name]
+        single = replace(problem.experiment(own), **changes)
+        return (single,), replace(single, name=other, manoeuvre=manoeuvre(problem))
     *train, test = problem.experiments.values() or (None,)
     if not train or test is None:
         raise ProblemError(
@@ -176,34 +182,34 @@ def _changed(model: Model, change: Callable[[Parameter], Parameter]) -> Model:
     return replace(model, effects=effects, parameters=tuple(map(change, model.parameters)))
 
 
-def _auv(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
-    train = problem.experiment("zigzag_5_5")
-    weaker = ZigZagLike("delta_s", math.radians(3.5), math.radians(2.5), rate=math.radians(2.5))
-    return (train,), replace(train, name="zigzag_3.5_2.5", manoeuvre=weaker)
-
-
-def _nomoto(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
+# Problems whose source has a single manoeuvre: it is learned from, with the changes given, and
+# another one of the same kind judges, by its name.
+_SPLITS: Mapping[str, tuple[str, Mapping[str, Any], str, Callable[[Problem], Manoeuvre]]] = {
+    "auv_diving_plane": (
+        "zigzag_5_5",
+        {},
+        "zigzag_3.5_2.5",
+        lambda _: ZigZagLike("delta_s", radians(3.5), radians(2.5), rate=radians(2.5)),
+    ),
     # The published fine sampling; a factor of five gives the published coarse one.
-    train = replace(problem.experiment("zigzag_15_15"), sample_time=0.1)
-    angle = math.radians(10.0)
-    other = ZigZag("delta", angle, angle, rate=problem.limits.rates["delta"])
-    return (train,), replace(train, name="zigzag_10_10", manoeuvre=other)
-
-
-def _torpedo(problem: Problem) -> tuple[tuple[Experiment, ...], Experiment]:
-    train = problem.experiment("pitching")
-    other = ZigZagLike(
-        "delta",
-        tuple(math.radians(a) for a in (18.0, 10.0, 22.0, 15.0)),
-        tuple(math.radians(a) for a in (20.0, 30.0, 10.0)),
-    )
-    return (train,), replace(train, name="pitching_gently", manoeuvre=other)
-
-
-_SPLITS: Mapping[str, Callable[[Problem], tuple[tuple[Experiment, ...], Experiment]]] = {
-    "auv_diving_plane": _auv,
-    "nomoto_sparse_heading": _nomoto,
-    "torpedo": _torpedo,
+    "nomoto_sparse_heading": (
+        "zigzag_15_15",
+        {"sample_time": 0.1},
+        "zigzag_10_10",
+        lambda problem: ZigZag(
+            "delta", radians(10.0), radians(10.0), rate=problem.limits.rates["delta"]
+        ),
+    ),
+    "torpedo": (
+        "pitching",
+        {},
+        "pitching_gently",
+        lambda _: ZigZagLike(
+            "delta",
+            tuple(map(radians, (18.0, 10.0, 22.0, 15.0))),
+            tuple(map(radians, (20.0, 30.0, 10.0))),
+        ),
+    ),
 }
 
 
@@ -218,10 +224,6 @@ AUTOMATIC = MultipleShooting(disturbances="auto", loss="auto")
 
 # Take start values as a prior by their nature.
 BELIEVERS = ("ekf", "ukf")
-
-
-# What a Kalman filter takes a start value's uncertainty to be, if it is not told.
-RELATIVE_PRIOR = 0.5
 
 
 @dataclass(frozen=True)

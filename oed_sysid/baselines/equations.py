@@ -24,7 +24,7 @@ are unbiased for smooth motion and noise-free states.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -126,15 +126,9 @@ def regression_form(model: Model) -> RegressionForm:
         If the equations are not linear in the free parameters; the message
         names the parameters and the equations.
     """
-    free = model.free_parameters
-    if not free:
+    if not model.free_parameters:
         raise ModelError(f"Model {model.name!r} has no free parameter. Free some with model.free.")
-    local = [p.name for p in free if p.per_record]
-    if local:
-        raise ModelError(
-            f"{', '.join(local)} differ from record to record, which regressions do not know: "
-            f"{INSTEAD}."
-        )
+    check_together(model, "a regression")
     graph = build(model)
     x, rate, d, p, t = (graph.balance.sx_in(i) for i in range(5))
     p_free = p[list(graph.free_indices), 0]
@@ -375,10 +369,24 @@ def rows_from(
     return np.sum(targets, axis=0), np.sum(regressors, axis=0)
 
 
+def check_choice(name: str, value: str, options: Iterable[str]) -> None:
+    """Raise :class:`ModelError` for a setting that is none of the options."""
+    if value not in options:
+        raise ModelError(f"{name} is {value!r}. Choose one of {', '.join(options)}.")
+
+
+def check_together(model: Model, who: str) -> None:
+    """Raise :class:`ModelError` for parameters that differ from record to record."""
+    if local := [p.name for p in model.free_parameters if p.per_record]:
+        raise ModelError(
+            f"{', '.join(local)} differ from record to record, which {who} does not know: "
+            f"{INSTEAD}."
+        )
+
+
 def check_rule(rule: str, window: int) -> None:
     """Raise :class:`ModelError` for an unknown rule or an impossible window."""
-    if rule not in RULES:
-        raise ModelError(f"rule is {rule!r}. Choose one of {', '.join(RULES)}.")
+    check_choice("rule", rule, RULES)
     if window < 5 or window % 2 == 0:
         raise ModelError(f"window is {window}. Give an odd number of samples, 5 or more.")
 

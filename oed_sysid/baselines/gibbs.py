@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
 from oed_sysid.baselines.regression import (
     CONVERGED,
     EquationSolution,
@@ -222,8 +222,7 @@ def sample_posterior(
     Geman & Geman (1984), IEEE Trans. PAMI 6; Chen, Deng & Xu (2023), Ship
     Engineering 45(2), for the use on manoeuvring derivatives.
     """
-    if draw not in DRAWS:
-        raise ModelError(f"draw is {draw!r}. Choose one of {', '.join(DRAWS)}.")
+    check_choice("draw", draw, DRAWS)
     n = features.shape[1]
     mean0 = np.zeros(n) if mean is None else np.asarray(mean, dtype=float)
     gram, moment = features.T @ features, features.T @ targets
@@ -302,8 +301,7 @@ class GibbsRegression(RegressionEstimator):
 
     def __post_init__(self) -> None:
         check_rule(self.rule, self.window)
-        if self.draw not in DRAWS:
-            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(DRAWS)}.")
+        check_choice("draw", self.draw, DRAWS)
         if self.n_draws < 100 or self.n_chains < 2 or self.burn_in < 0:
             raise ModelError(
                 f"{self.n_chains} chains of {self.n_draws} draws cannot be judged. Give at least 2 "

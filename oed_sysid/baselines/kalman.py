@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import block_diag
 
+from oed_sysid.baselines.equations import check_choice, check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Regression,
@@ -26,6 +27,8 @@ from oed_sysid.physics.model import Model
 KINDS = ("extended", "unscented")
 # A measured start state is known this many noise levels well before its first measurement.
 START_SPREAD = 10.0
+# A start value without a prior is known to this share of its magnitude.
+RELATIVE_PRIOR = 0.5
 # Of a normal distribution, as it enters the covariance of the points of the unscented filter.
 PEAKEDNESS = 2.0
 DIVERGED = Status(
@@ -95,8 +98,7 @@ class JointKalmanFilter:
     passes: int = 1
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ModelError(f"kind is {self.kind!r}. Choose one of {', '.join(KINDS)}.")
+        check_choice("kind", self.kind, KINDS)
         if not self.reach > 0:
             raise ModelError(f"reach is {self.reach}. Give a positive number of deviations.")
         if self.passes < 1:
@@ -166,11 +168,7 @@ class JointKalmanFilter:
                 )
         if not model.free_names:
             raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
-        if local := [p.name for p in model.free_parameters if p.per_record]:
-            raise ModelError(
-                f"{', '.join(local)} differ from record to record, which a filter does not know. "
-                "Use MultipleShooting."
-            )
+        check_together(model, "a filter")
 
 
 def consistency(square: float, count: int) -> Status:
@@ -248,7 +246,7 @@ class JointFilter:
     def first_values(self) -> tuple[np.ndarray, np.ndarray]:
         """Start values of the parameters and their covariance."""
         free, given = self.model.free_parameters, self.settings.parameter_std
-        stds = [given.get(p.name, p.prior_spread or 0.5 * p.magnitude) for p in free]
+        stds = [given.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
         values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
         return np.array(values, dtype=float), np.diag(np.square(stds))
 

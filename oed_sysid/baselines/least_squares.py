@@ -8,7 +8,15 @@ from typing import ClassVar
 
 import numpy as np
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule, regression_form, rows_of
+from oed_sysid.baselines.equations import (
+    WINDOW,
+    Rates,
+    Rows,
+    check_choice,
+    check_rule,
+    regression_form,
+    rows_of,
+)
 from oed_sysid.baselines.regression import (
     EquationSolution,
     Regression,
@@ -88,8 +96,7 @@ class EquationError(RegressionEstimator):
 
     def __post_init__(self) -> None:
         check_rule(self.rule, self.window)
-        if self.coloured not in ("auto", "never", "always"):
-            raise ModelError(f"coloured is {self.coloured!r}. Choose auto, never or always.")
+        check_choice("coloured", self.coloured, ("auto", "never", "always"))
         if (self.rule == "exact") != (self.rates is not None):
             raise ModelError("Exact rates and rule='exact' belong together: give both or none.")
 
@@ -310,8 +317,7 @@ class HeadingDifferences:
     time_constant: str = "T"
 
     def __post_init__(self) -> None:
-        if self.scheme not in SCHEMES:
-            raise ModelError(f"scheme is {self.scheme!r}. Choose one of {', '.join(SCHEMES)}.")
+        check_choice("scheme", self.scheme, SCHEMES)
 
     @property
     def name(self) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
+from oed_sysid.baselines.equations import check_choice, check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Regression,
@@ -236,11 +237,7 @@ def _check_searchable(model: Model) -> None:
             "lower and upper with model.with_parameter(replace(parameter, lower=..., "
             "upper=...)), or use MultipleShooting, which needs none."
         )
-    if local := [p.name for p in free if p.per_record]:
-        raise ModelError(
-            f"{', '.join(local)} differ from record to record, which a search does not know. "
-            "Use MultipleShooting."
-        )
+    check_together(model, "a search")
 
 
 def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, float]) -> np.ndarray:
@@ -394,8 +391,7 @@ class DifferentialSwarm(TrajectorySearch):
     progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.draw not in UPDATES:
-            raise ModelError(f"draw is {self.draw!r}. Choose one of {', '.join(UPDATES)}.")
+        check_choice("draw", self.draw, UPDATES)
         if self.n_particles < 4 or self.n_generations < 1:
             raise ModelError(
                 f"A swarm of {self.n_particles} particles and {self.n_generations} generations is "

@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
 from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.regression import (
     Regression,
@@ -22,6 +22,8 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Status
 
 FORMS = ("primal", "dual")
+# Published weight of the errors.
+WEIGHT = 3e4
 
 
 # A dual system of more samples than this is larger than 800 MB.
@@ -147,8 +149,7 @@ def train(
     check_weight(C)
     chosen = kernel or LinearKernel()
     linear = isinstance(chosen, LinearKernel)
-    if form not in FORMS:
-        raise ModelError(f"form is {form!r}. Choose one of {', '.join(FORMS)}.")
+    check_choice("form", form, FORMS)
     if form == "primal":
         if not linear:
             raise ModelError("Only the linear kernel has a primal form. Use form='dual'.")
@@ -224,7 +225,7 @@ class LeastSquaresSVM(RegressionEstimator):
     LS-SVM, J. Hydrodynamics 24(5), doi 10.1016/S1001-6058(11)60299-0.
     """
 
-    C: float = 3e4
+    C: float = WEIGHT
     form: str = "primal"
     scale: str | Mapping[str, float] = "raw"
     bias: bool = True
@@ -235,8 +236,7 @@ class LeastSquaresSVM(RegressionEstimator):
     def __post_init__(self) -> None:
         check_weight(self.C)
         check_rule(self.rule, self.window)
-        if self.form not in FORMS:
-            raise ModelError(f"form is {self.form!r}. Choose one of {', '.join(FORMS)}.")
+        check_choice("form", self.form, FORMS)
 
     @property
     def name(self) -> str:

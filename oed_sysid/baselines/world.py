@@ -20,6 +20,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.signal import lfilter
 
 from oed_sysid.data.record import Record, closest
 from oed_sysid.errors import ProblemError
@@ -215,11 +216,8 @@ def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator)
     """First-order noise of unit variance, ``(n_times, n_signals)``; ``time`` in samples."""
     keep = np.exp(-1.0 / time)
     white = rng.standard_normal(shape)
-    out = np.empty(shape)
-    out[0] = white[0]
-    for k in range(1, shape[0]):
-        out[k] = keep * out[k - 1] + np.sqrt(1 - keep**2) * white[k]
-    return out
+    white[1:] *= np.sqrt(1 - keep**2)
+    return lfilter([1.0], [1.0, -keep], white, axis=0)
 
 
 IDEAL = "ideal"

@@ -454,7 +454,7 @@ def campaign(
     [bold]Example[/bold]: oed-sysid campaign trial --problem remus_diving_plane --goal all=5
     --hours 2
     """
-    from oed_sysid.design.logbook import Logbook
+    from oed_sysid.design.decision import Logbook
     from oed_sysid.experiments.problem import load_problem
 
     if Logbook.exists(folder):

@@ -35,7 +35,7 @@ from __future__ import annotations
 
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib import import_module
 from importlib.resources import files
@@ -44,7 +44,7 @@ from types import ModuleType
 
 import numpy as np
 
-from oed_sysid.data.record import closest
+from oed_sysid.data.record import closest, on_circle
 from oed_sysid.errors import DataError
 from oed_sysid.text.units import is_unit, parse_header
 
@@ -279,26 +279,23 @@ def _ros_attitude(topic: str, fields: Mapping[str, Series]) -> Iterator[Series]:
     """Attitude from quaternions of ROS, as they are and in NED."""
     for prefix in {name[: -len(_ROS[0])] for name in fields if name.endswith(_ROS[0])}:
         parts = tuple(prefix + name for name in _ROS)
-        if all(name in fields for name in parts):
-            yield from _attitude(topic, fields, parts, f"{prefix}orientation.", "from quaternion")
-            roll, pitch, yaw = _angles(fields, parts)
-            times = fields[parts[0]].times
-            turned = ((np.pi / 2 - yaw) + np.pi) % (2 * np.pi) - np.pi
-            for name, values in (("roll", roll), ("pitch", -pitch), ("yaw", turned)):
-                full = f"{topic}.{prefix}orientation.{name}_ned"
-                yield Series(full, times, values, "rad", "NED, if the log is ENU and FLU")
-
-
-def _angles(fields: Mapping[str, Series], names: tuple[str, ...]) -> tuple[np.ndarray, ...]:
-    return euler_angles(np.column_stack([fields[name].values for name in names]))
+        if fields.keys() >= {*parts}:
+            angles = [*_attitude(topic, fields, parts, f"{prefix}orientation.", "from quaternion")]
+            yield from angles
+            roll, pitch, yaw = (one.values for one in angles)
+            turned = on_circle(np.pi / 2 - yaw)
+            for one, values in zip(angles, (roll, -pitch, turned), strict=True):
+                words = "NED, if the log is ENU and FLU"
+                yield Series(f"{one.name}_ned", one.times, values, "rad", words)
 
 
 def _attitude(
-    topic: str, fields: Mapping[str, Series], names: tuple[str, ...], prefix: str, words: str
+    topic: str, fields: Mapping[str, Series], names: Sequence[str], prefix: str, words: str
 ) -> Iterator[Series]:
     times = fields[names[0]].times
-    for name, values in zip(("roll", "pitch", "yaw"), _angles(fields, names), strict=True):
-        if name not in fields:
+    angles = euler_angles(np.column_stack([fields[name].values for name in names]))
+    for name, values in zip(("roll", "pitch", "yaw"), angles, strict=True):
+        if prefix or name not in fields:
             yield Series(f"{topic}.{prefix}{name}", times, values, "rad", words)
 
 
@@ -373,23 +370,13 @@ class Log:
     def rows(self, text: str = "") -> list[tuple[str, ...]]:
         """Name, samples, rate, span, unit and range of every field whose name holds a text."""
         found: list[tuple[str, ...]] = []
-        for one in self.series:
-            if text.lower() not in one.name.lower():
-                continue
+        for one in (one for one in self.series if text.lower() in one.name.lower()):
             good = one.values[np.isfinite(one.values)]
             reach = f"{good.min():.5g} to {good.max():.5g}" if good.size else "no number"
             rate = f"{one.rate:.3g} Hz" if np.isfinite(one.rate) else "-"
-            unit = one.unit or "?"
-            found.append(
-                (
-                    one.name,
-                    str(one.values.size),
-                    rate,
-                    f"{one.span[0]:.2f} to {one.span[1]:.2f} s",
-                    unit + (f" ({one.derived})" if one.derived else ""),
-                    reach,
-                )
-            )
+            unit = (one.unit or "?") + (f" ({one.derived})" if one.derived else "")
+            span = f"{one.span[0]:.2f} to {one.span[1]:.2f} s"
+            found.append((one.name, str(one.values.size), rate, span, unit, reach))
         return found
 
     def describe(self, text: str = "") -> str:

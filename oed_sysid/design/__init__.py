@@ -18,7 +18,11 @@ from oed_sysid.design.controllers import (
 )
 from oed_sysid.design.criteria import (
     AOptimal,
+    ByShifts,
     Criterion,
+    Detect,
+    Detection,
+    Discriminate,
     DOptimal,
     DsOptimal,
     EOptimal,
@@ -38,7 +42,6 @@ from oed_sysid.design.decision import (
 from oed_sysid.design.experiment_design import Stage, campaign, design_experiment, design_series
 from oed_sysid.design.knowledge import Knowledge
 from oed_sysid.design.library import Candidate, Reference, candidate_runs
-from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
 from oed_sysid.design.programme import Budget, ProgrammeSearch, design_programme
 from oed_sysid.design.result import Design, Programme, Standard
 from oed_sysid.design.search import Progress, ZigZags

@@ -35,8 +35,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
-from oed_sysid.design.missing_effects import ByShifts
+from oed_sysid.design.criteria import NOTHING, AOptimal, ByShifts, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 
 GAP = 2e-4
@@ -275,23 +274,18 @@ class _Search:
         counts = self.filled(counts, per_cost=True)
         value = self.library.value(counts)
         while True:
-            options = [
-                self.filled(trial, per_cost=flag)
-                for fewer in self._fewer(counts)
-                for trial in (fewer, *self._best_added(fewer))
-                for flag in (True, False)
+            chosen = np.repeat(np.arange(len(counts)), counts).tolist()
+            fewer = [
+                counts - np.bincount(pick, minlength=len(counts))
+                for pick in {*combinations(chosen, 1), *combinations(chosen, 2)}
             ]
+            trials = [trial for one in fewer for trial in (one, *self._best_added(one))]
+            options = [self.filled(one, per_cost=flag) for one in trials for flag in (True, False)]
             found = [self.library.value(option) for option in options]
             if not found or max(found) <= value + 1e-9:
                 return counts
             counts = options[int(np.argmax(found))]
             value = max(found)
-
-    def _fewer(self, counts: np.ndarray) -> list[np.ndarray]:
-        """One run left out, or two."""
-        chosen = np.repeat(np.arange(len(counts)), counts).tolist()
-        out = {*combinations(chosen, 1), *combinations(chosen, 2)}
-        return [counts - np.bincount(pick, minlength=len(counts)) for pick in out]
 
     def _best_added(self, fewer: np.ndarray) -> list[np.ndarray]:
         """With the few runs added that tell most on their own."""

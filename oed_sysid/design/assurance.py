@@ -46,9 +46,15 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
 
-from oed_sysid.design.limits import LimitBounds, percent
-from oed_sysid.design.missing_effects import SURE
-from oed_sysid.design.vehicles import at_least, draw_models, draw_structures, motion
+from oed_sysid.design.criteria import SURE
+from oed_sysid.design.vehicles import (
+    LimitBounds,
+    at_least,
+    draw_models,
+    draw_structures,
+    motion,
+    percent,
+)
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory
@@ -297,11 +303,8 @@ def _rules(
     """
     diverged = n_vehicles - len(ends)
     found, any_fires = [], np.zeros(len(ends), dtype=bool)
-    limited = {
-        name: (bounds.lower[i], bounds.upper[i])
-        for i, name in enumerate(bounds.names)
-        if not bounds.at_end[i]
-    }
+    during = bounds.during()
+    limited = dict(zip(during.names, zip(during.lower, during.upper, strict=True), strict=True))
     for name in dict.fromkeys((*limited, *(n for n in WATCHED if n in ranges))):
         if name in limited:
             first = experiment.initial.get(name, 0.0)

@@ -29,7 +29,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from importlib.resources import files
-from math import degrees, isfinite
+from math import degrees
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -39,7 +39,7 @@ import numpy as np
 from oed_sysid.data.log import library
 from oed_sysid.design.assurance import AbortRule
 from oed_sysid.design.library import as_piecewise
-from oed_sysid.design.limits import outside, quantity, units_of
+from oed_sysid.design.vehicles import outside, quantity, units_of
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
@@ -164,9 +164,11 @@ def plan_of(
     if aborts is None:
         bounds = experiment.limits.signals.items()
         aborts = [AbortRule(name, low, high, 0.0, True) for name, (low, high) in bounds]
+    # Bounds that every language can write.
+    ends = [np.clip((one.lower, one.upper), -1e30, 1e30).tolist() for one in aborts]
     rules = [
-        {"signal": one.signal, "lower": _finite(one.lower, -1), "upper": _finite(one.upper, 1)}
-        for one in aborts
+        {"signal": one.signal, "lower": low, "upper": high}
+        for one, (low, high) in zip(aborts, ends, strict=True)
     ]
     signals = [name for one in channels for name in one.get("signals", ())]
     return {
@@ -179,11 +181,6 @@ def plan_of(
         "channels": channels,
         "aborts": rules,
     }
-
-
-def _finite(bound: float, side: int) -> float:
-    """A bound that every language can write."""
-    return float(bound) if isfinite(bound) else side * 1e30
 
 
 def _channel(manoeuvre: Manoeuvre, experiment: Experiment) -> dict[str, Any]:

@@ -7,7 +7,7 @@ r"""The verb of this package: design an experiment within limits; and several, o
 with the information :math:`F` of the run (start states eliminated) and :math:`F_0` in hand, the
 criterion :math:`\varphi` (:mod:`oed_sysid.design.criteria`), commands :math:`u` of a family within
 range and rate (:mod:`oed_sysid.design.waveforms`), and limits :math:`h`
-(:mod:`oed_sysid.design.limits`) on vehicles that are possible (:mod:`oed_sysid.design.vehicles`).
+(:mod:`oed_sysid.design.vehicles`) on vehicles that are possible (:mod:`oed_sysid.design.vehicles`).
 Rough manoeuvres are refined by sequential linear programs (:mod:`oed_sysid.design.search`).
 
 In a campaign all records up to run ``k`` give
@@ -33,11 +33,9 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.assurance import Assurance
-from oed_sysid.design.criteria import Criterion, DOptimal
+from oed_sysid.design.criteria import ByShifts, Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Reference, Standard, standard_manoeuvres
-from oed_sysid.design.limits import REACHED, quantity, units_of
-from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.design.objective import Score
 from oed_sysid.design.result import Design
 from oed_sysid.design.search import (
@@ -49,7 +47,7 @@ from oed_sysid.design.search import (
     starts,
 )
 from oed_sysid.design.trial import Search, Task, Trial
-from oed_sysid.design.vehicles import Caution, Robust
+from oed_sysid.design.vehicles import REACHED, Caution, Robust, quantity, units_of
 from oed_sysid.design.waveforms import Grid
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits

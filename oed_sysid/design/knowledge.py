@@ -9,7 +9,7 @@ sizes and on absent effects in units of theirs,
     \qquad \text{worth} = \varphi(M)
 
 with the criterion :math:`\varphi` of :mod:`oed_sysid.design.criteria` or
-:mod:`oed_sysid.design.missing_effects`. Designs, programmes and decisions all take the expected
+:mod:`oed_sysid.design.criteria`. Designs, programmes and decisions all take the expected
 information from here; disturbance forces and autocorrelated sensors are in :math:`F`
 (:mod:`oed_sysid.information.bound`).
 
@@ -27,8 +27,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.design.criteria import Criterion, Measure, Setting, log_determinant
-from oed_sysid.design.missing_effects import ByShifts, Detect, Detection, Discriminate
+from oed_sysid.design.criteria import (
+    ByShifts,
+    Criterion,
+    Detect,
+    Detection,
+    Discriminate,
+    Measure,
+    Setting,
+    log_determinant,
+)
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information.bound import (
@@ -138,7 +146,14 @@ class ExpectedInformation:
         cls, given: Model | Fit, criterion: Criterion | ByShifts, knowledge: Knowledge
     ) -> ExpectedInformation:
         """Return what is expected of runs of a vehicle, or after a fit."""
-        model, sea, sigma = nominal_noise(given, knowledge.noise)
+        model = given.model if isinstance(given, Fit) else given
+        noise = knowledge.noise
+        if isinstance(given, Fit) and noise is None:
+            noise = given
+        sea, levels = expected_noise(model, noise)
+        sigma = noise_of(model, levels).sigma
+        # The levels belong to the model, so that reports and cards state them.
+        model = with_levels(model, sigma)
         prior = knowledge.before(given, model)
         shifts = criterion.shifts(model) if isinstance(criterion, ByShifts) else None
         n = len(_shared(model))
@@ -280,21 +295,6 @@ class ExpectedInformation:
         if not isinstance(self.criterion, Detect) or self.shifts is None:
             return ()
         return self.criterion.detections(self.shifts, self.total(None), total, len(self.names))
-
-
-def nominal_noise(
-    given: Model | Fit, noise: Levels | NoiseModel | Fit
-) -> tuple[Model, NoiseModel | None, np.ndarray]:
-    """Return the model with the sensors' levels in use, what is not white, and these levels.
-
-    The levels belong to the model, so that reports and cards state them.
-    """
-    model = given.model if isinstance(given, Fit) else given
-    if isinstance(given, Fit) and noise is None:
-        noise = given
-    sea, levels = expected_noise(model, noise)
-    sigma = noise_of(model, levels).sigma
-    return with_levels(model, sigma), sea, sigma
 
 
 def with_levels(model: Model, sigma: np.ndarray) -> Model:

@@ -25,13 +25,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import product
+from itertools import islice, product
 from math import degrees, radians
 
 import numpy as np
 
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import kept_on
+from oed_sysid.design.vehicles import LimitBounds, kept_on
 from oed_sysid.design.waveforms import Grid, neutral_within
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -58,7 +57,7 @@ ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 _QUICK = (0.5, 0.25)
 # Zigzags that look ahead: control as a share of its range, switch as one of the room, lead as one
 # of the time that half of the room takes.
-_CONTROLS, _SWITCHES, _LEADS = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25), (1.0, 0.5)
+_HALVES, _SWITCHES = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25)
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
 
@@ -116,13 +115,11 @@ def standard_manoeuvres(
 
     found = []
     for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
-        for share in _STANDARD_SHARES:
-            run = made(title, share * angle)
-            if bench.keeps(run) is None:
-                continue
+        runs = {share: made(title, share * angle) for share in _STANDARD_SHARES}
+        for run, _, _ in bench.keeping("", runs.values()):
+            share = next(share for share, one in runs.items() if one is run)
             note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
             found.append((title, run, note))
-            break
     return found
 
 
@@ -416,14 +413,13 @@ class _Bench:
         self, kind: str, variant: str, wave: np.ndarray
     ) -> Iterable[tuple[Experiment, str, float]]:
         """Return the largest size that keeps the limits, then a gentler one."""
-        for size in SHARES if wave.any() else SHARES[:1]:
-            run = self.table(f"{kind}{variant}", size, wave)
-            share = self.keeps(run)
-            if share is not None:
-                yield run, kind, share
-                if wave.any():
-                    yield self.table(f"{kind}{variant}", _GENTLER * size, wave), kind, 1.0
-                return
+        name = f"{kind}{variant}"
+        sizes = {size: self.table(name, size, wave) for size in (SHARES if wave.any() else (1.0,))}
+        for run, _, share in self.keeping(kind, sizes.values()):
+            yield run, kind, share
+            if wave.any():
+                size = next(size for size, one in sizes.items() if one is run)
+                yield self.table(name, _GENTLER * size, wave), kind, 1.0
 
     def table(self, kind: str, size: float, wave: np.ndarray) -> Experiment:
         """Commands of one shape and size."""
@@ -444,18 +440,18 @@ class _Bench:
             return
         equal = [[(share * angle, share * angle) for share in SHARES[:4]] for angle in ZIGZAGS]
         quick = [[(angle, share * angle) for share in _QUICK] for angle in ZIGZAGS[1:]]
-        seen: set[tuple[float, float]] = set()
+        seen: set[str] = set()
         for family in (*equal, *quick):
-            for control, turn in family:
-                size, switch = round(control, 3), round(turn, 3)
-                if (size, switch) in seen or radians(size) > self.reach:
-                    continue
-                run = self.zigzag(f"zigzag {size:g}/{switch:g}", radians(size), radians(switch))
-                share = self.keeps(run)
-                if share is not None:
-                    seen.add((size, switch))
-                    yield run, "zigzag", share
-                    break
+            sizes = [(round(control, 3), round(turn, 3)) for control, turn in family]
+            named = {f"zigzag {size:g}/{switch:g}": (size, switch) for size, switch in sizes}
+            runs = (
+                self.zigzag(name, radians(size), radians(switch))
+                for name, (size, switch) in named.items()
+                if name not in seen and radians(size) <= self.reach
+            )
+            for run, kind, share in self.keeping("zigzag", runs):
+                seen.add(run.name)
+                yield run, kind, share
 
     def zigzags_ahead(self) -> Iterable[tuple[Experiment, str, float]]:
         """Zigzags that look ahead within limits of the attitude, about a keeper of the depth.
@@ -469,20 +465,16 @@ class _Bench:
         keeper = _KEPT.get(self.attitude, "")
         depth = self.room(keeper)
         kept = (keeper,) if np.isfinite(depth) else ()
-        for control, share in product(_CONTROLS, _LEADS):
+        for control, share in product(_HALVES, _HALVES):
             size, lead = control * self.reach, float(f"{share * time:.2g}")
-            found = 0
-            for switch in (part * room for part in _SWITCHES):
-                run = self.zigzag(
+            runs = (
+                self.zigzag(
                     f"zigzag {degrees(size):.3g}/{degrees(switch):.3g} {lead:g} s ahead",
                     size, switch, (rate, *kept), lead=lead, keep_gain=switch / depth,
-                )  # fmt: skip
-                held = self.keeps(run)
-                if held is not None:
-                    yield run, "zigzag ahead", held
-                    found += 1
-                if found == 2:
-                    break
+                )
+                for switch in (part * room for part in _SWITCHES)
+            )  # fmt: skip
+            yield from self.keeping("zigzag ahead", runs, 2)
 
     def room(self, name: str) -> float:
         """Way from the start to the nearer limit of a signal; infinite where there is none."""
@@ -501,6 +493,10 @@ class _Bench:
         gone = turned >= angle
         return float(self.grid.times[int(np.argmax(gone))]) if gone.any() else None
 
-    def keeps(self, run: Experiment) -> float | None:
-        """Share of the vehicles that keep the limits; None where it is too small."""
-        return kept_on(run, (self.model, *self.vehicles), self.bounds, self.kept)
+    def keeping(
+        self, kind: str, runs: Iterable[Experiment], most: int = 1
+    ) -> Iterable[tuple[Experiment, str, float]]:
+        """The first runs that keep the limits on enough vehicles, and on which share."""
+        vehicles = (self.model, *self.vehicles)
+        shares = ((run, kept_on(run, vehicles, self.bounds, self.kept)) for run in runs)
+        return islice(((run, kind, share) for run, share in shares if share is not None), most)

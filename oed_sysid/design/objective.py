@@ -14,8 +14,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.vehicles import ScenarioRun, Scenarios
+from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
 from oed_sysid.information.bound import start_weights
 from oed_sysid.information.noise import Noise

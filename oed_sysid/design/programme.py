@@ -29,15 +29,13 @@ from scipy.optimize import brentq
 
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
-from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, inverse
+from oed_sysid.design.criteria import AOptimal, ByShifts, Criterion, EOptimal, inverse
 from oed_sysid.design.experiment_design import find_design
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge, with_levels
 from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs
-from oed_sysid.design.limits import LimitBounds
-from oed_sysid.design.missing_effects import ByShifts
 from oed_sysid.design.result import Design, Programme, Standard, joint_share
 from oed_sysid.design.trial import Search, Task, Trial
-from oed_sysid.design.vehicles import CHECKED, draw_models, kept_on
+from oed_sysid.design.vehicles import CHECKED, LimitBounds, draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits

@@ -20,9 +20,9 @@ import numpy as np
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
+from oed_sysid.design.criteria import SURE, Detection, missing_physics, told_apart
 from oed_sysid.design.library import Candidate, Reference
-from oed_sysid.design.limits import between, outside, percent, quantity, span, units_of
-from oed_sysid.design.missing_effects import SURE, Detection, missing_physics, told_apart
+from oed_sysid.design.vehicles import between, outside, percent, quantity, span, units_of
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory, simulate
 from oed_sysid.information.noise import sea_words
@@ -237,7 +237,7 @@ class Design(_Accuracy):
             subtitle=f"Experiment {self.experiment.name!r}, criterion {self.criterion}",
             headline=f"Design of {self.experiment.name!r} for {self.model.name}",
             answer=self._answer(),
-            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            warnings=self._warnings(),
             head=(
                 ("criterion", f"{self.criterion}: {self.value:.4g} (starts: {starts})"),
                 ("family", self.parametrisation),
@@ -263,6 +263,9 @@ class Design(_Accuracy):
         )  # fmt: skip
 
     report = as_text
+
+    def _warnings(self) -> list[str]:
+        return [] if self.assurance is None else [*filter(None, [self.assurance.danger])]
 
     def _answer(self) -> str:
         """What the run will tell, and whether it keeps its limits."""
@@ -326,7 +329,7 @@ class Design(_Accuracy):
         return Report(
             title=title or self.model.name,
             subtitle=f"Sea-trial card of {self.experiment.name!r}",
-            warnings=[safe.danger] if safe is not None and safe.danger else [],
+            warnings=self._warnings(),
             verdict=verdict or [f"Criterion {self.criterion}."],
             numbers=(
                 ("length", f"{self.experiment.duration:g} s"),
@@ -346,8 +349,8 @@ class Design(_Accuracy):
             orders = [f"  {experiment.excitation.describe()}"]
         else:
             orders = self._orders(units)
-        danger = "" if self.assurance is None else self.assurance.danger
-        lines = wrap(f"{danger} Read WATCH before anything else." if danger else "", WIDTH)
+        dangers = [f"{danger} Read WATCH before anything else." for danger in self._warnings()]
+        lines = wrap(" ".join(dangers), WIDTH)
         lines += [*self._conditions(units), "", "RUN", *orders, "", *self._motion(units)]
         lines += ["", "WATCH", *self._watch(units), "", *self._to_expect(), ""]
         if told := missing_physics(self.misfits, self.chances):

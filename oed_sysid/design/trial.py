@@ -15,11 +15,11 @@ import numpy as np
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.library import as_piecewise
-from oed_sysid.design.limits import LimitBounds
 from oed_sysid.design.objective import Objective, Score, VehicleInformation
 from oed_sysid.design.search import ZigZags
 from oed_sysid.design.vehicles import (
     Caution,
+    LimitBounds,
     Robust,
     Scenarios,
     draw_models,
@@ -101,9 +101,8 @@ class Trial:
         """Inputs that are designed, checked; all others are constant."""
         limits, held = self.limits, self.constants
         limits.check_names(model)
-        names = tuple(self.inputs) if self.inputs is not None else tuple(
-            n for n in model.input_names if n in limits.inputs and n not in held
-        )  # fmt: skip
+        free = (n for n in model.input_names if n in limits.inputs and n not in held)
+        names = tuple(free if self.inputs is None else self.inputs)
         if not names:
             raise DesignError(
                 "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, "
@@ -111,10 +110,8 @@ class Trial:
             )
         for name in names:
             if name not in model.input_names:
-                raise DesignError(
-                    f"Model {model.name!r} has no input {name!r}. It has "
-                    f"{', '.join(model.input_names)}."
-                )
+                has = ", ".join(model.input_names)
+                raise DesignError(f"Model {model.name!r} has no input {name!r}. It has {has}.")
             if not np.all(np.isfinite(limits.inputs.get(name, np.inf))):
                 raise DesignError(
                     f"The input {name!r} is to be designed but has no finite range. Give "
@@ -288,15 +285,15 @@ class Task:
         """Return the function to maximise; without a shape only given commands can be scored."""
         used = shape if shape is not None else Levels(2).on(self.grid)
         expected, own = self.expected, self.own
-        vehicles, measures, priors = [], [], []
-        for model in self.models:
-            vehicle = VehicleInformation(
+        vehicles = [
+            VehicleInformation(
                 model, self.grid.times, used.edges, own, expected.noise, start=expected.start,
                 shifts=expected.shifts_of(model),
-            )  # fmt: skip
-            vehicles.append(vehicle)
-            measures.append(expected.measure(model))
-            priors.append(expected.relative(expected.before, expected.scales(model)))
+            )
+            for model in self.models
+        ]  # fmt: skip
+        measures = [expected.measure(model) for model in self.models]
+        priors = [expected.relative(expected.before, expected.scales(one)) for one in self.models]
         scenarios = None
         if self.caution is not None and self.bounds.names and self.scenarios:
             scenarios = Scenarios(

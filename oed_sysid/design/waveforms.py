@@ -115,20 +115,16 @@ class Shape(Protocol):
     @property
     def size(self) -> int:
         """How many numbers describe one member."""
-        ...
 
     @property
     def edges(self) -> np.ndarray:
         """Samples at which single numbers begin to act, the first is 0."""
-        ...
 
     def commands(self, numbers: np.ndarray) -> np.ndarray:
         """Commands ``(n_batch, n_times, n_inputs)`` of numbers ``(n_batch, size)``."""
-        ...
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
         """Numbers of the member nearest to given commands; None if the family is too narrow."""
-        ...
 
 
 @runtime_checkable
@@ -138,11 +134,9 @@ class Parametrisation(Protocol):
     @property
     def name(self) -> str:
         """Name for reports."""
-        ...
 
     def on(self, grid: Grid) -> Shape:
         """Return the family on a grid."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -333,7 +327,13 @@ class Multisines:
                 f"{self.n_lines} lines do not fit below half the sampling frequency. Ask for fewer."
             )
         top = max(highest * duration, self.n_lines)
-        allowed = np.array([k for k in range(1, int(top) + 1) if self._allows(k / duration)])
+        allowed = np.array(
+            [
+                k
+                for k in range(1, int(top) + 1)
+                if not any(low <= k / duration <= high for low, high in self.forbidden)
+            ]
+        )
         if len(allowed) < self.n_lines:
             raise DesignError(
                 f"Only {len(allowed)} multiples of {1 / duration:.3g} Hz up to "
@@ -345,9 +345,6 @@ class Multisines:
         missing = [k for k in allowed if k not in kept]
         multiples = np.sort([*kept, *missing[: self.n_lines - len(kept)]])
         return _SineShape(grid, multiples / duration, clean=bool(self.forbidden))
-
-    def _allows(self, frequency: float) -> bool:
-        return not any(low <= frequency <= high for low, high in self.forbidden)
 
 
 class _SineShape:

@@ -28,8 +28,9 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain, product
 from time import perf_counter
 
 import numpy as np
@@ -40,10 +41,10 @@ from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import input_findings
-from oed_sysid.evidence.relations import Relation, relations, spare_signals
+from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
 from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogCheck
 from oed_sysid.evidence.screens import marked, screened
-from oed_sysid.evidence.traces import Trace
+from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
     clock_findings,
     misfit_finding,
@@ -70,6 +71,9 @@ __all__ = [
 ]
 
 
+# Faults that are other readings of the same numbers, and the least error of a scale that would be
+# seen from which on they would be, too.
+READ, LEGIBLE = ("sign", "unit", "swap"), 0.5
 # Samples that must not enter any equation.
 BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
 
@@ -117,34 +121,51 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
-    faults, traces = screened(traces)
-    findings = screen_findings(dataset, traces, faults)
-    mute = (fault.signal for fault in faults if fault.kind in ("dead", "copied"))
-    dead = {name for said in mute for name in said.split(" = ")}
-    equations = tuple(r for r in equations if not dead & {r.target, *r.signals})
-    clean = [t.blank(marked(faults, t.name, BLANKED)) for t in traces]
-    findings = [f if f.kind != "step" else _caught_up(f, clean, equations) for f in findings]
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
-    clean = [undo(t, jumps) for t in clean]
+    findings, traces, clean, equations = _screened(dataset, traces, equations)
     balances: tuple[Balance, ...] = ()
     ended = None
     if equations:
         findings, balances, ended = _related(dataset, model, clean, equations, findings)
-    reason = "not asked"
+    reason = ""
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
         judged, reason = input_findings(dataset, model, known, ranges)
         findings += judged
+    asked = _asked(model, traces, equations, ended, reason if inputs else "not asked")
     return LogCheck(
         tuple(_ordered(findings)),
         dataset.names,
         tuple(str(one) for one in equations),
         balances,
-        (*_shared(equations, traces), *((reason,) * (inputs and bool(reason)))),
-        _asked(model, traces, equations, ended, findings, reason),
+        (*_shared(equations, traces), *filter(None, (reason,))),
+        _answered(asked, findings),
         perf_counter() - began,
     )
+
+
+def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Judged, ...]:
+    """What was asked, with what was found."""
+    found = {(f.kind, n) for f in findings for n in f.signals}
+    return tuple(
+        replace(one, state="found", says="") if (one.fault, one.signal) in found else one
+        for one in asked
+    )
+
+
+def _screened(
+    dataset: Dataset, traces: Sequence[Trace], equations: tuple[Relation, ...]
+) -> tuple[list[Finding], list[Trace], list[Trace], tuple[Relation, ...]]:
+    """Findings in single signals, records, these with them undone, and equations that hold."""
+    faults, marked_traces = screened(traces)
+    findings = screen_findings(dataset, marked_traces, faults)
+    mute = (fault.signal for fault in faults if fault.kind in ("dead", "copied"))
+    dead = {name for said in mute for name in said.split(" = ")}
+    equations = tuple(r for r in equations if not dead & {*r.names})
+    clean = [t.blank(marked(faults, t.name, BLANKED)) for t in marked_traces]
+    findings = [_caught_up(f, clean, equations) for f in findings]
+    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
+    return findings, marked_traces, [undo(t, jumps) for t in clean], equations
 
 
 def _related(
@@ -219,10 +240,10 @@ def _caught_up(found: Finding, traces: Sequence[Trace], equations: tuple[Relatio
     A signal that catches up with the motion after it was lost jumps as well, and is right
     afterwards: with the jump subtracted the equations tell less, not more.
     """
-    some = tuple(r for r in equations if {*found.signals} & {r.target, *r.signals})
-    touched = [t for t in traces if t.name in found.records]
-    if found.correction is None or not some:
+    some = tuple(r for r in equations if {*found.signals} & {*r.names})
+    if found.kind != "step" or found.correction is None or not some:
         return found
+    touched = [t for t in traces if t.name in found.records]
     mended = [undo(t, [found.correction]) for t in touched]
     told = (contrasts.evidence(here, some).sum() for here in (touched, mended))
     if next(told) < next(told):
@@ -257,25 +278,20 @@ def _merged(
     findings: Sequence[Finding], found: Sequence[Found], traces: Sequence[Trace]
 ) -> tuple[list[Finding], list[Found]]:
     """Findings of steps with the sizes that the equations give them, and the other faults."""
-    more = {(f.candidate.signals[0], f.candidate.record, f.candidate.at): f for f in found
-            if f.candidate.kind == "step"}  # fmt: skip
-    times = {t.name: t.times for t in traces}
+    about = {(f.candidate.signals[0], f.candidate.record, f.candidate.at): f for f in found
+             if f.candidate.kind == "step"}  # fmt: skip
+    mine = [*_places(findings, traces)]
+    extra = iter([about[key].size if key in about else 0.0 for key in mine])
     result = []
     for one in findings:
         fix = one.correction
         if one.kind == "step" and fix is not None:
-            sizes = {}
-            for record, rows in fix.rows.items():
-                keys = [(one.signals[0], record, share_of(times[record], row)) for row in rows]
-                extra = [more.pop(key).size if key in more else 0.0 for key in keys]
-                sizes[record] = tuple(
-                    float(a + b) for a, b in zip(fix.sizes[record], extra, strict=True)
-                )
-            largest = max((s for every in sizes.values() for s in every), key=abs)
+            sizes = {n: tuple(float(s + next(extra)) for s in fix.sizes[n]) for n in fix.rows}
+            largest = max(chain.from_iterable(sizes.values()), key=abs)
             one = replace(one, size=largest, correction=replace(fix, sizes=sizes))
         result.append(one)
-    left = {id(f) for f in more.values()}
-    return result, [f for f in found if f.candidate.kind != "step" or id(f) in left]
+    done = [about[key] for key in mine if key in about]
+    return result, [f for f in found if f not in done]
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:
@@ -296,45 +312,36 @@ def _asked(
     traces: Sequence[Trace],
     equations: tuple[Relation, ...],
     ended: Result | None,
-    findings: Sequence[Finding],
     inputs: str,
-) -> tuple[Judged, ...]:
-    """What was asked of every signal, from which size on it shows, and what was found."""
-    found = {(f.kind, n) for f in findings for n in f.signals}
-    related = {n for r in equations for n in (r.target, *r.signals)}
-    units = {n: u for trace in traces for n, u in trace.units.items()}
-    rows = []
-    for name in (n for n in model.output_names if n in units):
-        for kind in ("bias", "scale", "delay", "rate", "drift", "step"):
-            rows.append(_sized_row(kind, name, units[name], ended, name in related))
-        told = _visible(ended, "scale", name)[0] < 0.5
-        why = "" if told else "no equation in which it moves enough"
-        for kind in ("sign", "unit", "swap"):
-            rows.append(Judged(kind, name, "tested" if told else "not tested", why))
-    state = "not tested" if inputs else "tested"
-    rows += [
-        Judged(kind, name, state, inputs)
-        for name in model.input_names
-        for kind in ("sign", "unit", "delay")
+) -> list[Judged]:
+    """What was asked of every signal, from which size on it shows, or why it was not."""
+    related, units = names_of(equations), units_of(traces)
+    kinds = ("bias", "scale", "delay", "rate", "drift", "step", *READ)
+    rows = [
+        _row(kind, name, units[name], ended, name in related)
+        for name in model.output_names
+        if name in units
+        for kind in kinds
     ]
-    return tuple(
-        replace(one, state="found", says="") if (one.fault, one.signal) in found else one
-        for one in rows
-    )
+    state = "not tested" if inputs else "tested"
+    of_inputs = product(model.input_names, ("sign", "unit", "delay"))
+    return rows + [Judged(kind, name, state, inputs) for name, kind in of_inputs]
 
 
-def _sized_row(kind: str, name: str, unit: str, ended: Result | None, related: bool) -> Judged:
-    """Whether a fault with a size was tested, from which size on, or why it was not."""
-    size, plausible = _visible(ended, kind, name)
+def _row(kind: str, name: str, unit: str, ended: Result | None, related: bool) -> Judged:
+    """Whether a fault was tested, from which size on, or why it was not."""
+    size, plausible = _visible(ended, "scale" if kind in READ else kind, name)
     shown = seen_from(kind, size, unit)
-    if size <= plausible:
-        return Judged(kind, name, "tested", shown)
-    why = "nothing that was measured depends on it"
-    if not related:
+    if kind in READ:
+        shown, plausible, why = "", LEGIBLE, "no equation in which it moves enough"
+    elif not related:
         why = "no equation without unknown parameters relates it"
     elif np.isfinite(size):
         why = f"the motion shows it from {shown} on only"
-    return Judged(kind, name, "not tested", why)
+    else:
+        why = "nothing that was measured depends on it"
+    tested = size <= plausible
+    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
 
 
 def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
@@ -351,61 +358,58 @@ def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
 
 def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[str, ...]:
     """What no kinematics can tell, in sentences."""
-    units = {n: u for trace in traces for n, u in trace.units.items()}
+    units, related = units_of(traces), names_of(equations)
     inner = {n for r in equations for n in r.signals}
-    alone = [n for n in units if not any(n in (r.target, *r.signals) for r in equations)]
-    said = []
-    if alone:
-        said.append(f"No equation without unknown parameters relates {', '.join(alone)}.")
-    if equations:
-        targets = ", ".join(r.target for r in equations if r.is_rate)
-        said.append(f"Constant offsets of {targets}, and a delay common to all signals.")
-    for r in equations:
-        if units.get(r.target) == "rad" and len(r.signals) == 1:
-            (rate,) = r.signals
-            said.append(
-                f"A wrong sign or unit that {r.target} and {rate} share in full."
-                if r.target in inner
-                else f"Which of {r.target} and {rate} has a wrong sign, unit, scale or delay."
-            )
+    alone = ", ".join(n for n in units if n not in related)
+    targets = ", ".join(r.target for r in equations if r.is_rate)
+    pairs = [r for r in equations if units.get(r.target) == "rad" and len(r.signals) == 1]
     positions = contrasts.positions_of(equations, units)
-    velocities = contrasts.velocities_of(equations, units)
-    if positions:
-        both = f"{', '.join(positions)} against those of {', '.join(velocities)}"
-        said.append(f"The sign of {both} together.")
-        said.append("A bias of an attitude angle against a misalignment of the velocities.")
-        said.append("At a single speed: a bias of a velocity against its scale.")
-    if len(positions) > 1:
-        said.append("On straight runs: a current against a bias of the velocities.")
-    return tuple(said)
+    velocities = ", ".join(contrasts.velocities_of(equations, units))
+    said = [
+        (alone, f"No equation without unknown parameters relates {alone}."),
+        (equations, f"Constant offsets of {targets}, and a delay common to all signals."),
+        *((True, _either(r.target, r.signals[0], r.target in inner)) for r in pairs),
+        (positions, f"The sign of {', '.join(positions)} against those of {velocities} together."),
+        (positions, "A bias of an attitude angle against a misalignment of the velocities."),
+        (positions, "At a single speed: a bias of a velocity against its scale."),
+        (len(positions) > 1, "On straight runs: a current against a bias of the velocities."),
+    ]
+    return tuple(words for told, words in said if told)
+
+
+def _either(angle: str, rate: str, used: bool) -> str:
+    """What an angle and its rate alone cannot tell; ``used`` where others depend on the angle."""
+    if used:
+        return f"A wrong sign or unit that {angle} and {rate} share in full."
+    return f"Which of {angle} and {rate} has a wrong sign, unit, scale or delay."
 
 
 def _balances(
     before: Sequence[Trace], after: Sequence[Trace], equations: tuple[Relation, ...]
 ) -> tuple[Balance, ...]:
     """How well each equation holds, as it is and with the findings undone."""
-    pairs: dict[int, list[tuple[Piece, Piece]]] = {}
+    pairs: list[tuple[Piece, Piece]] = []
     for old, new in zip(before, after, strict=True):
-        mended = {
-            (p.relation, i): p for i, p in enumerate(contrasts.contrasts(new, equations, (), {}))
-        }
-        for i, p in enumerate(contrasts.contrasts(old, equations, (), {})):
-            pairs.setdefault(p.relation, []).append((p, mended.get((p.relation, i), p)))
-    unit = before[0].units
+        mended = dict(enumerate(contrasts.contrasts(new, equations, (), {})))
+        for i, piece in enumerate(contrasts.contrasts(old, equations, (), {})):
+            twin = mended.get(i, piece)
+            pairs.append((piece, twin if twin.relation == piece.relation else piece))
     return tuple(
-        Balance(
-            str(one),
-            _share([old for old, _ in pairs.get(i, [])]),
-            _share([new for _, new in pairs.get(i, [])]),
-            one.target,
-            unit.get(one.target, ""),
-            tuple(
-                (a.record, a.times, _series(a), np.interp(a.times, b.times, _series(b)))
-                for a, b in pairs.get(i, [])
-            ),
-        )
-        for i, one in enumerate(equations)
+        _balance(relation, [pair for pair in pairs if pair[0].relation == i], before[0].units)
+        for i, relation in enumerate(equations)
     )
+
+
+def _balance(
+    relation: Relation, pairs: Sequence[tuple[Piece, Piece]], units: Mapping[str, str]
+) -> Balance:
+    """How well one equation holds, before and after."""
+    series = (
+        (a.record, a.times, _series(a), np.interp(a.times, b.times, _series(b))) for a, b in pairs
+    )
+    old, new = (_share([pair[k] for pair in pairs]) for k in (0, 1))
+    unit = units.get(relation.target, "")
+    return Balance(str(relation), old, new, relation.target, unit, tuple(series))
 
 
 def _share(pieces: Sequence[Piece]) -> float:

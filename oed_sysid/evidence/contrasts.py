@@ -47,7 +47,7 @@ the Jacobian without which the smallest unit would win.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, product
 
@@ -57,9 +57,9 @@ from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
-from oed_sysid.evidence.relations import Relation
+from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import Trace
+from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
 
 # False alarms a log, shared by all candidates; halved and doubled it moves the limit by 1.4.
 ALPHA = 0.01
@@ -74,13 +74,13 @@ APART = 0.01
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
 CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
-# Sizes that count: of the signal's noise, of its value, of a sample.
-MATERIAL, RELATIVE, SAMPLES = 0.15, 0.01, 0.3
+# Sizes that count: of the signal's noise, of a sample.
+MATERIAL, SAMPLES = 0.15, 0.3
 # A size beyond this many usual ones is none that such faults have.
 LARGEST = 4.0
 # What an equation may leave: of the changes of its left side, and of what noise makes (power).
 UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
-MOST_FAULTS, ROUNDS, SWEEPS = 6, 9, 12
+MOST_FAULTS, SWEEPS = 6, 12
 # Statistic over its limit from which on linearised scores mislead.
 STRAINED = 10.0
 # Explanations within this likelihood ratio of each other are one group.
@@ -91,26 +91,6 @@ WIDER = 1.15
 CURVED = 1e-3
 # Delays from which the search begins, s: the linearised score does not reach so far.
 DELAYS = (-2.4, -1.2, -0.6, -0.3, 0.3, 0.6, 1.2, 2.4)
-
-DEGREE = math.pi / 180.0
-# Factor that turns the logged number into the right one, and what it means.
-UNITS: dict[str, tuple[tuple[float, str], ...]] = {
-    "rad": ((DEGREE, "deg"), (1.0 / DEGREE, "converted from deg twice")),
-    "rad/s": (
-        (DEGREE, "deg/s"),
-        (1.0 / DEGREE, "converted from deg/s twice"),
-        (2.0 * math.pi / 60.0, "rpm"),
-    ),
-    "m": ((0.3048, "ft"), (1.0 / 0.3048, "converted from ft twice"), (1e-3, "mm"), (1e3, "km")),
-    "m/s": (
-        (1852.0 / 3600.0, "kn"),
-        (3600.0 / 1852.0, "converted from kn twice"),
-        (0.3048, "ft/s"),
-        (1.0 / 3.6, "km/h"),
-        (3.6, "converted from km/h twice"),
-        (1e-3, "mm/s"),
-    ),
-}
 
 
 @dataclass(frozen=True)
@@ -172,13 +152,13 @@ class Motion:
     """
 
     def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
-        names = dict.fromkeys(n for r in relations for n in (r.target, *r.signals))
+        names = names_of(relations)
         self.trace = trace
         self.raw, _ = trace.filled(n for n in names if n in trace.values)
         self.values, self.rates = dict(self.raw), dict[str, np.ndarray]()
         self.right: dict[int, np.ndarray] = {}
         for index, one in enumerate(relations):
-            if any(name not in self.raw for name in (one.target, *one.signals)):
+            if not self.raw.keys() >= {*one.names}:
                 continue
             self.right[index] = one({n: self.raw[n] for n in one.signals}, trace.times)
             if one.is_rate:
@@ -249,16 +229,20 @@ def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
 # -- candidates ------------------------------------------------------------------------------
 
 
-def positions_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> tuple[str, ...]:
+def _displacements(relations: Sequence[Relation], units: Mapping[str, str]) -> list[Relation]:
+    """Equations of positions: their rates are velocities along fixed axes."""
+    return [r for r in relations if r.is_rate and units[r.target] == "m"]
+
+
+def positions_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tuple[str, ...]:
     """Signals whose rates are velocities along fixed axes."""
-    return tuple(r.target for r in relations if r.is_rate and units[r.target] == "m")
+    return tuple(r.target for r in _displacements(relations, units))
 
 
-def velocities_of(relations: tuple[Relation, ...], units: Mapping[str, str]) -> tuple[str, ...]:
+def velocities_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tuple[str, ...]:
     """Velocities that positions are the integrals of, in the order u, v, w."""
-    rates = [r for r in relations if r.is_rate and units[r.target] == "m"]
     order = ("u", "v", "w")
-    found = dict.fromkeys(n for r in rates for n in r.signals if units[n] == "m/s")
+    found = [n for n in names_of(_displacements(relations, units)) if units[n] == "m/s"]
     return tuple(sorted(found, key=lambda n: order.index(n) if n in order else len(order)))
 
 
@@ -271,36 +255,21 @@ class Dictionary:
     local: Mapping[str, Candidate]
 
 
-@dataclass(frozen=True)
 class Facts:
     """What usual sizes follow from: units, sizes and noise of signals, and who integrates whom."""
 
-    units: Mapping[str, str]
-    size: Mapping[str, float]
-    noise: Mapping[str, float]
-    step: float
-    length: float
-    integrated: frozenset[str]
-    positions: tuple[str, ...]
-    velocities: tuple[str, ...]
-
-    @classmethod
-    def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Facts:
-        """Gather them from records and the equations between their signals."""
-        units = {n: u for trace in traces for n, u in trace.units.items()}
+    def __init__(self, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> None:
         inner = {n for r in relations for n in r.signals}
-        names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
-        levels = {n: [t.noise[n] for t in traces if n in t.noise] for n in names}
-        return cls(
-            units,
-            {n: _rms(traces, n) for n in names},
-            {n: float(np.median(level)) for n, level in levels.items()},
-            float(np.median([t.step for t in traces])),
-            max(float(t.times[-1] - t.times[0]) for t in traces),
-            frozenset({r.target for r in relations if r.is_rate} - inner),
-            positions_of(relations, units),
-            velocities_of(relations, units),
-        )
+        self.units = units_of(traces)
+        self.size = {n: _rms(traces, n) for n in names_of(relations)}
+        self.noise = {
+            n: float(np.median([t.noise[n] for t in traces if n in t.noise])) for n in self.size
+        }
+        self.step = float(np.median([t.step for t in traces]))
+        self.length = max(float(t.times[-1] - t.times[0]) for t in traces)
+        self.integrated = {r.target for r in relations if r.is_rate} - inner
+        self.positions = positions_of(relations, self.units)
+        self.velocities = velocities_of(relations, self.units)
 
     def least(self, name: str) -> float:
         """Least constant error that matters."""
@@ -348,7 +317,7 @@ class Facts:
 
 def candidates(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Dictionary:
     """Faults that these signals may have, with usual sizes."""
-    facts = Facts.of(traces, relations)
+    facts = Facts(traces, relations)
     drifts = tuple(facts.drifts())
     # One position alone drifts as a misaligned velocity does.
     plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
@@ -405,6 +374,13 @@ class Piece:
         """Power of changes over about a second, of each coefficient's square."""
         return 2.0 - 2.0 * np.cos(max(1, round(1.0 / self.span)) * self.angle)
 
+    def columns_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Columns of some candidates, ``(n, n_chosen)``; zero where one says nothing here."""
+        result = np.zeros((self.residual.size, chosen.size))
+        into, here = np.nonzero(chosen[:, None] == self.used)
+        result[:, into] = self.columns[:, here]
+        return result
+
 
 def contrasts(
     trace: Trace,
@@ -421,17 +397,15 @@ def contrasts(
     here = [k for k, f in enumerate(faults) if f.record in ("", trace.name)]
     here = [k for k in here if set((*faults[k].signals, *faults[k].other)) <= set(motion.raw)]
     shapes = {k: SHAPES[faults[k].kind](faults[k], motion) for k in here}
-    for index, relation in enumerate(relations):
-        if index not in motion.right:
-            continue
-        related = {relation.target, *relation.signals}
-        used = [k for k in here if related & set(shapes[k])]
+    for index, right in motion.right.items():
+        relation = relations[index]
+        used = [k for k in here if shapes[k].keys() & {*relation.names}]
         _, usable = trace.filled(relation.signals)
         inner = {n: motion.raw[n] for n in relation.signals}
         slopes = {n: partial(relation, inner, trace.times, n) for n in relation.signals}
         direct = np.zeros((trace.times.size, len(used)))
         under = np.zeros((trace.times.size, len(used) + 1))
-        under[:, 0] = motion.right[index]
+        under[:, 0] = right
         for i, k in enumerate(used):
             direct[:, i] = shapes[k].get(relation.target, 0.0)
             under[:, i + 1] = sum(
@@ -578,23 +552,6 @@ def _cost(power: np.ndarray, left: np.ndarray, variance: np.ndarray) -> float:
 # -- regression ------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class System:
-    """Normal equations of all candidates, whitened.
-
-    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width
-    of what noise in a regressor may have added to ``right``; ``evidence`` is the information that
-    the equations give about their left sides, ``levels`` are the variances in each piece.
-    """
-
-    gram: np.ndarray
-    right: np.ndarray
-    limits: np.ndarray
-    doubt: np.ndarray
-    evidence: float
-    levels: tuple[np.ndarray, ...]
-
-
 def assemble(
     pieces: Sequence[Piece],
     relations: tuple[Relation, ...],
@@ -609,12 +566,11 @@ def assemble(
     """
     n = len(faults)
     gram, right, doubt = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    relative, evidence = np.zeros(n), 0.0
+    relative = np.zeros(n)
     levels: dict[int, np.ndarray] = {}
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
-        shares, variance, law, about = _noise(mine, faults, nuisance)
-        evidence += about
+        shares, variance, law, _ = _noise(mine, faults, nuisance)
         active = shares > 1e-6 * shares.max()
         fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
         begin = 0
@@ -637,9 +593,7 @@ def assemble(
     limits = stdtrit(freedom, 1.0 - 0.5 * ALPHA / (n + n_more)) ** 2
     # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
     limits = limits * np.where([f.kind in LOCAL for f in faults], VARYING, 1.0)
-    return System(
-        gram, right, limits, doubt, evidence, tuple(levels[id(piece)] for piece in pieces)
-    )
+    return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
 
 
 def _noise(
@@ -650,13 +604,7 @@ def _noise(
     y = np.concatenate([p.residual for p in mine])
     target = np.concatenate([p.target for p in mine])
     used = np.intersect1d(nuisance, np.concatenate([p.used for p in mine]))
-    matrix = np.zeros((y.size, used.size))
-    begin = 0
-    for p in mine:
-        at = np.searchsorted(used, p.used)
-        inside = np.isin(p.used, used)
-        matrix[begin : begin + p.residual.size, at[inside]] = p.columns[:, inside]
-        begin += p.residual.size
+    matrix = np.concatenate([p.columns_of(used) for p in mine])
     matrix *= np.array([faults[k].plausible for k in used])
     floor = np.zeros(len(law))
     floor[0] = max(0.5 * float(np.mean([p.level for p in mine])), 3e-5 * float(np.std(target))) ** 2
@@ -706,8 +654,8 @@ def scanned(
     system: System,
     chosen: Sequence[int],
     local: Mapping[str, Candidate],
-) -> list[tuple[float, Candidate]]:
-    """Statistic of the best step and burst of every signal in every record, beside what is in."""
+) -> list[Candidate]:
+    """The likeliest steps and bursts, beside what is in, of all signals in all records."""
     a = list(chosen)
     inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
     places = np.arange(1, PLACES) / PLACES
@@ -723,11 +671,7 @@ def scanned(
             row = np.searchsorted(piece.times, at)
             ended = row + max(1, round(piece.times.size / PLACES))
             steps = [_from(piece, name, ramp, k) for k in (row, ended)]
-            position = {k: i for i, k in enumerate(piece.used)}
-            beside = np.zeros((level.size, len(a)))
-            for i, k in enumerate(a):
-                if k in position:
-                    beside[:, i] = piece.columns[:, position[k]]
+            beside = piece.columns_of(np.array(a, dtype=int))
             for i, shape in enumerate((steps[0], steps[0] - steps[1])):
                 waves = dct(shape, axis=0, norm="ortho")[1:]
                 score[i] += (piece.residual / level) @ waves
@@ -741,7 +685,9 @@ def scanned(
             until = places[k] + 1.0 / PLACES if kind == "burst" else 1.0
             found = replace(one, kind=kind, record=trace.name, at=places[k], until=until)
             result.append((float(gain[i, k]), found))
-    return sorted(result, key=lambda pair: -pair[0])
+    least = VARYING * float(np.min(system.limits))
+    likely = sorted((pair for pair in result if pair[0] > least), key=lambda pair: -pair[0])
+    return [fault for _, fault in likely[:MOST_FAULTS]]
 
 
 def _from(piece: Piece, name: str, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
@@ -756,78 +702,80 @@ def _from(piece: Piece, name: str, ramp: np.ndarray | None, rows: np.ndarray) ->
 
 
 @dataclass(frozen=True)
-class Selection:
-    """Candidates that may be chosen: what each gains beside others, and whether it may."""
+class System:
+    """Normal equations of all candidates, whitened: what each gains beside others.
 
-    system: System
-    right: np.ndarray
+    ``gram`` is ``(n, n)``, ``right`` ``(n,)``, ``limits`` what each needs, ``doubt`` the half-width
+    of what noise in a regressor may have added to ``right``; ``levels`` are the variances in each
+    piece.
+    """
+
     faults: Sequence[Candidate]
+    gram: np.ndarray
+    right: np.ndarray
+    limits: np.ndarray
+    doubt: np.ndarray
+    levels: tuple[np.ndarray, ...]
 
-    def __post_init__(self) -> None:
-        ridge = np.array([f.plausible for f in self.faults]) ** -2.0
-        object.__setattr__(self, "ridge", ridge)
+    def of(self, what: str) -> np.ndarray:
+        """A number of every candidate."""
+        return np.array([getattr(fault, what) for fault in self.faults])
+
+    def _inverse(self, chosen: Sequence[int]) -> np.ndarray:
+        """Covariance of the sizes of some; a usual size is what is known of each before."""
+        a = list(chosen)
+        return np.linalg.inv(self.gram[np.ix_(a, a)] + np.diag(self.of("plausible")[a] ** -2.0))
 
     def beside(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Statistic, size and standard deviation of every candidate beside some, ``(n,)`` each."""
-        gram, a = self.system.gram, list(chosen)
-        ridge = self.ridge  # type: ignore[attr-defined]
-        inner = gram[np.ix_(a, a)] + np.diag(ridge[a])
-        across = np.linalg.solve(inner, gram[a]) if a else np.zeros((0, len(gram)))
-        left = gram.diagonal() + ridge - np.einsum("ij,ij->j", gram[a], across)
+        gram, a, own = self.gram, list(chosen), self.gram.diagonal()
+        across = self._inverse(a) @ gram[a]
+        left = own - np.einsum("ij,ij->j", gram[a], across)
         score = self.right - across.T @ self.right[a]
-        told = gram.diagonal() - np.einsum("ij,ij->j", gram[a], across) > APART * gram.diagonal()
-        left = np.where(told & (gram.diagonal() > 0.0), left, np.inf)
+        told = (left > APART * own) & (own > 0.0)
+        left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 
     def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
-        least = np.array([f.material for f in self.faults]) + 1.5 * std**2 * self.system.doubt
-        most = LARGEST * np.array([f.plausible for f in self.faults])
-        result = (np.abs(size) >= least) & (np.abs(size) <= most)
+        least = self.of("material") + 1.5 * std**2 * self.doubt
+        result = (np.abs(size) >= least) & (np.abs(size) <= LARGEST * self.of("plausible"))
         result[list(chosen)] = False
         return result
 
     def sizes(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Size, covariance diagonal and own statistic of each chosen candidate."""
-        a = list(chosen)
-        ridge = self.ridge  # type: ignore[attr-defined]
-        inverse = np.linalg.inv(self.system.gram[np.ix_(a, a)] + np.diag(ridge[a]))
+        a, inverse = list(chosen), self._inverse(chosen)
         size = inverse @ self.right[a]
         # A doubt is uniform, with the variance of a third of its half-width squared.
-        unsure = ((inverse * self.system.doubt[a]) ** 2).sum(axis=1) / 3.0
+        unsure = ((inverse * self.doubt[a]) ** 2).sum(axis=1) / 3.0
         return size, np.sqrt(inverse.diagonal() + unsure), size**2 / inverse.diagonal()
 
-    def price(self, total: float) -> np.ndarray:
-        """What each has to gain in a set that gains this much."""
-        return np.maximum(self.system.limits, CURVED * total)
-
-    def total(self, chosen: Sequence[int]) -> float:
-        """Statistic of a set."""
-        return float(self.sizes(chosen)[0] @ self.right[list(chosen)]) if len(chosen) else 0.0
+    def price(self, chosen: Sequence[int]) -> np.ndarray:
+        """What each has to gain beside a set that gains so much."""
+        a = list(chosen)
+        return np.maximum(self.limits, CURVED * float(self.sizes(a)[0] @ self.right[a]))
 
     def chosen(self, start: Sequence[int]) -> list[int]:
         """Forward selection with exchange and drop."""
-        now = [k for k in start if self.system.gram[k, k] > 0.0]
+        now = [k for k in start if self.gram[k, k] > 0.0]
         seen: set[frozenset[int]] = set()
         while frozenset(now) not in seen:
             seen.add(frozenset(now))
             now = self._dropped(self._exchanged(self._added(now)))
         return now
 
-    def _rare(self) -> np.ndarray:
-        return np.array([f.rare for f in self.faults])
-
     def _added(self, now: list[int]) -> list[int]:
         gain, size, std = self.beside(now)
-        pays = self.able(now, size, std) & (gain > self.price(self.total(now)))
-        best = int(np.argmax(np.where(pays, gain - self._rare(), -np.inf)))
+        pays = self.able(now, size, std) & (gain > self.price(now))
+        best = int(np.argmax(np.where(pays, gain - self.of("rare"), -np.inf)))
         return [*now, best] if pays[best] and len(now) < MOST_FAULTS else now
 
     def _exchanged(self, now: list[int]) -> list[int]:
         for k in tuple(now):
             rest = [j for j in now if j != k]
             gain, size, std = self.beside(rest)
-            worth = gain - self._rare()
+            worth = gain - self.of("rare")
             better = np.where(self.able(rest, size, std), worth, -np.inf)
             best = int(np.argmax(better))
             if better[best] > worth[k] + 0.1 and self.faults[k].material > 0.0:
@@ -837,7 +785,7 @@ class Selection:
     def _dropped(self, now: list[int]) -> list[int]:
         while now:
             size, _, own = self.sizes(now)
-            short = own - self.price(self.total(now))[now]
+            short = own - self.price(now)[now]
             small = [
                 short[i] < 0.0 or not f.material <= abs(size[i]) <= 1.5 * LARGEST * f.plausible
                 for i, f in enumerate(self.faults[k] for k in now)
@@ -849,10 +797,8 @@ class Selection:
 
     def _without_pairs(self, now: list[int]) -> list[int]:
         """The set without two that only hold each other up: together they do not pay."""
-        a = list(now)
-        ridge = self.ridge  # type: ignore[attr-defined]
-        inverse = np.linalg.inv(self.system.gram[np.ix_(a, a)] + np.diag(ridge[a]))
-        size, price = inverse @ self.right[a], self.price(self.total(now))[a]
+        a, inverse, price = list(now), self._inverse(now), self.price(now)[now]
+        size = inverse @ self.right[a]
         for pair in combinations(range(len(a)), 2):
             both = list(pair)
             joint = size[both] @ np.linalg.solve(inverse[np.ix_(both, both)], size[both])
@@ -927,38 +873,41 @@ def search(
     improving: signal, record and share of it.
     """
     words = candidates(traces, relations)
-    faults = [*words.common, *(words.single if single else ())]
+    faults = [*words.common, *words.single * single]
     n_more = 2 * PLACES * len(words.local) * len(traces) * single
     active = _begun(words, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
-    for turn in range(ROUNDS):
-        moving = [f for f in active if f.kind in LOCAL and f.material > 0.0]
-        near = [_moved(f, d * shift) for f in moving for d in (-1, 1)]
+    for turn in range(SWEEPS):
+        near = [*_beside(active, shift)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
         place = {f: k for k, f in enumerate(faults)}
         undone, pieces = _linearised(traces, relations, faults, active)
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
         now = [place[f] for f in active]
-        inside = np.array(sorted({*range(len(words.common)), *now}))
+        inside = np.union1d(np.arange(len(words.common)), now).astype(int)
         system = assemble(pieces, relations, faults, inside, n_more)
-        right = system.right + system.gram[:, now] @ np.array([*active.values()])
-        bench = Selection(system, right, faults)
+        bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
         found = scanned(undone, pieces, system, now, words.local) if single else []
-        least = VARYING * float(np.min(system.limits))
-        picked = [f for gain, f in found[:MOST_FAULTS] if gain > least and f not in place]
+        picked = [f for f in found if f not in place]
         chosen = bench.chosen(now)
         size, std, _ = bench.sizes(chosen)
         before, active = active, {faults[k]: float(v) for k, v in zip(chosen, size, strict=True)}
-        moved = [abs(active[f] - before.get(f, np.inf)) for f in active]
-        still = active.keys() == before.keys() and np.all(moved < 0.1 * std + 1e-9)
-        if still and not picked and (shift < 1e-3 or not near):
+        if _settled(before, active, std) and not picked and (shift < 1e-3 or not near):
             break
         shift *= 0.5 if near else 1.0
     error = bench.beside(chosen)[2]
     visible = np.sqrt(system.limits) * np.where(error > 0.0, error, np.inf)
     return Result(_described(bench, chosen), tuple(faults), visible, strained)
+
+
+def _settled(
+    before: Mapping[Candidate, float], now: Mapping[Candidate, float], std: np.ndarray
+) -> bool:
+    """Whether faults are the same, and their sizes within a tenth of their errors."""
+    moved = np.array([abs(size - before.get(fault, np.inf)) for fault, size in now.items()])
+    return before.keys() == now.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
 
 
 def _begun(
@@ -990,9 +939,12 @@ def _linearised(
     return undone, [p for t in undone for p in contrasts(t, relations, faults, factors)]
 
 
-def _moved(one: Candidate, shift: float) -> Candidate:
-    """A step or burst a little earlier or later."""
-    return replace(one, at=one.at + shift, until=one.until + shift * (one.kind == "burst"))
+def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
+    """Steps and bursts a little earlier and later, where their places are not known."""
+    for one in active:
+        if one.kind in LOCAL and one.material > 0.0:
+            for by in (-shift, shift):
+                yield replace(one, at=one.at + by, until=one.until + by * (one.kind == "burst"))
 
 
 def diagnosed(
@@ -1025,7 +977,7 @@ def diagnosed(
 def _as_units(one: Found) -> list[Reading]:
     """A scale that is that of a unit within its error, as another reading."""
     fault = one.candidate
-    units = UNITS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
+    units = READINGS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
     near = [
         Reading(Correction("unit", fault.signals, factor), meaning, one.gain)
         for factor, meaning in units
@@ -1034,7 +986,7 @@ def _as_units(one: Found) -> list[Reading]:
     return near[:1]
 
 
-def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
+def _described(bench: System, chosen: list[int]) -> tuple[Found, ...]:
     """Accepted faults with errors, statistics and rivals, the strongest first."""
     if not chosen:
         return ()
@@ -1060,33 +1012,30 @@ def _described(bench: Selection, chosen: list[int]) -> tuple[Found, ...]:
 
 def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:
     """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
-    units = {n: u for trace in traces for n, u in trace.units.items()}
-    names = list(dict.fromkeys(n for r in relations for n in (r.target, *r.signals)))
-    yield from _signs_and_units(relations, names, units)
-    for pair in combinations(names, 2):
-        yield Reading(Correction("swap", pair))
-    velocities = velocities_of(relations, units)
-    positions = [r for r in relations if r.is_rate and units[r.target] == "m"]
+    units, names = units_of(traces), names_of(relations)
+    angles = [r.names for r in relations if r.is_rate and units[r.target] == "rad"]
+    for group in [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]:
+        yield Reading(Correction("sign", group, -1.0))
+        if len({units[n].partition("/")[0] for n in group}) == 1:
+            for factor, meaning in READINGS.get(units[group[0]], ()):
+                yield Reading(Correction("unit", group, factor), meaning)
+    yield from (Reading(Correction("swap", pair)) for pair in combinations(names, 2))
+    yield from _axes(traces, relations, units)
+
+
+def _axes(
+    traces: Sequence[Trace], relations: tuple[Relation, ...], units: dict[str, str]
+) -> Iterator[Reading]:
+    """Velocities along the axes of the positions, and headings that count from elsewhere."""
+    velocities, positions = velocities_of(relations, units), _displacements(relations, units)
     level = (level_axis(r, traces[0].values, units, traces[0].times, velocities) for r in positions)
-    if any(level) and all(name in trace.values for trace in traces for name in velocities):
+    if any(level) and all(trace.values.keys() >= {*velocities} for trace in traces):
         yield Reading(Correction("frame", velocities))
     if len(positions) > 1:
         shared = set.intersection(*(set(r.signals) for r in positions))
         for angle, quarter in product(sorted(n for n in shared if units[n] == "rad"), (1, 2, 3)):
             turn = Correction("offset", (angle,), quarter * math.pi / 2.0)
             yield Reading(turn, f"{90 * quarter} deg")
-
-
-def _signs_and_units(
-    relations: tuple[Relation, ...], names: Sequence[str], units: Mapping[str, str]
-) -> Iterator[Reading]:
-    """Of every signal, and of an angle together with its rate."""
-    pairs = [(r.target, *r.signals) for r in relations if r.is_rate and units[r.target] == "rad"]
-    for group in [*((n,) for n in names), *(p for p in pairs if len(p) == 2)]:
-        yield Reading(Correction("sign", group, -1.0))
-        if len({units[n].partition("/")[0] for n in group}) == 1:
-            for factor, meaning in UNITS.get(units[group[0]], ()):
-                yield Reading(Correction("unit", group, factor), meaning)
 
 
 def evidence(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> np.ndarray:
@@ -1116,53 +1065,50 @@ def misread(
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
     if np.any((evidence(coarse, relations) == 0.0) & (evidence(traces, relations) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
-    late = [
-        Reading(Correction("delay", f.signals, d))
-        for f in candidates(coarse, relations).common
-        if f.kind == "delay"
-        for d in DELAYS
-        if abs(d) > 2.0 * f.material
-    ]
+    late = _late(coarse, relations)
     found: list[Reading] = []
     for _ in range(3):
         least, scored = _scored(coarse, relations, late)
-        if not scored:
-            break
         best = scored[0]
-        if best.correction.kind == "delay" and best.gain > _limit(scored):
+        # What chance exceeds rarely, however many readings are tried.
+        limit = 2.0 * math.log(len(scored) / ALPHA)
+        if best.correction.kind == "delay" and best.gain > limit:
             return found, [best.correction]
-        if best.gain < least:
+        if best.gain < limit + least:
             break
-        rivals = [o for o in scored[1:] if o.gain > best.gain - CLOSE]
-        found.append(replace(best, rivals=tuple(o for o in rivals if o.correction.kind != "delay")))
+        rivals = (o for o in scored[1:] if o.correction.kind != "delay")
+        close = tuple(o for o in rivals if o.gain > best.gain - CLOSE)
+        found.append(replace(best, rivals=close))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
 
 
-def _limit(trials: Sequence[Reading]) -> float:
-    """What chance exceeds rarely, however many readings are tried."""
-    return 2.0 * math.log(len(trials) / ALPHA)
+def _late(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Reading]:
+    """Large delays, as rivals of readings."""
+    delays = [f for f in candidates(traces, relations).common if f.kind == "delay"]
+    return [
+        Reading(Correction("delay", f.signals, d))
+        for f, d in product(delays, DELAYS)
+        if abs(d) > 2.0 * f.material
+    ]
 
 
 def _scored(
     coarse: Sequence[Trace], relations: tuple[Relation, ...], late: Sequence[Reading]
 ) -> tuple[float, list[Reading]]:
-    """What a reading has to tell at least, and all readings, those that tell most first."""
-    trials = [*readings(coarse, relations), *late]
+    """What faults with a size tell, and all readings, those that tell most first."""
     now = evidence(coarse, relations)
     sized = [one.correction for one in search(coarse, relations, single=False).found]
     mended = [undo(t, sized, relations) for t in coarse]
     told = float(np.sum(evidence(mended, relations) - now))
     scored = []
-    for one in trials:
+    for one in (*readings(coarse, relations), *late):
         touched = {*one.correction.signals}
-        mine = [i for i, r in enumerate(relations) if touched & {r.target, *r.signals}]
+        mine = [i for i, r in enumerate(relations) if touched & {*r.names}]
         some = tuple(relations[i] for i in mine)
         changed = [undo(t, (one.correction,), relations) for t in coarse]
         scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
-    if not scored:
-        return np.inf, []
-    return _limit(trials) + max(0.0, told), sorted(scored, key=lambda one: -one.gain)
+    return max(0.0, told), sorted(scored, key=lambda one: -one.gain)
 
 
 def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:

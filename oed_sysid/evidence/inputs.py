@@ -24,7 +24,7 @@ sample; a record in which they do not is left out of the judgement.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -34,20 +34,14 @@ from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.corrections import ORDER, corrected
+from oed_sysid.evidence.relations import READINGS
 from oed_sysid.evidence.result import Correction, Finding
 from oed_sysid.evidence.words import COPY
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.text.expressions import names as names_in
 
-DEGREE = np.pi / 180.0
-UNITS: dict[str, tuple[tuple[float, str], ...]] = {
-    "rad": ((DEGREE, "deg"), (1.0 / DEGREE, "")),
-    "1/s": ((1.0 / 60.0, "rpm"), (60.0, "")),
-    "rad/s": ((2.0 * np.pi / 60.0, "rpm"), (60.0 / (2.0 * np.pi), "")),
-    "N": ((1e3, "kN"), (1e-3, "mN"), (4.4482216, "lbf")),
-    "m/s": ((1852.0 / 3600.0, "kn"), (3600.0 / 1852.0, "")),
-}
 ACCEPTED = 20.0
 # A lag is physics of an actuator as well as a fault of a log: it only competes.
 LAGS = (0.0, 0.25, 0.5, 1.0, 2.0)
@@ -85,19 +79,16 @@ class _Trial:
     meaning: str = ""
     factor: float = 1.0
     lag: float = 0.0
-    swapped: tuple[int, int] | None = None
 
     def inputs(self, record: Record) -> np.ndarray:
         """Inputs of a record as they are then read, ``(n_samples, n_inputs)``."""
         values = np.array(record.inputs)
         mine = [record.channels.input_names.index(name) for name in self.names]
-        if self.swapped is not None:
+        if self.kind == "swap":
             values[:, mine] = values[:, mine[::-1]]
-        else:
-            values[:, mine] *= self.factor
-        if self.lag:
-            for k in mine:
-                values[:, k] = np.interp(record.times - self.lag, record.times, values[:, k])
+        for k in mine:
+            later = record.times - self.lag
+            values[:, k] = self.factor * np.interp(later, record.times, values[:, k])
         return values
 
 
@@ -150,7 +141,7 @@ def _beyond(
         limit = min(limit, np.pi) if channel.unit == "rad" else limit
         if largest <= limit:
             continue
-        units = [m for f, m in UNITS.get(channel.unit, ()) if m and f * largest <= limit]
+        units = [m for f, m in READINGS.get(channel.unit, ()) if f * largest <= limit]
         about = f", as if it were in {' or '.join(units)}" if units else ""
         allowed = f"{declared:.3g}" if np.isfinite(declared) else "half a turn"
         result.append(
@@ -181,9 +172,8 @@ def _by_motion(
         )
     known = [fix for fix in fixes if fix.kind in ORDER]
     try:
-        mended = corrected(dataset, known) if known else dataset
+        pieces = _pieces(corrected(dataset, known) if known else dataset, model)
         run = kernel(model)
-        pieces = _pieces(mended, model)
     except OedSysidError:
         pieces = None
     if not pieces:
@@ -191,78 +181,79 @@ def _by_motion(
             f"{about}not all states of the model are measured, or follow from those that are."
         )
     names = model.input_names
-    lagging = [_Trial("delay", names, lag=lag) for lag in LAGS]
-    base = max(_evidence(run, model, pieces, one) for one in lagging)
-    trials = [*_trials(dataset, model), *_late(dataset, model)]
-    scores = [(_evidence(run, model, pieces, one), one) for one in trials]
-    scores = [(score, one) for score, one in scores if np.isfinite(score)]
-    if not np.isfinite(base) and not scores:
+    base = max(_evidence(run, model, pieces, _Trial("delay", names, lag=lag)) for lag in LAGS)
+    trials = list(_trials(dataset, model))
+    scores = np.array([_evidence(run, model, pieces, one) for one in trials])
+    scores = np.where(np.isfinite(scores), scores, -np.inf)
+    best = float(np.max(scores, initial=-np.inf))
+    if not np.isfinite(base) and not np.isfinite(best):
         return [], f"{about}the nominal model diverges from the measured states."
-    if not scores:
+    gain = best - base
+    if gain <= ACCEPTED:
         return [], ""
     # Of several readings the one that explains most; the others are judged once it is mended.
-    score, best = max(scores, key=lambda pair: pair[0])
-    gain = score - base if np.isfinite(base) else np.inf
-    return ([_finding(dataset, model, best, gain)] if gain > ACCEPTED else []), ""
+    return [_finding(dataset, model, trials[int(np.argmax(scores))], gain)], ""
 
 
-def _trials(dataset: Dataset, model: Model) -> list[_Trial]:
-    """Signs and units of each input that moves, and pairs that may be swapped."""
-    result: list[_Trial] = []
-    moving = []
-    for index, channel in enumerate(model.inputs):
-        values = np.concatenate([record.inputs[:, index] for record in dataset])
-        if not np.any(values):
-            continue
-        name = (channel.name,)
-        if np.ptp(values) > 0.0:
-            moving.append(index)
-            result.append(_Trial("sign", name, "sign", -1.0))
-        result += [_Trial("unit", name, m, f) for f, m in UNITS.get(channel.unit, ())]
-    for first, second in combinations(moving, 2):
-        if model.inputs[first].unit == model.inputs[second].unit:
-            names = (model.inputs[first].name, model.inputs[second].name)
-            result.append(_Trial("swap", names, swapped=(first, second)))
-    return result
-
-
-def _late(dataset: Dataset, model: Model) -> list[_Trial]:
-    """Inputs that were logged after the vehicle had answered them."""
+def _trials(dataset: Dataset, model: Model) -> Iterator[_Trial]:
+    """Signs and units of each input that moves, pairs that may be swapped, and late logging."""
+    values = np.concatenate([record.inputs for record in dataset])
+    units = {one.name: one.unit for one in model.inputs}
+    for name, column in zip(units, values.T, strict=True):
+        if np.ptp(column) > 0.0:
+            yield _Trial("sign", (name,), "sign", -1.0)
+        if np.any(column):
+            for factor, meaning in READINGS.get(units[name], ()):
+                yield _Trial("unit", (name,), meaning, factor)
+    moving = [name for name, column in zip(units, values.T, strict=True) if np.ptp(column) > 0.0]
+    for pair in combinations(moving, 2):
+        if units[pair[0]] == units[pair[1]]:
+            yield _Trial("swap", pair)
+    # Inputs that were logged after the vehicle had answered them.
     step = max(record.sample_time for record in dataset)
-    return [_Trial("delay", model.input_names, lag=-lag) for lag in LAGS if lag > 2.0 * step]
+    yield from (_Trial("delay", tuple(units), lag=-lag) for lag in LAGS if lag > 2.0 * step)
+
+
+# What is said of an input, what it does to an estimate, and what mends it.
+WORDS = {
+    "sign": (
+        "{name} acts with the other sign than the nominal model and its priors say.",
+        "the coefficients of {name} are fitted to their mirror image",
+        'Input("{name}", "{unit}", sign={sign:g})',
+    ),
+    "unit": (
+        "{name} acts as if it were in {meaning}, not in {unit}.",
+        "the coefficients of {name} are fitted {inverse:.3g} times as large",
+        'write the header as "{column} [{meaning}]"',
+    ),
+    "twice": (
+        "{name} acts {factor:.3g} times as strongly as logged: converted twice?",
+        "the coefficients of {name} are fitted {inverse:.3g} times as large",
+        f"{COPY}; or correct the unit in the header",
+    ),
+    "swap": (
+        "{both} are in each other's column.",
+        "both commands are fitted to the other one's forces",
+        "exchange the two columns in the headers",
+    ),
+    "delay": (
+        "the vehicle answers {both} about {late:.2g} s before the log shows them.",
+        "lags of actuators and damping are wrong by as much",
+        "shift the inputs back in time, or the outputs forward, before the columns are joined",
+    ),
+}
 
 
 def _finding(dataset: Dataset, model: Model, one: _Trial, gain: float) -> Finding:
     channel = next(c for c in model.inputs if c.name == one.names[0])
-    name, both = channel.name, " and ".join(one.names)
-    copy = f"{COPY}; or correct the unit in the header"
-    says, changes, line = {
-        "sign": (
-            f"{name} acts with the other sign than the nominal model and its priors say.",
-            f"the coefficients of {name} are fitted to their mirror image",
-            f'Input("{name}", "{channel.unit}", sign={-channel.sign:g})',
-        ),
-        "unit": (
-            f"{name} acts as if it were in {one.meaning}, not in {channel.unit}."
-            if one.meaning
-            else f"{name} acts {one.factor:.3g} times as strongly as logged: converted twice?",
-            f"the coefficients of {name} are fitted {1.0 / one.factor:.3g} times as large",
-            f'write the header as "{channel.column or name} [{one.meaning}]"'
-            if one.meaning
-            else copy,
-        ),
-        "swap": (
-            f"{both} are in each other's column.",
-            "both commands are fitted to the other one's forces",
-            "exchange the two columns in the headers",
-        ),
-        "delay": (
-            f"the vehicle answers {both} about {-one.lag:.2g} s before the log shows them.",
-            "lags of actuators and damping are wrong by as much",
-            "shift the inputs back in time, or the outputs forward, before the columns are joined",
-        ),
-    }[one.kind]
-    correction = Correction(one.kind, one.names, one.factor)
+    about = {
+        "name": channel.name, "both": " and ".join(one.names), "unit": channel.unit,
+        "sign": -channel.sign, "column": channel.column or channel.name, "late": -one.lag,
+        "meaning": one.meaning, "factor": one.factor, "inverse": 1.0 / one.factor,
+    }  # fmt: skip
+    words = WORDS["twice" if "twice" in one.meaning else one.kind]
+    says, changes, line = (text.format(**about) for text in words)
+    fix = Correction(one.kind, one.names, one.factor) if one.kind in ("sign", "unit") else None
     return Finding(
         one.kind,
         one.names,
@@ -270,10 +261,9 @@ def _finding(dataset: Dataset, model: Model, one: _Trial, gain: float) -> Findin
         says,
         changes,
         line,
-        True,
-        gain=None if np.isinf(gain) else float(gain),
+        gain=gain if np.isfinite(gain) else None,
         alternatives=("a nominal model or priors that are wrong by as much",),
-        correction=correction if one.kind in ("sign", "unit") else None,
+        correction=fix,
     )
 
 
@@ -281,7 +271,8 @@ def _pieces(dataset: Dataset, model: Model) -> list[_Piecewise] | None:
     """Records cut into pieces that are long enough for the motion to show; None if impossible."""
     series = []
     for record in dataset:
-        part = _beginning(record)
+        last = record.times[:MOST_SAMPLES][-1]  # so many are enough here
+        part = record.window(record.times[0], last) if record.n_samples > MOST_SAMPLES else record
         measured = measured_states(model, part)
         whole = measured | {
             k: guess.series
@@ -303,13 +294,6 @@ def _pieces(dataset: Dataset, model: Model) -> list[_Piecewise] | None:
     return result if sum(p.starts.size for p in result) >= LEAST_PIECES else None
 
 
-def _beginning(record: Record) -> Record:
-    """Return the first samples of a record, as many as are needed here."""
-    if record.n_samples <= MOST_SAMPLES:
-        return record
-    return record.window(record.times[0], record.times[MOST_SAMPLES - 1])
-
-
 def _moves(series: list[tuple[Record, np.ndarray]], model: Model, length: int) -> bool:
     """Whether states change visibly over pieces of a length."""
     columns = _dynamic(model)
@@ -323,14 +307,9 @@ def _moves(series: list[tuple[Record, np.ndarray]], model: Model, length: int) -
 
 def _dynamic(model: Model) -> np.ndarray:
     """Positions of the states whose equations hold free parameters: the velocities of axes."""
-    names = model.state_names
-    own = set(model.axes.values())
-    if not own:
-        free = set(model.free_names)
-        from oed_sysid.text import expressions
-
-        own = {s for s, text in model.kinematics.items() if expressions.names(text) & free}
-    return np.array([i for i, name in enumerate(names) if name in own], dtype=int)
+    free, kinematics = set(model.free_names), model.kinematics.items()
+    own = set(model.axes.values()) or {s for s, text in kinematics if names_in(text) & free}
+    return np.array([i for i, name in enumerate(model.state_names) if name in own], dtype=int)
 
 
 def _believed(p: Parameter) -> float:
@@ -340,12 +319,7 @@ def _believed(p: Parameter) -> float:
     return max(p.prior_std, LEAST_PRIOR * abs(p.prior_mean or p.value))
 
 
-def _evidence(
-    run: Kernel,
-    model: Model,
-    pieces: list[_Piecewise],
-    trial: _Trial,
-) -> float:
+def _evidence(run: Kernel, model: Model, pieces: list[_Piecewise], trial: _Trial) -> float:
     """Logarithm of the evidence, times two, of inputs in another reading."""
     columns = _dynamic(model)
     if not columns.size:

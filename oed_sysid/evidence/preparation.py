@@ -30,6 +30,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
+from oed_sysid.evidence.traces import RELATIVE
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
 
 # Share of a record that is learnt from, and least samples of either part.
@@ -38,8 +39,8 @@ LEARNT, LEAST = 0.6, 100
 LEAST_TESTS = 20
 # A search reads about this many samples.
 ENOUGH = 20_000
-# What a line may leave: in noise levels, and as share of the signal's spread.
-BEND, BEND_SPREAD = 1.3, 0.01
+# What a line may leave, in noise levels; what is immaterial it may leave, too.
+BEND = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +191,7 @@ def _strides(train: Dataset, validation: Dataset | None, enough: int) -> list[in
     if wanted < 2:
         return whole
     noise, _ = credible_levels(train)
-    allowed = np.maximum(BEND * noise, BEND_SPREAD * signal_spread(train))
+    allowed = np.maximum(BEND * noise, RELATIVE * signal_spread(train))
     for count in range(wanted, 1, -1):
         found = strides(count)
         if np.all(_bend(train, found) <= allowed):

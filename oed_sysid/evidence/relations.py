@@ -23,56 +23,27 @@ column carries a usual name of a rigid body's motion, kinematics can use it.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
 
+from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
-from oed_sysid.text.csv_table import read_table
+from oed_sysid.text.csv_table import Table, read_table
 from oed_sysid.text.units import parse_header, to_si
 
-STANDARD_UNITS = {
-    "x": "m", "y": "m", "z": "m", "u": "m/s", "v": "m/s", "w": "m/s",
-    "phi": "rad", "theta": "rad", "psi": "rad", "p": "rad/s", "q": "rad/s", "r": "rad/s",
-}  # fmt: skip
-# Forms of each equation, the fullest first: names needed beside the left side, and the text.
-STANDARD: dict[str, tuple[tuple[str, str], ...]] = {
-    "phi": (("p q r theta", "p + (q*sin(phi) + r*cos(phi))*tan(theta)"), ("p", "p")),
-    "theta": (("q r phi", "q*cos(phi) - r*sin(phi)"), ("q", "q")),
-    "psi": (
-        ("q r phi theta", "(q*sin(phi) + r*cos(phi))/cos(theta)"),
-        ("r phi theta", "r*cos(phi)/cos(theta)"),
-        ("r phi", "r*cos(phi)"),
-        ("r theta", "r/cos(theta)"),
-        ("r", "r"),
-    ),
-    "x": (
-        (
-            "u v w phi theta psi",
-            "u*cos(psi)*cos(theta) + v*(cos(psi)*sin(theta)*sin(phi) - sin(psi)*cos(phi))"
-            " + w*(cos(psi)*sin(theta)*cos(phi) + sin(psi)*sin(phi))",
-        ),
-        ("u v psi", "u*cos(psi) - v*sin(psi)"),
-        ("u w theta", "u*cos(theta) + w*sin(theta)"),
-    ),
-    "y": (
-        (
-            "u v w phi theta psi",
-            "u*sin(psi)*cos(theta) + v*(sin(psi)*sin(theta)*sin(phi) + cos(psi)*cos(phi))"
-            " + w*(sin(psi)*sin(theta)*cos(phi) - cos(psi)*sin(phi))",
-        ),
-        ("u v psi", "u*sin(psi) + v*cos(psi)"),
-    ),
-    "z": (
-        ("u v w phi theta", "-u*sin(theta) + v*cos(theta)*sin(phi) + w*cos(theta)*cos(phi)"),
-        ("u w theta", "-u*sin(theta) + w*cos(theta)"),
-    ),
-}  # fmt: skip
+_TABLE = tomllib.loads(files(__package__).joinpath("kinematics.toml").read_text("utf-8"))
+STANDARD_UNITS: dict[str, str] = _TABLE["units"]
+# Factor and meaning of the units that numbers may be in, by the unit that they should be in.
+READINGS: dict[str, list[tuple[float, str]]] = _TABLE["readings"]
 
 
 @dataclass(frozen=True)
@@ -105,6 +76,11 @@ class Relation:
     steps: tuple[tuple[str, str], ...] = field(repr=False)
     constants: Mapping[str, float] = field(repr=False)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All signals, the left side first."""
+        return (self.target, *self.signals)
+
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
 
@@ -114,6 +90,11 @@ class Relation:
         for name, text in self.steps:
             scope[name] = expressions.to_numpy(text, scope)
         return np.broadcast_to(np.asarray(scope[self.steps[-1][0]], dtype=float), times.shape)
+
+
+def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:
+    """All signals of some equations."""
+    return tuple(dict.fromkeys(n for r in relations for n in r.names))
 
 
 def relations(
@@ -134,48 +115,44 @@ def relations(
     # A state is measured where an output shows it and nothing else.
     shown = {o.source: o.name for o in model.outputs if o.name not in absent}
     measured = {state: shown[state] for state in model.state_names if state in shown}
-    found: list[Relation] = []
-    for state, text in model.kinematics.items():
-        if state in measured:
-            one = _declared(model, measured[state], text, measured, is_rate=True)
-            if one is not None and one.signals:
-                found.append(one)
-    for output in model.outputs:
-        if output.source not in model.state_names and output.name not in absent:
-            one = _declared(model, output.name, output.source, measured, is_rate=False)
-            if one is not None and one.signals:
-                found.append(one)
+    touched = _touched(model)
+    rates = [
+        _declared(model, measured[state], text, measured, is_rate=True)
+        for state, text in model.kinematics.items()
+        if state in measured and state not in touched
+    ]
+    sums = [
+        _declared(model, o.name, o.source, measured, is_rate=False)
+        for o in model.outputs
+        if o.source not in model.state_names and o.name not in absent
+    ]
+    found = [one for one in (*rates, *sums) if one is not None]
     return (*found, *_standard(model, set(spare), absent, {r.target for r in found}))
+
+
+def _touched(model: Model) -> set[str]:
+    """States and signals to which an effect adds something."""
+    return {key for e in model.effects for key in e.terms if isinstance(key, str)}
 
 
 def _declared(
     model: Model, target: str, text: str, measured: Mapping[str, str], *, is_rate: bool
 ) -> Relation | None:
     """Equation of the model over measured signals; None if anything unknown enters it."""
-    touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
-    state = next((s for s, name in measured.items() if name == target), None)
-    if is_rate and state in touched:
-        return None
     constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    signals_of = {name: part for name, part in model.signals.items() if name not in touched}
+    signals_of = {name: part for name, part in model.signals.items() if name not in _touched(model)}
     needed = _needed(text, {*measured}, {*constants, "t"}, signals_of)
     if needed is None:
         return None
     used, inner = needed
-    if is_rate and not _is_kinematic(model, target, {measured[s] for s in used}):
-        return None
-    steps = _steps(model, measured, used, inner)
     signals = tuple(dict.fromkeys(measured[s] for s in used))
-    steps = (*steps, (f"{target}_prime_", text))
-    return Relation(target, signals, text, is_rate, True, steps, constants)
-
-
-def _steps(
-    model: Model, measured: Mapping[str, str], used: Sequence[str], inner: Mapping[str, str]
-) -> tuple[tuple[str, str], ...]:
-    """Other names of measured signals, then inner signals in the order of the model."""
+    if not signals or (is_rate and not _is_kinematic(model, target, set(signals))):
+        return None
+    # Other names of measured signals, then inner signals in the order of the model.
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
-    return (*aliases, *((name, inner[name]) for name in model.signals if name in inner))
+    steps = [(name, inner[name]) for name in model.signals if name in inner]
+    steps = [*aliases, *steps, (f"{target}_prime_", text)]
+    return Relation(target, signals, text, is_rate, True, tuple(steps), constants)
 
 
 def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
@@ -215,41 +192,22 @@ def _needed(
 
 def _standard(
     model: Model, spare: set[str], absent: set[str], related: set[str]
-) -> tuple[Relation, ...]:
+) -> Iterator[Relation]:
     """Equations of a rigid body for signals with standard names and units."""
-    units = {o.name: o.unit for o in model.outputs if o.name not in absent}
-    plain = {o.name for o in model.outputs if o.expression in (None, o.name)}
-    own = {n for n in plain & set(units) if STANDARD_UNITS.get(n) == units[n]}
-    known = own | ((spare & set(STANDARD_UNITS)) - set(units))
+    measured = [o for o in model.outputs if o.name not in absent]
+    plain = {o.name: o.unit for o in measured if o.expression in (None, o.name)}
+    own = {name for name, unit in plain.items() if STANDARD_UNITS.get(name) == unit}
+    known = own | ((spare & set(STANDARD_UNITS)) - {o.name for o in measured})
     # Where the model has an equation for one of these states, it knows better.
-    mine = {s for s in model.kinematics if s in STANDARD} | related
-    asked = [target for target in STANDARD if target in known - mine]
-    found = (_standard_form(target, known) for target in asked)
-    return tuple(one for one in found if one is not None)
-
-
-def _standard_form(target: str, known: set[str]) -> Relation | None:
-    """The first equation of a rigid body for a signal whose other signals are known."""
-    for needed, text in STANDARD[target]:
-        names = tuple(needed.split())
-        if known.issuperset(names):
-            step = (f"{target}_prime_", text)
-            signals = tuple(n for n in (*names, target) if n in expressions.names(text))
-            return Relation(target, signals, text, True, False, (step,), {})
-    return None
-
-
-NAMES = {
-    "x0": "x", "xo": "x", "north": "x", "y0": "y", "yo": "y", "east": "y", "z0": "z", "depth": "z",
-    "surge": "u", "sway": "v", "vm": "v", "heave": "w", "roll": "phi", "heel": "phi",
-    "pitch": "theta", "heading": "psi", "hdg": "psi", "yaw": "psi", "yawrate": "r",
-    "pitchrate": "q", "rollrate": "p", "yaw_rate": "r", "pitch_rate": "q", "roll_rate": "p",
-}  # fmt: skip
-# Words around a name that do not change what it is.
-DECORATION = {
-    "position", "pos", "velo", "velocity", "mid", "midship", "hat", "meas", "measured",
-    "angvelo", "angle", "derived", "estimated", "est", "m",
-}  # fmt: skip
+    mine = set(model.kinematics) | related
+    for target in (n for n in _TABLE["equations"] if n in known - mine):
+        for need, text in _TABLE["equations"][target]:
+            names = (*need.split(), target)
+            if known.issuperset(names):
+                signals = tuple(n for n in names if n in expressions.names(text))
+                step = (f"{target}_prime_", text)
+                yield Relation(target, signals, text, True, False, (step,), {})
+                break
 
 
 def standard_name(header: str) -> tuple[str, str] | None:
@@ -263,9 +221,8 @@ def standard_name(header: str) -> tuple[str, str] | None:
     (None, None)
     """
     name, unit = parse_header(header)
-    words = [word for word in name.lower().split("_") if word not in DECORATION]
-    bare = "_".join(words)
-    found = NAMES.get(bare, bare)
+    words = [word for word in name.lower().split("_") if word not in _TABLE["words"]["decoration"]]
+    found = _TABLE["names"].get("_".join(words), "_".join(words))
     if found not in STANDARD_UNITS or unit is None:
         return None
     return found, unit
@@ -280,44 +237,29 @@ def spare_signals(record: Record) -> dict[str, np.ndarray]:
         Standard name to series ``(n_samples,)`` in SI at the times of the record; empty if the
         record was not read from a file that is still there.
     """
+    taken = {*record.channels.output_names, *record.channels.input_names}
     wanted: dict[str, tuple[str, str]] = {}
-    taken = set(record.channels.output_names) | set(record.channels.input_names)
     for header in record.ignored_columns:
-        found = standard_name(header)
-        if found is not None and found[0] not in taken and found[0] not in wanted:
-            wanted[found[0]] = (header, found[1])
-    path = Path(record.source) if record.source else None
-    if not wanted or path is None or not _is_file(path):
+        name, unit = standard_name(header) or ("", "")
+        if name and name not in taken:
+            wanted.setdefault(name, (header, unit))
+    if not wanted or not record.source:
         return {}
-    try:
-        table = read_table(path)
-        times = _times(table.headers, table.values)
+    # The check of what was read does not fail over what was not asked for.
+    with contextlib.suppress(DataError, ValueError, IndexError, OSError):
+        table = read_table(Path(record.source))
+        times = Columns(table, {}).times(None)
         rows = np.clip(np.searchsorted(times, record.times), 0, times.size - 1)
-        if not np.allclose(times[rows], record.times, rtol=0.0, atol=1e-9):
-            return {}
-        result = {}
-        for name, (header, unit) in wanted.items():
-            values, si_unit = to_si(table.values[rows, table.headers.index(header)], unit)
-            if si_unit.replace(" ", "") != STANDARD_UNITS[name] or not np.isfinite(values).any():
-                continue
-            result[name] = unwrapped(values) if si_unit == "rad" else values
-        return result
-    except (DataError, ValueError, IndexError):
-        # The check of what was read does not fail over what was not asked for.
-        return {}
+        if np.allclose(times[rows], record.times, rtol=0.0, atol=1e-9):
+            return dict(_read(table, rows, wanted))
+    return {}
 
 
-def _is_file(path: Path) -> bool:
-    try:
-        return path.is_file()
-    except OSError:
-        return False
-
-
-def _times(headers: tuple[str, ...], values: np.ndarray) -> np.ndarray:
-    """Times of a table in s; raises ValueError where there is no plain time column."""
-    for index, header in enumerate(headers):
-        name, unit = parse_header(header)
-        if name.lower() in ("t", "time", "times", "timestamp"):
-            return to_si(values[:, index], unit or "s")[0]
-    raise ValueError("no time column")
+def _read(
+    table: Table, rows: np.ndarray, wanted: Mapping[str, tuple[str, str]]
+) -> Iterator[tuple[str, np.ndarray]]:
+    """Some columns in SI, ``(n_rows,)`` each, where their unit is that of the name."""
+    for name, (header, unit) in wanted.items():
+        values, si_unit = to_si(table.values[rows, table.headers.index(header)], unit)
+        if si_unit.replace(" ", "") == STANDARD_UNITS[name] and np.isfinite(values).any():
+            yield name, unwrapped(values) if si_unit == "rad" else values

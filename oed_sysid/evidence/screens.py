@@ -50,14 +50,15 @@ with a step, over the widest surroundings in which noise is all that this leaves
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
 from scipy.special import bdtrc
 
-from oed_sysid.evidence.traces import QUARTILE, Trace, fast_noise
+from oed_sysid.evidence.traces import QUARTILE, RELATIVE, Trace, fast_noise
 
 # False alarms a signal of a record; what rounding repeats is counted, not assumed.
 ALPHA = 0.001
@@ -72,8 +73,6 @@ UNEVEN = 0.2
 SIDE = 5
 # Shares of samples and values from which on a signal is coarse, held or interpolated.
 COARSE, UNIQUE, HELD = 0.2, 0.6, 0.5
-# A shape below this share of a signal's range is immaterial.
-SMALL = 0.01
 # Faults that may be answers to the inputs.
 ANSWERS = ("spikes", "step")
 
@@ -136,25 +135,30 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """
     faults = [fault for trace in traces for fault in screen(trace)]
     after = {trace.name: trace.pushed for trace in traces}
+    fast = _fast([one for one in faults if one.kind in ANSWERS], after)
+    kept: list[Fault] = []
+    for fault in faults:
+        if fault.kind not in ANSWERS or fault.signal not in fast:
+            kept.append(fault)
+            continue
+        pushed = after[fault.record][fault.rows]
+        left = [group for group in fault.groups() if not pushed[group[0]]]
+        kept += [fault.only(np.concatenate(left))] if left else []
+    return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
+
+
+def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
+    """Signals whose faults follow steps of the inputs more often than chance would have it."""
     share = float(np.concatenate(list(after.values())).mean())
-    begins: dict[str, list[bool]] = {}
-    for f in faults:
-        if f.kind in ANSWERS:
-            known = begins.setdefault(f.signal, [])
-            known += [bool(after[f.record][f.rows[group[0]]]) for group in f.groups()]
-    fast = {
+    answers: dict[str, list[bool]] = {}
+    for fault in faults:
+        begins = [fault.rows[group[0]] for group in fault.groups()]
+        answers.setdefault(fault.signal, []).extend(after[fault.record][begins].tolist())
+    return {
         name
-        for name, said in begins.items()
+        for name, said in answers.items()
         if any(said) and bdtrc(sum(said) - 1, len(said), share) < 0.2
     }
-    kept = []
-    for fault in faults:
-        if fault.kind in ANSWERS and fault.signal in fast:
-            left = [g for g in fault.groups() if not after[fault.record][fault.rows[g[0]]]]
-            fault = fault.only(np.concatenate([np.empty(0, dtype=int), *left]))
-        if fault.kind not in ANSWERS or fault.rows.size:
-            kept.append(fault)
-    return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
 
 
 def screen(trace: Trace) -> list[Fault]:
@@ -172,56 +176,155 @@ def screen(trace: Trace) -> list[Fault]:
     ]
     for name, values in trace.values.items():
         present = np.flatnonzero(np.isfinite(values))
-        if present.size >= LEAST_SAMPLES:
-            of = _of(trace, name, present, noisy)
-            found += [
-                Fault(kind, name, trace.name, present[rows], *more) for kind, rows, *more in of
-            ]
+        if present.size < LEAST_SAMPLES or (not noisy and np.ptp(values[present]) == 0.0):
+            continue
+        signal = Signal(trace, name, present, noisy)
+        for kind, look, ends in SCREENS:
+            rows, *more = look(signal) or (None,)
+            if rows is None:
+                continue
+            signal.taken[rows] = True
+            found.append(Fault(kind, name, trace.name, present[rows], *more))
+            if ends:
+                break
     return found
 
 
-def _of(trace: Trace, name: str, present: np.ndarray, noisy: bool) -> Iterator[tuple]:  # type: ignore[type-arg]
-    """Kind, rows and amount of each fault of one signal."""
-    series = trace.values[name][present]
-    none = np.empty(0, dtype=int)
-    if np.ptp(series) == 0.0:
-        if noisy:
-            yield "dead", np.arange(series.size)
-        return
-    runs = Runs.of(series)
-    equal = 1.0 - runs.length.size / series.size
-    distinct = np.unique(series)
-    step = float(np.min(np.diff(distinct)))
-    coarse = equal > COARSE and distinct.size < UNIQUE * runs.length.size
-    coarse |= distinct.size < HELD * series.size and step > trace.noise[name] > 0.0
-    held = not coarse and equal >= HELD and float(np.quantile(runs.length, 0.25)) >= 2
-    taken = np.zeros(series.size, dtype=bool)
-    if held:
-        later = runs.rows(np.arange(runs.length.size), after=1)
-        yield "held", later, float(np.median(runs.length)) * trace.step
-        return
-    between = none if coarse else interpolated(series)
-    if between.size > HELD * series.size:
-        knots = series.size - between.size
-        yield "interpolated", between, float(series.size / max(knots, 1)) * trace.step
-        return
-    if coarse:
-        yield "quantised", none, step
-    if noisy:
-        for kind, rows, amount in _repeated(series, runs, coarse):
-            taken[rows] = True
-            yield kind, rows, amount * (trace.step if kind == "frozen" else 1.0)
-    least = max(SMALL * float(np.subtract(*np.quantile(series, [0.98, 0.02]))), 4.0 * step * coarse)
-    pulses = _spikes(trace.times[present], series, taken, least)
-    if pulses.size:
-        taken[pulses] = True
-        yield "spikes", pulses, float(pulses.size)
-    # Beside samples that stand still a jump is the end of that, not a new level.
-    taken[runs.rows(np.flatnonzero((runs.length >= 3) & (not coarse)))] = True
-    jumped = steps(trace.times[present], series, taken, 5.0 * least)
-    if jumped:
+# Rows in which a screen stops a signal, a number about them, and the sizes of steps.
+Stopped = tuple[np.ndarray] | tuple[np.ndarray, float] | tuple[np.ndarray, float, tuple[float, ...]]
+
+
+class Signal:
+    """Samples of one signal in one record, and those that a screen has stopped."""
+
+    def __init__(self, trace: Trace, name: str, present: np.ndarray, noisy: bool) -> None:
+        self.times, self.series = trace.times[present], trace.values[name][present]
+        self.dt, self.noisy = trace.step, noisy
+        self.taken = np.zeros(present.size, dtype=bool)
+        self.runs = Runs.of(self.series)
+        distinct = np.unique(self.series)
+        self.step = float(np.min(np.diff(distinct), initial=np.inf))
+        self.equal = 1.0 - self.runs.length.size / present.size
+        self.coarse = self.equal > COARSE and distinct.size < UNIQUE * self.runs.length.size
+        few = distinct.size < HELD * present.size
+        self.coarse |= few and self.step > trace.noise[name] > 0.0
+        self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
+        # The least size that is material.
+        self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)
+
+    def dead(self) -> Stopped | None:
+        """All samples are equal."""
+        return None if self.step < np.inf else (np.arange(self.series.size),)
+
+    def held(self) -> Stopped | None:
+        """Most samples repeat the one before, in stretches of like length."""
+        length = self.runs.length
+        if self.coarse or self.equal < HELD or np.quantile(length, 0.25) < 2:
+            return None
+        later = self.runs.rows(np.arange(length.size), after=1)
+        return later, float(np.median(length)) * self.dt
+
+    def interpolated(self) -> Stopped | None:
+        """Most samples lie on straight lines between others."""
+        between = np.empty(0) if self.coarse else interpolated(self.series)
+        if between.size <= HELD * self.series.size:
+            return None
+        knots = max(self.series.size - between.size, 1)
+        return between, float(self.series.size / knots) * self.dt
+
+    def quantised(self) -> Stopped | None:
+        """The samples stand on the steps of a converter."""
+        return (np.empty(0, dtype=int), self.step) if self.coarse else None
+
+    def lost(self) -> Stopped | None:
+        """Runs to which the signal falls at once, and from which it comes back."""
+        return self._stopped(self._repeated[0])
+
+    def saturated(self) -> Stopped | None:
+        """Runs at its largest or smallest value."""
+        return self._stopped(self._repeated[1])
+
+    def frozen(self) -> Stopped | None:
+        """Runs in which it stands still and that are neither."""
+        chosen = np.flatnonzero(self._repeated[2])
+        length = float(self.runs.length[chosen].sum()) * self.dt
+        return (self.runs.rows(chosen, after=1), length) if chosen.size else None
+
+    def _stopped(self, chosen: np.ndarray) -> Stopped | None:
+        """All samples of some runs, and the value of the first of these."""
+        rows = self.runs.rows(np.flatnonzero(chosen))
+        return (rows, float(self.runs.value[chosen][0])) if rows.size else None
+
+    @cached_property
+    def _repeated(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Runs of equal samples that rounding does not make: lost, cut off or frozen."""
+        series, runs, coarse, n = self.series, self.runs, self.coarse, self.series.size
+        # Of the repetitions those in the longest run of all are what is asked.
+        usual = np.sort(runs.length)[: max(1, int(0.99 * runs.length.size))]
+        p = float(np.clip((usual - 1).sum() / n, 1.0 / n, 0.98))
+        least = 1.0 + np.log(ALPHA / n) / np.log(p)
+        if coarse:  # a slow signal stays on a step of the converter
+            least = max(least, 4.0 * float(np.quantile(runs.length, 0.9)))
+        into, out = runs.edges()
+        changes = np.abs(np.diff(series))
+        jump = 3.0 * float(np.quantile(changes[changes > 0.0], 0.95))
+        with np.errstate(invalid="ignore"):
+            both = (np.abs(into) > jump) & (np.abs(out) > jump)
+            fallen = both & (np.sign(into) * np.sign(out) < 0.0)
+        far = np.abs(runs.value - np.median(series)) > 10.0 * (self.reach or np.ptp(series))
+        values, place = np.unique(runs.value, return_inverse=True)
+        recurs = np.bincount(place, weights=fallen)[place] * (not coarse)
+        extreme = (runs.value == values[0]) | (runs.value == values[-1])
+        lost = far | (fallen & (recurs >= 4) & (recurs > 0.8 * np.bincount(place)[place]))
+        lost |= fallen & (runs.length >= (least if coarse else 3)) & ((recurs > 1) | extreme)
+        long = (runs.length >= least) & ~lost
+        level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~both
+        cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
+        # It stops at once, and does not come to rest at a turning point.
+        pace = float(np.median(changes))
+        first, last = np.fmin(np.abs(into), np.abs(out)), np.fmax(np.abs(into), np.abs(out))
+        sudden = (first > 0.02 * pace) & (last > 0.3 * pace)
+        masks = lost, cut, long & ~cut & (runs.length >= 8) & sudden
+        return masks if self.noisy else (lost & False,) * 3
+
+    def spikes(self) -> Stopped | None:
+        """Samples, alone or in short groups, that their neighbours contradict."""
+        y, known = self.series.copy(), self.taken.copy()
+        factor, found = 0.0, [np.empty(0, dtype=int)]
+        # What stands beside a spike shows once that is gone; then groups.
+        for lengths in ((1,), (1,), LENGTHS):
+            y[known] = np.interp(np.flatnonzero(known), np.flatnonzero(~known), y[~known])
+            factor = factor or _limit(deviations(y, 1)[:, 0])
+            fresh = bursts(self.times, y, known, factor, self.least, lengths)
+            found += fresh
+            known[np.concatenate([found[0], *fresh])] = True
+        rows = np.sort(np.concatenate(found))
+        return (rows, float(rows.size)) if rows.size else None
+
+    def jumps(self) -> Stopped | None:
+        """Steps after which it keeps its new level."""
+        taken = self.taken.copy()
+        if not self.coarse:  # the end of samples that stand still is no new level
+            taken[self.runs.rows(np.flatnonzero(self.runs.length >= 3))] = True
+        jumped = steps(self.times, self.series, taken, 5.0 * self.least)
         sizes = tuple(one.size for one in jumped)
-        yield "step", np.array([one.row for one in jumped]), max(sizes, key=abs), sizes
+        rows = np.array([one.row for one in jumped])
+        return (rows, max(sizes, key=abs), sizes) if jumped else None
+
+
+# Screens in their order, and whether nothing more can be said of a signal that one stops. What a
+# fault means and what mends it stands in the table of words.
+SCREENS: tuple[tuple[str, Callable[[Signal], Stopped | None], bool], ...] = (
+    ("dead", Signal.dead, True),
+    ("held", Signal.held, True),
+    ("interpolated", Signal.interpolated, True),
+    ("quantised", Signal.quantised, False),
+    ("dropouts", Signal.lost, False),
+    ("saturated", Signal.saturated, False),
+    ("frozen", Signal.frozen, False),
+    ("spikes", Signal.spikes, False),
+    ("step", Signal.jumps, False),
+)
 
 
 def interpolated(series: np.ndarray) -> np.ndarray:
@@ -241,94 +344,6 @@ def interpolated(series: np.ndarray) -> np.ndarray:
     return np.flatnonzero(flat & (np.abs(np.diff(series))[1:] > 0.0)) + 1
 
 
-def _repeated(
-    series: np.ndarray, runs: Runs, coarse: bool
-) -> Iterator[tuple[str, np.ndarray, float]]:
-    """Runs of equal samples that rounding does not make: lost, cut off or frozen."""
-    n = series.size
-    # Of the repetitions those in the longest run of all are what is asked.
-    usual = np.sort(runs.length)[: max(1, int(0.99 * runs.length.size))]
-    p = float(np.clip((usual - 1).sum() / n, 1.0 / n, 0.98))
-    least = 1.0 + np.log(ALPHA / n) / np.log(p)
-    if coarse:  # a slow signal stays on a step of the converter
-        least = max(least, 4.0 * float(np.quantile(runs.length, 0.9)))
-    into, out = runs.edges()
-    with np.errstate(invalid="ignore"):
-        changes = np.abs(np.diff(series))
-        jump = 3.0 * float(np.quantile(changes[changes > 0.0], 0.95))
-        entered, left = np.abs(into) > jump, np.abs(out) > jump
-        back = np.sign(into) * np.sign(out) < 0.0
-        reach = float(np.subtract(*np.quantile(series, [0.98, 0.02]))) or float(np.ptp(series))
-        far = np.abs(runs.value - np.median(series)) > 10.0 * reach
-    fallen = entered & left & back
-    values, place = np.unique(runs.value, return_inverse=True)
-    times = np.bincount(place)
-    recurs = np.bincount(place, weights=fallen)[place] * (not coarse)
-    extreme = (runs.value == values[0]) | (runs.value == values[-1])
-    lost = far | (fallen & (recurs >= 4) & (recurs > 0.8 * times[place]))
-    lost |= fallen & (runs.length >= (least if coarse else 3)) & ((recurs > 1) | extreme)
-    if lost.any():
-        yield "dropouts", runs.rows(np.flatnonzero(lost)), float(runs.value[lost][0])
-    long = (runs.length >= least) & ~lost
-    level = (runs.length >= min(3.0, least)) & extreme & ~lost & ~(entered & left)
-    cut = level & ((np.bincount(place, weights=level)[place] >= 2) | long) & (not coarse)
-    if cut.any():
-        yield "saturated", runs.rows(np.flatnonzero(cut)), float(runs.value[cut][0])
-    still = long & ~cut & (runs.length >= 8) & _sudden(series, runs)
-    if still.any():
-        chosen = np.flatnonzero(still)
-        yield "frozen", runs.rows(chosen, after=1), float(runs.length[chosen].sum())
-
-
-def _sudden(series: np.ndarray, runs: Runs) -> np.ndarray:
-    """Runs in which a signal stops at once, not by coming to rest at a turning point."""
-    usual = float(np.median(np.abs(np.diff(series))))
-    into, out = (np.abs(edge) for edge in runs.edges())
-    first, last = np.fmin(into, out), np.fmax(into, out)
-    return (first > 0.02 * usual) & (last > 0.3 * usual)
-
-
-def _deviation(series: np.ndarray) -> np.ndarray:
-    """What a cubic through four neighbours does not explain, shape ``(n - 4,)``."""
-    y = series
-    return y[2:-2] - (-y[:-4] + 4.0 * y[1:-3] + 4.0 * y[3:-1] - y[4:]) / 6.0
-
-
-def _spikes(times: np.ndarray, series: np.ndarray, taken: np.ndarray, floor: float) -> np.ndarray:
-    """Indices of samples, alone or in short groups, that their neighbours contradict."""
-    y = series.copy()
-    y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), series[~taken])
-    d = _deviation(y)
-    if d.size < LEAST_SAMPLES:
-        return np.empty(0, dtype=int)
-    factor = _limit(d)
-    limit = max(factor * float(np.median(np.abs(d))) / QUARTILE, floor)
-    steps = np.diff(times)
-    usual = float(np.median(steps))
-    found: list[int] = []
-    for i in np.argsort(-np.abs(d)) + 2:
-        if abs(d[i - 2]) <= limit:
-            break
-        if taken[i] or np.any(np.abs(steps[i - 2 : i + 2] - usual) > UNEVEN * usual):
-            continue
-        now = y[i] - (-y[i - 2] + 4.0 * y[i - 1] + 4.0 * y[i + 1] - y[i + 2]) / 6.0
-        near = d[max(i - 12, 0) : i + 8]
-        nearby = factor * float(np.median(np.abs(near))) / QUARTILE
-        middle = 0.5 * (y[i - 1] + y[i + 1])
-        bend = abs((y[i + 2] - y[i + 1]) - (y[i - 1] - y[i - 2]))
-        apart = abs(y[i] - middle)
-        if abs(now) <= max(limit, nearby) or apart <= 1.5 * bend:
-            continue
-        if abs(y[i + 1] - y[i - 1]) > 0.5 * apart:
-            continue
-        found.append(int(i))
-        y[i] = middle
-    known = taken.copy()
-    known[found] = True
-    groups = bursts(times, y, known, factor, floor)
-    return np.sort(np.concatenate([np.array(found, dtype=int), *groups]))
-
-
 def _limit(d: np.ndarray) -> float:
     """Robust deviations beyond which noise like this leaves nothing, heavy tails allowed for."""
     size = np.abs(d) / (float(np.median(np.abs(d))) / QUARTILE + 1e-300)
@@ -338,9 +353,14 @@ def _limit(d: np.ndarray) -> float:
 
 
 def bursts(
-    times: np.ndarray, series: np.ndarray, taken: np.ndarray, limit: float, least: float
+    times: np.ndarray,
+    series: np.ndarray,
+    taken: np.ndarray,
+    limit: float,
+    least: float,
+    lengths: Sequence[int] = LENGTHS,
 ) -> list[np.ndarray]:
-    """Find groups of two to six consecutive samples that their surroundings contradict.
+    """Find groups of consecutive samples that their surroundings contradict.
 
     Parameters
     ----------
@@ -352,6 +372,8 @@ def bursts(
         Robust deviations that both ends of a group have to stand out by.
     least : float
         The least deviation that matters, in the unit of the series.
+    lengths : sequence of int
+        Of the groups.
 
     Returns
     -------
@@ -366,22 +388,28 @@ def bursts(
     >>> [rows.tolist() for rows in bursts(t, y, np.zeros(300, dtype=bool), 8.5, 0.02)]
     [[100, 101, 102]]
     """
-    used = taken.copy()
-    steps = np.diff(times)
-    uneven = np.abs(steps - np.median(steps)) > UNEVEN * np.median(steps)
+    used, uneven = np.zeros_like(taken), _uneven(times)
     found: list[tuple[float, int, int]] = []
-    for length in LENGTHS:
+    for length in lengths:
         if series.size - length - 3 >= LEAST_SAMPLES:
             found += _candidates(series, length, limit, least)
     groups = []
     # The clearest first: a window that holds a part of a group sees the rest beside it.
     for _, first, length in sorted(found, reverse=True):
         window = slice(first - 2, first + length + 2)
-        if used[window].any() or uneven[first - 2 : first + length + 1].any():
+        bad = taken[window] if length > 1 else taken[first]
+        if used[window].any() or uneven[first - 2 : first + length + 1].any() or bad.any():
             continue
         groups.append(np.arange(first, first + length))
         used[first : first + length] = True
     return groups
+
+
+def _uneven(times: np.ndarray) -> np.ndarray:
+    """Time steps that differ from the usual one, ``(n_times - 1,)``."""
+    intervals = np.diff(times)
+    usual = np.median(intervals)
+    return np.asarray(np.abs(intervals - usual) > UNEVEN * usual)
 
 
 def weights(length: int) -> np.ndarray:
@@ -421,14 +449,20 @@ def _candidates(
         bend = 1.5 * abs(after - before)
         into, out = y[first] - y[first - 1] - before, y[last + 1] - y[last] - after
         back = y[last + 1] - y[first - 1] - 0.5 * (length + 1) * (before + after)
-        if min(abs(into), abs(out)) <= bend or abs(back) > 0.5 * ends[k]:
+        # Of a single sample, how far it is from the middle of its neighbours.
+        rise = (
+            min(abs(into), abs(out))
+            if length > 1
+            else 0.5 * abs(y[first + 1] + y[first - 1] - 2.0 * y[first])
+        )
+        if rise <= bend or abs(back) > 0.5 * ends[k]:
             continue
         # Windows that overlap the group see it as well.
         beside = np.abs(np.arange(d.shape[0]) - k)
         near = d[(beside > length + 3) & (beside <= length + 3 + AROUND)]
         nearby = limit * float(np.median(near[:, [0, -1]])) / QUARTILE if near.size else 0.0
         # Calm surroundings: their own changes are no size that would make a group stand out.
-        calm = 3.0 * max(abs(before), abs(after))
+        calm = 3.0 * max(abs(before), abs(after)) if length > 1 else 0.0
         if ends[k] > max(nearby, calm):
             result.append((float(ends[k] / max(limit * usual, nearby, least)), first, length))
     return result
@@ -475,9 +509,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     motion = SIDE * np.maximum(np.abs(before @ slope), np.abs(after @ slope))
     raw = series[SIDE : SIDE + n] - series[SIDE - 1 : SIDE - 1 + n]
     usual = float(np.median(np.abs(jumps))) / QUARTILE
-    intervals = np.diff(times)
-    uneven = np.abs(intervals - np.median(intervals)) > UNEVEN * np.median(intervals)
-    size = np.abs(jumps)
+    uneven, size = _uneven(times), np.abs(jumps)
     result = []
     for k in np.flatnonzero(size > np.maximum(max(SPIKE * usual, least), 3.0 * motion)):
         around = slice(k, k + 2 * SIDE)

@@ -18,13 +18,13 @@ from itertools import pairwise
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from oed_sysid.data.record import Record
+from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
 
 QUARTILE = 0.6745
 FOURTH_DIFFERENCE = np.sqrt(70.0)
-# A stretch without samples that is bridged by a straight line, in usual spacings of the signal.
-BRIDGED = 4.0
+# What is below this share of a signal is immaterial.
+RELATIVE = 0.01
 # Change of an input from sample to sample that is a step, as a share of its range; the largest
 # share of such samples; and how many samples after one the answer may peak.
 STEP, RARE, ANSWERED = 0.1, 0.1, 3
@@ -137,7 +137,7 @@ class Trace:
                 curve = CubicSpline(self.times[present], values[present])
                 series[name][inside] = curve(self.times[inside])
             steps = np.diff(self.times[present])
-            limit = BRIDGED * max(float(np.median(steps)), self.step)
+            limit = GAP * max(float(np.median(steps)), self.step)
             usable[: present[0]] = usable[present[-1] + 1 :] = False
             for k in np.flatnonzero(steps > limit):
                 usable[present[k] + 1 : present[k + 1]] = False
@@ -146,12 +146,17 @@ class Trace:
     def pieces(self, usable: np.ndarray, least: int) -> list[slice]:
         """Stretches of usable samples between gaps in time, of at least ``least`` samples."""
         steps = np.diff(self.times)
-        if usable.all() and steps.max() <= BRIDGED * self.step:
+        if usable.all() and steps.max() <= GAP * self.step:
             return [slice(0, self.times.size)] if self.times.size >= least else []
-        broken = np.flatnonzero((steps > BRIDGED * self.step) | ~usable[1:] | ~usable[:-1]) + 1
+        broken = np.flatnonzero((steps > GAP * self.step) | ~usable[1:] | ~usable[:-1]) + 1
         edges = [0, *broken.tolist(), self.times.size]
         whole = (slice(a, b) for a, b in pairwise(edges) if b - a >= least)
         return [piece for piece in whole if usable[piece].all()]
+
+
+def units_of(traces: Iterable[Trace]) -> dict[str, str]:
+    """Units of the signals of some records."""
+    return {name: unit for trace in traces for name, unit in trace.units.items()}
 
 
 def after_steps(series: np.ndarray) -> np.ndarray:

@@ -18,7 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
+from oed_sysid.runtime.display import plain
 
+#: Times and commands are floating-point sums: they count as equal within this share.
+ROUNDING = 1e-9
 FloatArray = NDArray[np.float64]
 Numbers = Sequence[float] | FloatArray
 Waveform = Callable[[FloatArray], FloatArray]
@@ -208,7 +211,7 @@ class Excitation(ABC):
 
     def to_dict(self) -> dict[str, Any]:
         """Return a dictionary that JSON can store; see :meth:`from_dict`."""
-        stored = {field.name: _plain(getattr(self, field.name)) for field in _settings(self)}
+        stored = {field.name: plain(getattr(self, field.name)) for field in _settings(self)}
         return {"kind": self.kind, **stored}
 
     @classmethod
@@ -398,15 +401,6 @@ def command_all(
 def _settings(owner: Excitation | type[Excitation]) -> list[Any]:
     """Return the dataclass fields that the constructor takes."""
     return [field for field in fields(owner) if field.init]
-
-
-def _plain(value: Any) -> Any:
-    """Return a value in the types that JSON knows."""
-    if isinstance(value, Excitation):
-        return value.to_dict()
-    if isinstance(value, tuple):
-        return [_plain(item) for item in value]
-    return value
 
 
 def _revived(value: Any) -> Any:

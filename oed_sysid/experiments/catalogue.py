@@ -99,21 +99,13 @@ def _find(name_or_folder: str | Path) -> Path:
     names = ", ".join(shipped) or "none"
     near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
     hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
-    looked = (
-        f"no folder {path}"
-        if _is_path(name_or_folder)
-        else f"no folder of that name in {Path.cwd()}"
-    )
+    is_path = isinstance(name_or_folder, Path) or {os.sep, "/"} & set(str(name_or_folder))
+    looked = f"no folder {path}" if is_path else f"no folder of that name in {Path.cwd()}"
     raise ProblemError(
         f"There is no problem {str(name_or_folder)!r}: it is not shipped, and there is {looked}."
         f"{hint} Shipped problems: {names}. A folder of your own is made by "
         "oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
     )
-
-
-def _is_path(name_or_folder: str | Path) -> bool:
-    text = str(name_or_folder)
-    return isinstance(name_or_folder, Path) or os.sep in text or "/" in text
 
 
 def _load(file: Path) -> Problem:
@@ -185,6 +177,16 @@ def _found_instead(module: ModuleType, file: Path) -> str:
     return found
 
 
+# What to do about an error of the problem's own file: its type, a part of its words, the advice.
+_HINTS = (
+    (ModuleNotFoundError, "", " Install it, or write 'from .name import ...' for a file of the "
+     "same folder."),
+    (TypeError, "unexpected keyword argument", " Check the spelling; help(oed_sysid.Model) and so "
+     "on list what there is."),
+    (EOFError, "", " It waits for something to be typed: write the numbers into the file."),
+)  # fmt: skip
+
+
 def _fault(file: Path, error: BaseException) -> str:
     """Say where in the problem's own file an exception came from, and what it is."""
     if isinstance(error, SyntaxError):
@@ -200,14 +202,9 @@ def _fault(file: Path, error: BaseException) -> str:
     if isinstance(error, RecursionError):
         return f"{_place(file, error)}: it calls or imports itself without end."
     kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
-    hint = ""
-    if isinstance(error, ModuleNotFoundError):
-        hint = " Install it, or write 'from .name import ...' for a file of the same folder."
-    elif isinstance(error, TypeError) and "unexpected keyword argument" in str(error):
-        hint = " Check the spelling; help(oed_sysid.Model) and so on list what there is."
-    elif isinstance(error, EOFError):
-        hint = " It waits for something to be typed: write the numbers into the file."
-    return f"{_place(file, error)}: {kind}{str(error) or 'no message'}{hint}"
+    words = str(error) or "no message"
+    hints = (hint for type_, part, hint in _HINTS if isinstance(error, type_) and part in words)
+    return f"{_place(file, error)}: {kind}{words}{next(hints, '')}"
 
 
 def _place(file: Path, error: BaseException) -> str:

@@ -412,11 +412,8 @@ class _Units:
     def copy(self) -> _Units:
         """The same, to be extended by one effect."""
         other = copy(self)
-        other.units, other.known, other.masses = (
-            self.units.copy(),
-            dict(self.known),
-            dict(self.masses),
-        )
+        other.units = self.units.copy()
+        other.known, other.masses = dict(self.known), dict(self.masses)
         return other
 
     def notes(self) -> tuple[str, ...]:

@@ -10,15 +10,12 @@ from typing import Any, cast
 import numpy as np
 
 from oed_sysid.errors import DesignError
+from oed_sysid.experiments.base import ROUNDING
 from oed_sysid.experiments.manoeuvres import Combined, Excitation, Manoeuvre
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
 FEEDBACKS = ("measured", "true")
-# Commands are floating-point sums; a limit counts as kept within this share of its size.
-_TOLERANCE = 1e-9
-
-
 # More samples than any computer's memory has room for.
 MOST_SAMPLES = 1e8
 
@@ -200,13 +197,16 @@ class Experiment:
                 "Remove one of the two."
             )
         start = {name: np.array([value]) for name, value in self.initial.items()}
-        broken = (
+        self.check_limits(
             *self.limits.violations(self.times[:1], start),
             *self.limits.violations(self.times, self._known_commands()),
         )
+
+    def check_limits(self, *broken: str) -> None:
+        """Raise :class:`DesignError` where limits are broken, said in words."""
         if broken:
             raise DesignError(
-                f"{owner} breaks its limits: {'; '.join(broken)}. Make the "
+                f"Experiment {self.name!r} breaks its limits: {'; '.join(broken)}. Make the "
                 "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
             )
 
@@ -267,7 +267,7 @@ class Experiment:
     @property
     def times(self) -> np.ndarray:
         """Sample times from zero, s, shape ``(n_times,)``."""
-        n_steps = math.floor(float(self.duration or 0.0) / self.sample_time + 1e-9)
+        n_steps = math.floor(float(self.duration or 0.0) / self.sample_time + ROUNDING)
         return np.arange(n_steps + 1) * self.sample_time
 
     def commands(self, names: Iterable[str]) -> np.ndarray:
@@ -384,7 +384,7 @@ def _beyond(
         if np.isnan(excess).all():
             continue
         where = int(np.nanargmax(excess))
-        if excess[where] > _TOLERANCE * max(1.0, abs(bound)):
+        if excess[where] > ROUNDING * max(1.0, abs(bound)):
             broken.append(
                 f"{kind} {name!r} reaches {values[where]:.4g} at t = {times[where]:g} s, "
                 f"{side} its limit of {bound:g}"

@@ -17,14 +17,21 @@ from oed_sysid.experiments.base import (
     Stepwise,
     command_all,
 )
-from oed_sysid.experiments.composite import Combined, RateLimited, Saturated, Sequence
 from oed_sysid.experiments.indices import (
     TurningIndices,
     ZigZagIndices,
     turning_indices,
     zigzag_indices,
 )
-from oed_sysid.experiments.reacting import ReverseSpiral, ZigZag, ZigZagLike
+from oed_sysid.experiments.reacting import (
+    Combined,
+    RateLimited,
+    ReverseSpiral,
+    Saturated,
+    Sequence,
+    ZigZag,
+    ZigZagLike,
+)
 from oed_sysid.experiments.schedules import (
     PRBS,
     Constant,

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.base import (
+    ROUNDING,
     FloatArray,
     Numbers,
     OpenLoop,
@@ -31,13 +32,11 @@ from oed_sysid.experiments.base import (
 )
 from oed_sysid.physics.channels import INTERPOLATIONS
 
-# A switch at 0.1 * 3 s has happened on the sample at 0.3 s: times this close are the same.
-_SAME_TIME = 1e-9
-
 
 def interval(times: FloatArray, edges: NDArray[np.floating]) -> NDArray[np.intp]:
     """Return for each time how many of the increasing ``edges`` have passed."""
-    return np.searchsorted(edges, times + _SAME_TIME * (1 + np.abs(times)), side="right")
+    # A switch at 0.1 * 3 s has happened on the sample at 0.3 s.
+    return np.searchsorted(edges, times + ROUNDING * (1 + np.abs(times)), side="right")
 
 
 def staircase(
@@ -686,7 +685,7 @@ class PRBS(OpenLoop):
 
         def play(times: FloatArray) -> FloatArray:
             # Bits are counted, not multiplied out, so that no edge is lost to rounding.
-            bits = np.floor((times - self.start) / self.bit_time + 1e-9).astype(int)
+            bits = np.floor((times - self.start) / self.bit_time + ROUNDING).astype(int)
             return np.where(bits < 0, 0.0, levels[bits % len(levels)])
 
         return about(self.neutral, play)

@@ -24,9 +24,9 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.data.dataset import Record
-from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.errors import SimulationError
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import Controller, command_all
+from oed_sysid.experiments.manoeuvres import Constant, Controller, command_all
 from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
 from oed_sysid.experiments.trajectory import (
     Trajectory,
@@ -49,9 +49,8 @@ __all__ = [
     "simulate_inputs",
 ]
 
-# Samples that are simulated at once while a manoeuvre that reacts goes on as foreseen: at first, at
-# most, and at most while it only holds its commands.
-_FIRST_AHEAD, _MOST_AHEAD, _MOST_HELD = 16, 256, 64
+# Samples that are simulated at once while a manoeuvre that reacts goes on: at first, and at most.
+_FIRST_AHEAD, _MOST_AHEAD = 16, 256
 
 
 def simulate(
@@ -118,7 +117,8 @@ def simulate(
     noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
     if experiment.reacts:
         inputs = closed_loop(model, experiment, noise_values)
-        _check_commands(model, experiment, inputs)
+        signals = dict(zip(model.input_names, inputs.T, strict=True))
+        experiment.check_limits(*experiment.limits.violations(times, signals))
     else:
         inputs = experiment.commands(model.input_names)
     trajectory = simulate_inputs(model, times, inputs=inputs, initial=experiment.initial)
@@ -155,17 +155,6 @@ def _draw_noise(
     return rng.standard_normal((n_times, len(scales))) * scales
 
 
-def _check_commands(model: Model, experiment: Experiment, inputs: np.ndarray) -> None:
-    """Raise if commands that only the run could tell break a limit."""
-    signals = dict(zip(model.input_names, inputs.T, strict=True))
-    broken = experiment.limits.violations(experiment.times, signals)
-    if broken:
-        raise DesignError(
-            f"Experiment {experiment.name!r} breaks its limits: {'; '.join(broken)}. Make the "
-            "manoeuvre smaller or slower (Saturated, RateLimited), or widen the limit."
-        )
-
-
 # -- manoeuvres that react ----------------------------------------------------------------
 
 
@@ -190,8 +179,9 @@ class _Loop:
     """A run of controllers and vehicle, window by window."""
 
     def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
-        excitation = experiment.excitation
-        self.controllers = excitation.controllers() if excitation else {}
+        excitation, held = experiment.excitation, experiment.constants
+        self.controllers = {name: Constant(name, held[name]).controller() for name in held}
+        self.controllers |= excitation.controllers() if excitation else {}
         self.times, self.names = experiment.times, model.input_names
         self.values, self.runner = model.value_vector, kernel(model)
         self.own = start_array(model, experiment.initial)
@@ -209,9 +199,7 @@ class _Loop:
             # Ahead with the commands foreseen, as far as they last: most manoeuvres hold for
             # seconds.
             n = min(ahead, len(times) - k)
-            plan = _foreseen(self.controllers, self.names, self.constants, times[k : k + n])
-            if plan is None:
-                n = min(n, _MOST_HELD)
+            plan = _foreseen(self.controllers, self.names, times[k : k + n])
             commands = np.empty((n + 1, len(self.names)))
             commands[0] = inputs[k - 1]
             commands[1:] = inputs[k - 1] if plan is None else plan
@@ -249,7 +237,7 @@ class _Loop:
 
     def _go_on(self, k: int, plan: np.ndarray, window: Run, sees: Run, n: int) -> int:
         """Go past the samples at which all commands are as foreseen; return how many."""
-        seen = self.signals.between(k, sees, n)
+        seen = self.signals.between(k, sees, slice(1, n + 1))
         times = self.times[k : k + n]
         sure = min(n, *(c.undisturbed(times, seen) for c in self.controllers.values()))
         if 0 <= window.failed_at <= sure:
@@ -279,9 +267,10 @@ class _Loop:
 
     def _decide(self, sample: int, window: Run, row: int) -> list[float]:
         """Commands of all inputs at one sample, on what is seen in a row of a window."""
-        seen = self.signals.at(sample, window, row)
+        found = self.signals.between(sample, window, slice(row, row + 1))
+        seen = {name: float(values[0]) for name, values in found.items()}
         commands = command_all(self.controllers, float(self.times[sample]), seen)
-        return [commands[n] if n in commands else self.constants[n] for n in self.names]
+        return [commands[name] for name in self.names]
 
 
 def _seen(
@@ -306,17 +295,11 @@ def _seen(
 
 
 def _foreseen(
-    controllers: Mapping[str, Controller],
-    names: tuple[str, ...],
-    constants: Mapping[str, float],
-    times: np.ndarray,
+    controllers: Mapping[str, Controller], names: tuple[str, ...], times: np.ndarray
 ) -> np.ndarray | None:
     """Commands ``(n_times, n_inputs)`` while nothing reacts; None if one cannot tell."""
     plan = np.empty((len(times), len(names)))
     for column, name in enumerate(names):
-        if name not in controllers:
-            plan[:, column] = constants[name]
-            continue
         found = controllers[name].foreseen(times)
         if found is None:
             return None
@@ -344,20 +327,12 @@ class _Signals:
         """Whether all are states, which a command of the same sample does not touch."""
         return not self._outputs
 
-    def between(self, sample: int, window: Run, n: int) -> dict[str, np.ndarray]:
-        """Signals ``(n,)`` from one sample on, found in the rows of a short run after the first."""
-        seen = {name: window.states[1 : n + 1, i] for name, i in self._states.items()}
+    def between(self, sample: int, window: Run, rows: slice) -> dict[str, np.ndarray]:
+        """Signals ``(n,)`` from one sample on, found in some rows of a short run."""
+        seen = {name: window.states[rows, i] for name, i in self._states.items()}
         for name, index in self._outputs.items():
-            seen[name] = window.outputs[1 : n + 1, index]
+            seen[name] = window.outputs[rows, index]
             if self._noise is not None:
-                seen[name] = seen[name] + self._noise[sample : sample + n, index]
-        return seen
-
-    def at(self, sample: int, window: Run, row: int) -> dict[str, float]:
-        """Signals at one sample, found in one row of a short run."""
-        seen = {name: float(window.states[row, i]) for name, i in self._states.items()}
-        for name, index in self._outputs.items():
-            seen[name] = float(window.outputs[row, index])
-            if self._noise is not None:
-                seen[name] += self._noise[sample, index]
+                last = sample + len(seen[name])
+                seen[name] = seen[name] + self._noise[sample:last, index]
         return seen

@@ -18,6 +18,7 @@ import tomllib
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -201,7 +202,7 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     measured = [s for s in signals if s not in commands]
     if not measured:
         raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
-    parts = _parts(times, commands, measured, safe(log.name))
+    parts = _Log(times, commands, measured).parts() | {"log": safe(log.name)}
     code = _filled_template("from_log", words | parts)
     make_folder(place / "data")
     shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
@@ -272,94 +273,91 @@ def _without_gaps(times: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.interp(times, times[good], values[good])
 
 
-def _parts(
-    times: np.ndarray, commands: list[_Signal], measured: list[_Signal], log: str
-) -> dict[str, str]:
-    """What the template of a first model is filled with."""
-    names = [s.name for s in measured]
-    integral = {a: r for a, r in _INTEGRALS.items() if a in names and r in names}
-    # Positions and headings do not act on the motion; everything else may.
-    acting = [s for s in measured if s.name not in ("x", "y", "z", "psi") or len(measured) == 1]
-    scales = {s.name: float(np.std(_without_gaps(times, s.values))) or 1.0 for s in measured}
-    kinematics, parameters = _dynamics(times, measured, acting, commands, integral)
-    step = float(np.median(np.diff(times)))
-    lists = {
-        "states": [f'State("{s.name}", "{s.unit}", scale={scales[s.name]:.3g}),' for s in measured],
-        "inputs": [s.declared("Input") for s in commands],
-        "outputs": [s.declared("Output") for s in measured],
-        "kinematics": kinematics,
-        "parameters": parameters,
-        "effects": _candidates(acting, commands, integral, scales, 5 * step),
-        "limits": [
-            f'"{s.name}": ({np.min(s.values):.4g}, {np.max(s.values):.4g}),' for s in commands
-        ],
-    }
-    indents = {"effects": 4, "limits": 12}
-    text = {
-        name: indent("\n".join(lines), " " * indents.get(name, 8)) for name, lines in lists.items()
-    }
-    return text | {"log": log, "step": f"{step:.4g}"}
+@dataclass(frozen=True, eq=False)
+class _Log:
+    """What was commanded and measured, and the linear model that is written from it."""
 
+    times: np.ndarray
+    commands: list[_Signal]
+    measured: list[_Signal]
 
-def _dynamics(
-    times: np.ndarray,
-    measured: list[_Signal],
-    acting: list[_Signal],
-    commands: list[_Signal],
-    integral: dict[str, str],
-) -> tuple[list[str], list[str]]:
-    """Rates of all signals, and the parameters in them."""
-    kinematics, parameters = [], []
-    for signal in measured:
-        if signal.name in integral:
-            kinematics.append(f'"{signal.name}": "{integral[signal.name]}",')
-        else:
-            rate, own = _linear_rate(times, signal, acting, commands)
-            kinematics.append(rate)
-            parameters += own
-    return kinematics, parameters
+    @cached_property
+    def integral(self) -> dict[str, str]:
+        """Angles whose rate is measured as well, with that rate."""
+        names = [s.name for s in self.measured]
+        return {a: r for a, r in _INTEGRALS.items() if a in names and r in names}
 
+    @cached_property
+    def acting(self) -> list[_Signal]:
+        """What acts on the motion: all but positions and headings."""
+        alone = len(self.measured) == 1
+        return [s for s in self.measured if alone or s.name not in ("x", "y", "z", "psi")]
 
-def _candidates(
-    acting: list[_Signal],
-    commands: list[_Signal],
-    integral: dict[str, str],
-    scales: dict[str, float],
-    lag: float,
-) -> list[str]:
-    """Quadratic damping of every motion, and a lag of every command."""
-    found = [
-        f'Force("{s.name}_quadratic", {{"{s.name}": "-E_{s.name}*{s.name}*abs({s.name})"}}, '
-        f'(Parameter("E_{s.name}", 0.0, scale={0.1 / scales[s.name]:.3g}),),\n'
-        f'    description="damping that grows with {s.name}"),'
-        for s in acting
-        if s.name not in integral
-    ]
-    lags = [f'actuator_lag("{s.name}_lag", "{s.name}", scale={lag:.3g}),' for s in commands]
-    return found + lags
+    @cached_property
+    def scales(self) -> dict[str, float]:
+        """Size of every measured signal."""
+        return {
+            s.name: float(np.std(_without_gaps(self.times, s.values))) or 1.0 for s in self.measured
+        }
 
+    def parts(self) -> dict[str, str]:
+        """What the template of a first model is filled with."""
+        kinematics = {name: f'"{name}": "{rate}",' for name, rate in self.integral.items()}
+        parameters: list[str] = []
+        for signal in self.measured:
+            if signal.name not in self.integral:
+                kinematics[signal.name], own = self.linear_rate(signal)
+                parameters += own
+        step = float(np.median(np.diff(self.times)))
+        states = ((s.name, s.unit, self.scales[s.name]) for s in self.measured)
+        ranges = ((s.name, np.min(s.values), np.max(s.values)) for s in self.commands)
+        lists = {
+            "states": [f'State("{n}", "{unit}", scale={size:.3g}),' for n, unit, size in states],
+            "inputs": [s.declared("Input") for s in self.commands],
+            "outputs": [s.declared("Output") for s in self.measured],
+            "kinematics": [kinematics[s.name] for s in self.measured],
+            "parameters": parameters,
+            "effects": self.candidates(5 * step),
+            "limits": [f'"{n}": ({low:.4g}, {high:.4g}),' for n, low, high in ranges],
+        }
+        indents = {"effects": 4, "limits": 12}
+        text = {
+            name: indent("\n".join(lines), " " * indents.get(name, 8))
+            for name, lines in lists.items()
+        }
+        return text | {"step": f"{step:.4g}"}
 
-def _linear_rate(
-    times: np.ndarray, signal: _Signal, acting: list[_Signal], commands: list[_Signal]
-) -> tuple[str, list[str]]:
-    """Rate of a signal, linear in what acts on it, and parameters by regularised least squares."""
-    factors = [*acting, *commands]
-    columns = np.column_stack([_without_gaps(times, s.values) for s in factors])
-    means, sizes = columns.mean(axis=0), columns.std(axis=0)
-    sizes[sizes == 0.0] = 1.0
-    rows = np.column_stack([(columns - means) / sizes, np.ones(len(times))])
-    clean = _without_gaps(times, signal.values)
-    scale = float(np.std(clean)) or 1.0
-    ridge = 1e-3 * len(times) * np.eye(rows.shape[1])
-    slope = np.linalg.solve(rows.T @ rows + ridge, rows.T @ np.gradient(clean, times))
-    terms, parameters = [], []
-    for factor, size, value in zip(factors, sizes, slope[:-1], strict=True):
-        unit = scale / (size * float(np.ptp(times)) / len(times) * 20)
-        terms.append(f"{signal.name}_{factor.name}*{factor.name}")
-        parameters.append(
-            f'Parameter("{signal.name}_{factor.name}", {value / size:.4g}, '
-            f"scale={max(abs(unit), 1e-9):.3g}),"
-        )
-    constant = slope[-1] - float(np.sum(slope[:-1] * means / sizes))
-    parameters.append(f'Parameter("{signal.name}_0", {constant:.4g}, scale={scale:.3g}),')
-    return f'"{signal.name}": "{" + ".join([*terms, f"{signal.name}_0"])}",', parameters
+    def candidates(self, lag: float) -> list[str]:
+        """Quadratic damping of every motion, and a lag of every command."""
+        found = [
+            f'Force("{s.name}_quadratic", {{"{s.name}": "-E_{s.name}*{s.name}*abs({s.name})"}}, '
+            f'(Parameter("E_{s.name}", 0.0, scale={0.1 / self.scales[s.name]:.3g}),),\n'
+            f'    description="damping that grows with {s.name}"),'
+            for s in self.acting
+            if s.name not in self.integral
+        ]
+        names = [s.name for s in self.commands]
+        return found + [f'actuator_lag("{n}_lag", "{n}", scale={lag:.3g}),' for n in names]
+
+    def linear_rate(self, signal: _Signal) -> tuple[str, list[str]]:
+        """Rate linear in what acts on it, and parameters by regularised least squares."""
+        times, factors = self.times, [*self.acting, *self.commands]
+        columns = np.column_stack([_without_gaps(times, s.values) for s in factors])
+        means, sizes = columns.mean(axis=0), columns.std(axis=0)
+        sizes[sizes == 0.0] = 1.0
+        rows = np.column_stack([(columns - means) / sizes, np.ones(len(times))])
+        rate = np.gradient(_without_gaps(times, signal.values), times)
+        scale = self.scales[signal.name]
+        ridge = 1e-3 * len(times) * np.eye(rows.shape[1])
+        slope = np.linalg.solve(rows.T @ rows + ridge, rows.T @ rate)
+        terms, parameters = [], []
+        for factor, size, value in zip(factors, sizes, slope[:-1], strict=True):
+            unit = scale / (size * float(np.ptp(times)) / len(times) * 20)
+            terms.append(f"{signal.name}_{factor.name}*{factor.name}")
+            parameters.append(
+                f'Parameter("{signal.name}_{factor.name}", {value / size:.4g}, '
+                f"scale={max(abs(unit), 1e-9):.3g}),"
+            )
+        constant = slope[-1] - float(np.sum(slope[:-1] * means / sizes))
+        parameters.append(f'Parameter("{signal.name}_0", {constant:.4g}, scale={scale:.3g}),')
+        return f'"{signal.name}": "{" + ".join([*terms, f"{signal.name}_0"])}",', parameters

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from oed_sysid.export.program import IN_SYMPY, Program, python_function, template
-from oed_sysid.physics.model import Model
+from oed_sysid.physics.model import Model, force_text, inertia_terms
 from oed_sysid.text import notation
 from oed_sysid.text.expressions import to_latex
 from oed_sysid.text.typeset import safe, safe_unit
@@ -90,9 +90,9 @@ def _equations(program: Program, values: Mapping[str, float]) -> Iterator[str]:
     for effect in model.effects:
         yield from (line(to_latex(name), text) for name, text in effect.definitions.items())
     for axis in model.axes:
-        yield f"{_inertia(model, axis, write)} &= {write(_forces(model.effects, axis))}"
+        yield f"{_inertia(model, axis, write)} &= {write(force_text(model, axis))}"
     for state, rate in model.kinematics.items():
-        added = _forces(model.effects, state)
+        added = force_text(model, state)
         yield line(rf"\dot{{{to_latex(state)}}}", rate if added == "0" else f"{rate} + {added}")
     for effect in model.effects:
         for extra in effect.states:
@@ -103,23 +103,12 @@ def _equations(program: Program, values: Mapping[str, float]) -> Iterator[str]:
 
 def _inertia(model: Model, axis: str, write: Callable[[str], str]) -> str:
     """Left-hand side of the equation of an axis."""
-    entries = list(model.inertia.items())
-    for effect in model.effects:
-        entries += effect.terms.items() if effect.stage == "inertia" else ()  # type: ignore[arg-type]
     parts = []
-    if not any(row == axis for row, _ in model.inertia):
-        parts.append(rf"\dot{{{to_latex(model.axes[axis])}}}")
-    for velocity in model.axes.values():
-        texts = [f"({text})" for key, text in entries if key == (axis, velocity)]
-        if texts:
-            factor = write(" + ".join(texts))
-            parts.append(rf"\left({factor}\right) \dot{{{to_latex(velocity)}}}")
+    for velocity, texts in inertia_terms(model, axis):
+        factor = write(" + ".join(f"({text})" for text in texts)) if texts else ""
+        rate = rf"\dot{{{to_latex(velocity)}}}"
+        parts.append(rf"\left({factor}\right) {rate}" if texts else rate)
     return " + ".join(parts)
-
-
-def _forces(effects: tuple, key: str) -> str:
-    terms = [f"({one.terms[key]})" for one in effects if one.stage == "force" and key in one.terms]
-    return " + ".join(terms) or "0"
 
 
 class _Numbers(ast.NodeTransformer):

@@ -42,6 +42,15 @@ class Bode:
     poles: np.ndarray
 
 
+def _place(model: Model, kind: str, name: str, known: Sequence[str]) -> int:
+    """Position of a signal of the model, or :class:`DesignError`."""
+    if name not in known:
+        raise DesignError(
+            f"Model {model.name!r} has no {kind} {name!r}. It has {', '.join(known)}."
+        )
+    return known.index(name)
+
+
 def bode(
     model: Model,
     point: Equilibrium,
@@ -63,10 +72,7 @@ def bode(
     frequencies : ndarray (n,), optional
         Angular frequencies, rad/s; by default two decades to either side of the poles.
     """
-    if input not in model.input_names:
-        raise DesignError(
-            f"Model {model.name!r} has no input {input!r}. It has {', '.join(model.input_names)}."
-        )
+    column = _place(model, "input", input, model.input_names)
     linear = linearise(model, point, outputs=[output])
     poles = np.asarray(linear.poles())
     if frequencies is None:
@@ -74,7 +80,7 @@ def bode(
         low, high = (sizes.min(), sizes.max()) if len(sizes) else (0.1, 0.1)
         frequencies = np.geomspace(0.01 * low, 100 * high, 400)
     frequencies = np.asarray(frequencies, dtype=float)
-    single = linear[0, model.input_names.index(input)]
+    single = linear[0, column]
     response = np.atleast_1d(np.squeeze(single(1j * frequencies)))
     return Bode(input, output, frequencies, np.abs(response), np.unwrap(np.angle(response)), poles)
 
@@ -163,7 +169,7 @@ class Stability:
 
     report = as_text
 
-    to_dict = as_dict("states", "poles", "criterion", "stable")
+    to_dict = as_dict()
 
 
 def _mode(pole: complex) -> str:
@@ -219,11 +225,7 @@ def subsystem(
     """
     linear = linearise(model, point)
     names = list(linear.state_labels)
-    if unknown := [name for name in states if name not in names]:
-        raise DesignError(
-            f"Model {model.name!r} has no state {unknown[0]!r}. It has {', '.join(names)}."
-        )
-    rows = [names.index(name) for name in states]
+    rows = [_place(model, "state", name, names) for name in states]
     return np.asarray(linear.A)[np.ix_(rows, rows)], np.asarray(linear.B)[rows]
 
 
@@ -293,12 +295,9 @@ def nomoto(
     K. Nomoto, T. Taguchi, K. Honda, S. Hirano, On the steering qualities of
     ships, *International Shipbuilding Progress* 4 (1957) 354-370.
     """
-    if rudder not in model.input_names:
-        raise DesignError(
-            f"Model {model.name!r} has no input {rudder!r}. It has {', '.join(model.input_names)}."
-        )
+    column = _place(model, "input", rudder, model.input_names)
     matrix, columns = subsystem(model, point, (sway, yaw))
-    return nomoto_of(matrix, columns[:, model.input_names.index(rudder)])
+    return nomoto_of(matrix, columns[:, column])
 
 
 def nomoto_of(matrix: np.ndarray, column: np.ndarray) -> Nomoto:

@@ -99,10 +99,8 @@ class Noise:
                 rows = np.flatnonzero(
                     present[:, column] & (before >= order if last else before == order)
                 )
-                guess = sum(
-                    (a * series[rows - lag] for lag, a in enumerate(predictor, start=1)),
-                    np.zeros_like(series[rows]),
-                )
+                lagged = series[rows[:, None] - np.arange(1, order + 1)]
+                guess = np.tensordot(lagged, predictor, axes=([1], [0]))
                 whitened[rows, column] = (series[rows] - guess) / deviation
         return whitened
 

@@ -334,7 +334,7 @@ class Drop:
     predicted_rms: float
     rms: Mapping[str, float]
 
-    to_dict = as_dict("name", "cost", "predicted_rms", "rms")
+    to_dict = as_dict()
 
 
 @dataclass(frozen=True, eq=False)

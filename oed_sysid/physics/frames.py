@@ -184,25 +184,21 @@ def rotation(present: Collection[str]) -> tuple[tuple[str, ...], ...]:
     >>> rotation(["theta"])[2]
     ('-sin(theta)', '0', 'cos(theta)')
     """
-
-    def c(angle: str) -> str:
-        return f"cos({angle})" if angle in present else "1"
-
-    def s(angle: str) -> str:
-        return f"sin({angle})" if angle in present else "0"
-
+    angles = ("phi", "theta", "psi")
+    cr, cp, cy = (f"cos({angle})" if angle in present else "1" for angle in angles)
+    sr, sp, sy = (f"sin({angle})" if angle in present else "0" for angle in angles)
     return (
         (
-            times(c("psi"), c("theta")),
-            plus(times(c("psi"), s("theta"), s("phi")), minus(times(s("psi"), c("phi")))),
-            plus(times(s("psi"), s("phi")), times(c("psi"), s("theta"), c("phi"))),
+            times(cy, cp),
+            plus(times(cy, sp, sr), minus(times(sy, cr))),
+            plus(times(sy, sr), times(cy, sp, cr)),
         ),
         (
-            times(s("psi"), c("theta")),
-            plus(times(c("psi"), c("phi")), times(s("psi"), s("theta"), s("phi"))),
-            plus(times(s("psi"), s("theta"), c("phi")), minus(times(c("psi"), s("phi")))),
+            times(sy, cp),
+            plus(times(cy, cr), times(sy, sp, sr)),
+            plus(times(sy, sp, cr), minus(times(cy, sr))),
         ),
-        (minus(s("theta")), times(c("theta"), s("phi")), times(c("theta"), c("phi"))),
+        (minus(sp), times(cp, sr), times(cp, cr)),
     )
 
 

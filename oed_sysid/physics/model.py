@@ -295,9 +295,9 @@ class Model(Structure):
             rows += [("signal", signal, text, ""), *self._changes("environment", signal)]
         for effect in self.effects:
             rows += [("signal", k, text, effect.name) for k, text in effect.definitions.items()]
-        rows += [("axis", axis, self._force(axis), "") for axis in self.axes]
+        rows += [("axis", axis, force_text(self, axis), "") for axis in self.axes]
         for state, rate in self.kinematics.items():
-            added = self._force(state)
+            added = force_text(self, state)
             rows.append(("rate", state, rate if added == "0" else f"{rate} + {added}", ""))
         for effect in self.effects:
             rows += [("rate", s.name, s.rate, effect.name) for s in effect.states]
@@ -317,27 +317,12 @@ class Model(Structure):
 
     def _inertia(self, axis: str, write: Callable[[str], str]) -> str:
         """Left side of the equation of an axis; the rate of w stands as w_prime_."""
-        state = self.axes[axis]
-        entries = list(self.inertia.items())
-        for effect in self.effects:
-            entries += effect.terms.items() if effect.stage == "inertia" else ()
-        parts: list[str] = []
-        for other in self.axes.values():
-            texts = [text for key, text in entries if key == (axis, other)]
-            if texts:
-                # A name that text can carry.
-                parts.append(f"({' + '.join(texts)})*{other}_prime_")
-        if not any(key[0] == axis for key in self.inertia):
-            parts.insert(0, f"{state}_prime_")
-        return write(" + ".join(parts))
-
-    def _force(self, key: str) -> str:
-        terms = [
-            f"({effect.terms[key]})"
-            for effect in self.effects
-            if effect.stage == "force" and key in effect.terms
+        # A name that text can carry.
+        parts = [
+            f"({' + '.join(texts)})*{velocity}_prime_" if texts else f"{velocity}_prime_"
+            for velocity, texts in inertia_terms(self, axis)
         ]
-        return " + ".join(terms) or "0"
+        return write(" + ".join(parts))
 
     # -- identity ------------------------------------------------------------------
 
@@ -364,3 +349,22 @@ class Model(Structure):
             tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def force_text(model: Model, key: str) -> str:
+    """Sum of the forces on an axis or a state, as a text."""
+    effects = (one for one in model.effects if one.stage == "force" and key in one.terms)
+    return " + ".join(f"({effect.terms[key]})" for effect in effects) or "0"
+
+
+def inertia_terms(model: Model, axis: str) -> list[tuple[str, list[str]]]:
+    """Velocities in the equation of an axis, with what their rates are multiplied by."""
+    entries = list(model.inertia.items())
+    for effect in model.effects:
+        entries += effect.terms.items() if effect.stage == "inertia" else ()
+    stated = any(row == axis for row, _ in model.inertia)
+    found: list[tuple[str, list[str]]] = [] if stated else [(model.axes[axis], [])]
+    for velocity in model.axes.values():
+        texts = [text for key, text in entries if key == (axis, velocity)]
+        found += [(velocity, texts)] if texts else []
+    return found

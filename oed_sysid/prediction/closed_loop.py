@@ -128,14 +128,10 @@ class ClosedLoop:
             inside = "" if math.isnan(held[name]) else share(held[name])
             rows.append((f"{name} [{unit}]", *errors, inside))
         headers = ("output", "in the loop", "logged input", "95 % band holds")
-        sections = [
-            Section(
-                "Errors", (self.caveat,) if self.caveat else (), (Table(headers, rows),), indent=2
-            )
-        ]
-        if self.law:
-            sections.append(Section("Law", listing=self.law))
-        return Report(f"replay of {self.record.name}, rms error", sections=tuple(sections))
+        mind = (self.caveat,) if self.caveat else ()
+        errors_of = Section("Errors", mind, (Table(headers, rows),), indent=2)
+        law = Section("Law", listing=self.law)
+        return Report(f"replay of {self.record.name}, rms error", sections=(errors_of, law))
 
     report = as_text
 
@@ -186,17 +182,14 @@ def closed_loop(
         law = control.drawn(rng) if isinstance(control, UncertainControl) else control
         runs.append(_run(held, record, law, values, sigma, rng)[0])
     drawn = np.array([one for one in runs if np.isfinite(one).all()])
-    nothing = np.full(outputs.shape, np.nan)
-    std, lower, upper = nothing, nothing, nothing
+    std = lower = upper = np.full(outputs.shape, np.nan)
     caveat = "" if fit is None else fit.caveat
     if len(drawn) > 1:
         noisy = drawn + sigma * rng.standard_normal(drawn.shape)
         std = np.sqrt(drawn.var(axis=0) + sigma**2)
         # The quantiles of few draws are those of a next one: i / (n + 1).
         lower, upper = np.quantile(noisy, [0.025, 0.975], axis=0, method="weibull")
-        caveat = " ".join(
-            filter(None, [caveat, _lost(record, drawn, getattr(control, "heading", ""))])
-        )
+        caveat = f"{caveat} {_lost(record, drawn, getattr(control, 'heading', ''))}".strip()
     said = control.report() if hasattr(control, "report") else ""
     failed = len(runs) - len(drawn)
     return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat, said)

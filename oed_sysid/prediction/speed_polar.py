@@ -93,15 +93,11 @@ class SpeedPolar:
 
     def interval(self, level: float = 0.95) -> tuple[np.ndarray, np.ndarray]:
         """Lower and upper ends ``(n_angles,)`` of the credible band; NaN without draws."""
-        if not len(self.draws):
-            nothing = np.full(self.angles.shape, math.nan)
-            return nothing, nothing
         tail = (1.0 - level) / 2.0
+        seen = np.where(np.isfinite(self.draws), self.draws, math.nan)
+        enough = np.isfinite(seen).sum(axis=0) > 1
         ends = np.full((2, len(self.angles)), math.nan)
-        for index, column in enumerate(self.draws.T):
-            found = column[np.isfinite(column)]
-            if found.size > 1:
-                ends[:, index] = np.quantile(found, [tail, 1.0 - tail])
+        ends[:, enough] = np.nanquantile(seen[:, enough], [tail, 1.0 - tail], axis=0)
         return ends[0], ends[1]
 
     @property
@@ -111,15 +107,12 @@ class SpeedPolar:
 
     def document(self) -> Report:
         """Return the polar as a table and a picture."""
-        low, high = self.interval()
         rows = []
-        for angle, speed, sheet, ends in zip(
-            self.angles, self.speeds, self.sheets, zip(low, high, strict=True), strict=True
-        ):
+        columns = np.degrees(self.angles), self.speeds, *self.interval(), np.degrees(self.sheets)
+        for angle, speed, low, high, sheet in np.column_stack(columns):
             known = math.isfinite(speed)
-            band = f"{ends[0]:.3f} to {ends[1]:.3f}" if known and math.isfinite(sum(ends)) else ""
-            angles = (f"{math.degrees(one):.0f}" for one in (angle, sheet))
-            rows.append((next(angles), f"{speed:.3f}" if known else "none", band, next(angles)))
+            band = f"{low:.3f} to {high:.3f}" if known and math.isfinite(low + high) else ""
+            rows.append((f"{angle:.0f}", f"{speed:.3f}" if known else "none", band, f"{sheet:.0f}"))
         headers = ("wind angle [deg]", "speed [m/s]", "95 % of draws", "sheet [deg]")
         missing = f"{self.missing} of {self.draws.size} draws have no steady state."
         notes = (missing if self.missing else "", self.caveat)
@@ -217,11 +210,10 @@ def speed_polar(
         key: np.array([math.nan if point is None else point[key] for point in best])
         for key in (*solver.keys, names.sheet)
     }
-    caveat = "" if fit is None else fit.caveat
-    best_speeds, best_sheets = states[names.speed], states[names.sheet]
     return SpeedPolar(
-        model.name, wind_speed, angles, best_speeds, best_sheets, states, speeds, caveat
-    )
+        model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, speeds,
+        "" if fit is None else fit.caveat,
+    )  # fmt: skip
 
 
 class _Solver:
@@ -266,13 +258,10 @@ class _Solver:
     ) -> dict[str, float] | None:
         """States and inputs of steady sailing; None where there is none ahead."""
         names = self.names
+        given = names.sheet, names.wind_speed, names.wind_from
         point = equilibrium(
             self.model.with_values(dict(values)) if values else self.model,
-            inputs={
-                names.sheet: float(sheet),
-                names.wind_speed: self.wind_speed,
-                names.wind_from: 0.0,
-            },
+            inputs=dict(zip(given, (float(sheet), self.wind_speed, 0.0), strict=True)),
             fixed={names.heading: -float(angle)},
             free=(names.helm,),
             guess={key: value for key, value in guess.items() if key != names.heading},

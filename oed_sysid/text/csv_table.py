@@ -17,10 +17,12 @@ import csv
 import io
 import os
 import re
+import tomllib
 import warnings
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
 from typing import BinaryIO
 
@@ -188,49 +190,17 @@ def complaint(cell: str) -> str:
 # -- the text of a file ----------------------------------------------------------------
 
 
-_EXPORT = "Open it there and save it as CSV (comma separated, UTF-8)"
 _IMPORT = "Turn it into CSV with: oed-sysid import"
 # Sentences of instruments, and what a line of a program's messages looks like.
 _SENTENCE = re.compile(r"[$!][A-Z]{2}[A-Z0-9]{3},")
 _PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+([,;\s]+[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+)+\s*")
 _MESSAGE = re.compile(r"\[?\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S*\s+\[?[A-Z]{3,}\b.*")
 # How files that are often taken for tables begin, what they are, and what to do.
-_KINDS: tuple[tuple[bytes, str, str], ...] = (
-    (b"PK\x03\x04", "an Excel workbook, or another ZIP archive", _EXPORT),
-    (b"\xd0\xcf\x11\xe0", "an old Excel workbook (XLS)", _EXPORT),
-    (b"\x1f\x8b", "a gzip archive", "Unpack it first"),
-    (b"BZh", "a bzip2 archive", "Unpack it first"),
-    (b"\xfd7zXZ", "an xz archive", "Unpack it first"),
-    (b"7z\xbc\xaf", "a 7-Zip archive", "Unpack it first"),
-    (b"%PDF", "a PDF document", "Export the table as CSV"),
-    (b"\x89PNG", "a picture", "Give the numbers that it was drawn from"),
-    (b"\xff\xd8\xff", "a picture", "Give the numbers that it was drawn from"),
-    (b"\x89HDF", "an HDF5 or MATLAB 7.3 file", "Export the table as CSV"),
-    (
-        b"MATLAB 5.0",
-        "a MATLAB file",
-        f"{_IMPORT}, or export the table with writetable(T, 'file.csv')",
-    ),
-    (b"\x93NUMPY", "a NumPy array", "Make a Record of it, or write it as CSV with headers"),
-    (b"PAR1", "a Parquet file", _IMPORT),
-    (b"SQLite format 3", "an SQLite database, such as a ROS 2 bag", _IMPORT),
-    (b"#ROSBAG", "a ROS bag", _IMPORT),
-    (b"ULog\x01", "a PX4 log (ULog)", _IMPORT),
-    (b"\x89MCAP", "a ROS bag (MCAP)", _IMPORT),
-    (b"\xa3\x95", "an ArduPilot log (DataFlash)", _IMPORT),
-    (b"FMT, 128,", "an ArduPilot log (DataFlash)", _IMPORT),
-    (b"ARROW1", "an Arrow (Feather) file", "Export the table as CSV"),
-    (b"CDF\x01", "a NetCDF file", "Export the table as CSV"),
-    (b"CDF\x02", "a NetCDF file", "Export the table as CSV"),
-    (b"TDSm", "a LabVIEW file (TDMS)", "Export the table as CSV"),
-    (b"bplist", "a binary property list", "Export the table as CSV"),
-    (b"-----BEGIN ", "an encrypted or signed message", "Decrypt it first"),
-    (
-        b"version https://git-lfs",
-        "the pointer that Git LFS keeps in place of a file",
-        "Fetch the file itself with: git lfs pull",
-    ),
-    (b"\x80\x04\x95", "a Python pickle", "Write the table as CSV"),
+_KINDS = tuple(
+    (start.encode("latin-1"), what, advice)
+    for start, what, advice in tomllib.loads(
+        Path(__file__).with_name("file_kinds.toml").read_text(encoding="utf-8")
+    )["kinds"]
 )
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
@@ -452,19 +422,16 @@ def _cell_by_cell(path: Path, columns_of_text: bool) -> Table:
     table = Table(
         path, tuple(headers), np.full((len(rows), len(headers)), np.nan), np.array(numbers)
     )
-    for column, cells in enumerate(zip(*rows, strict=True)):
-        header = headers[column]
+    for index, cells in enumerate(zip(*rows, strict=True)):
+        column = _Column(headers[index], cells[0], delimiter != ",")
         try:
-            stamped = _stamps(path, header, cells, numbers)
-            if stamped is not None:
-                table.values[:, column] = stamped
-                table.stamps[column] = cells[0].strip()
-            else:
-                table.values[:, column] = _numbers(path, header, cells, numbers, delimiter)
+            table.values[:, index] = _values(path, column, cells, numbers)
+            if column.form:
+                table.stamps[index] = column.first.strip()
         except DataError as error:
             if not columns_of_text:
                 raise
-            table.faults[column] = str(error)
+            table.faults[index] = str(error)
     return table
 
 
@@ -682,45 +649,61 @@ def _are_decimal_commas(cells: list[str], delimiter: str, n_columns: int) -> boo
     return delimiter == "," and whole and n_columns < len(cells) <= 2 * n_columns
 
 
-def _numbers(
-    path: Path, header: str, cells: Sequence[str], numbers: list[int], delimiter: str
-) -> np.ndarray:
-    """Numbers of one column; the first cell that is none is named."""
-    comma = delimiter != ","
-    values = np.full(len(cells), np.nan)
-    for index, cell in enumerate(cells):
-        value = number(cell, comma=comma)
-        if value is None:
-            raise DataError(
-                f"Row {numbers[index]} of {path.name}, column {header!r}: {complaint(cell)}"
-            )
-        values[index] = value
-    if comma and any("," in cell for cell in cells):
+@dataclass(frozen=True)
+class _Column:
+    """What a column holds, told by its first cell: times in one form, or numbers."""
+
+    header: str
+    first: str
+    comma: bool  # whether it may be the decimal mark
+
+    @cached_property
+    def form(self) -> str:
+        """Form of its times; empty where it holds none."""
+        stamp = time_stamp(self.first)
+        return "" if stamp is None else stamp[1]
+
+    @property
+    def kind(self) -> str:
+        """``n`` for numbers or nothing, ``s`` for times, ``t`` for a text."""
+        return "s" if self.form else "t" if self.value(self.first) is None else "n"
+
+    def value(self, cell: str) -> float | None:
+        """Number or seconds in a cell; None of what is neither, or a time in another form."""
+        if not self.form:
+            return number(cell, comma=self.comma)
+        found = time_stamp(cell)
+        return found[0] if found is not None and found[1] == self.form else None
+
+    def fault(self, path: Path, row: int, cell: str) -> str:
+        """Say where a cell without a value stands, and what is wrong with it."""
+        words = (
+            f"{cell.strip()!r:.50} is no time in the form of the first, {self.first.strip()!r}. "
+            "Write all in one form."
+            if self.form
+            else complaint(cell)
+        )
+        return f"Row {row} of {path.name}, column {self.header!r}: {words}"
+
+
+def _values(path: Path, column: _Column, cells: Sequence[str], rows: list[int]) -> np.ndarray:
+    """Numbers of one column, or seconds since its first row; the first wrong cell is named."""
+    found = [column.value(cell) for cell in cells]
+    if None in found:
+        wrong = found.index(None)
+        raise DataError(column.fault(path, rows[wrong], cells[wrong]))
+    values = np.array(found, dtype=float)
+    if column.form:
+        return np.round(values - values[0], 6)
+    if column.comma and any("," in cell for cell in cells):
         points = [index for index, cell in enumerate(cells) if "." in cell]
         if points:
             raise DataError(
-                f"Column {header!r} of {path.name} has decimal commas, but row "
-                f"{numbers[points[0]]} has a point: {cells[points[0]].strip()!r}. Decimal mark or "
+                f"Column {column.header!r} of {path.name} has decimal commas, but row "
+                f"{rows[points[0]]} has a point: {cells[points[0]].strip()!r}. Decimal mark or "
                 "separator of thousands? Write all numbers in one way."
             )
     return values
-
-
-def _stamps(path: Path, header: str, cells: Sequence[str], numbers: list[int]) -> np.ndarray | None:
-    """Seconds since the first row, if the column holds times of day or ISO times."""
-    first = time_stamp(cells[0])
-    if first is None:
-        return None
-    values = np.full(len(cells), np.nan)
-    for index, cell in enumerate(cells):
-        found = time_stamp(cell)
-        if found is None or found[1] != first[1]:
-            raise DataError(
-                f"Row {numbers[index]} of {path.name}, column {header!r}: {cell.strip()!r:.50} is "
-                f"no time in the form of the first, {cells[0].strip()!r}. Write all in one form."
-            )
-        values[index] = found[0]
-    return np.round(values - values[0], 6)
 
 
 # -- good files, in blocks ---------------------------------------------------------------
@@ -757,17 +740,16 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
     for numbers, _ in parts:
         begin, end = end, end + len(numbers)
         values[begin:end, where] = numbers
-    table = Table(path, lines.headers, values, np.arange(row, row + n_rows))
-    for index, (kind, cell) in enumerate(zip(lines.kinds, lines.cells, strict=True)):
+    headers = tuple(column.header for column in lines.columns)
+    table = Table(path, headers, values, np.arange(row, row + n_rows))
+    for index, (kind, column) in enumerate(zip(lines.kinds, lines.columns, strict=True)):
         if kind == "s":
             seconds = np.concatenate([times[index] for _, times in parts])
             values[:, index] = np.round(seconds - seconds[0], 6)
-            table.stamps[index] = cell.strip()
+            table.stamps[index] = column.first.strip()
         elif kind == "t":
             values[:, index] = np.nan
-            table.faults[index] = (
-                f"Row {row} of {path.name}, column {lines.headers[index]!r}: {complaint(cell)}"
-            )
+            table.faults[index] = column.fault(path, row, column.first)
     return table
 
 
@@ -781,17 +763,10 @@ def _first_row(path: Path, stream: BinaryIO) -> tuple[_Lines, int, int]:
     row, cells = rows[0][0], _cells(rows[0][1], delimiter)
     if len(cells) != len(headers) + closed:
         raise ValueError
-    cells = cells[: len(headers)]
-    kinds = [_kind(cell, delimiter) for cell in cells]
+    pairs = zip(headers, cells, strict=False)
+    columns = tuple(_Column(header, cell, delimiter != ",") for header, cell in pairs)
     start = sum(len(line) + 1 for line in head.split(b"\n")[: row - 1])
-    return _Lines(delimiter.encode(), tuple(headers), cells, kinds, closed), row, start
-
-
-def _kind(cell: str, delimiter: str) -> str:
-    """``n`` for a number or nothing, ``s`` for a time, ``t`` for a text."""
-    if time_stamp(cell) is not None:
-        return "s"
-    return "t" if number(cell, comma=delimiter != ",") is None else "n"
+    return _Lines(delimiter.encode(), columns, closed), row, start
 
 
 def _blocks(stream: BinaryIO, start: int) -> Iterator[bytes]:
@@ -815,10 +790,13 @@ class _Lines:
     """How the lines of a good file are laid out: delimiter, and what each column holds."""
 
     delimiter: bytes
-    headers: tuple[str, ...]
-    cells: Sequence[str]  # of the first row
-    kinds: Sequence[str]  # n numbers, s times, t text
+    columns: tuple[_Column, ...]
     closed: bool  # with a delimiter behind the last cell
+
+    @cached_property
+    def kinds(self) -> list[str]:
+        """Kind of each column."""
+        return [column.kind for column in self.columns]
 
     def parsed(self, block: bytes) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Numbers of all lines, shape ``(n_lines, n_numeric)``, and seconds of columns of times.
@@ -857,7 +835,11 @@ class _Lines:
                 raise ValueError
             if index < len(self.kinds) and self.kinds[index] == "s":
                 cells = zip(first.tolist(), last.tolist(), strict=True)
-                seconds[index] = _seconds([block[a:b].decode() for a, b in cells])
+                value = self.columns[index].value
+                found = [value(block[a:b].decode()) for a, b in cells]
+                if None in found:
+                    raise ValueError
+                seconds[index] = np.array(found, dtype=float)
             # With the delimiter before it, or behind it where no number stands before.
             before = "n" in self.kinds[:index]
             change[first - before] += 1
@@ -890,12 +872,3 @@ def _floats(body: bytes) -> np.ndarray:
             return np.fromstring(body, sep=" ,")
         except (ValueError, DeprecationWarning):
             return np.fromstring(_WORDS.sub(b"nan", body), sep=" ,")
-
-
-def _seconds(cells: list[str]) -> np.ndarray:
-    """Seconds of times that are all in the form of the first."""
-    found = [time_stamp(cell) for cell in cells]
-    forms = {None if one is None else one[1] for one in found}
-    if len(forms) != 1 or None in forms:
-        raise ValueError
-    return np.array([one[0] for one in found if one is not None])
