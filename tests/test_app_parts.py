@@ -18,7 +18,7 @@ from oed_sysid import Channels, Dataset, Fit, Input, Output, Record, load_proble
 pytest.importorskip("streamlit", reason="needs the extra 'app'")
 pytest.importorskip("plotly", reason="needs the extra 'app'")
 
-from oed_sysid.app import charts, mapping, pages, replay, takeaway
+from oed_sysid.app import charts, mapping, pages, takeaway
 from oed_sysid.app.choices import at_hand, measured_sets
 from oed_sysid.app.visit import Asked
 from oed_sysid.cli import BAD_INPUT, main
@@ -137,7 +137,7 @@ def test_replay_moves_every_vehicle() -> None:
     t = np.arange(11.0)
     rows = np.column_stack([t, 2 * t, np.full(11, np.pi / 2)])
     record = Record("a", t, np.zeros((11, 1)), rows, channels)
-    figure = replay.replay(record, {"nominal": np.add(rows, (0.0, 1.0, -0.1))}, frames=3)
+    figure = charts.replay(record, {"nominal": np.add(rows, (0.0, 1.0, -0.1))}, frames=3)
     middle = figure.frames[1]
     marks = [part for part in middle.data if part.type == "scatter"]
     hulls = [part for part in middle.data if part.type == "scatter3d"]
@@ -151,18 +151,18 @@ def test_replay_moves_every_vehicle() -> None:
     assert "heading 84.3°" in middle.layout.annotations[0].text
     alone = Record("b", t, np.zeros((11, 1)), rows[:, 2:], Channels(
         channels.inputs, channels.outputs[2:]))  # fmt: skip
-    assert replay.track_axes(alone) is None
-    assert {part.type for part in replay.replay(alone, {}, frames=3).data} == {"scatter3d"}
+    assert charts.track_axes(alone) is None
+    assert {part.type for part in charts.replay(alone, {}, frames=3).data} == {"scatter3d"}
 
 
 def test_rotation_turns_body_axes_into_north_east_down() -> None:
     """Orthonormal, right-handed; one angle alone turns about its own axis in the sense of SNAME."""
-    turned = replay.rotation(0.3, -0.7, 2.1)
+    turned = charts.rotation(0.3, -0.7, 2.1)
     np.testing.assert_allclose(turned @ turned.T, np.eye(3), atol=1e-12)
     assert np.linalg.det(turned) == pytest.approx(1.0)
-    starboard_down = replay.rotation(np.pi / 2, 0.0, 0.0) @ (0.0, 1.0, 0.0)
-    bow_up = replay.rotation(0.0, np.pi / 2, 0.0) @ (1.0, 0.0, 0.0)
-    bow_east = replay.rotation(0.0, 0.0, np.pi / 2) @ (1.0, 0.0, 0.0)
+    starboard_down = charts.rotation(np.pi / 2, 0.0, 0.0) @ (0.0, 1.0, 0.0)
+    bow_up = charts.rotation(0.0, np.pi / 2, 0.0) @ (1.0, 0.0, 0.0)
+    bow_east = charts.rotation(0.0, 0.0, np.pi / 2) @ (1.0, 0.0, 0.0)
     np.testing.assert_allclose(starboard_down, (0.0, 0.0, 1.0), atol=1e-12)
     np.testing.assert_allclose(bow_up, (0.0, 0.0, -1.0), atol=1e-12)
     np.testing.assert_allclose(bow_east, (0.0, 1.0, 0.0), atol=1e-12)

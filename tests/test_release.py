@@ -97,7 +97,12 @@ def test_archives_hold_what_they_should(built: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     for problem in list_problems():
         assert f"oed_sysid/_problems/{problem}/problem.py" in names
-    for pattern in (r"compiled/.*\.c$", r"results/templates/.*\.j2$", r"starter_files/.*\.txt$"):
+    for pattern in (
+        r"compiled/.*\.c$",
+        r"results/templates/.*\.j2$",
+        r"cli/study.py.j2$",
+        r"starter_files/.*\.txt$",
+    ):
         assert [name for name in names if re.search(pattern, name)], pattern
     assert not [name for name in names if name.startswith(("tests/", "benchmarks/", "docs/"))]
     with tarfile.open(sources) as archive:

@@ -227,7 +227,7 @@ def _found(found: Improvement) -> dict[str, Any]:
                 "added": step.added,
                 "equation": _equation(step.effect),
                 "group": list(step.group),
-                "evidence": step.evidence,
+                "evidence": step.gain,
                 "needed": step.needed,
                 "test_gain": step.test_gain,
             }

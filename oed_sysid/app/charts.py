@@ -1,17 +1,33 @@
-"""Pictures to zoom and point into (plotly), for people: angles in degrees, a unit on every axis.
+r"""Pictures to zoom and point into (plotly), for people: angles in degrees, a unit on every axis.
 
 The tabs of a result's page that hold them are at the end: :func:`tabs_of`.
 
 Signals of one record stand above each other on one axis of time: zoom one, and all follow. A band
 holds 95 % of new measurements (1.96 standard deviations either way).
+
+A replay shows the track and the attitude: a hull of unit length in space, turned from body axes
+into north, east and down by the Euler angles that were measured or predicted (:math:`c = \cos`,
+:math:`s = \sin`):
+
+.. math::
+
+    R(\phi, \theta, \psi) = R_z(\psi) R_y(\theta) R_x(\phi) = \begin{bmatrix}
+    c\psi\,c\theta & c\psi\,s\theta\,s\phi - s\psi\,c\phi & c\psi\,s\theta\,c\phi + s\psi\,s\phi \\
+    s\psi\,c\theta & s\psi\,s\theta\,s\phi + c\psi\,c\phi & s\psi\,s\theta\,c\phi - c\psi\,s\phi \\
+    -s\theta & c\theta\,s\phi & c\theta\,c\phi \end{bmatrix}
+
+``phi`` (roll), ``theta`` (pitch) and ``psi`` (heading) are in rad inside and in degrees in words.
+An angle that a record does not hold is drawn as zero and left out of the words. Fossen (2021),
+*Handbook of marine craft hydrodynamics and motion control*, eq. 2.31.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from functools import partial
 from html import escape
-from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +44,7 @@ from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.improvement_plots import force_against
-from oed_sysid.results.style import model_style
+from oed_sysid.results.style import model_style, shown, signal_of
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
@@ -37,7 +53,7 @@ COMMANDED = "#6b737b"
 DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
 # Samples of one line that a browser draws without stutter.
 _MOST = 4000
-_ROW, _EDGES = 150, 90  # px
+_ROW = 150  # px
 
 
 def name_of(channel: Input | Output | State) -> str:
@@ -82,30 +98,26 @@ def signals(
     outputs, inputs = record.channels.outputs, record.channels.inputs
     rows = len(outputs) + len(inputs)
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
-    kept = _kept(record.times)
+    kept = slice(None, None, max(-(-record.times.size // _MOST), 1))  # every n-th of a long one
     for row, channel in enumerate(outputs, start=1):
-        turn, column = shown_unit(channel.unit)[0], row - 1
         figure.add_scatter(
-            x=record.times[kept], y=turn * record.outputs[kept, column], mode="markers",
+            x=record.times[kept], y=signal_of(record, channel)[kept], mode="markers",
             marker={"size": 3, "color": MEASURED}, name="measured", legendgroup="measured",
             showlegend=row == 1, row=row, col=1,
         )  # fmt: skip
-        for index, (name, (said, std)) in enumerate((models or {}).items()):
-            _model(
-                figure, record.times[kept], turn * said[kept, column], turn * std[kept, column],
-                name, index, row,
-            )  # fmt: skip
+        for index, (name, parts) in enumerate((models or {}).items()):
+            mean, std = (shown(channel, part[kept, row - 1]) for part in parts)
+            for trace in _traces(record.times[kept], mean, std, name, index):
+                figure.add_trace(trace.update(showlegend=row == 1), row=row, col=1)
     for row, command in enumerate(inputs, start=len(outputs) + 1):
-        values = shown_unit(command.unit)[0] * record.inputs[kept, row - rows - 1]
+        shape = "hv" if command.interpolation == "hold" else "linear"
         figure.add_scatter(
-            x=record.times[kept], y=values,
-            mode="lines", line={"color": COMMANDED, "width": 1.5,
-                                "shape": "hv" if command.interpolation == "hold" else "linear"},
-            name="commanded", legendgroup="commanded", showlegend=row == len(outputs) + 1,
-            row=row, col=1,
+            x=record.times[kept], y=signal_of(record, command)[kept], mode="lines",
+            line={"color": COMMANDED, "width": 1.5, "shape": shape}, name="commanded",
+            legendgroup="commanded", showlegend=row == len(outputs) + 1, row=row, col=1,
         )  # fmt: skip
-    signals: tuple[Input | Output, ...] = (*outputs, *inputs)
-    for row, signal in enumerate(signals, start=1):
+    channels: tuple[Input | Output, ...] = (*outputs, *inputs)
+    for row, signal in enumerate(channels, start=1):
         words = f"{signal.name} [{_unit(signal)}]"
         figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
         if signal.label and signal.label != signal.name:
@@ -114,35 +126,30 @@ def signals(
                 yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
             )  # fmt: skip
     figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
-    return laid_out(figure, max(_ROW * rows, 240) + _EDGES)
+    return laid_out(figure, _ROW * (rows + 1))
 
 
-def _model(
-    figure: go.Figure,
-    times: np.ndarray,
-    mean: np.ndarray,
-    std: np.ndarray,
-    name: str,
-    index: int,
-    row: int,
-) -> None:
-    """A line with its band."""
+def line_of_model(index: int) -> tuple[str, str]:
+    """Colour and dashes of the model at a position in a comparison."""
     look = model_style(index)
-    half = np.where(np.isfinite(std), TWO_SIDED_95 * std, np.nan)
+    return look.colour, DASHES.get(str(look.dashes), "longdash")
+
+
+def _traces(
+    times: np.ndarray, mean: np.ndarray, std: np.ndarray, name: str, index: int
+) -> Iterator[go.Scatter]:
+    """The band of a model, where it is known, and its line."""
+    colour, dash = line_of_model(index)
+    half, words = TWO_SIDED_95 * std, f"95 % ({name})"
     if np.isfinite(half).all():
-        figure.add_scatter(
-            x=np.concatenate([times, times[::-1]]),
-            y=np.concatenate([mean + half, (mean - half)[::-1]]),
-            fill="toself", fillcolor=_faint(look.colour), line={"width": 0}, hoverinfo="skip",
-            name=f"95 % ({name})", legendgroup=f"95 % ({name})", showlegend=row == 1,
-            row=row, col=1,
+        red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
+        yield go.Scatter(
+            x=[*times, *times[::-1]], y=[*(mean + half), *(mean - half)[::-1]], fill="toself",
+            fillcolor=f"rgba({red},{green},{blue},0.18)", line={"width": 0}, hoverinfo="skip",
+            name=words, legendgroup=words,
         )  # fmt: skip
-    figure.add_scatter(
-        x=times, y=mean, mode="lines", name=name, legendgroup=name, showlegend=row == 1,
-        line={"color": look.colour, "width": 1.8,
-              "dash": DASHES.get(str(look.dashes), "longdash")},
-        row=row, col=1,
-    )  # fmt: skip
+    line = {"color": colour, "width": 1.8, "dash": dash}
+    yield go.Scatter(x=times, y=mean, mode="lines", name=name, legendgroup=name, line=line)
 
 
 def against(
@@ -239,24 +246,11 @@ def _box(located: Located, place: Place, top: float) -> str:
 
 # Shares of the best gain that a place may be behind for the two stronger colours.
 _NEAR = (0.1, 0.5)
+# Stages of the chain, and what they are called.
 _STAGES = {
-    "command": "command",
-    "actuator": "actuator",
-    "flow": "flow",
-    "force": "forces",
-    "kinematics": "kinematics",
-    "sensor": "sensors",
-}
-
-
-def _kept(times: np.ndarray) -> Sequence[int] | slice:
-    """Every n-th sample of a long record."""
-    return slice(None, None, max(-(-times.size // _MOST), 1))
-
-
-def _faint(colour: str) -> str:
-    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-    return f"rgba({red},{green},{blue},0.18)"
+    "command": "command", "actuator": "actuator", "flow": "flow", "force": "forces",
+    "kinematics": "kinematics", "sensor": "sensors",
+}  # fmt: skip
 
 
 def laid_out(figure: go.Figure, height: int) -> go.Figure:
@@ -269,6 +263,257 @@ def laid_out(figure: go.Figure, height: int) -> go.Figure:
     figure.update_xaxes(showspikes=True, spikemode="across", spikethickness=1)
     figure.update_yaxes(exponentformat="power")  # 10⁻⁷ N, not 100n
     return figure
+
+
+# -- replay -------------------------------------------------------------------------------
+
+# A track: outputs on the upward and on the rightward axis, the first pair that is measured.
+TRACKS = (("x", "y"), ("north", "east"), ("x0", "y0"), ("z", "x"))
+# Names of the Euler angles among outputs, and what people call them.
+ANGLES: Mapping[str, tuple[tuple[str, ...], str]] = {
+    "phi": (("phi", "roll"), "roll"),
+    "theta": (("theta", "pitch"), "pitch"),
+    "psi": (("psi", "heading", "yaw"), "heading"),
+}
+HULL = np.loadtxt(Path(__file__).with_name("hull.csv"), delimiter=",")
+
+
+def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
+    """Return the matrix ``(3, 3)`` that turns body axes into north, east, down.
+
+    Parameters
+    ----------
+    phi, theta, psi : float
+        Roll, pitch, heading, rad.
+
+    Examples
+    --------
+    The bow of a vehicle that heads east and pitches up by 30 degrees points east and upwards.
+
+    >>> (rotation(0.0, np.pi / 6, np.pi / 2) @ [1.0, 0.0, 0.0]).round(3).tolist()
+    [0.0, 0.866, -0.5]
+    """
+    (cr, cp, cy), (sr, sp, sy) = np.cos((phi, theta, psi)), np.sin((phi, theta, psi))
+    return np.array([
+        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
+        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
+        (-sp, cp * sr, cp * cr),
+    ])  # fmt: skip
+
+
+def track_axes(record: Record) -> tuple[str, str] | None:
+    """Outputs that make a track: up and right; None where positions are not measured."""
+    names = record.channels.output_names
+    for up, right in TRACKS:
+        if up in names and right in names:
+            seen = np.isfinite(record.output(up)) & np.isfinite(record.output(right))
+            if seen.sum() > 1:
+                return up, right
+    return None
+
+
+def angles_of(record: Record) -> dict[str, str]:
+    """Outputs that were measured of the attitude, by Euler angle.
+
+    >>> from oed_sysid import Channels, Output
+    >>> channels = Channels((), (Output("pitch", "rad"), Output("z", "m")))
+    >>> angles_of(Record("a", np.arange(5.0), [], np.zeros((5, 2)), channels))
+    {'theta': 'pitch'}
+    """
+    measured = {*record.channels.output_names} - {*record.missing_outputs}
+    found = {angle: next(filter(measured.__contains__, names), "")
+             for angle, (names, _) in ANGLES.items()}  # fmt: skip
+    return {angle: name for angle, name in found.items() if name}
+
+
+def can_replay(record: Record) -> bool:
+    """Whether a record holds a track or an attitude."""
+    return track_axes(record) is not None or bool(angles_of(record))
+
+
+@dataclass(frozen=True, eq=False)
+class _Path:
+    """One vehicle: what was measured of it, or what a model says.
+
+    Parameters
+    ----------
+    name : str
+        What it is called.
+    record : Record
+        Its times and channels.
+    rows : ndarray (n_times, n_outputs)
+        Outputs, SI.
+    colour, dash : str
+        How it is drawn.
+    """
+
+    name: str
+    record: Record
+    rows: np.ndarray
+    colour: str
+    dash: str
+
+    def at(self, moment: float, output: str, *, angle: bool = False) -> float:
+        """Value of an output at a moment, s; on a line between samples, angles without jumps."""
+        column = self.rows[:, self.record.channels.output_names.index(output)]
+        seen = np.isfinite(column)
+        if not seen.any():
+            return 0.0
+        values = np.unwrap(column[seen]) if angle else column[seen]
+        return float(np.interp(moment, self.record.times[seen], values))
+
+    def attitude(self, moment: float) -> dict[str, float]:
+        """Euler angles at a moment, rad; those that are not measured are left out."""
+        found = angles_of(self.record)
+        return {angle: self.at(moment, name, angle=True) for angle, name in found.items()}
+
+
+def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -> go.Figure:
+    """Draw track and attitude as measured and as models follow them, to be replayed with a slider.
+
+    Parameters
+    ----------
+    record : Record
+        With positions, or with at least one Euler angle.
+    models : mapping of str to ndarray
+        Outputs ``(n_times, n_outputs)`` by name, SI.
+    frames : int
+        Moments of the replay.
+
+    Returns
+    -------
+    plotly.graph_objects.Figure
+        The track on the left and the hull in space on the right, as far as they are measured.
+    """
+    axes, turned = track_axes(record), bool(angles_of(record))
+    kinds = ([{"type": "xy"}] if axes else []) + ([{"type": "scene"}] if turned else [])
+    figure = make_subplots(1, len(kinds), specs=[kinds], horizontal_spacing=0.04)
+    paths = [_Path("measured", record, record.outputs, MEASURED, "solid")]
+    for number, (name, rows) in enumerate(models.items()):
+        colour, dash = line_of_model(number)
+        paths.append(_Path(name, record, np.asarray(rows), colour, dash))
+    if axes:
+        _map(figure, paths, axes)
+    still = len(figure.data)
+    moments = np.linspace(record.times[0], record.times[-1], frames).tolist()
+    for trace, column in _vehicles(paths, axes, turned, moments[0]):
+        figure.add_trace(trace, row=1, col=column)
+    moved = list(range(still, len(figure.data)))
+    figure.frames = [
+        go.Frame(
+            data=[trace for trace, _ in _vehicles(paths, axes, turned, moment)],
+            traces=moved, name=f"{moment:.1f}",
+            layout={"annotations": _words(paths, moment, axes) if turned else []},
+        )
+        for moment in moments
+    ]  # fmt: skip
+    if turned:
+        figure.update_layout(annotations=_words(paths, moments[0], axes))
+        _scene(figure)
+    _controls(figure, redraw=turned)
+    figure.update_layout(margin={"l": 70, "r": 20, "t": 40 + 20 * len(paths) * turned, "b": 60})
+    return figure
+
+
+def _vehicles(
+    paths: list[_Path], axes: tuple[str, str] | None, turned: bool, moment: float
+) -> Iterator[tuple[go.Scatter | go.Scatter3d, int]]:
+    """What moves, and in which column: a mark on the track and a hull in space, per vehicle."""
+    for path in paths:
+        attitude = path.attitude(moment)
+        if axes:
+            yield _mark(path, attitude, axes, moment), 1
+        if turned:
+            north, east, down = rotation(*(attitude.get(name, 0.0) for name in ANGLES)) @ HULL.T
+            dash = path.dash if path.dash in ("solid", "dash", "dot") else "dash"
+            line = {"color": path.colour, "width": 6, "dash": dash}
+            hull = go.Scatter3d(x=east, y=north, z=-down, mode="lines", name=path.name, line=line,
+                                legendgroup=path.name, showlegend=axes is None,
+                                hoverinfo="skip")  # fmt: skip
+            yield hull, 2 if axes else 1
+
+
+def _mark(
+    path: _Path, attitude: Mapping[str, float], axes: tuple[str, str], moment: float
+) -> go.Scatter:
+    """A vehicle on its track: an arrow along its heading or, in a vertical plane, its pitch."""
+    vertical = axes[0] == "z"
+    angle = attitude.get("theta" if vertical else "psi")
+    look = {"size": 16, "symbol": "circle", "color": path.colour}
+    if angle is not None:
+        points = float(np.degrees(angle))
+        look |= {"symbol": "arrow", "angle": 90.0 - points if vertical else points}
+    x, y = ([path.at(moment, name)] for name in axes[::-1])
+    return go.Scatter(x=x, y=y, mode="markers", showlegend=False, hoverinfo="skip",
+                      legendgroup=path.name, marker=look)  # fmt: skip
+
+
+def _words(paths: list[_Path], moment: float, axes: tuple[str, str] | None) -> list[dict]:
+    """The angles of all vehicles at a moment, degrees, above the picture."""
+    lines = []
+    for path in paths:
+        said = ", ".join(
+            f"{ANGLES[name][1]} {np.degrees(angle):.1f}°"
+            for name, angle in path.attitude(moment).items()
+        )
+        lines.append(f"{path.name}: {said}")
+    return [{
+        "text": "<br>".join(lines), "xref": "paper", "yref": "paper", "align": "left",
+        "x": 0.56 if axes else 0.0, "y": 1.0, "xanchor": "left", "yanchor": "bottom",
+        "showarrow": False, "font": {"size": 13},
+    }]  # fmt: skip
+
+
+def _scene(figure: go.Figure) -> None:
+    """Axes of space: the same scale on all, seen from astern, starboard and above."""
+    span = {"range": [-0.55, 0.55], "showticklabels": False, "showspikes": False}
+    figure.update_scenes(
+        xaxis={**span, "title": {"text": "east"}},
+        yaxis={**span, "title": {"text": "north"}},
+        zaxis={**span, "title": {"text": "up"}},
+        aspectmode="cube",
+        camera={"eye": {"x": 1.35, "y": -1.6, "z": 0.85}},
+        dragmode="orbit",
+    )
+
+
+def _map(figure: go.Figure, paths: Sequence[_Path], axes: tuple[str, str]) -> None:
+    """The tracks: the same scale on both axes, names with units, depth downwards."""
+    by_name = {channel.name: channel for channel in paths[0].record.channels.outputs}
+    for path in paths:
+        x, y = (path.rows[:, list(by_name).index(one)] for one in axes[::-1])
+        seen = np.isfinite(x) & np.isfinite(y)
+        figure.add_scatter(
+            x=x[seen], y=y[seen], mode="lines", name=path.name, legendgroup=path.name,
+            line={"color": path.colour, "dash": path.dash, "width": 1.6}, row=1, col=1,
+        )  # fmt: skip
+    figure.update_xaxes(title_text=name_of(by_name[axes[1]]))
+    figure.update_yaxes(title_text=name_of(by_name[axes[0]]), scaleanchor="x", scaleratio=1)
+    if axes[0] == "z":
+        figure.update_yaxes(autorange="reversed")
+
+
+def _controls(figure: go.Figure, *, redraw: bool) -> None:
+    """A slider over time, and buttons that play and pause; hulls in space need a redraw."""
+    laid_out(figure, 600)
+    still = {"mode": "immediate", "frame": {"duration": 0, "redraw": redraw}}
+    play = {"frame": {"duration": 80, "redraw": redraw}, "fromcurrent": True,
+            "transition": {"duration": 0}}  # fmt: skip
+
+    def animate(label: str, frames: Any, how: dict[str, Any]) -> dict[str, Any]:
+        return {"label": label, "method": "animate", "args": [frames, how]}
+
+    figure.update_layout(
+        sliders=[{
+            "currentvalue": {"prefix": "t = ", "suffix": " s"}, "pad": {"t": 60}, "len": 0.84,
+            "x": 0.16, "steps": [animate(one.name, [one.name], still) for one in figure.frames],
+        }],
+        updatemenus=[{
+            "type": "buttons", "direction": "left", "x": 0.0, "y": -0.12, "yanchor": "top",
+            "xanchor": "left", "pad": {"t": 50}, "showactive": False,
+            "buttons": [animate("Play", None, play), animate("Pause", [None], still)],
+        }],
+    )  # fmt: skip
 
 
 # -- tabs --------------------------------------------------------------------------------
@@ -293,32 +538,33 @@ def tabs_of(outcome: Outcome, train: Dataset | None, key: str) -> Tabs:
     key : str
         Of the widgets.
     """
-    tabs: Tabs = {}
     found, located = outcome.comparison, getattr(outcome.result, "location", None)
+    tabs: Tabs = {}
     if found is not None:
-        models = {part.label: part.prediction for part in found.models}
         said = "The band holds 95 % of new measurements: uncertain parameters and noise together."
-        rows: dict[str, Any] = {n: (one.outputs, one.std) for n, one in models.items()}
+        rows: dict[str, Any] = {
+            part.label: (part.prediction.outputs, part.prediction.std) for part in found.models
+        }
         tabs["Signals"] = partial(_signals, found.dataset, rows, said, key)
-        if any(_replays().can_replay(record) for record in found.dataset):
+        if any(map(can_replay, found.dataset)):
             tabs["Replay"] = partial(_replay, found, key)
     elif isinstance(fit := outcome.result, Fit):
         bands = [np.broadcast_to(fit.sigma, said.shape) for said in fit.predictions]
-        rows = {"nominal": (fit.predictions, bands)}
         said = "The band holds 95 % of the noise."
+        rows = {"nominal": (fit.predictions, bands)}
         tabs["Signals"] = partial(_signals, fit.dataset, rows, said, key)
-    if located is not None:
-        fit = getattr(outcome.result, "base_fit", None)
-        train = train if fit is None else fit.dataset
-        tabs["Signal chain"] = partial(_chain, located)
-        if located.force_names and train is not None and _same_times(located.forces, train):
-            tabs["Residual force"] = partial(_force, located, train, fit, key)
+    return tabs if located is None else tabs | _located(outcome.result, located, train, key)
+
+
+def _located(result: Any, located: Located, train: Dataset | None, key: str) -> Tabs:
+    """Tabs on where a model fails."""
+    tabs: Tabs = {"Signal chain": partial(_chain, located)}
+    fit = getattr(result, "base_fit", None)
+    records = train if fit is None else fit.dataset
+    lengths = [one.times.size for one in located.forces]
+    if located.force_names and records and lengths == [one.times.size for one in records]:
+        tabs["Residual force"] = partial(_force, located, records, fit, key)
     return tabs
-
-
-def _replays() -> Any:
-    """The module that draws replays, which stands above this one."""
-    return import_module("oed_sysid.app.replay")
 
 
 def _record(dataset: Dataset, key: str) -> int:
@@ -338,14 +584,13 @@ def _signals(dataset: Dataset, models: Mapping[str, Any], said: str, key: str) -
 
 
 def _replay(found: Comparison, key: str) -> None:
-    replay = _replays()
-    able = [record for record in found.dataset if replay.can_replay(record)]
+    able = [record for record in found.dataset if can_replay(record)]
     record = able[_record(Dataset(tuple(able)), f"replay:{key}")]
     index = found.dataset.names.index(record.name)
     models = {part.label: part.prediction.outputs[index] for part in found.models}
-    chart(replay.replay(record, models), f"replay:{key}")
-    measured = replay.angles_of(record)
-    absent = [words for angle, (_, words) in replay.ANGLES.items() if angle not in measured]
+    chart(replay(record, models), f"replay:{key}")
+    measured = angles_of(record)
+    absent = [words for angle, (_, words) in ANGLES.items() if angle not in measured]
     said = "Drag the hull to look at it from another side. " if measured else ""
     if measured and absent:
         said += f"Not measured, and drawn as zero: {', '.join(absent)}."
@@ -389,24 +634,18 @@ def _axes(
     """Signals at all times of all records: states of the fit, commands, measurements."""
     found: dict[str, tuple[Input | Output | State, np.ndarray]] = {}
 
-    def add(kind: str, channels: Sequence[Input | Output | State], rows: Sequence[Any]) -> None:
+    kinds: list[tuple[str, Sequence[Input | Output | State], Sequence[Any]]] = [
+        ("command", dataset.channels.inputs, [record.inputs for record in dataset]),
+        ("measured", dataset.channels.outputs, [record.outputs for record in dataset]),
+    ]
+    if fit is not None and [*map(len, fit.states)] == [record.times.size for record in dataset]:
+        kinds.insert(0, ("state", fit.model.states, fit.states))
+    for kind, channels, rows in kinds:
         for column, channel in enumerate(channels):
             values = np.concatenate([one[:, column] for one in rows])
             if np.isfinite(values).any():
                 found[f"{name_of(channel)}, {kind}"] = channel, values
-
-    if fit is not None and all(
-        len(one) == record.times.size for one, record in zip(fit.states, dataset, strict=False)
-    ):
-        add("state", fit.model.states, fit.states)
-    add("command", dataset.channels.inputs, [record.inputs for record in dataset])
-    add("measured", dataset.channels.outputs, [record.outputs for record in dataset])
     return found
-
-
-def _same_times(forces: Sequence[Any], dataset: Dataset) -> bool:
-    """Whether residual forces stand at the times of the records."""
-    return [one.times.size for one in forces] == [record.times.size for record in dataset]
 
 
 def look_at(dataset: Dataset, key: str) -> None:

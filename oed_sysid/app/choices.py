@@ -5,11 +5,11 @@ Records come with the problem, are simulated, or are uploaded.
 
 from __future__ import annotations
 
-import tempfile
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import streamlit as st
@@ -18,7 +18,7 @@ from oed_sysid.app import mapping, visit
 from oed_sysid.app.trust import check_trusted, check_uploads, consent
 from oed_sysid.app.visit import chosen, kept
 from oed_sysid.cli.study import DEFAULT_MODEL, Study
-from oed_sysid.data.dataset import Dataset, Record, read_csv
+from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.data.logs import LogMapping
 from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
@@ -110,14 +110,11 @@ def study() -> Study:
     origin = chosen("origin", source, variant) or first_origin(source, problem)
     held = stock(source, variant, origin)
     learn, judge = selection(source, variant, origin, held.names)
-    return Study(
-        source,
-        variant,
-        problem,
-        _subset(held.records, learn),
-        _subset(held.records, judge),
-        bool(chosen("known_noise", source)),
+    train, test = (
+        Dataset(tuple(held.records[name] for name in names)) if held.records and names else None
+        for names in (learn, judge)
     )
+    return Study(source, variant, problem, train, test, bool(chosen("known_noise", source)))
 
 
 def selection(
@@ -126,24 +123,27 @@ def selection(
     """Names of the training and the validation records; those that exist."""
     guess = likely_test(names)
     defaults = {"train": [n for n in names if n not in guess], "test": list(guess)}
-    found = []
-    for part, default in defaults.items():
-        key = kept(part, source, variant, origin)
-        # A new file joins the training or the validation records, by its name.
-        known = set(st.session_state.get(visit.SEEN + key, ()))
-        picked = st.session_state.get(key, [])
-        now = [n for n in names if (n in picked if n in known else n in default)]
-        st.session_state[visit.SEEN + key] = list(names)
-        if now != picked or key not in st.session_state:
-            st.session_state[key] = now
-        found.append(tuple(now))
-    learn, judge = found
+    learn, judge = (
+        _picked(kept(part, source, variant, origin), names, default)
+        for part, default in defaults.items()
+    )
     if both := [name for name in learn if name in judge]:
         raise DataError(
             f"{', '.join(both)} is chosen for training and for validation. An error on records "
             "that a model was fitted to proves nothing: take it out on one side."
         )
     return learn, judge
+
+
+def _picked(key: str, names: tuple[str, ...], default: Sequence[str]) -> tuple[str, ...]:
+    """What is picked of records; a new file joins by its name."""
+    known = set(st.session_state.get(visit.SEEN + key, ()))
+    picked = st.session_state.get(key, [])
+    now = [n for n in names if (n in picked if n in known else n in default)]
+    st.session_state[visit.SEEN + key] = list(names)
+    if now != picked or key not in st.session_state:
+        st.session_state[key] = now
+    return tuple(now)
 
 
 def measured() -> tuple[str, ...]:
@@ -156,12 +156,6 @@ def open_measured(source: str) -> None:
     """Choose a shipped problem and its measured records."""
     st.session_state[kept("source")] = source
     st.session_state[kept("origin", source, DEFAULT_MODEL)] = WITH_PROBLEM
-
-
-def _subset(records: Dataset | None, names: tuple[str, ...]) -> Dataset | None:
-    if records is None or not names:
-        return None
-    return Dataset(tuple(records[name] for name in names))
 
 
 def _stamp(source: str) -> float:
@@ -194,20 +188,12 @@ def _mapped(source: str, problem: Problem) -> Stock:
     if not opened.logs:
         return Stock(None, dict(opened.refused))
     made = mapping.asked(source, problem)
-    return _imported(
-        source, visit.edition(), mapping.time_column(source), made.text(), made, problem
-    )
+    asked = (visit.edition(), mapping.time_column(source), made.text())
+    return _imported(source, asked, made, problem)
 
 
 @st.cache_resource(show_spinner="Making records", max_entries=10)
-def _imported(
-    source: str,
-    edition: str,
-    time: tuple[str, str] | None,
-    text: str,
-    _made: LogMapping,
-    _problem: Problem,
-) -> Stock:
+def _imported(source: str, asked: tuple[Any, ...], _made: LogMapping, _problem: Problem) -> Stock:
     return Stock(*mapping.imported(mapping.opened_logs(source), _made, _problem.channels))
 
 
@@ -215,9 +201,7 @@ def _imported(
 def _uploaded(source: str, variant: str, stamp: float, edition: str) -> Stock:
     files: dict[str, bytes] = st.session_state.get(visit.FILES + source, {})
     check_uploads(files)
-    return (
-        Stock(*read_uploads(_loaded(source, variant, stamp), files)) if files else Stock(None, {})
-    )
+    return Stock(*read_uploads(_loaded(source, variant, stamp), files))
 
 
 @st.cache_resource(show_spinner="Reading the records", max_entries=10)
@@ -250,19 +234,12 @@ def read_uploads(
     notes : tuple of str
         What looks odd in those that can.
     """
-    read: list[Record] = []
-    refused: dict[str, str] = {}
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(record=True) as odd:
+    with warnings.catch_warnings(record=True) as odd:
         warnings.simplefilter("always", UserWarning)
-        for name, content in files.items():
-            path = Path(folder) / mapping.plain_name(name)
-            path.write_bytes(content)
-            try:
-                read += read_csv(path, problem.channels)
-            except DataError as error:
-                refused[name] = str(error).replace(f"{folder}/", "")
+        found, refused = mapping.read_each(files, lambda path: read_csv(path, problem.channels))
     notes = tuple(str(one.message) for one in odd if issubclass(one.category, UserWarning))
-    return (Dataset(tuple(read)) if read else None), refused, notes
+    records = tuple(record for dataset in found.values() for record in dataset)
+    return (Dataset(records) if records else None), refused, notes
 
 
 def simulated(problem: Problem, *, seed: int = 0) -> Dataset:

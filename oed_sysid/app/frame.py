@@ -13,7 +13,8 @@ from pathlib import Path
 
 import streamlit as st
 
-from oed_sysid.app import choices, page_problem, pages, takeaway, visit
+from oed_sysid.app import choices, page_problem, takeaway, visit
+from oed_sysid.app import pages as tasks
 from oed_sysid.app.jobs import said_of
 from oed_sysid.app.panels import message, style
 from oed_sysid.app.trust import is_user
@@ -22,14 +23,28 @@ from oed_sysid.cli.study import Study
 from oed_sysid.errors import OedSysidError
 
 _ICON = str(Path(__file__).with_name("icon.svg"))
+
+
+def _of_study(title: str, page: Callable[[Study], None]) -> None:
+    """Draw a page on the study."""
+    st.header(title)
+    page(choices.study())
+
+
 # Title, address and symbol of each page, in the order of the work.
-PAGES: tuple[tuple[str, str, str, Callable[[Study], None]], ...] = (
-    ("Check the log", "check", "fact_check", pages.check),
-    ("Fit", "fit", "tune", pages.fit),
-    ("Compare and diagnose", "compare", "compare_arrows", pages.compare),
-    ("Improve", "improve", "add_circle", pages.improve),
-    ("Plan the next trial", "plan", "route", pages.plan),
-    ("Report", "report", "description", takeaway.show),
+PAGES: tuple[tuple[str, str, str, Callable[[], None]], ...] = (
+    (visit.FIRST, "problem", "directions_boat", page_problem.show),
+    *(
+        (title, address, symbol, partial(_of_study, title, draw))
+        for title, address, symbol, draw in (
+            ("Check the log", "check", "fact_check", tasks.check),
+            ("Fit", "fit", "tune", tasks.fit),
+            ("Compare and diagnose", "compare", "compare_arrows", tasks.compare),
+            ("Improve", "improve", "add_circle", tasks.improve),
+            ("Plan the next trial", "plan", "route", tasks.plan),
+            ("Report", "report", "description", takeaway.show),
+        )
+    ),
 )
 
 
@@ -57,38 +72,22 @@ def show(initial: str | None = None) -> None:
     visit.begin()
     choices.begin(initial)
     style()
-    first = st.Page(
-        _guarded(page_problem.show),
-        title=visit.FIRST,
-        url_path="problem",
-        icon=":material/directions_boat:",
-        default=True,
-    )
-    others = [
-        st.Page(
-            _guarded(partial(_draw, title, draw)),
-            title=title,
-            url_path=address,
-            icon=f":material/{symbol}:",
-        )
+    pages = [
+        st.Page(_guarded(draw), title=title, url_path=address, icon=f":material/{symbol}:",
+                default=title == visit.FIRST)
         for title, address, symbol, draw in PAGES
-    ]
-    st.session_state["pages"] = {page.title: page for page in (first, *others)}
-    page = st.navigation([first, *others])
+    ]  # fmt: skip
+    st.session_state["pages"] = {page.title: page for page in pages}
+    page = st.navigation(pages)
     st.session_state["drawn"] = page.title
     page.run()
-    if page in (order := [first, *others][:-1]):
-        following = others[order.index(page)]
+    if page in pages[:-1]:
+        following = pages[pages.index(page) + 1]
         if st.button(f"Next: {following.title}", icon=":material/arrow_forward:", key="next"):
             st.switch_page(following)
     with st.sidebar:
         _guarded(_aside)()
     _guarded(_keep)()
-
-
-def _draw(title: str, page: Callable[[Study], None]) -> None:
-    st.header(title)
-    page(choices.study())
 
 
 def _aside() -> None:

@@ -43,13 +43,6 @@ _HELD, _STORED = 40, 400
 _GRACE = 2.0
 
 
-@dataclass(frozen=True)
-class Ended:
-    """The last words of a process: empty where the result is in the store, else what went wrong."""
-
-    failure: str = ""
-
-
 @dataclass(frozen=True, eq=False)
 class Request:
     """Work to do, in a form that another process understands.
@@ -129,7 +122,10 @@ class Job:
             _terminate(process)
 
     def follow(self, process: subprocess.Popen[bytes], fetch: Callable[[], Any]) -> None:
-        """Listen to what a process tells until it ends; ``fetch`` reads its result."""
+        """Listen to what a process tells until it ends; ``fetch`` reads its result.
+
+        Its last words are a tuple: of what went wrong, or empty where the result is in the store.
+        """
         assert process.stdout is not None
         said: Any = None
         with suppress(EOFError, OSError, pickle.UnpicklingError):
@@ -140,15 +136,13 @@ class Job:
         code = process.wait()
         if self.state == "stopped":
             return
-        if not isinstance(said, Ended):
+        if not isinstance(said, tuple):
             self.fail(
                 f"The work ended without a result (exit code {code}). It was ended from outside, "
                 "or the memory did not suffice: take fewer or shorter records, or try again."
             )
-        elif said.failure:
-            self.fail(said.failure)
-        elif (result := fetch()) is None:
-            self.fail("The result could not be read back. Try again.")
+        elif said or (result := fetch()) is None:
+            self.fail(*said or ("The result could not be read back. Try again.",))
         else:
             self.result = result
             self.end("done")
@@ -201,14 +195,11 @@ class Desk:
         request : Request
             The work.
         """
-        found = self.find(owner, key)
-        if found is not None and found.state in ("running", "done"):
+        if (found := self.find(owner, key)) is not None and found.state in ("running", "done"):
             return found
         with self._lock:
             job = self._hold(owner, key, Job())
-        threading.Thread(
-            target=self._run, args=(job, key, request), daemon=True, name="oed_sysid job"
-        ).start()
+        threading.Thread(target=self._run, args=(job, key, request), daemon=True).start()
         return job
 
     def wait(self) -> None:
@@ -342,11 +333,11 @@ def main() -> None:
         outcome = request.task(request.study(), Shown(told=say), request.options)
         say("drawing")
         CellStore(Path(folder)).write(name, cloudpickle.dumps(outcome.drawn()))
-        say(Ended())
+        say(())
     except Exception as error:
         if not isinstance(error, OedSysidError):
             traceback.print_exc()  # for the terminal; the page says it in words
-        say(Ended(said_of(error)))
+        say((said_of(error),))
     voice.close()
     sys.stderr.flush()
     os._exit(0)  # everything is said and written; what libraries left open is of no concern

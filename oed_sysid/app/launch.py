@@ -8,6 +8,7 @@ import socket
 import tempfile
 import threading
 import time
+import tomllib
 import webbrowser
 from contextlib import suppress
 from importlib.util import find_spec
@@ -18,7 +19,6 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
 
 _SCRIPT = Path(__file__).with_name("frame.py")
-_LARGEST_UPLOAD = 200  # MB
 
 
 def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
@@ -45,23 +45,8 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
         )
     if problem is not None:
         load_problem(problem)  # said here, before a browser opens, if it cannot be
-    settings = {
-        "server.address": "localhost",
-        "server.port": str(port),
-        "server.headless": "true",  # the browser is opened below, with the key
-        "server.showEmailPrompt": "false",
-        "server.fileWatcherType": "none",
-        "server.maxUploadSize": str(_LARGEST_UPLOAD),
-        "browser.gatherUsageStats": "false",
-        "logger.hideWelcomeMessage": "true",  # it would show an address without the key
-        "client.toolbarMode": "minimal",
-        "client.showErrorDetails": "none",
-        # The browser's choice of light or dark is followed.
-        "theme.light.primaryColor": "#0072B2",
-        "theme.light.textColor": "#1b1f24",
-        "theme.light.secondaryBackgroundColor": "#f4f6f8",
-        "theme.dark.primaryColor": "#2b87c4",  # white words on it can be read, and it on black
-    }
+    table = tomllib.loads(Path(__file__).with_name("server.toml").read_text(encoding="utf-8"))
+    settings = {**table, "server.port": port}
     options = [f"--{name}={value}" for name, value in settings.items()]
     given = [] if problem is None else ["--", problem]
     return ["run", str(_SCRIPT), *options, *given]

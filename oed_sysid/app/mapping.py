@@ -11,12 +11,12 @@ import io
 import json
 import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import streamlit as st
 
@@ -63,16 +63,30 @@ def open_files(files: Mapping[str, bytes], time: tuple[str, str] | None = None) 
     >>> opened.logs["run.csv"].names, opened.logs["run.csv"].span
     (('run.yaw [deg]',), (0.0, 0.5))
     """
-    logs, refused = {}, {}
+    given = {
+        name: renamed(content, *time) if time and is_table(name) else content
+        for name, content in files.items()
+    }
+    return Opened(*read_each(given, open_log))
+
+
+Read = TypeVar("Read")
+
+
+def read_each(
+    files: Mapping[str, bytes], read: Callable[[Path], Read]
+) -> tuple[dict[str, Read], dict[str, str]]:
+    """Read uploaded files: what each one holds, and why the others cannot be read."""
+    found, refused = {}, {}
     with tempfile.TemporaryDirectory() as folder:
         for name, content in files.items():
             path = Path(folder) / plain_name(name)
-            path.write_bytes(renamed(content, *time) if time and is_table(name) else content)
+            path.write_bytes(content)
             try:
-                logs[name] = open_log(path)
+                found[name] = read(path)
             except DataError as error:
                 refused[name] = str(error).replace(f"{folder}/", "")
-    return Opened(logs, refused)
+    return found, refused
 
 
 def is_table(name: str) -> bool:
@@ -86,11 +100,7 @@ def headers(content: bytes) -> list[str]:
     >>> headers(b"# log of May\nclock;yaw [deg]\n0;1\n")
     ['clock', 'yaw [deg]']
     """
-    line = _header_line(content.decode("utf-8-sig", errors="replace"))
-    if not line:
-        return []
-    mark = max(";\t,", key=line.count)
-    return [one.strip() for one in next(csv.reader(io.StringIO(line), delimiter=mark))]
+    return _header(content.decode("utf-8-sig", errors="replace"))[2]
 
 
 def renamed(content: bytes, header: str, unit: str) -> bytes:
@@ -100,22 +110,21 @@ def renamed(content: bytes, header: str, unit: str) -> bytes:
     b't [ms],yaw\n0,1\n'
     """
     text = content.decode("utf-8-sig", errors="replace")
-    line = _header_line(text)
-    names = headers(content)
-    if not line or header not in names:
+    line, mark, names = _header(text)
+    if header not in names:
         return content
-    mark = max(";\t,", key=line.count)
     made = io.StringIO()
     row = [f"t [{unit}]" if one == header else one for one in names]
     csv.writer(made, delimiter=mark, lineterminator="").writerow(row)
     return text.replace(line, made.getvalue(), 1).encode()
 
 
-def _header_line(text: str) -> str:
-    for line in text.splitlines():
-        if line.strip() and not line.lstrip().startswith("#"):
-            return line
-    return ""
+def _header(text: str) -> tuple[str, str, list[str]]:
+    """The line of headers, what stands between them, and they."""
+    lines = (one for one in text.splitlines() if one.strip() and not one.lstrip().startswith("#"))
+    line = next(lines, "")
+    mark = max(";\t,", key=line.count)
+    return line, mark, [one.strip() for one in next(csv.reader([line], delimiter=mark), [])]
 
 
 def first_guess(log: Log, channels: Channels) -> dict[str, Source]:
@@ -130,9 +139,7 @@ def first_guess(log: Log, channels: Channels) -> dict[str, Source]:
     (['psi'], True)
     """
     made = guess(log, channels)
-    if made is None:
-        return {}
-    both = {**made.inputs, **made.outputs}
+    both = {} if made is None else {**made.inputs, **made.outputs}
     return {name: source for name, source in both.items() if source.field}
 
 
@@ -158,19 +165,20 @@ def for_file(mapping: LogMapping, log: Log) -> LogMapping:
     >>> for_file(mapping, logs["b.csv"]).outputs["psi"].field
     'b.yaw [deg]'
     """
-    tails = {name.partition(".")[2]: name for name in reversed(log.names)}
+    here: dict[str, Any] = {
+        side: {name: replace(one, field=field_in(log, one.field) or one.field)
+               for name, one in getattr(mapping, side).items()}
+        for side in ("inputs", "outputs")
+    }  # fmt: skip
+    return replace(mapping, **here)
 
-    def here(source: Source) -> Source:
-        tail = source.field.partition(".")[2]
-        if not source.field or source.field in log.names or tail not in tails:
-            return source
-        return replace(source, field=tails[tail])
 
-    return replace(
-        mapping,
-        inputs={name: here(one) for name, one in mapping.inputs.items()},
-        outputs={name: here(one) for name, one in mapping.outputs.items()},
-    )
+def field_in(log: Log, name: str) -> str:
+    """Field of that name, or with the same name behind the first point; empty where none is."""
+    if not name or name in log.names:
+        return name
+    tails = {one.partition(".")[2]: one for one in reversed(log.names)}
+    return tails.get(name.partition(".")[2], "")
 
 
 def imported(
@@ -207,10 +215,8 @@ def imported(
             continue
         taken = {record.name for record in records}
         for record in made.dataset:
-            again = record.name in taken
-            records.append(
-                replace(record, name=f"{Path(name).stem}_{record.name}") if again else record
-            )
+            again = f"{Path(name).stem}_{record.name}"
+            records.append(record.rename(again) if record.name in taken else record)
         notes += made.notes
     return (Dataset(tuple(records)) if records else None), refused, tuple(dict.fromkeys(notes))
 
@@ -313,31 +319,23 @@ def asked(source: str, problem: Problem) -> LogMapping:
     DataError
         If an answer cannot be.
     """
-    outputs = {}
-    for output in problem.model.outputs:
-        found = _answers(source, output.name)
-        if found["field"] != NOT_LOGGED:
-            outputs[output.name] = _source(found)
+    found = {one.name: _source(source, one) for one in problem.channels.all}
+    outputs = {one.name: made for one in problem.model.outputs if (made := found[one.name]).field}
     if not outputs:
         raise NothingMappedError(
             "No output is mapped yet. Choose a column for at least one measured signal."
         )
-    inputs = {}
-    for channel in problem.model.inputs:
-        found = _answers(source, channel.name)
-        unit = shown_unit(channel.unit)[1] or "1"
-        still = Source(constant=float(found["constant"]), unit=unit)
-        inputs[channel.name] = still if found["field"] == NOT_LOGGED else _source(found)
+    mapping = LogMapping({one.name: found[one.name] for one in problem.model.inputs}, outputs)
     how = visit.chosen("map", source, "cuts", default=WHOLE)
     if how == BY_TIME:
         first, last = (float(visit.chosen("map", source, one, default=0.0)) for one in _SPAN)
-        return LogMapping(inputs, outputs, cuts=(Cut("manoeuvre", first, last),))
+        return replace(mapping, cuts=(Cut("manoeuvre", first, last),))
     if how == BY_COMMANDS:
         least, *around = (float(visit.chosen("map", source, n, default=1.0)) for n in _AROUND)
         least /= shown_unit(_departure_unit(problem))[0]
         cuts = CommandCuts(least, before=around[0], after=around[1])
-        return LogMapping(inputs, outputs, by_commands=cuts)
-    return LogMapping(inputs, outputs)
+        return replace(mapping, by_commands=cuts)
+    return mapping
 
 
 def _departure_unit(problem: Problem) -> str:
@@ -351,24 +349,20 @@ def _place(source: str, channel: str, fact: str) -> str:
     return visit.kept("map", source, channel, fact)
 
 
-def _answers(source: str, channel: str) -> dict[str, Any]:
-    """What was answered about a channel."""
-    found = {fact: st.session_state.get(_place(source, channel, fact)) for fact in _FACTS}
-    return {fact: first if found[fact] in (None, "") else found[fact]
-            for fact, first in _FACTS.items()}  # fmt: skip
-
-
-def _source(found: Mapping[str, Any]) -> Source:
-    """Where a channel stands in the logs."""
+def _source(source: str, channel: Input | Output) -> Source:
+    """Where a channel stands in the logs, by what was answered; a constant if it is not logged."""
+    answers = {fact: st.session_state.get(_place(source, channel.name, fact)) for fact in _FACTS}
+    found: dict[str, Any] = {fact: first if answers[fact] in (None, "") else answers[fact]
+                             for fact, first in _FACTS.items()}  # fmt: skip
+    numbers: dict[str, Any] = {fact: float(found[fact]) for fact in ("factor", "trim", "delay")}
+    if found["field"] == NOT_LOGGED:
+        unit = shown_unit(channel.unit)[1] or "1"
+        return Source(constant=float(found["constant"]), unit=unit)
     return Source(
-        str(found["field"]),
-        unit=str(found["unit"]).strip() or None,
-        sign=-1 if found["flip"] else 1,
-        factor=float(found["factor"]),
-        trim=float(found["trim"]),
-        delay=float(found["delay"]),
-        wrap=bool(found["wrap"]),
-    )
+        str(found["field"]), unit=str(found["unit"]).strip() or None,
+        sign=-1 if found["flip"] else 1, wrap=bool(found["wrap"]),
+        **numbers,
+    )  # fmt: skip
 
 
 # -- the part of the page that asks ------------------------------------------------------
@@ -420,13 +414,12 @@ def _begin(source: str, problem: Problem, log: Log) -> None:
     """Fill in what names and units say, once per log; keep what was answered where it still is."""
     state, mark = st.session_state, visit.kept("map", source, "for")
     fields = list(log.names)
-    tails = {name.partition(".")[2]: name for name in reversed(fields)}
     guesses = first_guess(log, problem.channels) if state.get(mark) != fields else {}
     for channel in problem.channels.all:
         key = partial(_place, source, channel.name)
         now = state.setdefault(key("field"), NOT_LOGGED)
-        if now != NOT_LOGGED and now not in fields:
-            now = state[key("field")] = tails.get(str(now).partition(".")[2], NOT_LOGGED)
+        if now != NOT_LOGGED:
+            now = state[key("field")] = field_in(log, str(now)) or NOT_LOGGED
         if now == NOT_LOGGED and (one := guesses.get(channel.name)) is not None:
             state[key("field")], state[key("unit")] = one.field, one.unit or ""
             state[key("wrap")] = one.wrap
@@ -481,15 +474,17 @@ def _ask_cuts(source: str, problem: Problem, log: Log) -> None:
     keys = partial(visit.kept, "map", source)
     columns = st.columns([2.2, 1, 1, 1], vertical_alignment="bottom")
     how = columns[0].selectbox("Records", (WHOLE, BY_TIME, BY_COMMANDS), key=keys("cuts"))
-    asked_for: list[tuple[str, str, float]] = []
-    if how == BY_TIME:
-        asked_for = [(n, f"{n} [s]", round(v, 3)) for n, v in zip(_SPAN, log.span, strict=True)]
-    elif how == BY_COMMANDS:
-        unit = _departure_unit(problem)
-        words = (f"Departure [{shown_unit(unit)[1] or 'SI'}]", "Before [s]", "After [s]")
-        values = (3.0 if unit == "rad" else 0.05, 5.0, 10.0)
-        asked_for = list(zip(_AROUND, words, values, strict=True))
-    for column, (name, label, value) in zip(columns[1:], asked_for, strict=False):
+    unit = _departure_unit(problem)
+    least = 3.0 if unit == "rad" else 0.05
+    offers: dict[Any, tuple[tuple[str, str, float], ...]] = {
+        BY_TIME: tuple((n, f"{n} [s]", round(v, 3)) for n, v in zip(_SPAN, log.span, strict=True)),
+        BY_COMMANDS: (
+            ("threshold", f"Departure [{shown_unit(unit)[1] or 'SI'}]", least),
+            ("before", "Before [s]", 5.0),
+            ("after", "After [s]", 10.0),
+        ),
+    }
+    for column, (name, label, value) in zip(columns[1:], offers.get(how, ()), strict=False):
         column.number_input(label, key=visit.preset(keys(name), value), format="%.4g")
 
 
@@ -532,16 +527,16 @@ def _read_mapping(source: str) -> None:
         fixed, si = to_si(one.constant or 0.0, one.unit or "1")
         found = {
             "field": one.field or NOT_LOGGED, "unit": one.unit or "", "flip": one.sign == -1,
-            "wrap": one.wrap, "factor": float(one.factor), "trim": float(one.trim),
-            "delay": float(one.delay), "constant": float(fixed) * shown_unit(si)[0],
+            "wrap": one.wrap, "constant": float(fixed) * shown_unit(si)[0],
+            **{fact: float(getattr(one, fact)) for fact in ("factor", "trim", "delay")},
         }  # fmt: skip
         state.update({_place(source, name, fact): value for fact, value in found.items()})
     cuts: dict[str, Any] = {}
     if made.cuts:
-        cut = made.cuts[0]
-        cuts = {"cuts": BY_TIME, "from": float(cut.start), "to": float(cut.stop)}
+        cuts = dict(zip(_SPAN, (made.cuts[0].start, made.cuts[0].stop), strict=True))
+        state[visit.kept("map", source, "cuts")] = BY_TIME
     if (by := made.by_commands) is not None:
-        values = map(float, (by.threshold, by.before, by.after))
-        cuts = {"cuts": BY_COMMANDS, **dict(zip(_AROUND, values, strict=True))}
-    state.update({visit.kept("map", source, name): value for name, value in cuts.items()})
+        cuts = {name: getattr(by, name) for name in _AROUND}
+        state[visit.kept("map", source, "cuts")] = BY_COMMANDS
+    state.update({visit.kept("map", source, name): float(one) for name, one in cuts.items()})
     visit.files_changed()

@@ -4,22 +4,23 @@ from __future__ import annotations
 
 import shlex
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import streamlit as st
 
 from oed_sysid.app import choices, mapping, visit
 from oed_sysid.app.charts import look_at
 from oed_sysid.app.mapping import NothingMappedError, headers, plain_name
-from oed_sysid.app.panels import message, part
+from oed_sysid.app.panels import message, part, tabs
 from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
 from oed_sysid.cli.study import DEFAULT_MODEL
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem, new_problem
 from oed_sysid.experiments.starter import TEMPLATES
-from oed_sysid.physics.channels import Input, Output
 from oed_sysid.results.page import parameter_table
 from oed_sysid.runtime.display import Section, Table
 from oed_sysid.text.units import parse_header, shown_unit
@@ -31,21 +32,16 @@ def show() -> None:
     source = visit.chosen("source")
     left, right = st.columns([2, 1])
     left.selectbox(
-        "Problem",
-        [*shipped, *([source] if source and source not in shipped else [])],
-        key=visit.kept("source"),
-        accept_new_options=True,
+        "Problem", [*shipped, *([source] if source and source not in shipped else [])],
+        key=visit.kept("source"), accept_new_options=True,
         help="A shipped problem, or type the path of your own folder. "
         "`oed-sysid new my_vehicle` makes one. You are asked before its problem.py is run.",
-    )
+    )  # fmt: skip
     first, second, _ = st.columns([1, 1, 2])
-    with first.popover(
-        "New vehicle", icon=":material/add:", width="stretch", key=_NEW, on_change="rerun"
-    ):
+    wide: dict[str, Any] = {"width": "stretch", "on_change": "rerun"}
+    with first.popover("New vehicle", icon=":material/add:", key=_NEW, **wide):
         _new_vehicle()
-    with second.popover(
-        "Measured data", icon=":material/database:", width="stretch", key=_OPEN, on_change="rerun"
-    ):
+    with second.popover("Measured data", icon=":material/database:", key=_OPEN, **wide):
         _measured()
     source = str(visit.chosen("source") or "").strip()
     try:
@@ -61,23 +57,17 @@ def show() -> None:
     st.header(problem.title)
     if problem.description:
         st.write(problem.description)
-    names = ("Records", "Equations", "Parameters", "May be missing", "Experiments", "Sources")
-    records, equations, parameters, missing, experiments, sources = st.tabs(names)
-    with records:
-        _records(problem, source, variant)
-    with equations:
-        st.code(problem.model.equations(), language=None, wrap_lines=True)
-    with parameters:
-        part(Section("", tables=(parameter_table(problem.model),)))
-    with missing:
-        part(Section("", tables=(_candidates(problem),)))
-    with experiments:
-        lines = [run.describe() for run in problem.experiments.values()]
-        part(Section("", tuple(lines) or ("None.",)))
-        if lines:
-            st.caption("Amplitudes without a unit are in SI units; angles then in radians.")
-    with sources:
-        part(Section("", problem.references or ("None stated.",)))
+    lines = tuple(run.describe() for run in problem.experiments.values())
+    units = ("Amplitudes without a unit are in SI units; angles then in radians.",) if lines else ()
+    parts: dict[str, Callable[[], object]] = {
+        "Records": partial(_records, problem, source, variant),
+        "Equations": partial(st.code, problem.model.equations(), language=None, wrap_lines=True),
+        "Parameters": partial(part, Section("", tables=(parameter_table(problem.model),))),
+        "May be missing": partial(part, Section("", tables=(_candidates(problem),))),
+        "Experiments": partial(part, Section("", (*lines, *units) or ("None.",))),
+        "Sources": partial(part, Section("", problem.references or ("None stated.",))),
+    }
+    tabs(list(parts.items()))
     with st.expander("The same on the command line"):
         model = "" if variant == DEFAULT_MODEL else f" --model {variant}"
         st.code(f"oed-sysid problems {shlex.quote(source)}{model}", language="bash")
@@ -172,6 +162,12 @@ def _ask_consent(source: str) -> None:
         st.rerun()
 
 
+_SIDES = (
+    ("train", "Training records", "Models are fitted to these, and effects are sought in them."),
+    ("test", "Validation records", "Nothing is fitted to these, and no choice looks at them."),
+)
+
+
 def _records(problem: Problem, source: str, variant: str) -> None:
     """Choose records, and which of them are for training and which for validation."""
     left, right = st.columns([2, 1], vertical_alignment="bottom")
@@ -180,14 +176,18 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     key = visit.preset(visit.kept("origin", source, variant), first)
     left.segmented_control("Records", options, key=key, required=True, label_visibility="collapsed")
     origin = str(st.session_state[key])
-    right.toggle(
-        "Noise levels are known",
-        key=visit.kept("known_noise", source),
-        help="Trust the noise levels that the problem declares. Otherwise they are estimated, "
-        "correlation in time included.",
+    says = (
+        "Trust the noise levels that the problem declares. Otherwise they are estimated, "
+        "correlation in time included."
     )
+    right.toggle("Noise levels are known", key=visit.kept("known_noise", source), help=says)
     if origin == choices.UPLOADED:
-        _upload(problem, source)
+        columns = ", ".join(
+            f"{one.column or one.name} [{shown_unit(one.unit)[1] or '-'}]"
+            for one in problem.channels.all
+        )
+        words = f"Columns: t [s], {columns}. Other units in the header are converted."
+        mapping.take_files(words, source, ("csv",))
     elif origin == choices.MAPPED:
         mapping.show(problem, source)
     try:
@@ -196,9 +196,8 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         st.info(str(error))
         return
     said = mapping.opened_logs(source).refused if origin == choices.MAPPED else {}
-    for name, refusal in stock.refused.items():
-        if said.get(name) != refusal:
-            message(f"**{name}** was refused. {refusal}")
+    for name in sorted(stock.refused.keys() - said.keys()):
+        message(f"**{name}** was refused. {stock.refused[name]}")
     if stock.refused and origin == choices.UPLOADED:
         st.caption(f"*{choices.MAPPED}* takes files with other names of columns, units and signs.")
     if stock.notes:
@@ -208,32 +207,10 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     try:
         choices.selection(source, variant, origin, stock.names)
     finally:
-        left, right = st.columns(2)
-        for column, label, side in (
-            (left, "Training records", "train"),
-            (right, "Validation records", "test"),
-        ):
-            column.multiselect(
-                label,
-                stock.names,
-                key=visit.kept(side, source, variant, origin),
-                help="Nothing is fitted to these, and no choice looks at them."
-                if side == "test"
-                else "Models are fitted to these, and effects are sought in them.",
-                wrap=True,
-            )
+        for column, (side, label, says) in zip(st.columns(2), _SIDES, strict=True):
+            key = visit.kept(side, source, variant, origin)
+            column.multiselect(label, stock.names, key=key, help=says, wrap=True)
     look_at(stock.records, f"{source}:{origin}")
-
-
-def _upload(problem: Problem, source: str) -> None:
-    """Take CSV files, and keep them when the page is left."""
-    channels = problem.channels
-    wanted: Sequence[Input | Output] = (*channels.inputs, *channels.outputs)
-    columns = ", ".join(
-        f"{one.column or one.name} [{shown_unit(one.unit)[1] or '-'}]" for one in wanted
-    )
-    words = f"Columns: t [s], {columns}. Other units in the header are converted."
-    mapping.take_files(words, source, ("csv",))
 
 
 def _candidates(problem: Problem) -> Table:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterator
 from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -35,13 +36,14 @@ def check(study: Study) -> None:
     outcome = result_of(study, "check", {}, "Check", unasked=True)
     if outcome is not None and outcome.result.suspect:
         st.error(outcome.result.verdict, icon=":material/warning:")
-        download(
-            "Corrected copies (ZIP)",
-            lambda: zipped(lambda place: [*Corrected(place).write(outcome, study, Shown())]),
-            "corrected.zip",
-        )
+        _files("Corrected copies (ZIP)", Corrected, outcome, study, "corrected.zip")
         if reason := why_not_more(outcome.result):
             st.warning(f"Not corrected: {reason}.")
+
+
+def _files(label: str, kind: Any, outcome: Outcome, study: Study, file: str) -> None:
+    """Offer the files that the command writes into a folder."""
+    download(label, lambda: zipped(lambda to: [*kind(to).write(outcome, study, Shown())]), file)
 
 
 def fit(study: Study) -> None:
@@ -65,17 +67,14 @@ def improve(study: Study) -> None:
     """Find the missing effects, or keep a choice of them."""
     study.training()
     if study.test is None:
-        kept = prepared(study.training(), None, enough=sys.maxsize).notes
-        st.warning(
-            kept[0]
-            if kept
-            else "There is no validation record, so what is found cannot be tested. Choose one on "
+        none = (
+            "There is no validation record, so what is found cannot be tested. Choose one on "
             "the page Problem."
         )
+        st.warning([*prepared(study.training(), None, enough=sys.maxsize).notes, none][0])
     most = int(ask("improve", study, "max_effects", place=st.columns(3)[0], max_value=6))
-    outcome = result_of(
-        study, "improve", {"max_effects": most}, "Find what is missing", lead=2
-    )  # fmt: skip
+    options = {"max_effects": most}
+    outcome = result_of(study, "improve", options, "Find what is missing", lead=2)
     if outcome is not None:
         _tell_apart(study, outcome.result)
         if study.test is not None:
@@ -103,13 +102,12 @@ def _view(name: str, *options: str) -> str:
 def _tell_apart(study: Study, found: Improvement) -> None:
     """Lead from effects that cannot be told apart to the trial that tells them apart."""
     known = {effect.name for effect in study.effects}
+    key = visit.kept(study.source, study.variant, "design", "discriminate")
     for step in found.steps:
         group = [name for name in step.group if name in known]
         words = f"Design the trial that tells {' and '.join(group)} apart"
         if len(group) > 1 and st.button(words, key=f"apart:{step.added}"):
-            key = visit.kept(study.source, study.variant, "design", "discriminate")
-            st.session_state[key] = group
-            st.session_state[visit.kept("plan")] = "Design"
+            st.session_state.update({key: group, visit.kept("plan"): "Design"})
             st.switch_page(st.session_state["pages"]["Plan the next trial"])
 
 
@@ -175,13 +173,13 @@ def _rank(study: Study) -> None:
     if not picked:
         st.caption("Choose a planned experiment, or the training records.")
         return
-    if _RECORDS in picked and len(picked) > 1:
-        raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
-    if _RECORDS in picked:
-        result_of(study, "rank", {}, "Rank")
-        return
     runs = tuple(name for name in names if name in picked)
-    result_of(study.without_records(), "rank", {"experiment": runs}, "Rank")
+    if _RECORDS not in picked:
+        result_of(study.without_records(), "rank", {"experiment": runs}, "Rank")
+    elif runs:
+        raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
+    else:
+        result_of(study, "rank", {}, "Rank")
 
 
 def _ask_all(task: str, study: Study, names: str, offers: dict[str, Any]) -> dict[str, Any]:
@@ -244,11 +242,7 @@ def _programme(study: Study) -> None:
     options["runs"] = options["runs"] or 4
     outcome = _planned(study, "programme", options, "Plan the runs")
     if outcome is not None:
-        download(
-            "Commands of all runs (ZIP)",
-            lambda: zipped(lambda place: [*Tables(place).write(outcome, study, Shown())]),
-            "runs.zip",
-        )
+        _files("Commands of all runs (ZIP)", Tables, outcome, study, "runs.zip")
 
 
 def risk(design: Any) -> str:
@@ -278,23 +272,26 @@ def _limits(study: Study, like: str) -> Iterator[str]:
             continue
         left, right = st.columns([2, 1], vertical_alignment="bottom")
         yield from _range(left, channel, limits.inputs[channel.name], keys(channel.name, "range"))
-        turn, unit = shown_unit(channel.unit)
-        declared = limits.rates.get(channel.name)
-        first = None if declared is None else turn * declared
-        rate = right.number_input(
-            f"Largest rate [{unit or '1'}/s]", min_value=0.0, format="%.4g",
-            placeholder="no limit" if first is None else "as in the problem",
-            key=visit.preset(keys(channel.name, "rate"), first),
-        )  # fmt: skip
-        if rate is not None and rate != first:
-            yield f"{channel.name}-rate={rate:.12g}"
+        yield from _rate(right, channel, limits.rates.get(channel.name), keys(channel.name, "rate"))
     signals: dict[str, State | Output] = {one.name: one for one in model.states}
     signals |= {one.name: one for one in model.outputs}
-    bounded = [n for n, ends in limits.signals.items() if n in signals and np.isfinite(ends).all()]
-    columns = st.columns(2)
-    for place, name in enumerate(bounded):
-        key = keys("corridor", name)
-        yield from _range(columns[place % 2], signals[name], limits.signals[name], key)
+    bounded = {n: ends for n, ends in limits.signals.items() if np.isfinite(ends).all()}
+    columns = cycle(st.columns(2))
+    for name in filter(signals.__contains__, bounded):
+        yield from _range(next(columns), signals[name], bounded[name], keys("corridor", name))
+
+
+def _rate(place: Any, channel: Input, declared: float | None, key: str) -> Iterator[str]:
+    """Ask for the largest rate of a command; nothing if it is as before."""
+    turn, unit = shown_unit(channel.unit)
+    first = None if declared is None else turn * declared
+    rate = place.number_input(
+        f"Largest rate [{unit or '1'}/s]", min_value=0.0, format="%.4g",
+        placeholder="no limit" if first is None else "as in the problem",
+        key=visit.preset(key, first),
+    )  # fmt: skip
+    if rate is not None and rate != first:
+        yield f"{channel.name}-rate={rate:.12g}"
 
 
 def _range(

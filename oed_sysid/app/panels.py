@@ -147,18 +147,19 @@ def _work(
     job = desk.find(name, key)
     if job is None and unasked:
         job = desk.ask(name, key, request)
+    asked = visit.asked()
     if job is not None and (job.at_work or unasked):
-        visit.note(key, about)
+        asked[key] = about
     if job is not None and job.at_work:
         _progress(job)
         return None
-    if job is not None and job.state == "done" and key in visit.asked():
-        visit.note(key, about)
+    if job is not None and job.state == "done" and key in asked:
+        asked[key] = about
         outcome: Outcome = job.result
         return outcome
-    _say_ended(job, asked=key in visit.asked())
+    _say_ended(job, asked=key in asked)
     if st.button(button, type="primary", key=f"ask:{about.file}"):
-        visit.note(key, about)
+        asked[key] = about
         desk.ask(name, key, request)
         st.rerun()
     return None
@@ -206,21 +207,20 @@ def show(page: Report, pictures: Pictures, *, lead: int = 0) -> None:
     """
     st.caption(page.subtitle)
     st.html(f'<div class="oed">{page.summary_html()}</div>')
-    parts: list[tuple[str, Callable[[], None]]] = [
-        (section.title, partial(_beneath, page, section)) for section in page.sections
-    ]
+    parts: list[tuple[str, Callable[[], None]]] = []
+    for section in page.sections:  # what stands above the tabs need not be said again
+        words = tuple(text for text in section.paragraphs if text not in page.first)
+        parts.append((section.title, partial(part, replace(section, paragraphs=words))))
     parts[lead:lead] = pictures.items()
-    if not parts:
-        return
-    for tab, (_, draw) in zip(st.tabs([title for title, _ in parts]), parts, strict=True):
+    tabs(parts)
+
+
+def tabs(parts: Sequence[tuple[str, Callable[[], object]]]) -> None:
+    """Draw parts in tabs, by their titles."""
+    made = st.tabs([title for title, _ in parts]) if parts else ()
+    for tab, (_, draw) in zip(made, parts, strict=True):
         with tab:
             draw()
-
-
-def _beneath(page: Report, section: Section) -> None:
-    """Show a section; what stands above the tabs need not be said again."""
-    words = tuple(text for text in section.paragraphs if text not in page.first)
-    part(replace(section, paragraphs=words))
 
 
 def part(section: Section) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import streamlit as st
 
@@ -55,8 +56,7 @@ def show(study: Study) -> None:
                 st.caption("".join(outcome.page.first[:1]))
             with right:
                 html_download(outcome.page, about.file, wide=True)
-    fits = fits_of(done)
-    if fits:
+    if fits := fits_of(done):
         st.subheader("Fitted models")
         _models(fits)
     st.subheader("Records, folder, everything")
@@ -64,10 +64,10 @@ def show(study: Study) -> None:
         "The folder is the problem with these records and fits. Everything is the records, "
         "reports, fits, commands and script of this study."
     )
-    name = study.problem.name
+    folder = f"{study.problem.name}.zip"
     offers = (
         ("Records (ZIP)", partial(zipped, partial(write_records, study)), "records.zip"),
-        ("Problem folder (ZIP)", partial(problem_archive, study, fits), f"{name}.zip"),
+        ("Problem folder (ZIP)", partial(problem_archive, study, fits), folder),
         ("Everything (ZIP)", partial(zipped, partial(write_all, study, done)), "study.zip"),
     )
     for column, (label, content, file) in zip(st.columns(3), offers, strict=True):
@@ -113,9 +113,8 @@ def _models(fits: Mapping[str, Fit]) -> None:
     left, middle, right = st.columns([2, 2, 2], vertical_alignment="bottom")
     best = "improved" if "improved" in fits else next(iter(fits))
     name = left.selectbox("Model", list(fits), key=visit.preset(visit.kept("model"), best))
-    kind = middle.selectbox(
-        "For", list(KINDS), format_func=KINDS.__getitem__, key=visit.kept("kind")
-    )
+    kinds: dict[str, Any] = {"format_func": KINDS.__getitem__, "key": visit.kept("kind")}
+    kind = middle.selectbox("For", list(KINDS), **kinds)
     if name not in fits or kind not in KINDS:
         return
     fit, file = fits[name], file_of(name)
@@ -130,7 +129,7 @@ def _models(fits: Mapping[str, Fit]) -> None:
                     made[here] = model_archive(fit, kind, trim)
             except OedSysidError as error:
                 message(str(error))
-    left, right, _ = st.columns([1, 1, 1])
+    left, right, _ = st.columns(3)
     with left:
         download(f"Fit ({file})", partial(saved, fit), file)
     if here in made:
@@ -200,14 +199,10 @@ def problem_archive(study: Study, fits: Mapping[str, Fit]) -> bytes:
             if file.is_file() and not hidden and fits_in and file.stat().st_size <= _LARGEST:
                 make_folder(place.joinpath(*parts).parent)
                 place.joinpath(*parts).write_bytes(file.read_bytes())
-        _write_fits(fits, place)
+        for name, fit in fits.items():
+            fit.save(place / file_of(name))
 
     return zipped(write, f"{study.problem.name}/")
-
-
-def _write_fits(fits: Mapping[str, Fit], place: Path) -> None:
-    for name, fit in fits.items():
-        fit.save(place / file_of(name))
 
 
 def commands(done: Finished) -> str:
@@ -221,7 +216,8 @@ def write_all(study: Study, done: list[tuple[Asked, Outcome]], place: Path) -> N
     (place / "commands.sh").write_text(commands(done) + "\n", encoding="utf-8")
     code = whole(study, [about.code for about, _ in done])
     (place / "study.py").write_text(code, encoding="utf-8")
-    _write_fits(fits_of(done), place)
+    for name, fit in fits_of(done).items():
+        fit.save(place / file_of(name))
     for about, outcome in done:
         if outcome.page is not None:
             outcome.page.write(place / f"{about.file}.html")

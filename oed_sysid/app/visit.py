@@ -18,7 +18,7 @@ import time
 import zipfile
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -91,13 +91,9 @@ class Left:
         >>> print(Left("Ship", {"keep:source": "ship"}).text())  # doctest: +ELLIPSIS
         {"title": "Ship", "choices": {"keep:source": "ship"}, ...}
         """
-        content = {
-            "title": self.title,
-            "choices": {key: value for key, value in self.choices.items() if _plain(value)},
-            "agreed": dict(self.agreed),
-            "asked": {key: asdict(one) for key, one in self.asked.items()},
-        }
-        return json.dumps(content)
+        plain = {key: value for key, value in self.choices.items() if _plain(value)}
+        content = asdict(replace(self, choices=plain, files={}))
+        return json.dumps({name: content[name] for name in ("title", "choices", "agreed", "asked")})
 
 
 @dataclass(frozen=True)
@@ -233,11 +229,9 @@ def ago(when: float) -> str:
     '2 h ago'
     """
     minutes = max(time.time() - when, 0.0) / 60.0
-    if minutes < 60.0:
-        return f"{minutes:.0f} min ago"
-    return (
-        f"{minutes / 60.0:.0f} h ago" if minutes < 48 * 60 else f"{minutes / 1440.0:.0f} days ago"
-    )
+    if minutes < 48 * 60:
+        return f"{minutes:.0f} min ago" if minutes < 60 else f"{minutes / 60:.0f} h ago"
+    return f"{minutes / 1440:.0f} days ago"
 
 
 def _plain(value: Any) -> bool:
@@ -268,18 +262,15 @@ def shelf() -> Shelf:
     return Shelf(private_cache() / "app" / "studies")
 
 
-def begin() -> bool:
-    """Open the study that the address names, or a new one; say whether it is an earlier one."""
+def begin() -> None:
+    """Open the study that the address names, or a new one."""
     state = st.session_state
-    earlier = False
     if "study" not in state:
-        name = st.query_params.get(_ADDRESS)
-        left = shelf().find(name) if name else None
+        name = str(st.query_params.get(_ADDRESS, ""))
         state["study"] = name if is_id(name) else new_id()
         state["edition"] = secrets.token_hex(4)
-        if left is not None:
+        if (left := shelf().find(name)) is not None:
             _restore(left)
-            earlier = True
     if st.query_params.get(_ADDRESS) != state["study"]:
         st.query_params[_ADDRESS] = state["study"]  # for a reload of any page
     # Streamlit forgets a widget that is not on the page, also while a part of the page is drawn
@@ -289,25 +280,18 @@ def begin() -> bool:
     for key, value in state.get("held", {}).items():
         if key not in state or _elsewhere(key):
             state[key] = value
-    for key in list(state):
-        if str(key).startswith(KEEP):
-            state[key] = state[key]
     _hold()
+    state.update(state["held"])
     if "kept text" in state:  # before anything is drawn: a reload may come at once
         end(str(state.get("title", "")))
-    return earlier
 
 
 def _elsewhere(key: str) -> bool:
     """Whether the page that was drawn last is none that has the widget of a kept value."""
     state = st.session_state
     drawn = state.get("drawn")
-    if drawn is None:
-        return False
-    if key.startswith(_OF_FIRST):
-        return bool(drawn != FIRST)
-    homes = state.get("homes", {}).get(key)
-    return bool(homes) and drawn not in homes
+    homes = {FIRST} if key.startswith(_OF_FIRST) else state.get("homes", {}).get(key)
+    return drawn is not None and bool(homes) and drawn not in homes
 
 
 def _hold() -> None:
@@ -326,11 +310,6 @@ def asked() -> dict[str, Asked]:
     """What was asked for in this study, by key of the job."""
     found: dict[str, Asked] = st.session_state.setdefault("asked", {})
     return found
-
-
-def note(key: str, about: Asked) -> None:
-    """Remember that work was asked for."""
-    asked()[key] = about
 
 
 def kept(*names: str) -> str:
@@ -388,23 +367,16 @@ def open_study(name: str) -> None:
 
 def _left(title: str) -> Left:
     state = st.session_state
-    choices: dict[str, Any] = {
-        str(key): value for key, value in state.items() if str(key).startswith((KEEP, SEEN))
-    }
-    files = {
-        str(key).removeprefix(FILES): held
-        for key, held in state.items()
-        if str(key).startswith(FILES)
-    }
+    everything = {str(key): value for key, value in state.items()}
+    choices = {key: one for key, one in everything.items() if key.startswith((KEEP, SEEN))}
+    held = [key for key in everything if key.startswith(FILES)]
+    files = {key.removeprefix(FILES): everything[key] for key in held}
     return Left(title, choices, state.get("agreed", {}), asked(), files)
 
 
 def _restore(left: Left) -> None:
     state = st.session_state
-    for key, value in left.choices.items():
-        state[key] = value
-    state["agreed"] = dict(left.agreed)
-    state["asked"] = dict(left.asked)
-    for source, held in left.files.items():
-        state[FILES + source] = dict(held)
+    state.update(left.choices)
+    state.update({"agreed": dict(left.agreed), "asked": dict(left.asked)})
+    state.update({FILES + source: dict(held) for source, held in left.files.items()})
     state["kept text"] = _left(left.title).text()

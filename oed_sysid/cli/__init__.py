@@ -36,7 +36,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from oed_sysid.errors import OedSysidError
 
     given = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in given
     with warnings.catch_warnings():
         warnings.showwarning = _say_warning
         try:
@@ -46,24 +45,19 @@ def main(arguments: Sequence[str] | None = None) -> int:
             # A reader that stopped, as `head` does, is no failure.
             closed = isinstance(end.__context__, BrokenPipeError)
             return DONE if closed else int(end.code or 0)
-        except OedSysidError as error:
-            if debug:
-                traceback.print_exc()
-            print(f"Error: {error}", file=sys.stderr)
-            return BAD_INPUT
         except KeyboardInterrupt:
             print("Interrupted.", file=sys.stderr)
             return INTERRUPTED
         except Exception as error:
-            if debug:
+            if "--debug" in given:
                 traceback.print_exc()
-                return UNEXPECTED
-            print(
+            known = isinstance(error, OedSysidError)
+            said = f"Error: {error}" if known else (
                 f"Unexpected error: {type(error).__name__}: {error}\nThis is a fault of the "
-                "program. Repeat the command with --debug to see where, and report it.",
-                file=sys.stderr,
-            )
-            return UNEXPECTED
+                "program. Repeat the command with --debug to see where, and report it."
+            )  # fmt: skip
+            print(said, file=sys.stderr)
+            return BAD_INPUT if known else UNEXPECTED
     return DONE
 
 
@@ -72,11 +66,8 @@ def _say_warning(message: Warning | str, *_: object, **__: object) -> None:
     from oed_sysid.cli.terminal import note
     from oed_sysid.errors import UnitWarning
 
-    if isinstance(
-        message, RuntimeWarning
-    ):  # a trial step that overflowed; results say how it ended
-        return
     if isinstance(message, UnitWarning):  # so likely wrong that --quiet does not hide it
         print(f"Note: {message}", file=sys.stderr)
-    else:
+    # Of a trial step that overflowed, results say how it ended.
+    elif not isinstance(message, RuntimeWarning):
         note(f"Note: {message}")

@@ -9,14 +9,15 @@ and, where a trial is planned, the limits of the problem that is named: ``--max-
 from __future__ import annotations
 
 import inspect
-from collections.abc import Container, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from typing import Annotated, Any
 
 import typer
 import typer.main
 from typer.core import TyperCommand
 
-from oed_sysid.cli.options import declared, row_of
+import oed_sysid
+from oed_sysid.cli.options import declared, row_of, signed
 from oed_sysid.cli.study import Option
 
 # Older words that are still understood: for an option, or for the files after the problem.
@@ -55,32 +56,27 @@ def spread(
     >>> spread(["ship", "--train", "a.csv", "b.csv", "--test", "c.csv"], ["--validate"], OLDER)
     ['ship', 'a.csv', 'b.csv', '--validate', 'c.csv']
     """
-    several, named = set(options), dict(older or {})
+    several, named = set(options), older or {}
     result: list[str] = []
-    option, n_values = "", 0
+    option, has_value = "", False
     for position, argument in enumerate(arguments):
         if argument == "--":
             return result + list(arguments[position:])
         word, equals, value = argument.partition("=")
         if word in named and word not in several:
-            word = named[word]
-            if not word:  # files after an older word stand alone
+            if not named[word]:  # files after an older word stand alone
                 option = ""
                 result += [value] if equals else []
                 continue
-            argument = f"{word}={value}" if equals else word
-        if argument in several:
+            argument = named[word] + equals + value
+        if argument.startswith("-") and len(argument) > 1:
             # An option without a value stays alone, for the parser to complain about.
-            result.append(argument)
-            option, n_values = argument, 0
-        elif argument.startswith("-") and len(argument) > 1:
-            result.append(argument)
-            option = ""
+            option, has_value = argument if argument in several else "", False
+        elif option and has_value:
+            result.append(option)
         else:
-            if option and n_values:
-                result.append(option)
-            result.append(argument)
-            n_values += 1
+            has_value = True
+        result.append(argument)
     return result
 
 
@@ -92,19 +88,24 @@ class Command(TyperCommand):
         reads = any(param.name in ("files", "validate") for param in self.params)
         told = any(param.name == "html_file" for param in self.params)
         self._shared = (*(_OF_RECORDS if reads else ()), *(_OF_TABLES if told else ()), *_EVERY)
-        made = declared(lambda **_: None, "", self._shared)
-        self.params = [*self.params, *_parameters(inspect.signature(made))]
+        self.params = [*self.params, *_parameters(declared(lambda **_: None, "", self._shared))]
 
     def get_params(self, ctx: Any) -> list[Any]:
         """Options of the command, and limits of the problem that its line names."""
         *own, last = super().get_params(ctx)
         return [*own, *ctx.meta.get(_LIMITS, ()), last]
 
+    def _spread(self, args: Sequence[str]) -> list[str]:
+        """Repeat options before their values; understand older words for them and for files."""
+        lists = [one for one in self.params if one.param_type_name == "option" and one.multiple]
+        several = [word for param in lists for word in param.opts]
+        known = {*several, *("" for param in self.params if param.name == "files")}
+        return spread(args, several, {old: new for old, new in OLDER.items() if new in known})
+
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read a line; limits become values of ``--limit``."""
         names = [param.name for param in self.params]
-        several = [word for param in self.params for word in param.opts if _is_list(param)]
-        args = spread(args, several, _older(several, has_files="files" in names))
+        args = self._spread(args)
         meant: dict[str, str] = {}
         # A problem is a program: completing a word must not run it.
         if "limit" in names and not ctx.resilient_parsing:
@@ -117,15 +118,6 @@ class Command(TyperCommand):
         if said:
             ctx.params["limit"] = [*(ctx.params.get("limit") or ()), *said]
         return rest
-
-
-def _older(several: Sequence[str], *, has_files: bool) -> dict[str, str]:
-    """Older words that a command understands: those of its options, and of its files."""
-    return {old: new for old, new in OLDER.items() if (new in several if new else has_files)}
-
-
-def _is_list(param: Any) -> bool:
-    return param.param_type_name == "option" and bool(param.multiple)
 
 
 # What the line of every command, of those that read records and of those that print tables may
@@ -152,19 +144,15 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
 
     None if the line names no problem that can be loaded: the command says why.
     """
-    from oed_sysid.errors import OedSysidError
-
-    named = _value_of("--problem", args)
-    named = named or next((word for word in args if not word.startswith("-")), None)
+    named = _value_of("--problem", args) or next((w for w in args if not w.startswith("-")), None)
     if named is None:
         return [], {}
-    from oed_sysid.cli.limit_words import limit_words
-    from oed_sysid.experiments.problem import load_problem
-
     try:
-        problem = load_problem(named, variant=_value_of("--model", args))
-    except OedSysidError:
+        problem = oed_sysid.load_problem(named, variant=_value_of("--model", args))
+    except oed_sysid.OedSysidError:
         return [], {}
+    from oed_sysid.cli.limit_words import limit_words
+
     panel = f"Limits of {problem.name}: angles in degrees, the rest in SI units"
     offered: list[inspect.Parameter] = []
     meant: dict[str, str] = {}
@@ -174,18 +162,15 @@ def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict
             if written in taken:
                 continue
             option = typer.Option(
-                written,
-                metavar="VALUE" if side else "LOW:HIGH",
-                help=says,
+                written, metavar="VALUE" if side else "LOW:HIGH", help=says, show_default=False,
                 hidden=word != words[0],  # of several words for one channel the first is shown
-                show_default=False,
                 rich_help_panel=panel,
-            )
+            )  # fmt: skip
             name, kind = f"limit_{len(offered)}", Annotated[str | None, option]
             meant[name] = f"{side}:{word}" if side else word
             keyword = inspect.Parameter.KEYWORD_ONLY
             offered.append(inspect.Parameter(name, keyword, default=None, annotation=kind))
-    return _parameters(inspect.Signature(offered)), meant
+    return _parameters(signed(lambda **_: None, offered)), meant
 
 
 def _value_of(option: str, args: Sequence[str]) -> str | None:
@@ -198,14 +183,8 @@ def _value_of(option: str, args: Sequence[str]) -> str | None:
     return None
 
 
-def _parameters(signature: inspect.Signature) -> list[Any]:
+def _parameters(command: Callable[..., None]) -> list[Any]:
     """Parameters of a command, as typer makes them of a signature."""
-
-    def command(**_: Any) -> None:
-        pass
-
-    command.__signature__ = signature  # type: ignore[attr-defined]
-    command.__annotations__ = {n: one.annotation for n, one in signature.parameters.items()}
     app = typer.Typer(add_completion=False, rich_markup_mode="rich")
     app.command()(command)
     return list(typer.main.get_command(app).params)

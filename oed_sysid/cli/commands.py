@@ -7,13 +7,16 @@ import shlex
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
+import oed_sysid
+from oed_sysid.cli import SUSPECT
 from oed_sysid.cli.reading import read_records_of
 from oed_sysid.cli.study import Study
-from oed_sysid.cli.tasks import SUSPECT, Bounds, Weather, numbers, patterns_of
+from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted
+from oed_sysid.cli.tasks import band as band_of
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
 from oed_sysid.errors import DataError, DesignError, OedSysidError
 from oed_sysid.runtime.display import Figure, Table, counted
@@ -26,6 +29,7 @@ if TYPE_CHECKING:
     from oed_sysid.design import Candidate
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
+    from oed_sysid.runtime.display import Report
     from oed_sysid.runtime.parallel import CellProgress
 
 
@@ -38,37 +42,40 @@ def problems(
 
     [bold]Example[/bold]: oed-sysid problems remus_diving_plane
     """
-    from oed_sysid.experiments.problem import list_problems, load_problem
-
     if problem is not None:
-        chosen = load_problem(problem, variant=model)
-        first, *rest = chosen.describe().splitlines()
-        answer(first, "\n".join(rest))
-        say("\nEquations of motion")
-        say("\n".join(f"  {line}" for line in chosen.model.equations().splitlines()))
-        say("\nExperiments")
-        say("\n".join(f"  {run.describe()}" for run in chosen.experiments.values()) or "  none")
-        facts = _summary(chosen) | {"equations": chosen.model.equations().splitlines()}
-        if notes := chosen.notes():
-            facts["notes"] = list(notes)
-        store(facts, json_file)
+        store(_described(oed_sysid.load_problem(problem, variant=model)), json_file)
         return
-    found, rows = [], []
-    for name in list_problems():
+    found = []
+    for name in oed_sysid.list_problems():
         try:
-            one = load_problem(name)
+            found.append(oed_sysid.load_problem(name))
         except OedSysidError as error:
             # One faulty folder must not hide the others.
             note(f"Problem {name!r} cannot be loaded: {error}")
-            continue
-        found.append(one)
-        rows.append((name, str(len(one.model.free_names)), str(len(one.effects)), one.title))
+    rows = [(p.name, str(len(p.model.free_names)), str(len(p.effects)), p.title) for p in found]
     if quiet():
         answer(" ".join(one.name for one in found))
     else:
         headers = ("problem", "parameters", "candidates", "title")
         say("\n".join(Table(headers, rows, words=(3,)).lines()))
     store({"problems": [_summary(one) for one in found]}, json_file)
+
+
+def _described(problem: Problem) -> dict[str, object]:
+    """Describe a problem, and return the facts."""
+    equations = problem.model.equations().splitlines()
+    runs = [run.describe() for run in problem.experiments.values()] or ["none"]
+    _answer(problem.describe())
+    for title, lines in (("Equations of motion", equations), ("Experiments", runs)):
+        say("\n".join([f"\n{title}", *(f"  {line}" for line in lines)]))
+    notes = {"notes": list(problem.notes())} if problem.notes() else {}
+    return {**_summary(problem), "equations": equations, **notes}
+
+
+def _answer(text: str) -> None:
+    """Print a text whose first line is the answer."""
+    first, _, rest = text.partition("\n")
+    answer(first, rest)
 
 
 def _summary(problem: Problem) -> dict[str, object]:
@@ -94,9 +101,7 @@ def new(
 
     [bold]Example[/bold]: oed-sysid new my_auv --template auv
     """
-    from oed_sysid.experiments.problem import new_problem
-
-    made = new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
+    made = oed_sysid.new_problem(folder, template=template, log=log, inputs=tuple(inputs or ()))
     answer(f"Written: {made}")
     folder_word = shlex.quote(str(made))
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
@@ -118,13 +123,9 @@ def simulate(
     """
     import numpy as np
 
-    from oed_sysid.data.dataset import write_csv
-    from oed_sysid.experiments.problem import load_problem
-    from oed_sysid.experiments.simulation import simulate as run
-
-    chosen = load_problem(problem, variant=model)
+    chosen = oed_sysid.load_problem(problem, variant=model)
     simulated = chosen.true_model() if truth else chosen.model
-    wanted = patterns_of(chosen, experiment or [])
+    wanted = patterns_of(chosen, experiment)
     files = _files(wanted, out)
     for file in files:
         check_place(file)
@@ -133,8 +134,8 @@ def simulate(
     with progress("Simulating") as show:
         for number, (one, file) in enumerate(zip(wanted, files, strict=True)):
             show.say(f"simulating {one.name}")
-            records.append(run(simulated, one, rng=rng, noise=not no_noise))
-            write_csv(records[-1], file)
+            records.append(oed_sysid.simulate(simulated, one, rng=rng, noise=not no_noise))
+            oed_sysid.write_csv(records[-1], file)
             show.share((number + 1) / len(wanted))
     for one, file in zip(wanted, files, strict=True):
         answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
@@ -178,49 +179,40 @@ def import_(
 
     [bold]Example[/bold]: oed-sysid import trial.ulg --map ship.toml --out my_ship/sea
     """
-    from oed_sysid.data.logs import open_log
-    from oed_sysid.data.mapping import read_mapping
-    from oed_sysid.experiments.problem import load_problem
-
-    chosen = read_mapping(mapping) if mapping is not None else None
+    chosen = oed_sysid.read_mapping(mapping) if mapping is not None else None
     with progress(f"Reading {log.name}"):
-        found = open_log(log)
-    if listing or (mapping is None and draft is None):
-        _list(log, found, find, json_file)
-        return
+        found = oed_sysid.open_log(log)
     named = problem or ("" if chosen is None else chosen.problem)
-    if draft is not None:
+    if draft is not None and not listing:
         _draft(log, found, named, model, draft)
         return
-    assert chosen is not None
-    target = load_problem(_place(named, mapping), variant=model) if named else None
+    if listing or chosen is None:
+        _list(log, found, find, json_file)
+        return
+    target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
     result, files = _written(found, chosen, target, out)
     for line in result.notes:
         note(line)
-    from oed_sysid.evidence.check import quick_check, signal_check
+    from oed_sysid.evidence.check import signal_check
 
     dataset = result.dataset
-    checked = signal_check(dataset) if target is None else quick_check(dataset, target.model)
+    own = None if target is None else target.model
+    checked = signal_check(dataset) if own is None else oed_sysid.quick_check(dataset, own)
     answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
     for file, record in zip(files, dataset, strict=True):
         rate = record.n_samples / max(record.duration, 1e-9)
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
     draw(Figure("figure_record", dataset.records[0], ""), picture)
-    store(
-        {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
-        | {"check": checked.to_dict()},
-        json_file,
-        records=[dataset],
-    )
+    facts = {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
+    store({**facts, "check": checked.to_dict()}, json_file, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)
 
 
 def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:
     """Say which fields a log has."""
-    first, *rest = found.describe(find).splitlines()
-    answer(first, "\n".join(rest))
+    _answer(found.describe(find))
     keys = ("field", "samples", "rate", "span", "unit", "range")
     rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
     store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
@@ -229,11 +221,10 @@ def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:
 def _draft(log: Path, found: Log, named: str, model: str | None, place: Path) -> None:
     """Write a first mapping from names and units."""
     from oed_sysid.data.logs import draft
-    from oed_sysid.experiments.problem import load_problem
 
     if not named:
         raise DataError("--draft needs --problem: whose channels are wanted?")
-    wanted = load_problem(_place(named, None), variant=model).channels
+    wanted = oed_sysid.load_problem(named, variant=model).channels
     made = draft(found, wanted, problem=named)
     if made is None:
         raise DataError(
@@ -256,11 +247,7 @@ def _written(
     log: Log, mapping: LogMapping, problem: Problem | None, out: Path
 ) -> tuple[Imported, list[Path]]:
     """Write a CSV file for every record."""
-    from oed_sysid.data.dataset import write_csv
-    from oed_sysid.data.logs import import_log
-
-    channels = problem.channels if problem is not None else None
-    result = import_log(log, mapping, channels)
+    result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
     if out.suffix.lower() == ".csv":
         raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
     files = [out / f"{record.name.replace('/', '_')}.csv" for record in result.dataset]
@@ -268,7 +255,7 @@ def _written(
         raise DataError(f"The records would overwrite {log.path}. Give another folder to --out.")
     make_folder(out)
     for record, file in zip(result.dataset, files, strict=True):
-        write_csv(record, file)
+        oed_sysid.write_csv(record, file)
     return result, files
 
 
@@ -282,9 +269,7 @@ def report(
 
     [bold]Example[/bold]: oed-sysid report fit.json --validate dive_3.csv --out fit.html
     """
-    from oed_sysid.evidence.compare import compare as compare_models
     from oed_sysid.likelihood.archive import is_numbers_of_fit, read_json, read_result
-    from oed_sysid.likelihood.fit import Fit
     from oed_sysid.results import numbers_page
 
     content = read_json(saved)
@@ -300,21 +285,18 @@ def report(
                 "or leave out --validate and --picture."
             )
         return
-    kept = Fit.load(saved)
+    kept = oed_sysid.Fit.load(saved)
     made = read_result(saved, "fit")[1]
     if made.get("command"):
         note(f"Made by oed_sysid {made.get('version')}: {made['command']}")
     comparison = None
     if validate:
-        comparison = compare_models({kept.model.name: kept}, read_records_of(validate, kept))
+        comparison = oed_sysid.compare({kept.model.name: kept}, read_records_of(validate, kept))
     document = kept.document(comparison)
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")
-    shown = Figure("figure_fit", kept, "")
-    if comparison is not None:
-        best, options = comparison.best, {"labels": [comparison.best.label]}
-        shown = Figure("figure_predictions", [best.prediction], "", options=options)
-    draw(shown, picture)
+    own = Figure("figure_fit", kept, "")
+    draw(own if comparison is None else predicted([comparison.best]), picture)
 
 
 def export(
@@ -327,18 +309,11 @@ def export(
 
     [bold]Example[/bold]: oed-sysid export better.json --as c --out my_auv_c
     """
-    from oed_sysid.export import export as write
-    from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.export import export as export_model
 
-    trim = {}
-    for text in at or ():
-        name, _, value = text.partition("=")
-        try:
-            trim[name.strip()] = float(value)
-        except ValueError:
-            raise DataError(f"--at {text!r} is no NAME=VALUE. Write --at u=1.5, say.") from None
-    result = Fit.load(fit)
-    files = list(write(result, kind, out, trim=trim or None))
+    trim = numbers("--at", at or (), "NAME=VALUE, such as u=1.5")
+    result = oed_sysid.Fit.load(fit)
+    files = list(export_model(result, kind, out, trim=trim or None))
     n = len(result.names)
     answer(f"{result.model.name} as {kind}, with {n} parameters and their covariance: {files[0]}")
     for file in files[1:]:
@@ -369,65 +344,53 @@ def watch(
 
     [bold]Example[/bold]: oed-sysid watch remus_diving_plane --source dive_1.csv --silence 0.5
     """
-    from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.data.live import Place, samples
 
     study = Study.named(problem, model)
-    run = next(iter(study.problem.experiments.values()), None)
-    if run is None and (duration is None or period is None):
-        raise DesignError("The problem has no experiment. Give --duration and --period.")
-    length = duration or float(getattr(run, "duration", 0.0) or 0.0)
-    step = period or float(getattr(run, "sample_time", 1.0))
-    stream = FourierStream(
-        study.problem.model, duration=length, period=step,
-        band=None if band is None else _band("--band", band),
-        without=() if waves is None else (_band("--waves", waves),),
+    stream = _stream(
+        study.problem, duration, period,
+        band=band_of("--band", band) if band else None,
+        without=(band_of("--waves", waves),) if waves else (),
     )  # fmt: skip
-    found = {}
-    for text in places or []:
-        name, _, place = text.partition("=")
-        found[name] = Place.of(place)
-    told = -float("inf")
-    given = samples(
-        source, study.problem.model.channels, places=found, period=step, silence=silence
-    )
-    for time, sample in given:
+    pairs = (text.partition("=") for text in places or ())
+    found = {name: Place.of(place) for name, _, place in pairs}
+    channels, told = study.problem.model.channels, -float("inf")
+    step, pause = stream.period, max(0.05 * stream.duration, stream.period)
+    for time, sample in samples(source, channels, places=found, period=step, silence=silence):
         stream.push(time, sample)
-        if time - told >= max(0.05 * length, step) and stream.n_samples > 2:
+        if time - told >= pause and stream.n_samples > 2:
             told = time
             note(f"{time:6.0f} s  {stream.advice(goal / 100)}")
-            _live_page(stream, html_file, goal, study.problem.title, over=False)
+            _live_page(stream.document(title=study.problem.title, goal=goal / 100), html_file)
     if stream.n_samples < 3:
         raise DataError(f"{source!r} gave {counted(stream.n_samples, 'sample')}; nothing is known.")
-    _live_page(stream, html_file, goal, study.problem.title, over=True)
     document = stream.document(title=study.problem.title, goal=goal / 100)
+    _live_page(document, html_file, over=True)
     answer(document.answer, document.text())
     store(stream.to_dict(), json_file)
 
 
-def _band(option: str, text: str) -> tuple[float, float]:
-    """Two frequencies, Hz."""
-    low, _, high = text.partition(":")
-    try:
-        found = float(low), float(high)
-    except ValueError:
-        found = (1.0, 0.0)
-    if not 0 <= found[0] < found[1]:
-        raise DesignError(f"{option} {text}: write LOW:HIGH in Hz, such as 0.005:0.08.")
-    return found
+def _stream(
+    problem: Problem, duration: float | None, period: float | None, **bands: Any
+) -> FourierStream:
+    """The estimator of a run that lasts as long as an experiment of the problem, if none says."""
+    from oed_sysid.baselines.fourier import FourierStream
+
+    run = next(iter(problem.experiments.values()), None)
+    if run is None and None in (duration, period):
+        raise DesignError("The problem has no experiment. Give --duration and --period.")
+    length = duration or float(getattr(run, "duration", None) or 0.0)
+    step = period or float(getattr(run, "sample_time", 1.0))
+    return FourierStream(problem.model, duration=length, period=step, **bands)
 
 
-def _live_page(
-    stream: FourierStream, path: Path | None, goal: float, title: str, *, over: bool
-) -> None:
-    """Write the page; while the run goes on it loads itself again every other second."""
-    if path is None:
-        return
-    place = stream.document(title=title, goal=goal / 100).write(path)
-    if not over:
-        text = place.read_text(encoding="utf-8")
+def _live_page(document: Report, path: Path | None, *, over: bool = False) -> None:
+    """Write the page of a run; while that goes on it loads itself again every other second."""
+    if path is not None and over:
+        document.write(path)
+    elif path is not None:
         again = '<head><meta http-equiv="refresh" content="2">'
-        write(text.replace("<head>", again, 1), place)
+        write(document.html().replace("<head>", again, 1), path)
 
 
 def campaign(
@@ -455,7 +418,6 @@ def campaign(
     --hours 2
     """
     from oed_sysid.design.decision import Logbook
-    from oed_sysid.experiments.problem import load_problem
 
     if Logbook.exists(folder):
         if problem is not None or goal:
@@ -464,7 +426,7 @@ def campaign(
                 "on with it, or name another folder."
             )
         journal = Logbook.open(folder)
-        journal = journal.of(load_problem(journal.problem, variant=journal.variant).model)
+        journal = journal.of(oed_sysid.load_problem(journal.problem, variant=journal.variant).model)
     elif problem is None or not goal:
         raise DesignError(
             f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
@@ -472,9 +434,7 @@ def campaign(
     else:
         study = Study.named(problem, model)
         with progress("Making candidate runs") as show:
-            runs = _candidates(
-                study.problem, patterns or [], bounds, weather, turnaround, seed, show
-            )
+            runs = _candidates(study.problem, patterns, bounds, weather, turnaround, seed, show)
             journal = Logbook.begin(
                 folder, study.problem.model, problem=problem, variant=model, candidates=runs,
                 goals={n: v / 100.0 for n, v in numbers("--goal", goal).items()}, hours=hours,
@@ -488,19 +448,18 @@ def campaign(
     report = decision.report()
     if journal.fit is not None:
         concerns = "; ".join(str(one) for one in journal.fit.concerns)
-        estimate = f"{journal.fit.status}{' ' + concerns if concerns else ''}"
+        estimate = f"{journal.fit.status} {concerns}".rstrip()
         report += f"\n  estimate from {len(journal.records)} records: {estimate}"
     answer(decision.answer(len(journal.records), journal.hours_used), report)
     note(f"Decided in {decision.seconds:.2f} s.")
-    path = journal.write_next(decision)
-    if path is not None:
+    if (path := journal.write_next(decision)) is not None:
         note(f"Written: {path}")
     store(decision.to_dict(), json_file)
 
 
 def _candidates(
     problem: Problem,
-    patterns: list[str],
+    patterns: list[str] | None,
     bounds: Bounds,
     weather: Weather,
     turnaround: float,
@@ -563,16 +522,11 @@ def estimators(
             show.left(state.seconds_left)
 
         result = benchmark(
-            problems or list(PROBLEMS),
-            chosen,
-            noise=[0.0, 0.5, 1.0, 3.0] if noise is None else noise,
+            problems or list(PROBLEMS), chosen, seeds=seeds, sampling=sampling or [1],
+            noise=noise or [0.0, 0.5, 1.0, 3.0],
             noise_unit="declared" if declared else "peak",
-            sampling=sampling or [1],
-            seeds=seeds,
-            store=out / "runs",
-            n_jobs=jobs,
-            progress=tell,
-        )
+            store=out / "runs", n_jobs=jobs, progress=tell,
+        )  # fmt: skip
     text = result.report()
     answer(result.answer, text)
     write(text, out / "benchmark.md")

@@ -12,14 +12,19 @@ from __future__ import annotations
 import math
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from oed_sysid.cli.study import DEFAULT_MODEL
+import oed_sysid
+from oed_sysid.cli import BAD_INPUT
+from oed_sysid.cli.study import DEFAULT_MODEL, Study
+from oed_sysid.cli.tasks import TASKS, predicted
+from oed_sysid.cli.terminal import Shown
+from oed_sysid.runtime.display import Figure, interval
 
 if TYPE_CHECKING:
-    from oed_sysid.cli.study import Outcome
-    from oed_sysid.data.dataset import Dataset, Record
+    from oed_sysid.data.dataset import Dataset
     from oed_sysid.evidence.improvement import Improvement
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
@@ -39,25 +44,21 @@ POND_FIT, POND_AHEAD = 25.0, 100.0
 
 def main(out: Path = OUT) -> int:
     """Tell the stories and write their pictures and reports below ``out``."""
-    from oed_sysid.errors import OedSysidError
-
     began = time.perf_counter()
     try:
         diving_plane(out)
         pond(out / "pond")
         tanker(out / "tanker")
-    except OedSysidError as error:
+    except oed_sysid.OedSysidError as error:
         print(f"Error: {error}", file=sys.stderr)
-        return 2
+        return BAD_INPUT
     print(f"\nDone in {time.perf_counter() - began:.0f} s.")
     return 0
 
 
 def diving_plane(out: Path) -> Improvement:
     """Find what the model of a small underwater vehicle lacks."""
-    from oed_sysid.experiments.problem import load_problem
-
-    problem = load_problem("remus_diving_plane")
+    problem = oed_sysid.load_problem("remus_diving_plane")
     train, test = problem.data().split(test=AUV_TEST)
     _title("A small underwater vehicle, five runs, and something hidden in them")
     _introduce(problem, train, test)
@@ -72,28 +73,20 @@ def pond(out: Path) -> dict[str, tuple[float, float]] | None:
     dict of str to tuple of float
         Error of the heading 100 s ahead on every validation record, degrees, before and after.
     """
-    from oed_sysid.data.dataset import Dataset
-    from oed_sysid.data.third_party import data_folder, registered
-    from oed_sysid.evidence.compare import diagnose
-    from oed_sysid.experiments.problem import load_problem
-    from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-
-    folder = data_folder()
-    if not all((folder / path).is_file() for path in registered(POND_DATA)):
-        print(f"\n(The pond's story is left out: its measured records are not in {folder}.)")
+    if not _at_hand("The pond", POND_DATA):
         return None
-    problem = load_problem("esso_osaka")
+    problem = oed_sysid.load_problem("esso_osaka")
     train, test = problem.data().split(test=POND_TEST)
     _title("A real tanker model in a pond, and a model that knows no wind")
     _introduce(problem, train, test)
 
     def pieces(runs: Dataset, duration: float) -> Dataset:
-        return Dataset(tuple(part for run in runs for part in run.segments(duration)))
+        return oed_sysid.Dataset(tuple(part for run in runs for part in run.segments(duration)))
 
-    estimator = MultipleShooting(disturbances="none", noise="given")
+    estimator = oed_sysid.MultipleShooting(disturbances="none", noise="given")
     calm = estimator.fit(problem.model, pieces(train, POND_FIT))
-    asked = [run.thin(2) for run in pieces(train, POND_AHEAD) if "random" not in run.name]
-    found = diagnose(calm.model, Dataset(tuple(asked)), candidates=problem.effects)
+    asked = tuple(run.thin(2) for run in pieces(train, POND_AHEAD) if "random" not in run.name)
+    found = oed_sysid.diagnose(calm.model, oed_sysid.Dataset(asked), candidates=problem.effects)
     print(found.report())
     effect = found.best
     if effect is None:
@@ -105,42 +98,52 @@ def pond(out: Path) -> dict[str, tuple[float, float]] | None:
     errors: dict[str, tuple[float, float]] = {}
     print("\nHeading 100 s ahead from its first sample, rms error in degrees, runs nobody fitted:")
     for run in test:
-        parts = pieces(Dataset((run,)), POND_AHEAD)
-        both = [
+        parts = pieces(oed_sysid.Dataset((run,)), POND_AHEAD)
+        before, after = (
             math.degrees(fit.predict(parts, initial="first").rms["psi"]) for fit in (calm, better)
-        ]
-        errors[run.name] = (both[0], both[1])
-        print(f"    {run.name:22} without {both[0]:6.1f}   with {effect.name} {both[1]:6.1f}")
-    _draw_heading(calm, better, pieces(test, POND_AHEAD)[0], effect.name, out)
+        )
+        errors[run.name] = (before, after)
+        print(f"    {run.name:22} without {before:6.1f}   with {effect.name} {after:6.1f}")
+    first = oed_sysid.Dataset((pieces(test, POND_AHEAD)[0],))
+    labels = {"labels": ["without", f"with {effect.name}"]}
+    predictions = [fit.predict(first, initial="first") for fit in (calm, better)]
+    picture = Figure("figure_predictions", predictions, "", options=labels)
+    _draw({"prediction": picture}, out)
     return errors
 
 
-def _draw_heading(calm: Fit, better: Fit, part: Record, name: str, out: Path) -> None:
-    """One window of a validation record: measured heading, and both predictions."""
-    from oed_sysid.data.dataset import Dataset
-    from oed_sysid.results import figure_predictions, save_figure
+def _at_hand(story: str, place: str) -> bool:
+    """Whether the measured records of a story are there; say so where they are not."""
+    from oed_sysid.data.third_party import data_folder, registered
 
-    predictions = [fit.predict(Dataset((part,)), initial="first") for fit in (calm, better)]
-    figure = figure_predictions(predictions, labels=["without", f"with {name}"])
-    save_figure(figure, out / "prediction.png", dpi=130)
-    print(f"\nPicture   {(out / 'prediction.png').resolve()}")
+    folder = data_folder()
+    found = all((folder / path).is_file() for path in registered(place))
+    if not found:
+        print(f"\n({story}'s story is left out: its measured records are not in {folder}.)")
+    return found
+
+
+def _draw(pictures: Mapping[str, Figure], out: Path) -> None:
+    """Write pictures as PNG files, and say where."""
+    from oed_sysid.results import save_figure
+    from oed_sysid.results.page import draw
+
+    for name, figure in pictures.items():
+        save_figure(draw(figure), out / f"{name}.png", dpi=130)
+    print(f"Pictures  {out.resolve()}/*.png")
 
 
 def tanker(out: Path) -> Improvement | None:
     """Find what a model with a linear hull lacks in real zigzags of a tanker; None without data."""
-    from oed_sysid.data.dataset import Dataset
-    from oed_sysid.data.third_party import data_folder, registered
-    from oed_sysid.experiments.problem import load_problem
     from oed_sysid.results import new_figure, plot_zigzag, save_figure
 
-    folder = data_folder()
-    if not all((folder / path).is_file() for path in registered(TANKER_DATA)):
-        print(f"\n(The tanker's story is left out: its measured records are not in {folder}.)")
+    if not _at_hand("The tanker", TANKER_DATA):
         return None
-    problem = load_problem("kvlcc2", variant="linear_hull")
+    problem = oed_sysid.load_problem("kvlcc2", variant="linear_hull")
     data = problem.data()
     train, test = (
-        Dataset(tuple(data[run].thin(2) for run in runs)) for runs in (TANKER_TRAIN, TANKER_TEST)
+        oed_sysid.Dataset(tuple(data[run].thin(2) for run in runs))
+        for runs in (TANKER_TRAIN, TANKER_TEST)
     )
     _title("A real tanker's zigzags, and a model without the hull's nonlinear forces")
     _introduce(problem, train, test)
@@ -172,10 +175,6 @@ def _search(
     problem: Problem, train: Dataset, test: Dataset, out: Path, **settings: Any
 ) -> Improvement:
     """Improve the model and say what was missing; write the report and its main pictures."""
-    from oed_sysid.cli.study import Study
-    from oed_sysid.cli.tasks import TASKS
-    from oed_sysid.cli.terminal import Shown
-
     known = settings.pop("known_noise", False)
     study = Study(problem.name, DEFAULT_MODEL, problem, train, test, known)
     told = Shown(told=lambda text: print(f"... {text}", flush=True))
@@ -193,42 +192,27 @@ def _search(
         f"On records that nothing was fitted to, the error falls from {before:.3g} to {after:.3g} "
         "times the noise."
     )
-    _draw_all(outcome, out)
+    comparison, size = outcome.comparison, (8.0, 4.6)
+    assert comparison is not None
+    print(f"\nReport    {outcome.document().write(out / 'report.html').resolve()}")
+    pictures = {
+        "located": Figure("plot_located", found.location, "", size=size),
+        "ranking": Figure("plot_ranking", found.ranking, "", size=size),
+        "error": Figure("plot_error_fall", found, "", size=size),
+        "outputs": Figure("plot_comparison", comparison, "", size=size),
+        "prediction": predicted(comparison.models),
+    }
+    _draw(pictures, out)
     return found
 
 
 def _say_sizes(fit: Fit, effect: Effect) -> None:
     """Say the amplitudes of an effect with their 95 % intervals."""
-    from oed_sysid.runtime.display import interval
-
     for name in effect.amplitude_names:
         low, high = fit.interval(name)
         unit = fit.model.parameter(name).unit
         said = interval(fit.values[name], 0.5 * (high - low))
         print(f"    {name} = {said} {'' if unit in ('', '1') else unit} (95 %)")
-
-
-def _draw_all(outcome: Outcome, out: Path) -> None:
-    """Write the report, and its main pictures once more as PNG files."""
-    from oed_sysid.results import save_figure
-    from oed_sysid.results.page import draw
-    from oed_sysid.runtime.display import Figure
-
-    found, comparison = outcome.result, outcome.comparison
-    assert comparison is not None
-    written = outcome.document().write(out / "report.html")
-    size = (8.0, 4.6)
-    labels = {"labels": [part.label for part in comparison.models]}
-    predictions = [part.prediction for part in comparison.models]
-    for name, figure in {
-        "located": Figure("plot_located", found.location, "", size=size),
-        "ranking": Figure("plot_ranking", found.ranking, "", size=size),
-        "error": Figure("plot_error_fall", found, "", size=size),
-        "outputs": Figure("plot_comparison", comparison, "", size=size),
-        "prediction": Figure("figure_predictions", predictions, "", options=labels),
-    }.items():
-        save_figure(draw(figure), out / f"{name}.png", dpi=130)
-    print(f"\nReport    {written.resolve()}\nPictures  {out.resolve()}/*.png")
 
 
 def _title(text: str) -> None:

@@ -28,8 +28,9 @@ SURFACES = (
     {"rudder", "helm"},
     {"thrust", "propeller", "revolutions"},
 )
+ANGLES = ("rad", "rad/s")
 _FORM = re.compile(r"(?:(max|min):)?([A-Za-z_][\w-]*)=(.+)")
-_NUMBER = re.compile(r"([-+]?[\d.]+(?:[eE][-+]?\d+)?)\s*(deg|rad)?(?:/s)?(?:m|m/s|N)?")
+_NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?(?:/s)?(?:m|m/s|N)?")
 
 
 def with_limits(model: Model, limits: Limits, given: Sequence[str]) -> tuple[Limits, list[str]]:
@@ -57,11 +58,10 @@ def with_limits(model: Model, limits: Limits, given: Sequence[str]) -> tuple[Lim
                 f"The limit {text!r} is not understood. Write --max-fin 10, --min-depth 80, or "
                 "--limit NAME=VALUE, --limit NAME=LOW:HIGH; angles in degrees."
             )
-        side, word, value = form[1] or "", form[2], form[3]
-        if word == "rate" or (word.endswith("-rate") and word not in SIGNALS):
-            limits, words = _rate(model, limits, word, value)
-        else:
-            limits, words = _range(model, limits, word, side, value)
+        side, word, value = form.groups(default="")
+        is_rate = word == "rate" or (word.endswith("-rate") and word not in SIGNALS)
+        change = _rate if is_rate else _range
+        limits, words = change(model, limits, word, side, value)
         said.append(words)
     return limits, said
 
@@ -113,17 +113,17 @@ def _offers(
 ) -> Iterator[tuple[str, tuple[str, ...], str]]:
     """What can be limited of one channel: both ends, the slope of an input, the range of others."""
     is_input = isinstance(channel, Input)
-    kind = "input" if is_input else "signal"
-    label = f"{getattr(channel, 'label', '') or kind} {channel.name}, {_unit(channel)}"
+    unit = channel.unit.replace("rad", "deg") or "1"
+    label = f"{channel.label or ('input' if is_input else 'signal')} {channel.name}, {unit}"
     both = ", both ways" if channel.unit.startswith("rad") else ""
     now = (limits.inputs if is_input else limits.signals).get(channel.name)
     yield "max", words, f"{label}{both}{_now(channel, now)}"
     yield "min", words, label
     if is_input:
-        rate = limits.rates.get(channel.name)
-        stands = "" if rate is None else f"; now {_shown(channel, rate)}"
         rates = tuple(f"{word}-rate" for word in words)
-        yield "max", rates, f"slope of {channel.name}, {_unit(channel)}/s{stands}"
+        rate = limits.rates.get(channel.name)
+        stands = _now(channel, None if rate is None else (rate, rate))
+        yield "max", rates, f"slope of {channel.name}, {unit}/s{stands}"
     elif spoken := tuple(word for word in words if word in SIGNALS):
         yield "", spoken, f"{label}: range"
 
@@ -151,37 +151,30 @@ def _words(model: Model, channel: Input | State | Output, common: Iterable[str])
     return tuple(dict.fromkeys([*found, name, name.replace("_", "-"), name.lower()]))
 
 
-def _unit(channel: Input | State | Output) -> str:
-    return channel.unit.replace("rad", "deg") or "1"
-
-
-def _shown(channel: Input | State | Output, value: float) -> str:
-    return f"{degrees(value) if channel.unit in ('rad', 'rad/s') else value:.4g}"
-
-
 def _now(channel: Input | State | Output, now: tuple[float, float] | None) -> str:
+    """What holds without a word."""
     if now is None or not any(map(isfinite, now)):
         return ""
-    lower, upper = now
-    if lower == -upper:
-        return f"; now ±{_shown(channel, upper)}"
-    return f"; now {_shown(channel, lower)} to {_shown(channel, upper)}"
+    turn = degrees(1.0) if channel.unit in ANGLES else 1.0
+    lower, upper = turn * now[0], turn * now[1]
+    if lower == upper:
+        return f"; now {upper:.4g}"
+    return f"; now ±{upper:.4g}" if lower == -upper else f"; now {lower:.4g} to {upper:.4g}"
 
 
 def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tuple[Limits, str]:
     channel = _channel(model, word)
     group = limits.inputs if isinstance(channel, Input) else limits.signals
     before = group.get(channel.name, (-inf, inf))
-    first, colon, last = text.partition(":")
-    if colon:
-        lower, upper = _value(channel, first), _value(channel, last)
+    values = [_value(channel, part) for part in text.split(":", 1)]
+    # Of a single value: angles and control surfaces work to both sides; depth and speed do not.
+    if len(values) == 2:
+        lower, upper = values
+    elif side == "min":
+        lower, upper = values[0], before[1]
     else:
-        value = _value(channel, text)
-        # Angles and control surfaces work to both sides; depth and speed do not.
-        both = channel.unit in ("rad", "rad/s") and side != "min" and value > 0
-        lower, upper = (-value, value) if both else before
-        if not both:
-            lower, upper = (value, upper) if side == "min" else (lower, value)
+        both = channel.unit in ANGLES and values[0] > 0
+        lower, upper = -values[0] if both else before[0], values[0]
     if not lower < upper:
         raise DesignError(
             f"The limit {word} {text} leaves nothing between {lower:g} and {upper:g} "
@@ -193,7 +186,7 @@ def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tup
     return changed, f"{word} is {channel.name} ({channel.label or channel.unit})"
 
 
-def _rate(model: Model, limits: Limits, word: str, text: str) -> tuple[Limits, str]:
+def _rate(model: Model, limits: Limits, word: str, side: str, text: str) -> tuple[Limits, str]:
     if word == "rate":
         moved = [i for i in model.inputs if i.unit == "rad"] or list(model.inputs)
     else:
@@ -207,15 +200,11 @@ def _rate(model: Model, limits: Limits, word: str, text: str) -> tuple[Limits, s
 
 def _value(channel: Input | State | Output, text: str) -> float:
     form = _NUMBER.fullmatch(text.strip())
-    try:
-        value = float(form[1]) if form else None
-    except ValueError:
-        value = None
-    if form is None or value is None:
+    if form is None:
         unit = channel.unit.replace("rad", "deg")
         raise DesignError(f"{text!r} is no number for {channel.name!r}; give it in {unit}.")
-    angle = channel.unit in ("rad", "rad/s")
-    return radians(value) if angle and form[2] != "rad" else value
+    value = float(form[1])
+    return radians(value) if channel.unit in ANGLES and form[2] != "rad" else value
 
 
 def _channel(model: Model, word: str) -> Input | State | Output:
@@ -223,8 +212,8 @@ def _channel(model: Model, word: str) -> Input | State | Output:
     word = word.lower()
     channels = _channels(model)
     by_name = {name.lower(): channel for name, channel in channels.items()}
-    if word.replace("-", "_") in by_name:
-        return by_name[word.replace("-", "_")]
+    if named := by_name.get(word.replace("-", "_")):
+        return named
     if SIGNALS.get(word) in channels:
         return channels[SIGNALS[word]]
     found = [i for i in model.inputs if _answers(i, word)]

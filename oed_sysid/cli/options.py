@@ -13,13 +13,14 @@ import inspect
 import shlex
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, is_dataclass
+from dataclasses import dataclass, field
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, get_type_hints
+from typing import Annotated, Any
 
 import typer
 
+import oed_sysid
 from oed_sysid.cli.study import DEFAULT_MODEL, Option, Study, Task, grouped, options_of
 from oed_sysid.errors import FileError
 from oed_sysid.runtime.files import check_place
@@ -41,8 +42,7 @@ def checked(kind: str, value: Any) -> Any:
     """
     if value is None or (kind == "json" and str(value) == "-"):
         return value
-    endings = _ENDINGS.get(kind)
-    if endings and Path(value).suffix.lower() not in endings:
+    if (endings := _ENDINGS.get(kind)) and Path(value).suffix.lower() not in endings:
         raise FileError(
             f"{str(value)!r} does not end as a {kind} does. Choose {', '.join(endings)}."
         )
@@ -50,20 +50,9 @@ def checked(kind: str, value: Any) -> Any:
     return value
 
 
-def _checks(kind: str) -> Callable[[Any], Any] | None:
-    """An option's callback that checks a place."""
-
-    def check(value: Any) -> Any:
-        return checked(kind, value)
-
-    return check if kind else None
-
-
 def _problems(incomplete: str) -> list[str]:
     """Shipped problems whose names begin so; folders are completed by the shell itself."""
-    from oed_sysid.experiments.problem import list_problems
-
-    return [name for name in list_problems() if name.startswith(incomplete)]
+    return [name for name in oed_sysid.list_problems() if name.startswith(incomplete)]
 
 
 @dataclass(frozen=True)
@@ -114,24 +103,25 @@ class Row:
         settings: dict[str, Any] = {
             "help": self.help,
             "metavar": self.metavar or None,
-            "callback": _checks(self.place),
+            # One parameter that typer takes for the value; it looks at the names of others.
+            "callback": (lambda value: checked(self.place, value)) if self.place else None,
             "show_default": False if required or (default is None and self.shown is True)
             else self.shown,
             "min": self.least,
         }  # fmt: skip
         if self.flag == "":
-            known = _problems if self.metavar == "PROBLEM" else None
-            return typer.Argument(**settings, autocompletion=known)
-        complete = _one_of(self.choices) if default in self.choices else None
-        return typer.Option(*self.written(name).split(), **settings, autocompletion=complete)
+            shipped = _problems if self.metavar == "PROBLEM" else None
+            return typer.Argument(**settings, autocompletion=shipped)
+
+        def complete(incomplete: str) -> list[str]:
+            return [one for one in self.choices if one.startswith(incomplete)]
+
+        known = complete if default in self.choices else None
+        return typer.Option(*self.written(name).split(), **settings, autocompletion=known)
 
     def written(self, name: str) -> str:
         """How the option of a parameter is written."""
         return self.flag or f"--{name.replace('_', '-')}"
-
-
-def _one_of(choices: Sequence[str]) -> Callable[[str], list[str]]:
-    return lambda incomplete: [one for one in choices if one.startswith(incomplete)]
 
 
 _TABLE = tomllib.loads(Path(__file__).with_name("options.toml").read_text(encoding="utf-8"))
@@ -145,23 +135,12 @@ def row_of(command: str, name: str) -> Row:
 
 def described(command: Callable[..., None]) -> Callable[..., None]:
     """Return a command whose signature says what the table does; groups are taken apart."""
-    name = command.__name__
-    hints = get_type_hints(command)
-    listed = [
-        Option(one.name, hints[one.name], one.default)
-        for one in inspect.signature(command).parameters.values()
-        if not is_dataclass(hints[one.name])
-    ]
-    listed += [one for one in options_of(command) if one.group]
 
     @wraps(command)
     def called(**values: Any) -> None:
-        grouped_values = {one.name for one in listed if one.group}
-        alone = {key: value for key, value in values.items() if key not in grouped_values}
-        inner = {key: value for key, value in values.items() if key in grouped_values}
-        command(**alone, **grouped(command, inner))
+        command(**grouped(command, values))
 
-    return declared(called, name, listed)
+    return declared(called, command.__name__, options_of(command))
 
 
 def declared(
@@ -173,14 +152,14 @@ def declared(
         several = str(one.kind).startswith("tuple")
         kind = list[str] | None if several else one.kind
         default = None if several and one.default == () else one.default
-        listed.append(
-            inspect.Parameter(
-                one.name,
-                inspect.Parameter.KEYWORD_ONLY,
-                default=default,
-                annotation=Annotated[kind, row_of(name, one.name).declared(one.name, default)],
-            )
-        )
+        kind = Annotated[kind, row_of(name, one.name).declared(one.name, default)]
+        form = inspect.Parameter.KEYWORD_ONLY
+        listed.append(inspect.Parameter(one.name, form, default=default, annotation=kind))
+    return signed(command, listed)
+
+
+def signed(command: Callable[..., None], listed: list[inspect.Parameter]) -> Callable[..., None]:
+    """Give a function of keyword arguments a signature."""
     command.__signature__ = inspect.Signature(listed)  # type: ignore[attr-defined]
     command.__annotations__ = {one.name: one.annotation for one in listed}
     return command
@@ -193,11 +172,8 @@ def reads_of(task: Task) -> Iterator[Option]:
     for word in task.reads.split():
         name = word.strip("[]")
         if name in ("files", "validate"):
-            yield (
-                Option(name, list[str] | None, None)
-                if word.startswith("[")
-                else Option(name, list[str], empty)
-            )
+            spare = word.startswith("[")
+            yield Option(name, list[str] | None if spare else list[str], None if spare else empty)
     yield Option("model", str | None, None)
     if "noise" in task.reads:
         yield Option("known_noise", bool, False)

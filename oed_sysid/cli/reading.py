@@ -36,13 +36,8 @@ def study_of(given: Mapping[str, Any]) -> Study:
         read_records(given[name], study.problem) if given.get(name) else None
         for name in ("files", "validate")
     )
-    return replace(
-        study,
-        train=train,
-        test=test,
-        known_noise=given.get("known_noise", False),
-        disturbances=given.get("disturbances", "auto"),
-    )
+    settings = {name: given[name] for name in ("known_noise", "disturbances") if name in given}
+    return replace(study, train=train, test=test, **settings)
 
 
 def read_records(files: Sequence[str], problem: Problem) -> Dataset:
@@ -87,15 +82,11 @@ def _say_unmeasured(dataset: Dataset) -> None:
     import numpy as np
 
     seen = np.any([np.isfinite(record.outputs).any(axis=0) for record in dataset], axis=0)
-    names = [output.name for output in dataset.channels.outputs]
-    absent = [name for name, one in zip(names, seen, strict=True) if not one]
-    if absent:
-        wanted = ", ".join(
-            repr(output.column or output.name)
-            for output, one in zip(dataset.channels.outputs, seen, strict=True)
-            if not one
-        )
+    outputs = zip(dataset.channels.outputs, seen, strict=True)
+    if absent := [output for output, one in outputs if not one]:
+        wanted = ", ".join(repr(output.column or output.name) for output in absent)
         note(
-            f"Note: no record measures {', '.join(absent)}: no file has samples in a column "
+            f"Note: no record measures {', '.join(one.name for one in absent)}: no file has "
+            "samples in a column "
             f"{wanted}. If one is meant, rename its header or set Output(column=...)."
         )

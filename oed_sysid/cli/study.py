@@ -115,9 +115,7 @@ class Study:
         DataError
             If none were chosen.
         """
-        if self.train is None:
-            raise DataError("There is no training record. Choose one on the page Problem.")
-        return self.train
+        return _chosen(self.train, "training")
 
     def records(self) -> Dataset:
         """Return all chosen records.
@@ -141,9 +139,13 @@ class Study:
         DataError
             If none were chosen.
         """
-        if self.test is None:
-            raise DataError("There is no validation record. Choose one on the page Problem.")
-        return self.test
+        return _chosen(self.test, "validation")
+
+
+def _chosen(dataset: Dataset | None, kind: str) -> Dataset:
+    if dataset is None:
+        raise DataError(f"There is no {kind} record. Choose one on the page Problem.")
+    return dataset
 
 
 def _content(dataset: Dataset | None) -> str:
@@ -254,7 +256,7 @@ class Option:
 
 
 def options_of(function: Callable[..., Any]) -> Iterator[Option]:
-    """Options of a function: its keyword parameters, those in groups one by one.
+    """Options of a task or a command: its parameters, those in groups one by one.
 
     Examples
     --------
@@ -270,7 +272,7 @@ def options_of(function: Callable[..., Any]) -> Iterator[Option]:
         return
     for name, one in inspect.signature(function).parameters.items():
         kind = hints.get(name)
-        if one.kind is not inspect.Parameter.KEYWORD_ONLY:
+        if name in ("study", "show"):  # what a task is about, and who is told
             continue
         if is_dataclass(kind):
             inner = get_type_hints(kind)

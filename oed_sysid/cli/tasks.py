@@ -17,6 +17,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import oed_sysid
+from oed_sysid.cli import DONE, INTERRUPTED, NO_RESULT, SUSPECT
 from oed_sysid.cli.study import Outcome, Study, Task
 from oed_sysid.cli.terminal import Shown, invocation
 from oed_sysid.errors import DataError, DesignError, FileError, ProblemError
@@ -25,14 +27,13 @@ from oed_sysid.runtime.files import make_folder, write_text
 
 if TYPE_CHECKING:
     from oed_sysid.design import Design, Servo
+    from oed_sysid.evidence.compare import ModelMisfit
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.model import Model
 
 NOMINAL, IMPROVED = "nominal", "improved"
-# Exit codes of an outcome that cannot be used, of a suspect log, and of work that was interrupted.
-UNUSABLE, SUSPECT, INTERRUPTED = 1, 4, 130
 
 
 # -- groups of options -------------------------------------------------------------------
@@ -118,12 +119,10 @@ class Expected(Weather):
 
     def nominal(self, study: Study, show: Shown) -> Fit | Model:
         """Return the nominal model, or the fit that is to be completed."""
-        from oed_sysid.likelihood.fit import Fit
-
         if self.after is None:
             return study.problem.model
         if study.train is None:
-            return Fit.load(self.after)
+            return oed_sysid.Fit.load(self.after)
         return fits_of(study, {"": study.problem.model}, show)[""]
 
 
@@ -144,13 +143,8 @@ class Effort:
 
         if self.avoid and self.family != "multisine":
             raise DesignError("Frequencies can be avoided by sines only: add --family multisine.")
-        try:
-            pairs = (band.partition(":") for band in self.avoid)
-            bands = [(float(low), float(high)) for low, _, high in pairs]
-        except ValueError:
-            words = " ".join(self.avoid)
-            raise DesignError(f"--avoid {words}: write bands as 0.1:0.2, in Hz.") from None
-        family = named("family", self.family, FAMILIES)(**({"forbidden": bands} if bands else {}))
+        bands = {"forbidden": [band("--avoid", text) for text in self.avoid]} if self.avoid else {}
+        family = named("family", self.family, FAMILIES)(**bands)
         return Search(family, *named("effort", self.effort, EFFORTS))
 
     def caution(self, expected: Expected, spread: float | None) -> Any:
@@ -179,7 +173,7 @@ class Allowed:
         return Budget(self.hours, self.runs, 60.0 * self.turnaround, sensors)
 
 
-def numbers(option: str, given: Sequence[str]) -> dict[str, float]:
+def numbers(option: str, given: Sequence[str], form: str = "NAME=NUMBER") -> dict[str, float]:
     """Numbers by name, as an option writes them.
 
     >>> numbers("--goal", ["all=5%", "M_uw=3"])
@@ -189,13 +183,28 @@ def numbers(option: str, given: Sequence[str]) -> dict[str, float]:
     for text in given:
         name, _, number = text.partition("=")
         try:
-            found[name] = float(number.rstrip("%"))
+            found[name.strip()] = float(number.rstrip("%"))
         except ValueError:
-            raise DesignError(f"{option} {text}: write NAME=NUMBER.") from None
+            raise DesignError(f"{option} {text}: write {form}.") from None
     return found
 
 
-def patterns_of(problem: Problem, names: Sequence[str]) -> list[Experiment]:
+def band(option: str, text: str) -> tuple[float, float]:
+    """Two frequencies, Hz, as an option writes them.
+
+    >>> band("--waves", "0.05:0.2")
+    (0.05, 0.2)
+    """
+    try:
+        low, high = map(float, text.split(":"))
+    except ValueError:
+        low, high = 1.0, 0.0
+    if not 0 <= low < high:
+        raise DesignError(f"{option} {text}: write bands as 0.1:0.2, LOW:HIGH in Hz.")
+    return low, high
+
+
+def patterns_of(problem: Problem, names: Sequence[str] | None) -> list[Experiment]:
     """Experiments that lend settings: those named, or all of the problem."""
     if not (names or problem.experiments):
         raise ProblemError(
@@ -215,18 +224,13 @@ def check(study: Study, show: Shown) -> Outcome:
 
     [bold]Example[/bold]: oed-sysid check remus_diving_plane dive_*.csv --html check.html
     """
-    from oed_sysid.evidence.check import check as look
-
     records = study.records()  # a fault between the two, such as the same run in both, as well
-    found = look(records, study.problem)
+    found = oed_sysid.check(records, study.problem)
     return Outcome(
-        found,
-        found.document(),
-        found.to_dict(),
+        found, found.document(), found.to_dict(),
         partial(found.document, records, title=study.problem.title),
-        Figure("figure_check", found, ""),
-        status=SUSPECT if found.suspect else 0,
-    )
+        Figure("figure_check", found, ""), status=_status([], suspect=found.suspect),
+    )  # fmt: skip
 
 
 def fit(study: Study, show: Shown) -> Outcome:
@@ -236,24 +240,20 @@ def fit(study: Study, show: Shown) -> Outcome:
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.data.dataset import check_disjoint
-    from oed_sysid.evidence.check import quick_check
-    from oed_sysid.evidence.compare import compare as judge
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
-    log = quick_check(train, study.problem)
+    log = oed_sysid.quick_check(train, study.problem)
     result = fits_of(study, {"": model}, show)[""]
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
     if study.test is not None:
         show.say("predicting")
-        comparison = judge({model.name: result}, study.test)
+        comparison = oed_sysid.compare({model.name: result}, study.test)
         text += f"\n\n{comparison.report()}"
         facts["validation"] = comparison.to_dict()
-        best = comparison.best
-        options = {"labels": [best.label]}
-        figure = Figure("figure_predictions", [best.prediction], "", options=options)
+        figure = predicted([comparison.best])
     return Outcome(
         result, result.document(comparison), facts, partial(result.document, comparison, log=log),
         figure, text, log.warning(), fits={NOMINAL: result}, comparison=comparison,
@@ -268,35 +268,34 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint, together
-    from oed_sysid.evidence.check import quick_check
-    from oed_sysid.evidence.compare import compare as judge
 
     train, validation = study.training(), study.validation()
     models, saved = _models(study.equipped if added else study.problem, added)
     for used in (train, *(one.dataset for one in saved.values())):
         check_disjoint(used, validation)
-    log = quick_check(together(train, validation), study.problem).without("duplicate")
+    both = together(train, validation)
+    log = oed_sysid.quick_check(both, study.problem).without("duplicate")
     fits = fits_of(study, models, show) | saved
     show.say("predicting")
-    result = judge(fits, validation)
-    options = {"labels": [part.label for part in result.models]}
+    result = oed_sysid.compare(fits, validation)
     notes = [
         f"The fit of {n} ended as {one.status}" for n, one in fits.items() if not one.status.ok
     ]
     for name, one in fits.items():
         notes += [f"Do not use the fit of {name}: {concern.text}" for concern in one.grave]
     return Outcome(
-        result,
-        result.document(),
-        {**result.to_dict(), "log": log.to_dict()},
-        partial(result.document, title=study.problem.title, log=log),
-        Figure("figure_predictions", [p.prediction for p in result.models], "", options=options),
-        above=log.warning(),
-        notes=tuple(notes),
-        fits=fits,
-        comparison=result,
+        result, result.document(), {**result.to_dict(), "log": log.to_dict()},
+        partial(result.document, title=study.problem.title, log=log), predicted(result.models),
+        above=log.warning(), notes=tuple(notes), fits=fits, comparison=result,
         status=_status(list(fits.values()), suspect=log.suspect),
-    )
+    )  # fmt: skip
+
+
+def predicted(models: Sequence[ModelMisfit]) -> Figure:
+    """Return the picture of what models of a comparison predict."""
+    options = {"labels": [part.label for part in models]}
+    predictions = [part.prediction for part in models]
+    return Figure("figure_predictions", predictions, "", options=options)
 
 
 def diagnose(study: Study, show: Shown) -> Outcome:
@@ -304,25 +303,19 @@ def diagnose(study: Study, show: Shown) -> Outcome:
 
     [bold]Example[/bold]: oed-sysid diagnose remus_diving_plane dive_1.csv dive_2.csv
     """
-    from oed_sysid.evidence.check import quick_check
-    from oed_sysid.evidence.compare import diagnose as look
-
     problem, train = study.problem, study.training()
-    log = quick_check(train, problem)
+    log = oed_sysid.quick_check(train, problem)
     show.say("looking where the model fails, and scoring all candidates")
-    result = look(
+    result = oed_sysid.diagnose(
         problem.model, train, candidates=problem.effects, known_noise=study.known_noise,
         disturbances=study.acting,
     )  # fmt: skip
     return Outcome(
-        result,
-        result.document(),
-        result.to_dict(),
+        result, result.document(), result.to_dict(),
         partial(result.document, train, title=problem.title),
         Figure("figure_diagnosis", result.location, "", (result.ranking,)),
-        above=log.warning(),
-        status=SUSPECT if log.suspect else 0,
-    )
+        above=log.warning(), status=_status([], suspect=log.suspect),
+    )  # fmt: skip
 
 
 def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool = False) -> Outcome:
@@ -331,38 +324,25 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool =
     [bold]Example[/bold]: oed-sysid improve remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv --save better.json
     """
-    from oed_sysid.evidence.compare import compare as judge
-    from oed_sysid.evidence.improve import improve as search
     from oed_sysid.evidence.preparation import prepared
 
     problem, train = study.problem, study.training()
-    result = search(
-        problem.model,
-        train,
-        study.test,
-        candidates=problem.effects,
-        known_noise=study.known_noise,
-        disturbances=study.acting,
-        max_effects=max_effects,
-        terms=not no_terms,
-        progress=Rounds(max_effects, show).tell,
-        journal=show.journal,
-    )
+    result = oed_sysid.improve(
+        problem.model, train, study.test, candidates=problem.effects,
+        known_noise=study.known_noise, disturbances=study.acting, max_effects=max_effects,
+        terms=not no_terms, progress=Rounds(max_effects, show).tell, journal=show.journal,
+    )  # fmt: skip
     fits = {NOMINAL: result.base_fit} | ({IMPROVED: result.fit} if result.steps else {})
     show.say("predicting")
     ready = prepared(train, study.test)  # what the search itself has read and judged on
     judged = ready.validation or ready.train
-    comparison = judge(fits, judged, sigma=result.yardstick.sigma)
+    comparison = oed_sysid.compare(fits, judged, sigma=result.yardstick.sigma)
     return Outcome(
-        result,
-        result.document(),
-        result.to_dict(),
+        result, result.document(), result.to_dict(),
         partial(result.document, comparison, train=ready.train, title=problem.title),
-        Figure("plot_error_fall", result, "", size=None),
-        fits=fits,
-        comparison=comparison,
-        status=SUSPECT if result.remains.suspect else 0,
-    )
+        Figure("plot_error_fall", result, "", size=None), fits=fits, comparison=comparison,
+        status=_status([], suspect=bool(result.remains.suspect)),
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -373,26 +353,13 @@ class Assumed:
     sea: str | None = None
     priors: str | None = None
 
-    def levels(self, model: Model) -> dict[str, float | None]:
-        """Standard deviations of outputs that replace the model's."""
-        found: dict[str, float | None] = {}
-        for text in self.noise:
-            name, _, number = text.partition("=")
-            try:
-                found[name] = float(number)
-            except ValueError:
-                raise DesignError(
-                    f"--noise {text!r} is no OUTPUT=STD. Write r=0.001, say."
-                ) from None
-            if name not in model.output_names:
-                raise DesignError(
-                    f"--noise names {name!r}; outputs are {', '.join(model.output_names)}."
-                )
-        return found
-
     def measured(self, model: Model) -> Model:
-        """The model with these standard deviations."""
-        levels = self.levels(model)
+        """The model with these standard deviations of its outputs."""
+        levels = numbers("--noise", self.noise, "OUTPUT=STD, such as r=0.001")
+        if unknown := [name for name in levels if name not in model.output_names]:
+            raise DesignError(
+                f"--noise names {unknown[0]!r}; outputs are {', '.join(model.output_names)}."
+            )
         outputs = (replace(o, noise_std=levels.get(o.name, o.noise_std)) for o in model.outputs)
         return replace(model, outputs=tuple(outputs)) if levels else model
 
@@ -416,8 +383,6 @@ def rank(
 
     [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
     """
-    from oed_sysid.information import rank_parameters
-
     problem, model = study.problem, assumed.measured(study.problem.model)
     if study.train is not None and experiment:
         raise ProblemError("Give either --experiment or records, not both.")
@@ -431,13 +396,10 @@ def rank(
         )
     show.say("computing sensitivities")
     forces = Weather(sea=assumed.sea).noise(problem, model, show)
-    ranking = rank_parameters(model, runs, noise=forces, priors=assumed.known(model))
-    return Outcome(
-        ranking,
-        ranking.document(title=problem.title),
-        {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()},
-        figure=Figure("plot_sensitivity", ranking, "", size=None),
-    )
+    ranking = oed_sysid.rank_parameters(model, runs, noise=forces, priors=assumed.known(model))
+    facts = {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()}
+    picture = Figure("plot_sensitivity", ranking, "", size=None)
+    return Outcome(ranking, ranking.document(title=problem.title), facts, figure=picture)
 
 
 def design(
@@ -456,7 +418,7 @@ def design(
     """
     import numpy as np
 
-    from oed_sysid.design import Knowledge, Trial, design_experiment
+    from oed_sysid.design import Knowledge, Trial
 
     problem = study.problem
     pattern = patterns_of(problem, [like] if like else [])[0]
@@ -464,26 +426,19 @@ def design(
     search, criterion = effort.search(), aim.made(study)
     nominal = expected.nominal(study, show)
     spread = None if expected.after else expected.uncertainty
-    found = design_experiment(
-        nominal,
-        Trial.like(pattern, limits, duration=bounds.duration),
-        rng=np.random.default_rng(effort.seed),
-        criterion=criterion,
-        search=search,
+    found = oed_sysid.design_experiment(
+        nominal, Trial.like(pattern, limits, duration=bounds.duration),
+        rng=np.random.default_rng(effort.seed), criterion=criterion, search=search,
         knowledge=Knowledge(noise=expected.noise(problem, nominal, show)),
-        caution=effort.caution(expected, spread),
-        journal=show.journal,
+        caution=effort.caution(expected, spread), journal=show.journal,
         progress=partial(_searching, show, search.n_starts, search.n_steps),
-    )
+    )  # fmt: skip
     found = _on_other_vehicles(found, limits, spread, effort.seed, show)
     return Outcome(
-        found,
-        found.document(title=problem.title),
-        found.to_dict(),
-        figure=Figure("figure_design", found, ""),
-        text=found.sea_trial_card(),
+        found, found.document(title=problem.title), found.to_dict(),
+        figure=Figure("figure_design", found, ""), text=found.sea_trial_card(),
         settings={"spread": spread, "seed": effort.seed},
-    )
+    )  # fmt: skip
 
 
 def programme(
@@ -512,35 +467,25 @@ def programme(
     noise = expected.noise(problem, nominal, show)
     spread = expected.uncertainty if expected.after else expected.spread(problem)
     found = design_programme(
-        nominal,
-        patterns_of(problem, patterns),
-        limits=bounds.limits(problem, show),
-        rng=np.random.default_rng(seed),
-        budget=allowed.budget(),
-        criterion=aim.made(study),
+        nominal, patterns_of(problem, patterns), limits=bounds.limits(problem, show),
+        rng=np.random.default_rng(seed), budget=allowed.budget(), criterion=aim.made(study),
         knowledge=Knowledge(noise=noise, spread=spread),
-        search=ProgrammeSearch(durations=durations, n_rounds=rounds),
-        progress=show.say,
-    )
+        search=ProgrammeSearch(durations=durations, n_rounds=rounds), progress=show.say,
+    )  # fmt: skip
     return Outcome(
-        found,
-        found.document(title=problem.title),
-        found.to_dict(),
+        found, found.document(title=problem.title), found.to_dict(),
         figure=Figure("figure_programme", found, ""),
         notes=(f"Planned in {found.seconds:.0f} s.",),
-    )
+    )  # fmt: skip
 
 
 def fits_of(study: Study, models: Mapping[str, Model], show: Shown) -> dict[str, Fit]:
     """One fit of each model; those that an interrupted call has finished are read."""
     from oed_sysid.likelihood.archive import encode
-    from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
     train, keep = study.training(), show.journal
-    settings = {"noise": study.noise, "disturbances": study.acting}
-    estimator = MultipleShooting(
-        noise=study.noise, disturbances=study.acting, progress=show.iteration
-    )
+    settings: dict[str, Any] = {"noise": study.noise, "disturbances": study.acting}
+    estimator = oed_sysid.MultipleShooting(**settings, progress=show.iteration)
     content = {
         "task": "fit",
         "models": [encode(model) for model in models.values()],
@@ -569,15 +514,13 @@ def fits_of(study: Study, models: Mapping[str, Model], show: Shown) -> dict[str,
 
 def _models(problem: Problem, added: Sequence[str]) -> tuple[dict[str, Model], dict[str, Fit]]:
     """The nominal model and one for each group of candidates added to it; and saved fits."""
-    from oed_sysid.likelihood.fit import Fit
-
     models, saved = {NOMINAL: problem.model}, {}
     known = {effect.name for effect in problem.effects}
     for group in added:
         names = [name.strip() for name in group.split("+")]
         is_path = group.lower().endswith(".json") or Path(group).exists()
         if is_path and not known.issuperset(names):
-            one = Fit.load(group)
+            one = oed_sysid.Fit.load(group)
             if one.model.channels != problem.channels:
                 raise DataError(
                     f"{group} holds a fit of {one.model.name!r}, whose inputs and outputs are not "
@@ -596,7 +539,7 @@ def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
         return INTERRUPTED
     if suspect:
         return SUSPECT
-    return UNUSABLE if any(one.grave or not one.status.ok for one in fits) else 0
+    return NO_RESULT if any(one.grave or not one.status.ok for one in fits) else DONE
 
 
 class Rounds:
@@ -618,19 +561,17 @@ class Rounds:
         """Return the seconds left at most when a round begins; None before the second."""
         if round == len(self._began) + 1:
             self._began.append(now)
-        if len(self._began) < 2:
-            return None
-        longest = max(b - a for a, b in pairwise(self._began))
-        return longest * (self._n_most - round + 1)
+        longest = max((b - a for a, b in pairwise(self._began)), default=None)
+        return None if longest is None else longest * (self._n_most - round + 1)
 
     def tell(self, what: str) -> None:
         """Tell what is being done, and how long it takes at most."""
         assert self._show is not None
         self._show.say(what)
-        named = re.search(r"round (\d+)", what)
-        left = self.left(int(named[1]), time.monotonic()) if named else None
-        if left is not None:
-            self._show.left(left, at_most=True)
+        if named := re.search(r"round (\d+)", what):
+            left = self.left(int(named[1]), time.monotonic())
+            if left is not None:
+                self._show.left(left, at_most=True)
 
 
 # Starts of a design that are finished, in up to twice the rounds of the others.
@@ -653,19 +594,17 @@ def _on_other_vehicles(
 
     from oed_sysid.design import accuracy_range, assess_limits
 
+    model, run = found.model, found.experiment
+    known: dict[str, Any] = {"spread": spread, "prior": found.prior}
     if found.assurance is None:
         show.say("simulating other vehicles")
-        stated = partial(
-            assess_limits, found.model, found.experiment, limits=limits, spread=spread,
-            prior=found.prior, rng=np.random.default_rng(seed), vehicles=200, sea=found.sea,
-        )  # fmt: skip
+        stated = partial(assess_limits, model, run, rng=np.random.default_rng(seed), limits=limits,
+                         vehicles=200, sea=found.sea, **known)  # fmt: skip
         found = replace(found, assurance=show.journal.once("assurance", stated))
     if found.sea is not None:
         show.say("accuracy on other vehicles")
-        other = partial(
-            accuracy_range, found.model, found.experiment, rng=np.random.default_rng(seed),
-            noise=found.sea, spread=spread, prior=found.prior,
-        )  # fmt: skip
+        other = partial(accuracy_range, model, run, rng=np.random.default_rng(seed),
+                        noise=found.sea, **known)  # fmt: skip
         found = replace(found, spread=show.journal.once("accuracy", other))
     return found
 
@@ -695,9 +634,8 @@ class Saved(Files):
         """Write the fit."""
         if self.save is not None:
             command, settings = invocation()
-            getattr(outcome.result, "fit", outcome.result).save(
-                self.save, command=command, settings=settings
-            )
+            fit = getattr(outcome.result, "fit", outcome.result)
+            fit.save(self.save, command=command, settings=settings)
             yield f"Written: {self.save}"
 
 
@@ -709,7 +647,6 @@ class Corrected(Files):
 
     def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
         """Write the copies."""
-        from oed_sysid.data.dataset import write_csv
         from oed_sysid.evidence.check import corrected_copies, why_not_more
 
         if self.fix is None:
@@ -724,7 +661,7 @@ class Corrected(Files):
             )
         make_folder(self.fix)
         for record, target in zip(copies, targets, strict=True):
-            write_csv(record, target)
+            oed_sysid.write_csv(record, target)
             yield f"Written: {target}"
         yield from (f"Corrected in the copies: {line}" for line in done)
         if reason := why_not_more(outcome.result):
@@ -766,46 +703,39 @@ class Played(Files):
 
     def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
         """Write table, card, pulses, bag and controllers."""
-        from oed_sysid.design import write_bag, write_controller, write_overrides
+        import numpy as np
 
-        found = outcome.result
-        played = found.model, found.trajectory.times, found.trajectory.inputs
+        from oed_sysid import design
+
+        found, limits = outcome.result, outcome.result.experiment.limits
+        closed, rng = found.assurance, np.random.default_rng(outcome.settings["seed"])
+        table = found.model, found.trajectory.times, found.trajectory.inputs
         if self.out is not None:
             found.write_csv(self.out)
             yield f"Written: {self.out}"
         if self.card is not None:
-            self._write_card(found, self.card, study.problem.title, show, outcome.settings)
+            self._write_card(outcome, self.card, study.problem.title, show)
             yield f"Written: {self.card}"
         if self.overrides is not None:
-            servos = self._servos(found.experiment.limits)
-            yield f"Written: {write_overrides(self.overrides, *played, servos=servos)}"
+            servos = self._servos(limits)
+            yield f"Written: {design.write_overrides(self.overrides, *table, servos=servos)}"
         if self.bag is not None:
-            yield f"Written: {write_bag(self.bag, *played)}"
-        yield from self._open_loop(found, outcome.settings)
-        rules = None if found.assurance is None else found.assurance.rules
+            yield f"Written: {design.write_bag(self.bag, *table)}"
+        # How surely limits are kept where a run that reacts is played as a table.
+        played = found.experiment.reacts and (self.overrides or self.bag)
+        if played and closed is not None and closed.limited:
+            kept = design.assess_limits(
+                found.model, design.played(found.model, found.experiment), limits=limits, rng=rng,
+                spread=closed.spread, prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
+            )  # fmt: skip
+            yield f"Played as a table, without its feedback: {kept.report()}."
+        rules = None if closed is None else closed.rules
         for kind, place in self._controllers().items():
-            servos = self._servos(found.experiment.limits) if kind == "ardupilot" else {}
-            write_controller(
+            servos = self._servos(limits) if kind == "ardupilot" else {}
+            design.write_controller(
                 place, found.model, found.experiment, kind, aborts=rules, servos=servos
             )
             yield f"Written: {place}"
-
-    def _open_loop(self, found: Design, settings: Mapping[str, Any]) -> Iterator[str]:
-        """How surely limits are kept where a run that reacts is played as a table."""
-        import numpy as np
-
-        from oed_sysid.design import assess_limits, played
-
-        closed = found.assurance
-        if not (found.experiment.reacts and (self.overrides or self.bag)):
-            return
-        if closed is not None and closed.limited:
-            table = assess_limits(
-                found.model, played(found.model, found.experiment), limits=found.experiment.limits,
-                rng=np.random.default_rng(settings["seed"]), spread=closed.spread,
-                prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
-            )  # fmt: skip
-            yield f"Played as a table, without its feedback: {table.report()}."
 
     def _controllers(self) -> dict[str, Path]:
         """Files of controllers by their kind."""
@@ -822,16 +752,14 @@ class Played(Files):
             found[kind] = checked("file", Path(place))
         return found
 
-    def _write_card(
-        self, found: Design, path: Path, title: str, show: Shown, settings: Mapping[str, Any]
-    ) -> None:
+    def _write_card(self, outcome: Outcome, path: Path, title: str, show: Shown) -> None:
         """Write the card as text, as a page or as one sheet of A4."""
         import numpy as np
 
         from oed_sysid.design import predicted_tracks
         from oed_sysid.results import figure_card, save_figure
 
-        kind = path.suffix.lower()
+        found, settings, kind = outcome.result, outcome.settings, path.suffix.lower()
         if kind == ".txt":
             write_text(path, found.sea_trial_card() + "\n")
             return

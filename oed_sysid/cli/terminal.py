@@ -19,6 +19,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
+from oed_sysid.cli import INTERRUPTED
 from oed_sysid.cli.arguments import FORM, QUIET
 from oed_sysid.runtime.display import plain
 from oed_sysid.runtime.files import write_text
@@ -32,8 +33,6 @@ if TYPE_CHECKING:
 
 # A file name that means standard output.
 STANDARD = Path("-")
-# Exit code of a command that Ctrl-C ended.
-INTERRUPTED = 130
 # Promised decrease of the cost below which a fit ends.
 TOLERANCE = 1e-6
 
@@ -194,21 +193,15 @@ class Shown:
         logarithm tells how far it is to the tolerance.
         """
         self._detail = f"iteration {state.iteration}, cost {state.cost:.6g}"
-        self._expect(state)
-        self._tell()
-
-    def _expect(self, state: Progress) -> None:
-        """Say from the decrements so far when the tolerance is reached."""
-        if not state.decrement > 0:
-            return
-        now, here = self._clock(), math.log(state.decrement)
-        if state.iteration <= 1 or self._first is None or self._first[1] < here:
+        now, here = self._clock(), math.log(state.decrement) if state.decrement > 0 else math.inf
+        if state.iteration <= 1 or self._first is None or self._first[1] < here < math.inf:
             self._first = (now, here)
         began, top = self._first
         if now > began and top - here > 1.0:
             speed = (top - here) / (now - began)
             self._left = (now, max(0.0, (here - math.log(TOLERANCE)) / speed))
             self._most, self._fitting = False, True
+        self._tell()
 
     def share(self, done: float, *, at_most: bool = False) -> None:
         """Tell which share of the work is done.
@@ -343,22 +336,14 @@ def journal(folder: Path | None, fresh: bool = False, *, keeping: bool = True) -
     kept = Journal(place, fresh=fresh, tell=note)
     try:
         yield kept
-    except typer.Exit as end:
-        if end.exit_code != INTERRUPTED:
+    except BaseException as end:
+        if isinstance(end, typer.Exit) and end.exit_code != INTERRUPTED:
             kept.close()
-            raise
-        _say_kept(kept)
-        raise
-    except BaseException:
-        _say_kept(kept)
+        elif kept.n_steps:
+            steps = "step is" if kept.n_steps == 1 else "steps are"
+            note(f"{kept.n_steps} finished {steps} kept: the same command goes on from there.")
         raise
     kept.close()
-
-
-def _say_kept(kept: Journal) -> None:
-    if kept.n_steps:
-        steps = "step is" if kept.n_steps == 1 else "steps are"
-        note(f"{kept.n_steps} finished {steps} kept: the same command goes on from there.")
 
 
 def store(

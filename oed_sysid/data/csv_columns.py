@@ -274,7 +274,11 @@ class Columns:
             for index, (name, _) in enumerate(self.parsed)
             if index not in self._used
         }
-        same = (header for name, header in names.items() if _first_word(name) == wanted.lower())
+        same = (
+            header
+            for name, header in names.items()
+            if re.split(r"\W", name.lower())[0] == wanted.lower()
+        )
         found = next(same, next((h for n, h in names.items() if latin(n) == wanted), None))
         if found is None:
             lower = {name.lower(): header for name, header in names.items()}
@@ -347,6 +351,7 @@ class Columns:
                 f"Channel {channel.name!r} is declared in [{channel.unit}]. Channels are SI: "
                 f"declare it in [{to_si(1.0, channel.unit)[1]}]; files may use any unit."
             )
+        suffix = parse_header(name)[1]
         given = [self.units[key] for key in (channel.name, header, name) if key in self.units]
         if given:
             unit = given[0]
@@ -358,8 +363,11 @@ class Columns:
                 f"whichever unit it is in, or, in Python, pass "
                 f"units={{{channel.name!r}: {channel.unit!r}}}."
             )
-        elif name != channel.name:
-            _check_said_once(where, channel.name, name, unit)
+        elif name != channel.name and suffix is not None and not same_unit(suffix, unit):
+            raise DataError(
+                f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are "
+                f"in, as '{channel.name} [{unit}]'."
+            )
         _check_unit(where, channel, name, unit)
         return unit
 
@@ -416,16 +424,6 @@ class Columns:
             )
 
 
-def _check_said_once(where: str, channel: str, name: str, unit: str) -> None:
-    """Refuse a header whose name ends on another unit than stands in its brackets."""
-    suffix = parse_header(name)[1]
-    if suffix is not None and not same_unit(suffix, unit):
-        raise DataError(
-            f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are in, "
-            f"as '{channel} [{unit}]'."
-        )
-
-
 def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> None:
     """Refuse a unit in which its channel cannot be given."""
     try:
@@ -465,12 +463,6 @@ def _clock_of_digits(times: np.ndarray) -> bool:
     jumps = np.abs(steps - read) > 1e-3 * np.median(steps)
     few = 0.0 < jumps.mean() < 0.5
     return bool(not date.any() and few and np.all(read[jumps] < 2.0 * np.median(steps)))
-
-
-def _first_word(name: str) -> str:
-    """First word of a name, in small letters."""
-    found = re.match(r"\w*", name.lower())
-    return found.group() if found else ""
 
 
 # -- words for a column of times that cannot be used -----------------------------------

@@ -375,10 +375,9 @@ class LogMapping:
         for cut in self.cuts:
             lines += ["", "[[cuts]]", f"name = {_toml(cut.name)}"]
             lines += [f"from = {_toml(cut.start)}", f"to = {_toml(cut.stop)}"]
-        if self.by_commands is not None:
-            lines += ["", "[cut_by_commands]", *_entries(self.by_commands)]
-        if self.while_ is not None:
-            lines += ["", "[cut_while]", *_entries(self.while_)]
+        for key, (name, _) in _CUTTERS.items():
+            if getattr(self, name) is not None:
+                lines += ["", f"[{key}]", *_entries(getattr(self, name))]
         return "\n".join(lines).lstrip() + "\n"
 
     def write(self, path: str | Path) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import re
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -124,8 +124,7 @@ def _time_of_day(sentence: Any) -> float | None:
     moment = getattr(sentence, "timestamp", None)
     if moment is None or isinstance(moment, str):
         return None
-    since = timedelta(hours=moment.hour, minutes=moment.minute, seconds=moment.second)
-    return since.total_seconds() + moment.microsecond * 1e-6
+    return 3600.0 * moment.hour + 60.0 * moment.minute + moment.second + 1e-6 * moment.microsecond
 
 
 def _times(

@@ -452,7 +452,7 @@ def decide(
     # Nothing but one run has told the parameters, so that nothing could contradict it.
     is_alone = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
     needs_check = outlook.is_met and contradiction is None and is_alone
-    safe = _Safe(outlook, None, None, 0, ())
+    safe = _Safe(outlook, None, None, 0)
     if needs_check or not outlook.is_met:
         safe = _safe_run(outlook, expected, limits, certainty, rng, check=needs_check)
     outlook, next_run = safe.outlook, safe.run
@@ -466,7 +466,7 @@ def decide(
         runs_left=len(steps),
         hours_left=outlook.hours(steps),
         hours_available=hours,
-        refused=safe.refused,
+        refused=tuple(dict.fromkeys(outlook.runs[i].name for i in outlook.refused)),
         seconds=time.perf_counter() - began,
         kept=safe.kept,
         n_checked=safe.n_checked,
@@ -476,13 +476,12 @@ def decide(
 
 @dataclass(frozen=True, eq=False)
 class _Safe:
-    """The best run that keeps its limits, on how many vehicles, and those that do not."""
+    """The best run that keeps its limits, and on how many vehicles."""
 
     outlook: _Outlook
     chosen: int | None
     kept: float | None
     n_checked: int
-    refused: tuple[str, ...]
 
     @property
     def steps(self) -> list[int]:
@@ -526,18 +525,17 @@ def _safe_run(
 ) -> _Safe:
     """Take the best run, and refuse those that leave their limits on too many vehicles."""
     vehicles = (expected.model, *_possible(expected, rng))
-    refused: dict[str, None] = {}
-    while (best := outlook.best(check=check)) is not None:
+    refused: list[int] = []
+    for best in outlook.ranked(check=check):
         run = outlook.runs[best].experiment
         bounds = LimitBounds.of(expected.model, limits or run.limits)
         kept = kept_on(run, vehicles, bounds, certainty)
         if kept is not None:
             # Without limits there is nothing to keep.
             n = len(vehicles) if bounds.names else 0
-            return _Safe(outlook, best, kept if n else None, n, tuple(refused))
-        refused[run.name] = None
-        outlook = outlook.without(best)
-    return _Safe(outlook, None, None, 0, tuple(refused))
+            return _Safe(replace(outlook, refused=refused), best, kept if n else None, n)
+        refused.append(best)
+    return _Safe(replace(outlook, refused=refused), None, None, 0)
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -581,6 +579,7 @@ class _Outlook:
     costs: np.ndarray
     rows: tuple[np.ndarray, ...]
     wanted: np.ndarray
+    refused: Sequence[int] = ()
 
     @classmethod
     def of(
@@ -595,14 +594,6 @@ class _Outlook:
             tuple(candidates[i] for i in finite),
             np.array([candidates[i].cost for i in finite]), tuple(rows),
             np.array([goal.tolerance for goal in goals]),
-        )  # fmt: skip
-
-    def without(self, index: int) -> _Outlook:
-        """The outlook without a run."""
-        kept = [i for i in range(len(self.runs)) if i != index]
-        return replace(
-            self, told=tuple(self.told[i] for i in kept), runs=tuple(self.runs[i] for i in kept),
-            costs=self.costs[kept],
         )  # fmt: skip
 
     @property
@@ -621,38 +612,38 @@ class _Outlook:
         parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in self.rows]
         return np.stack(parts, axis=-1)
 
-    def best(self, *, check: bool) -> int | None:
-        """The run to do next: what brings the goals nearer, or what could contradict; or None."""
-        if not self.runs:
-            return None
-        if not check:
-            return self._nearest(np.zeros_like(self.matrix))
-        # What a run says of all parameters by itself is what it can contradict. Directions of
-        # which nothing is known yet count much, but not without end.
-        largest = max(float(np.diag(self.matrix).max(initial=0.0)), 1e-300)
-        known = self.matrix + 1e-9 * largest * np.eye(len(self.matrix))
-        gains = np.linalg.slogdet(known + np.stack(self.told))[1] - np.linalg.slogdet(known)[1]
-        return int(np.argsort(-gains / self.costs, kind="stable")[0])
-
-    def _nearest(self, more: np.ndarray) -> int | None:
-        """Run that brings unmet goals nearest per second, if it is worth its fuel."""
-        now, then = self.deviations(more), self.deviations(more + np.stack(self.told))
-        brought = np.log(np.maximum(now, self.wanted) / np.maximum(then, self.wanted)).sum(axis=1)
-        # What is nearly met needs little: a run that meets it is worth its fuel all the same.
-        meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
-        order = np.argsort(-brought / self.costs, kind="stable")
-        return next((int(i) for i in order if brought[i] > WORTH or meets[i]), None)
+    def ranked(self, more: np.ndarray | float = 0.0, *, check: bool = False) -> list[int]:
+        """Runs to do next, the best first: what brings goals nearer, or what could contradict."""
+        left = [i for i in range(len(self.runs)) if i not in self.refused]
+        if not left:
+            return []
+        told = np.stack([self.told[i] for i in left])
+        if check:
+            # What a run says of all parameters by itself is what it can contradict. Directions of
+            # which nothing is known yet count much, but not without end.
+            largest = max(float(np.diag(self.matrix).max(initial=0.0)), 1e-300)
+            known = self.matrix + 1e-9 * largest * np.eye(len(self.matrix))
+            gains = np.linalg.slogdet(known + told)[1] - np.linalg.slogdet(known)[1]
+            worth = np.ones(len(left), dtype=bool)
+        else:
+            now, then = self.deviations(more), self.deviations(more + told)
+            nearer = np.maximum(now, self.wanted) / np.maximum(then, self.wanted)
+            gains = np.log(nearer).sum(axis=1)
+            # What is nearly met needs little: a run that meets it is worth its fuel all the same.
+            meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
+            worth = (gains > WORTH) | meets
+        order = np.argsort(-gains / self.costs[left], kind="stable")
+        return [left[int(i)] for i in order if worth[i]]
 
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""
         steps: list[int] = []
         more = np.zeros_like(self.matrix)
         while len(steps) < 40 and np.any(self.deviations(more) > self.wanted):
-            best = self._nearest(more)
-            if best is None:
+            if not (ranked := self.ranked(more)):
                 break
-            steps.append(best)
-            more = more + self.told[best]
+            steps.append(ranked[0])
+            more = more + self.told[ranked[0]]
         return steps
 
     def hours(self, steps: Sequence[int]) -> float:

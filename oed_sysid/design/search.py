@@ -156,8 +156,8 @@ _MARGIN = 5e-4
 # Loss of criterion that weighs as much as an excess of the whole width of a limit.
 _PRICE = 300.0
 _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
-# A gain of a criterion, or of a goal's log, that is worth no more effort: of five steps together,
-# of a run.
+# A smaller gain of a criterion, or of a goal's log, is not worth the effort: of five steps
+# together, of a run.
 WORTH = 0.01
 _N_FINISHES, _INWARD = 3, 0.85
 

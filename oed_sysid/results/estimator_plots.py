@@ -158,7 +158,8 @@ class LiveParameters:
         values, stds : mapping of str to float
             Estimates and standard errors; what is not known is left out.
         """
-        if unknown := [name for name in (*values, *(stds or {})) if name not in self.names]:
+        stds = stds or {}
+        if unknown := [name for name in (*values, *stds) if name not in self.names]:
             raise DataError(
                 f"The live plot has no parameter {unknown[0]!r}, only {', '.join(self.names)}."
             )
@@ -167,8 +168,8 @@ class LiveParameters:
                 f"The estimates at t = {t:g} s are not later than those at {self._times[-1]:g} s."
             )
         self._times.append(float(t))
-        self._values.append([float(values.get(name, np.nan)) for name in self.names])
-        self._stds.append([float((stds or {}).get(name, np.nan)) for name in self.names])
+        for kept, given in ((self._values, values), (self._stds, stds)):
+            kept.append([float(given.get(name, np.nan)) for name in self.names])
         if self._clock() - self._drawn_at >= self._every:
             self.draw()
 
@@ -220,10 +221,6 @@ class LiveParameters:
         self._axes[-1].set_xlabel("time [s]")
         draw.spread_legend(self._axes[0], ncols=3, loc="upper right", fontsize=8)
         return self._axes
-
-
-# Plateaus above the lowest one that get a number.
-MOST_NAMED = 4
 
 
 def plateaus(objectives: Sequence[float] | np.ndarray) -> list[tuple[int, int]]:
@@ -302,7 +299,7 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
     if finite[own]:
         ax.plot(places[own], above[own], "o", ms=12, mfc="none", color=draw.TRUTH,
                 label="the model's own values")  # fmt: skip
-    for first, end in [g for g in groups[1:] if g[1] > g[0]][:MOST_NAMED]:
+    for first, end in [g for g in groups[1:] if g[1] > g[0]]:
         ax.annotate(
             f"{end - first + 1} starts", (0.5 * (places[first] + places[end]), above[first]),
             xytext=(0, 7), textcoords="offset points", ha="center", fontsize=9, color="0.25",

@@ -666,11 +666,11 @@ def plot_ellipses(
     circle = np.stack([np.cos(turn), np.sin(turn)])
     in_units = [f" [{unit}]" if unit else "" for unit in units or ("", "")]
     said = []
-    for number, one in enumerate(informations):
+    places = centres or [(0.0, 0.0)] * len(informations)
+    for number, (one, centre) in enumerate(zip(informations, places, strict=True)):
         covariance = _covariance(one, pair)
         axes, turned = np.linalg.eigh(covariance)
         edge = TWO_SIDED_95 * turned @ (np.sqrt(np.maximum(axes, 0.0))[:, None] * circle)
-        centre = (0.0, 0.0) if centres is None else centres[number]
         look, name = draw.model_style(number), labels[number] if labels else f"case {number + 1}"
         ax.plot(centre[0] + edge[0], centre[1] + edge[1], **look.line, lw=1.6, label=name)
         ax.plot(*centre, "+", color=look.colour, ms=8)

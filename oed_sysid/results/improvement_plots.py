@@ -104,8 +104,7 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
         if np.isfinite(value):
             ax.annotate(f"{value:.3g}", (place, value), xytext=(7, 7),
                         textcoords="offset points", fontsize=9)  # fmt: skip
-    values = np.array([*train, *test])
-    largest = max(values[np.isfinite(values)], default=1.0)
+    largest = max(filter(np.isfinite, (*train, *test)), default=1.0)
     if not draw.errors_axis(ax, largest):
         ax.set_ylim(0.0, 1.15 * max(largest, 1.2))
     ax.set_xticks(places, words, rotation=0 if len(places) < 4 else 20)

@@ -33,7 +33,6 @@ from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Tab
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
 
-_RESOLUTION = 110
 _MOST_ROWS = 30
 
 # A page is a document; its older name.
@@ -64,7 +63,7 @@ class Picture:
         target = io.BytesIO()
         # A fixed salt and no date: the same result gives the same bytes.
         with mpl.rc_context({"svg.hashsalt": "oed_sysid"}):
-            drawing.savefig(target, format="svg", dpi=_RESOLUTION, metadata={"Date": None})
+            drawing.savefig(target, format="svg", metadata={"Date": None})
         coded = base64.b64encode(target.getvalue()).decode("ascii")
         return cls(f"data:image/svg+xml;base64,{coded}", caption, finding(drawing))
 
