@@ -41,7 +41,8 @@ from oed_sysid.runtime.display import (
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
-# An estimated noise level this far above what the high-frequency content shows is suspect.
+# Factor of a declared noise level, or of what the high-frequency content shows, from which an
+# estimated one is worth a word.
 SUSPECT_NOISE = 1.3
 
 

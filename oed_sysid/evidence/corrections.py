@@ -5,7 +5,7 @@ Corrected copies of records: what was found is undone, and said.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 
 import numpy as np
@@ -32,25 +32,23 @@ def undo(
     trace: Trace, corrections: Iterable[Correction], relations: tuple[Relation, ...] = ()
 ) -> Trace:
     """Return a trace without the faults; ``relations`` are needed to turn frames only."""
-    values, noise = dict(trace.values), dict(trace.noise)
     for one in sorted(corrections, key=lambda c: ORDER.index(c.kind)):
         here = one.record in ("", trace.name)
-        if here and all(name in values for name in (*one.signals, *one.other)):
-            values |= _undone(trace.name, trace.times, values, trace.units, one, relations)
-            noise |= _noise(noise, one)
-    return replace(trace, values=values, noise=noise)
+        if here and all(name in trace.values for name in (*one.signals, *one.other)):
+            values = trace.values | _undone(trace, one, relations)
+            trace = replace(trace, values=values, noise=trace.noise | _noise(trace.noise, one))
+    return trace
 
 
 def _noise(noise: dict[str, float], one: Correction) -> dict[str, float]:
     """Noise levels that a correction changes."""
+    first, last = one.signals[0], one.signals[-1]
     if one.kind == "unit":
         return {name: abs(one.value) * noise[name] for name in one.signals}
     if one.kind == "swap":
-        first, second = one.signals
-        return {first: noise[second], second: noise[first]}
+        return {first: noise[last], last: noise[first]}
     if one.kind == "frame":
-        usual = float(np.mean([noise[name] for name in one.signals]))
-        return dict.fromkeys(one.signals, usual)
+        return dict.fromkeys(one.signals, float(np.mean([noise[name] for name in one.signals])))
     return {}
 
 
@@ -95,75 +93,47 @@ def shifted(times: np.ndarray, series: np.ndarray, delay: float | np.ndarray) ->
 
 
 def _undone(
-    record: str,
-    times: np.ndarray,
-    values: dict[str, np.ndarray],
-    units: dict[str, str],
-    one: Correction,
-    relations: tuple[Relation, ...],
+    trace: Trace, one: Correction, relations: tuple[Relation, ...]
 ) -> dict[str, np.ndarray]:
     """Signals that a correction changes."""
-    if one.kind in ("swap", "misalignment"):
-        first, second = one.signals
-        if one.kind == "swap":
-            return {first: values[second], second: values[first]}
-        cos, sin = np.cos(one.value), np.sin(one.value)
-        return {
-            first: cos * values[first] + sin * values[second],
-            second: cos * values[second] - sin * values[first],
-        }
     if one.kind == "frame":
-        return body_axes(times, values, units, one.signals, relations)
-    return {
-        name: _mended(record, times, values, values[name], units[name], one) for name in one.signals
-    }
+        return body_axes(trace, one.signals, relations)
+    if one.kind not in ("swap", "misalignment"):
+        return {name: _mended(trace, name, one) for name in one.signals}
+    first, second = one.signals
+    x, y = trace.values[first], trace.values[second]
+    if one.kind == "swap":
+        return {first: y, second: x}
+    cos, sin = np.cos(one.value), np.sin(one.value)
+    return {first: cos * x + sin * y, second: cos * y - sin * x}
 
 
-def _mended(
-    record: str,
-    times: np.ndarray,
-    values: dict[str, np.ndarray],
-    series: np.ndarray,
-    unit: str,
-    one: Correction,
-) -> np.ndarray:
+def _mended(trace: Trace, name: str, one: Correction) -> np.ndarray:
     """One signal without a fault that concerns it alone."""
-    if one.kind == "scale":
-        fixed = pivot(series, unit)
-        return fixed + (series - fixed) / (1.0 + one.value)
-    if one.kind == "blank":
-        result = series.copy()
-        result[list(one.rows.get(record, ()))] = np.nan
-        return result
-    if one.kind in ("step", "burst") and not one.rows:
-        share = (times - times[0]) / (times[-1] - times[0])
-        until = one.span[1] if one.kind == "burst" else np.inf
-        return series - one.value * ((share >= one.span[0]) & (share < until))
-    if one.kind == "step":
-        jumps = zip(one.rows.get(record, ()), one.sizes.get(record, ()), strict=True)
-        return series - sum((size * (np.arange(times.size) >= row) for row, size in jumps), 0.0)
-    if one.kind == "delay":
-        return shifted(times, series, one.value)
-    if one.kind == "rate":
-        return shifted(times, series, one.value * (times - times[0]))
-    if one.kind == "lever":
-        return series - one.value * values[one.other[0]]
-    if one.kind in ("sign", "unit"):
-        return one.value * series
-    added = {
-        "offset": one.value,
-        "bias": -one.value,
-        "drift": -one.value * (times - times[0]),
+    series, times, size = trace.values[name], trace.times, one.value
+    since, index = times - times[0], np.arange(times.size)
+    rows, sizes = one.rows.get(trace.name, ()), one.sizes.get(trace.name, ())
+    share, (begin, end) = since / max(since[-1], 1e-300), one.span
+    jumps = sum((s * (index >= row) for row, s in zip(rows, sizes, strict=False)), 0.0 * since)
+    ways: dict[str, Callable[[], np.ndarray]] = {
+        "scale": lambda: (series + size * pivot(series, trace.units[name])) / (1.0 + size),
+        "blank": lambda: np.where(np.isin(index, rows), np.nan, series),
+        "step": lambda: series - (jumps if one.rows else size * (share >= begin)),
+        "burst": lambda: series - size * ((share >= begin) & (share < end)),
+        "delay": lambda: shifted(times, series, size),
+        "rate": lambda: shifted(times, series, size * since),
+        "lever": lambda: series - size * trace.values[one.other[0]],
+        "sign": lambda: size * series,
+        "unit": lambda: size * series,
+        "offset": lambda: series + size,
+        "bias": lambda: series - size,
+        "drift": lambda: series - size * since,
     }
-    return series + added[one.kind] if one.kind in added else series
+    return ways.get(one.kind, lambda: series)()
 
 
 def body_axes(
-    times: np.ndarray,
-    values: dict[str, np.ndarray],
-    units: dict[str, str],
-    velocities: tuple[str, ...],
-    relations: tuple[Relation, ...],
+    trace: Trace, velocities: tuple[str, ...], relations: tuple[Relation, ...]
 ) -> dict[str, np.ndarray]:
     r"""Velocities along the axes of the positions, turned into body axes.
 
@@ -171,19 +141,18 @@ def body_axes(
     attitude, the logged signals are :math:`m_j = \dot P_j`, and :math:`v = J^{-1} m`; a
     direction without a position of its own is completed by orthogonality.
     """
-    rows = {}
-    for relation in relations:
-        place = level_axis(relation, values, units, times, velocities)
-        if place is not None:
-            rows[place] = [_partial(relation, values, times, v) for v in velocities]
-    if not rows:
-        return {}
+    values, times = trace.values, trace.times
     n = len(velocities)
-    matrix = np.zeros((times.size, n, n))
-    for i, name in enumerate(velocities):
-        if name in rows:
-            matrix[:, i] = np.column_stack(rows[name])
-    absent = [i for i, name in enumerate(velocities) if name not in rows]
+    matrix, known = np.zeros((times.size, n, n)), set[str]()
+    for relation in relations:
+        place = level_axis(relation, values, trace.units, times, velocities)
+        if place is not None:
+            known.add(place)
+            rows = [_partial(relation, values, times, v) for v in velocities]
+            matrix[:, velocities.index(place)] = np.column_stack(rows)
+    if not known:
+        return {}
+    absent = [i for i, name in enumerate(velocities) if name not in known]
     if n == 2 and len(absent) == 1:
         other = matrix[:, 1 - absent[0]]
         matrix[:, absent[0], absent[0]] = other[:, 1 - absent[0]]
@@ -263,20 +232,17 @@ def corrected_copies(
     """
     model = problem.model if isinstance(problem, Problem) else problem
     mine = {*dataset.channels.output_names, *dataset.channels.input_names}
-    fixes: list[Correction] = []
-    done = []
     doubtful = found.named("unexplained") is not None
-    for one in found.findings:
-        fix = one.correction
-        if fix is None or (doubtful and fix.kind != "blank"):
-            continue
-        if one.kind in LEFT_ALONE or not set(fix.signals) <= mine:
-            continue
-        fixes.append(fix)
-        done.append(one.says)
+    fixes = [
+        (one.correction, one.says)
+        for one in found.findings
+        if one.correction is not None and not (doubtful and one.correction.kind != "blank")
+        if one.kind not in LEFT_ALONE and set(one.correction.signals) <= mine
+    ]
     if not fixes:
         return dataset, ()
-    return corrected(dataset, fixes, relations(model)), tuple(done)
+    undone, done = zip(*fixes, strict=True)
+    return corrected(dataset, undone, relations(model)), done
 
 
 def why_not_more(found: LogCheck) -> str:
@@ -287,18 +253,18 @@ def why_not_more(found: LogCheck) -> str:
     found : LogCheck
         Result of :func:`~oed_sysid.evidence.check`.
     """
-    open_ones = [one for one in found.findings if one.kind == "unexplained"]
+    still = found.named("unexplained")
+    if still is None:
+        return ""
     left = [
         one.name
         for one in found.findings
         if one.correction is not None and one.correction.kind != "blank"
         if one.kind not in LEFT_ALONE
     ]
-    if not open_ones:
-        return ""
-    size = open_ones[0].size or 0.0
     what = f"{', '.join(left)} is left as logged" if left else "nothing but bad samples is changed"
     return (
-        f"{what}: with all findings undone an equation of {open_ones[0].signals[0]} still leaves "
-        f"{100.0 * size:.0f} % unexplained, so that no correction can be relied on; mend that first"
+        f"{what}: with all findings undone an equation of {still.signals[0]} still leaves "
+        f"{100.0 * (still.size or 0.0):.0f} % unexplained, so that no correction can be relied on; "
+        "mend that first"
     )

@@ -272,32 +272,19 @@ def _of_signal(
     model: Model, signal: Signal, signals: Sequence[Signal], products: Sequence[Factors]
 ) -> list[tuple[Factors, str]]:
     """What a command that is no angle, an angle or a position brings besides products."""
+    name, factors, texts = signal.name, list[Factors](), list[str]()
     if signal.kind == "thrust":
-        few = [factors for factors in products if len(factors) < MOST_FACTORS]
-        driven = [(*factors, (signal.name, False)) for factors in few]
-        return [(factors, product_text(factors)) for factors in driven]
-    if signal.kind == "angle":
-        return [((), text) for text in _of_angle(signal.name)]
-    return _of_position(model, signal, signals) if signal.kind == "position" else []
-
-
-def _of_angle(name: str) -> tuple[str, ...]:
-    """What gravity and buoyancy bring."""
-    sine, cosine = f"sin({name})", f"cos({name})"
-    return sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})"
-
-
-def _of_position(
-    model: Model, signal: Signal, signals: Sequence[Signal]
-) -> list[tuple[Factors, str]]:
-    """A position, with powers where a force depends on it as a mooring's does."""
-    found: list[tuple[Factors, str]] = [(((signal.name, False),), signal.name)]
-    if any(signal.name in _forces_depend_on(effect) for effect in model.effects):
-        powers = [factors for factors in _products([signal]) if len(factors) > 1]
-        found += [(factors, product_text(factors)) for factors in powers]
-        angles = [one.name for one in signals if one.kind == "angle"]
-        found += [((), f"{signal.name}*sin({angle})") for angle in angles]
-    return found
+        factors = [(*of, (name, False)) for of in products if len(of) < MOST_FACTORS]
+    elif signal.kind == "angle":  # what gravity and buoyancy bring
+        sine, cosine = f"sin({name})", f"cos({name})"
+        texts = [sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})"]
+    elif signal.kind == "position":
+        factors = [((name, False),)]
+        # Powers where a force depends on it as a mooring's does.
+        if any(name in _forces_depend_on(effect) for effect in model.effects):
+            factors += [of for of in _products([signal]) if len(of) > 1]
+            texts = [f"{name}*sin({one.name})" for one in signals if one.kind == "angle"]
+    return [*((of, product_text(of)) for of in factors), *(((), text) for text in texts)]
 
 
 def _forces_depend_on(effect: Effect) -> set[str]:

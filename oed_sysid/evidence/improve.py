@@ -7,7 +7,7 @@ call finds the steps of one that did not end.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -18,6 +18,7 @@ from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check
 from oed_sysid.evidence.claim import claim, own_error
+from oed_sysid.evidence.compare import SUSPECT_NOISE
 from oed_sysid.evidence.improvement import (
     Improvement,
     Step,
@@ -54,8 +55,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
 
-# Factor of a declared noise level from which it is worth a word.
-OTHER_NOISE = 1.3
 # Share of a signal that whole runs must miss before a search is worth making again.
 MUCH = 0.1
 # Prior deviations that no right log gives: one in two millions.
@@ -275,7 +274,7 @@ def _other_noise(fit: Fit) -> list[str]:
         concern
         for concern in concerns_of(fit, "noise_level")
         # Where some of it is slow, its white part is no level of the sensor.
-        if concern.signal not in slow and not 1.0 / OTHER_NOISE < concern.size < OTHER_NOISE
+        if concern.signal not in slow and not 1.0 / SUSPECT_NOISE < concern.size < SUSPECT_NOISE
     ]
     if not found:
         return []
@@ -302,21 +301,68 @@ def _result(
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
     path = [study.polished(fit) for fit in (end.base, *state.path[1:])]
     fits = [study.result(fit, "improve, random forces") for fit in path]
-    declared = given_levels(study.base.outputs)
-    # Where nobody declared a level, the smallest that a fit's sensors have.
-    found = np.min([fit.noise.sensors for fit in fits], axis=0)
-    found = np.maximum(found, study.setting.least_white)
-    sigma = np.where(np.isnan(declared), found, declared)
+    sigma = _sigma(study, fits)
     records = {"train": study.train, "test": study.validation}
-    nothing = np.full(len(declared), np.nan)
-    rms = [
-        {name: nothing if of is None else study.rms(fit, of) for name, of in records.items()}
-        for fit in path
-    ]
-    errors = [
-        {name: _relative(of, one[name] / sigma) for name, of in records.items()} for one in rms
-    ]
-    steps = tuple(
+    rms = [{name: _rms(study, fit, of) for name, of in records.items()} for fit in path]
+    errors = [_relative(records, one, sigma) for one in rms]
+    steps = _steps(state, fits, rms, errors)
+    tested, terms = study.validation, [] if end.proposals is None else [end.proposals]
+    beyond = replace(
+        end.left,
+        training=fits[-1].whole_runs,
+        validation=None if tested is None else fits[-1].runs_on(tested),
+        suspect=_suspect(log, steps, fits[-1]),
+    )
+    return Improvement(
+        model=fits[-1].model,
+        base=fits[0].model,
+        steps=steps,
+        ranking=end.first,
+        base_fit=fits[0],
+        base_error=errors[0],
+        final_error=errors[-1],
+        location=location,
+        remains=beyond,
+        parameters=parameter_table(fits[-1]),
+        base_rms=rms[0],
+        yardstick=Yardstick.of(study.train, sigma),
+        rejected=_rejected(state),
+        proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
+        notes=tuple(notes),
+        log=log,
+        skipped=study.skipped,
+        last=end.last if steps else None,
+        decisions=state.decisions,
+    )
+
+
+def _rejected(state: Standing) -> tuple[str, ...]:
+    """What the training records alone would have claimed."""
+    claimed = {effect.name for effect in state.effects}
+    asked = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
+    return tuple(name for name in dict.fromkeys(asked) if name not in claimed)
+
+
+def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
+    """Noise level of every output: declared, else the smallest that a fit's sensors have."""
+    declared = given_levels(study.base.outputs)
+    found = np.min([fit.noise.sensors for fit in fits], axis=0)
+    return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)
+
+
+def _rms(study: Study, fit: FilteredSolution, dataset: Dataset | None) -> np.ndarray:
+    """Errors of every output on some records, ``(n_outputs,)``; NaN without any."""
+    return np.full(len(study.base.outputs), np.nan) if dataset is None else study.rms(fit, dataset)
+
+
+def _steps(
+    state: Standing,
+    fits: Sequence[Fit],
+    rms: Sequence[dict[str, np.ndarray]],
+    errors: Sequence[dict[str, float]],
+) -> tuple[Step, ...]:
+    """What was added, with the fits and errors after every step."""
+    return tuple(
         Step(
             effect=one.effect.with_values(fit.model.values),
             group=one.group,
@@ -330,45 +376,20 @@ def _result(
         )
         for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
     )
-    terms = [] if end.proposals is None else [end.proposals]
-    claimed = {step.added for step in steps}
-    refused = (d.name for d in state.decisions if d.training > d.needed and not d.stands)
-    return Improvement(
-        model=fits[-1].model,
-        base=fits[0].model,
-        steps=steps,
-        ranking=end.first,
-        base_fit=fits[0],
-        base_error=errors[0],
-        final_error=errors[-1],
-        location=location,
-        remains=replace(
-            end.left,
-            training=fits[-1].whole_runs,
-            validation=None if study.validation is None else fits[-1].runs_on(study.validation),
-            suspect=_suspect(log, steps, fits[-1]),
-        ),
-        parameters=parameter_table(fits[-1]),
-        base_rms=rms[0],
-        yardstick=Yardstick.of(study.train, sigma),
-        rejected=tuple(name for name in dict.fromkeys(refused) if name not in claimed),
-        proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
-        notes=tuple(notes),
-        log=log,
-        skipped=study.skipped,
-        last=end.last if steps else None,
-        decisions=state.decisions,
-    )
 
 
-def _relative(dataset: Dataset | None, errors: np.ndarray) -> float:
-    """Error of all outputs together from those of each, in units of the noise."""
-    if dataset is None:
-        return np.nan
-    count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in dataset], axis=0)
-    seen = count > 0
-    total = float(np.sum(count[seen] * errors[seen] ** 2))
-    return float(np.sqrt(total / count.sum())) if seen.any() else np.nan
+def _relative(
+    records: Mapping[str, Dataset | None], rms: Mapping[str, np.ndarray], sigma: np.ndarray
+) -> dict[str, float]:
+    """Errors of all outputs together from those of each, in units of the noise."""
+    found = dict.fromkeys(records, np.nan)
+    for name, dataset in records.items():
+        count = np.sum([np.isfinite(r.outputs).sum(axis=0) for r in dataset or ()], axis=0)
+        if np.any(count):
+            seen = count > 0
+            total = np.sum(count[seen] * (rms[name][seen] / sigma[seen]) ** 2)
+            found[name] = float(np.sqrt(total / count.sum()))
+    return found
 
 
 def _suspect(log: LogCheck | None, steps: Sequence[Step], fit: Fit) -> str:

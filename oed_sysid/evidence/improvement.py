@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -565,15 +565,13 @@ def _judged(
 ) -> tuple[str, list[str]]:
     """What one step claims, and what of that is not to be believed."""
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
-    sizes = [_size(*one) for one in own]
-    sizes += [_sizes(p, step.fit) for p in step.effect.parameters if p.per_record]
-    shown, rivals = ", ".join(sizes), step.group[1:]
-    what = " or ".join(step.group)
+    sizes = [*(_size(*one) for one in own), *_sizes(step)]
+    shown, rivals, what = ", ".join(sizes), step.group[1:], " or ".join(step.group)
     tested = not np.isnan(step.test_gain)
-    found = f"{what} is missing{', the validation records agree' if tested else ''}"
+    found = f"{what} is missing{', the validation records agree' * tested}"
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
     # Correlated residuals widen an interval after a claim was made.
-    clear = any(abs(row["value"]) > TWO_SIDED_95 * row["std_error"] for row, _ in own)
+    clear = [row for row, _ in own if abs(row["value"]) > TWO_SIDED_95 * row["std_error"]]
     doubts = {
         f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
         and not clear,
@@ -639,8 +637,11 @@ def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
     return f"{name} = {value} +/- {TWO_SIDED_95 * row['std_error']:.2g}{unit} (95 %)"
 
 
-def _sizes(parameter: Parameter, fit: Fit) -> str:
-    """The range of a size that differs from record to record."""
-    found = [local[parameter.name] for local in fit.local_values if parameter.name in local]
-    low, high = f"{min(found):.3g}", f"{max(found):.3g}"
-    return f"{parameter.name} from {low} to {high}{_unit(parameter.unit)}, by record"
+def _sizes(step: Any) -> Iterable[str]:
+    """The ranges of sizes that differ from record to record."""
+    for parameter in step.effect.parameters:
+        if parameter.per_record:
+            name = parameter.name
+            found = [local[name] for local in step.fit.local_values if name in local]
+            low, high = f"{min(found):.3g}", f"{max(found):.3g}"
+            yield f"{name} from {low} to {high}{_unit(parameter.unit)}, by record"

@@ -235,10 +235,10 @@ def output_misfit(
         output=output,
         rmse=_rms(pooled),
         sigma=sigma,
-        bias=float(np.mean(pooled[seen])) if seen.any() else np.nan,
+        bias=_mean(pooled[seen]),
         record_rmse=tuple(map(_rms, residuals)),
         n_samples=int(seen.sum()),
-        coverage=float(np.mean(inside)) if seen.any() else np.nan,
+        coverage=_mean(inside),
         tests=tuple(map(whiteness if in_time else _apart, tested)),
         correlations=tuple(correlations),
         regimes=tuple(regimes),
@@ -285,6 +285,10 @@ def correlate(
     lag = int(np.argmax(np.abs(values)))
     value, error = float(values[lag]), float(np.sqrt(colour)) / n_seen
     return Correlation(signal.words, value, lag * step, value / error)
+
+
+def _mean(values: np.ndarray) -> float:
+    return float(np.mean(values)) if values.size else np.nan
 
 
 def _rms(values: np.ndarray) -> float:

@@ -422,28 +422,34 @@ def _share(parts: Sequence[_Part], place: str, time: float, names: Sequence[str]
     features = _features(parts, names)
     series = [part.series[place] for part in parts]
     mean = float(np.mean(np.concatenate(series)))
-    steps = [np.diff(part.times) for part in parts]
-    memory = [np.exp(-step / time) if time > 0 else 0.0 * step for step in steps]
-    shocks = [own[1:] - phi * own[:-1] for own, phi in zip(series, memory, strict=True)]
-    rows = [own[1:] - phi[:, None] * own[:-1] for own, phi in zip(features, memory, strict=True)]
     squares = float(np.mean((np.concatenate(series) - mean) ** 2))
     if not squares > 0:
         return 0.0
+    steps = [np.diff(part.times) for part in parts]
+    memory = [np.exp(-step / max(time, 1e-300)) for step in steps]
+    shocks, rows = (
+        [(own[1:].T - phi * own[:-1].T).T for own, phi in zip(of, memory, strict=True)]
+        for of in (series, features)
+    )
     # Each function may be as large as the series: a normal prior of that spread.
     prior = float(np.mean(np.concatenate(shocks) ** 2)) / squares * np.eye(features[0].shape[1])
     prior[-1, -1] = 0.0  # the constant
-    matrices = [own.T @ own for own in rows]
-    rights = [own.T @ shock for own, shock in zip(rows, shocks, strict=True)]
+    matrices, rights = (
+        [own.T @ of for own, of in zip(rows, others, strict=True)] for others in (rows, shocks)
+    )
+    # On all records but one, for each.
     found = [
         np.linalg.lstsq(sum(matrices) - own + prior, sum(rights) - right, rcond=None)[0]
         for own, right in zip(matrices, rights, strict=True)
     ]
-    said = [own[:, :-1] @ sizes[:-1] for own, sizes in zip(rows, found, strict=True)]
-    left = [shock - own[:, -1] * sizes[-1]
-            for shock, own, sizes in zip(shocks, rows, found, strict=True)]  # fmt: skip
-    if not _correlation(left, said) > SURE * _standard_error(left, said):
+    told, said = (
+        [own[:, :-1] @ sizes[:-1] for own, sizes in zip(of, found, strict=True)]
+        for of in (rows, features)
+    )
+    constants = [own[:, -1] * sizes[-1] for own, sizes in zip(rows, found, strict=True)]
+    left = list(map(np.subtract, shocks, constants))
+    if not _correlation(left, told) > SURE * _standard_error(left, told):
         return 0.0
-    said = [own[:, :-1] @ sizes[:-1] for own, sizes in zip(features, found, strict=True)]
     return max(_correlation([own - mean for own in series], said), 0.0) ** 2
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -18,13 +18,8 @@ from oed_sysid.runtime.display import (
     as_dict,
     as_html,
     as_text,
-    plain,
+    counted,
 )
-
-# A normal variable's 95 % interval in standard deviations.
-# Records that a page draws.
-MOST_DRAWN = 3
-
 
 # Findings with which a fit must not be used whatever its residuals say.
 CONTRADICTIONS = (
@@ -138,24 +133,19 @@ class Finding:
 
     def lines(self) -> list[str]:
         """Return the finding as sentences, the most important first."""
-        head = self.says
-        if self.gain is not None:
-            head += f" Likelihood-ratio statistic {self.gain:.0f}."
-        rows = [head]
-        if self.alternatives:
-            rows.append(f"These records cannot tell it from: {'; '.join(self.alternatives)}.")
-        if self.changes:
-            rows.append(f"Left as it is: {self.changes}")
-        if self.fix:
-            rows.append(f"Fix: {self.fix}")
-        return rows
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data, with the key ``name`` added."""
-        return {
-            "name": self.name,
-            **{one.name: plain(getattr(self, one.name)) for one in fields(self)},
+        gain = "" if self.gain is None else f" Likelihood-ratio statistic {self.gain:.0f}."
+        others = "; ".join(self.alternatives)
+        rows = {
+            "These records cannot tell it from: ": f"{others}." * bool(others),
+            "Left as it is: ": self.changes,
+            "Fix: ": self.fix,
         }
+        return [self.says + gain, *(begin + text for begin, text in rows.items() if text)]
+
+    to_dict = as_dict(
+        "name", "kind", "signals", "records", "says", "changes", "fix", "suspect", "size",
+        "interval", "unit", "gain", "alternatives", "correction",
+    )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -273,10 +263,9 @@ class LogCheck:
     @property
     def verdict(self) -> str:
         """One sentence."""
-        n = len(self.serious)
-        if n:
+        if self.suspect:
             names = "; ".join(finding.name for finding in self.serious)
-            return f"Log suspect: {n} {'finding' if n == 1 else 'findings'} ({names})."
+            return f"Log suspect: {counted(len(self.serious), 'finding')} ({names})."
         if not self.relations:
             return "Nothing wrong was seen in single signals; no equation relates them."
         open_ones = self.not_tested
@@ -294,10 +283,11 @@ class LogCheck:
 
     def named(self, kind: str, signal: str | None = None) -> Finding | None:
         """Return the first finding of a kind, of a signal if given; None if there is none."""
-        for one in self.findings:
-            if one.kind == kind and (signal is None or signal in one.signals):
-                return one
-        return None
+        return next(
+            (one for one in self.findings
+             if one.kind == kind and (signal is None or signal in one.signals)),
+            None,
+        )  # fmt: skip
 
     def without(self, kind: str) -> LogCheck:
         """Return the result without the findings of one kind."""
@@ -307,14 +297,14 @@ class LogCheck:
         """Return a paragraph to put above a result made from this log; empty if it is ok."""
         if self.ok:
             return ""
-        lines = [self.verdict]
-        lines += [f"  - {one.says} Fix: {one.fix}" for one in self.serious]
-        return "\n".join(lines)
+        lines = (f"  - {one.says} Fix: {one.fix}" for one in self.serious)
+        return "\n".join((self.verdict, *lines))
 
     def document(self, dataset: Dataset | None = None, *, title: str = "") -> Report:
         """Return the result; with the records, these drawn."""
-        n = len(self.records)
         undone = "with the findings undone"
+        records = () if dataset is None else dataset.records[:MOST_DRAWN]
+        drawn = [Figure("figure_record", one, f"{one.name} as it was read.") for one in records]
         equations = [
             f"{row.relation}: {_share(row.before)}"
             + f", {_share(row.after)} {undone}" * self.suspect
@@ -323,7 +313,7 @@ class LogCheck:
         return Report(
             title=title or "Log check",
             subtitle=f"Log check of {', '.join(self.records)}",
-            headline=f"Log check of {n} {'record' if n == 1 else 'records'}: "
+            headline=f"Log check of {counted(len(self.records), 'record')}: "
             f"{', '.join(self.records)}\n\n{self.verdict}",
             answer=self.verdict,
             numbers=(
@@ -341,7 +331,7 @@ class LogCheck:
                 ),
                 *self._judged(),
                 Section("What this check cannot tell", self.unchecked, heading=True, indent=5),
-                Section("Records", figures=_drawn(dataset), only="page"),
+                Section("Records", figures=drawn, only="page"),
             ),
         )  # fmt: skip
 
@@ -353,7 +343,8 @@ class LogCheck:
         chosen = [one for one in self.findings if one.suspect is suspect]
         for number, one in enumerate(chosen, start=1):
             first, *rest = one.lines()
-            where = "" if set(one.records) == set(self.records) else _where(one.records)
+            some = one.records and set(one.records) != set(self.records)
+            where = f" ({', '.join(one.records)})" if some else ""
             lines += [f"{number:3d}. {first}{where}", *(f"     {text}" for text in rest)]
         return [Section(title, lines, heading=True, only="text")]
 
@@ -370,18 +361,13 @@ class LogCheck:
             for one in self.findings
         ]
         table = Table(
-            (
-                "finding",
-                "size, 95 % interval",
-                "likelihood-ratio statistic",
-                "left as it is",
-                "fix",
-            ),
+            ("finding", "size, 95 % interval", "likelihood-ratio statistic", "left as it is",
+             "fix"),
             rows,
             caption="Suspect findings are stressed.",
             words=(0, 3, 4),
             marked=tuple(i for i, one in enumerate(self.findings) if one.suspect),
-        )
+        )  # fmt: skip
         return [Section("Findings", tables=(table,), only="page")] if rows else []
 
     def _judged(self) -> list[Section]:
@@ -389,11 +375,16 @@ class LogCheck:
         if not self.judged:
             return []
         kinds = list(dict.fromkeys(one.fault for one in self.judged))
-        cells = {(one.signal, one.fault): one for one in self.judged}
-        rows = []
-        for signal in dict.fromkeys(one.signal for one in self.judged):
-            mine = [cells.get((signal, kind)) for kind in kinds]
-            rows.append((signal, *("" if one is None else _cell(one) for one in mine)))
+        shown = {"tested": "yes", "found": "FOUND"}
+        cells = {
+            (one.signal, one.fault): (one.state == "tested" and one.says)
+            or shown.get(one.state, "-")
+            for one in self.judged
+        }
+        rows = [
+            (signal, *(cells.get((signal, kind), "") for kind in kinds))
+            for signal in dict.fromkeys(one.signal for one in self.judged)
+        ]
         reasons = dict.fromkeys(
             f"{one.signal}: {one.says}"
             for one in self.judged
@@ -430,25 +421,8 @@ class LogCheck:
     )  # fmt: skip
 
 
-def _drawn(dataset: Dataset | None) -> list[Figure]:
-    """The first records as they were read."""
-    records = () if dataset is None else dataset.records[:MOST_DRAWN]
-    return [Figure("figure_record", one, f"{one.name} as it was read.") for one in records]
-
-
-def _cell(one: Judged) -> str:
-    """A cell of the table of what was tested."""
-    if one.state == "tested":
-        return one.says or "yes"
-    return "FOUND" if one.state == "found" else "-"
-
-
 def _share(value: float) -> str:
     return f"{100.0 * value:.2g} %"
-
-
-def _where(records: tuple[str, ...]) -> str:
-    return f" ({', '.join(records)})" if records else ""
 
 
 def angle_aware(value: float, unit: str) -> tuple[float, str]:

@@ -9,8 +9,7 @@ deviation. Sizes scale the unknowns; they are no priors.
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatch
 from math import ceil, prod
@@ -121,23 +120,27 @@ def sizes_of(model: Model, dataset: Dataset) -> Sizes:
             slopes.setdefault(name, []).append(slope(record.times, values)[0])
         for name, values in (series | _others(model, record)).items():
             pooled.setdefault(name, []).append(values)
-    joined = _joined(pooled)
+    joined, rates = _joined(pooled), _joined(slopes)
     duration = float(np.median([record.times[-1] - record.times[0] for record in dataset]))
     declared = {state.name: state.scale for state in model.states}  # where nothing tells a state
     slow = {name: 10.0 * scale / duration for name, scale in declared.items()}
-    sample = float(np.median([record.sample_time for record in dataset]))
     begin = {name: float(values[0]) for name, values in joined.items()}
     return Sizes(
-        swing=declared | {name: float(np.std(values)) for name, values in joined.items()},
-        level=declared | {name: _rms(values) for name, values in joined.items()},
-        rate=slow | {name: _rms(values) for name, values in _joined(slopes).items()},
+        swing=declared | _each(np.std, joined),
+        level=declared | _each(_rms, joined),
+        rate=slow | _each(_rms, rates),
         mobility=_mobility(model, dataset, begin),
-        reach={name: float(np.max(np.abs(values))) for name, values in joined.items()},
+        reach=_each(lambda values: np.max(np.abs(values)), joined),
         reversing=frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max()),
-        sample=sample,
+        sample=float(np.median([record.sample_time for record in dataset])),
         step=min(_step(model, record) for record in dataset),
         duration=duration,
     )
+
+
+def _each(size: Callable[[np.ndarray], float], of: dict[str, np.ndarray]) -> dict[str, float]:
+    """A size of every signal."""
+    return {name: float(size(values)) for name, values in of.items()}
 
 
 def _step(model: Model, record: Record) -> float:
@@ -224,19 +227,11 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     check_channels(model, dataset)
     sizes = sizes_of(model, dataset)
     found: dict[str, Effect] = {}
-    made = (
-        *_forces(model, sizes),
-        *_frictions(model, sizes),
-        *_stops(model, sizes),
-        *_hidden_states(model, sizes),
-        *_waves(model, sizes),
-        *_flows(model, sizes),
-        *_winds(model, sizes),
-        *_weights(model, sizes),
-        *_inertias(model, sizes),
-        *_commands(model, sizes),
-        *_sensors(model, sizes),
-    )
+    kinds = (
+        _forces, _frictions, _stops, _hidden_states, _waves, _flows, _winds, _weights, _inertias,
+        _commands, _sensors,
+    )  # fmt: skip
+    made = [effect for kind in kinds for effect in kind(model, sizes)]
     own = [
         in_each_record(effect)
         for effect in made
@@ -253,21 +248,31 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     return tuple(found.values())
 
 
+def _units(model: Model) -> dict[str, str]:
+    return {state.name: state.unit for state in model.states}
+
+
 def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Terms of every equation that may lack one, absent."""
-    units = {state.name: state.unit for state in model.states}
-    units |= {channel.name: channel.unit for channel in model.inputs}
+    units = _units(model) | {channel.name: channel.unit for channel in model.inputs}
     through = {text: signal for signal, text in model.signals.items() if text in units}
     units |= {signal: units[state] for state, signal in through.items()}
     commands = commanded(model)
     units |= commands
+    levels = {through.get(name, name): level for name, level in sizes.level.items()}
     taken = {name.removesuffix("_prime") for name in model.free_names}
     for equation in sizes.mobility:
         state = model.axes.get(equation, equation)
         size = SHARE * sizes.force(equation, state)
-        for word, text, factors, level in _powers(model, sizes, equation, state, through, commands):
+        if not size > 0:
+            continue
+        for word, factors in _products(model, equation, state, through, commands):
+            text = product_text(factors) or "1"
+            level = prod(levels.get(name, 0.0) for name, _ in factors)
+            if word.startswith("righting"):
+                text, factors = f"sin({text})", ()
             term = Term(equation, text, factors)
-            if size > 0 and level > 0 and term.symbol not in taken:
+            if level > 0 and term.symbol not in taken:
                 yield _named(term.effect(model, units, size / level), word, equation, text)
 
 
@@ -289,7 +294,7 @@ class _Equation:
 
 def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
     """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
-    units = {state.name: state.unit for state in model.states}
+    units = _units(model)
     still = cyclic(model)
     found = []
     for name in sizes.mobility:
@@ -323,7 +328,7 @@ def _frictions(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 def _stops(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """End stops of every coordinate on which a force may depend."""
-    units = {state.name: state.unit for state in model.states}
+    units = _units(model)
     for one in _equations(model, sizes):
         reach = sizes.reach.get(one.position, 0.0)
         if reach > 0 and one.position not in HORIZONTAL and one.position != "psi":
@@ -392,30 +397,6 @@ def _is_physics(kind: str, equation: str, signal: str) -> bool:
     return kind != "quadratic" or equation in "XYZKMN" or signal == equation
 
 
-_Power = tuple[str, str, Factors, float]
-
-
-def _powers(
-    model: Model,
-    sizes: Sizes,
-    equation: str,
-    state: str,
-    through: dict[str, str],
-    commands: dict[str, str],
-) -> Iterator[_Power]:
-    """Word, text, factors and typical size of every term that an equation may lack."""
-    levels = {through.get(name, name): level for name, level in sizes.level.items()}
-    for word, factors in _products(model, equation, state, through, commands):
-        powers = Counter(name for name, _ in factors)
-        level = prod(levels.get(name, 0.0) ** power for name, power in powers.items())
-        yield word, product_text(factors) or "1", factors, level
-    angle = RIGHTING.get(equation)
-    if angle in model.state_names:
-        yield f"righting_{angle}", f"sin({angle})", (), sizes.level[angle]
-        thrice = ((angle, False),) * 3  # a hull that hardens or softens as it heels
-        yield f"hardening_{angle}", product_text(thrice), thrice, sizes.level[angle] ** 3
-
-
 def _products(
     model: Model, equation: str, state: str, through: dict[str, str], commands: dict[str, str]
 ) -> Iterator[tuple[str, Factors]]:
@@ -435,6 +416,10 @@ def _products(
         if not model.axes or (other == state and other != "u"):
             yield f"cubic_{signal}", (plain,) * 3
     yield from _of_commands(model, equation, forward, commands)
+    angle = RIGHTING.get(equation)
+    if angle in model.state_names:
+        yield f"righting_{angle}", ((angle, False),)
+        yield f"hardening_{angle}", ((angle, False),) * 3  # or softens as it heels
 
 
 def _of_commands(
@@ -469,19 +454,14 @@ def commanded(model: Model) -> dict[str, str]:
     """Actuator signals and their units, which follow from those of inputs and parameters."""
     units = {channel.name: channel.unit for channel in model.inputs}
     known = units | {p.name: p.unit for p in model.all_parameters}
-    return {
-        signal: units[text] if text in units else _derived_unit(text, known)
-        for signal, text in model.actuator_signals.items()
-    }
-
-
-def _derived_unit(text: str, units: dict[str, str]) -> str:
-    """Unit of an expression; empty if not told."""
-    try:
-        found = dimension_of(text, {name: dimension(unit) for name, unit in units.items()})
-    except OedSysidError:  # units that do not fit are another message's matter
-        return ""
-    return "" if found is None else _unit_of(found)
+    found = {}
+    for signal, text in model.actuator_signals.items():
+        try:
+            of = dimension_of(text, {name: dimension(unit) for name, unit in known.items()})
+        except OedSysidError:  # units that do not fit are another message's matter
+            of = None
+        found[signal] = units.get(text, "" if of is None else _unit_of(of))
+    return found
 
 
 def _unit_of(found: Dimension) -> str:
@@ -491,27 +471,34 @@ def _unit_of(found: Dimension) -> str:
 
 def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Currents: in the flow where the model has one, else as a drift of its positions."""
-    states = {text: signal for signal, text in model.signals.items() if text in model.state_names}
+    flow = {text: signal for signal, text in model.signals.items() if text in model.state_names}
     angles = set(model.state_names)
-    speed = sizes.level.get("u", 1.0)
-    if {"u", "v", "w"} <= set(states) and {"phi", "theta", "psi"} <= angles:
-        yield _current(states, TENTH * speed)
-    elif {"u", "v"} <= set(states) and "psi" in angles:
-        flow = (states["u"], states["v"])
-        yield forces.current_horizontal_plane(flow=flow, scale=TENTH * speed)
-    elif "u" in states and "psi" in angles and "v" not in angles:
-        yield _head_current(states["u"], TENTH * speed)
-    if {"u", "w"} <= set(states) and "theta" in angles and "v" not in states:
-        flow = (states["u"], states["w"])
-        yield forces.current_forward(flow=flow, scale=TENTH * speed)
-        yield forces.current_down(flow=flow, scale=0.5 * TENTH * speed)
-    if "u" not in states and model.axes:
-        yield from _drifts(model, TENTH * speed)
+    scale = TENTH * sizes.level.get("u", 1.0)
+    if {"u", "v", "w"} <= set(flow) and {"phi", "theta", "psi"} <= angles:
+        # Columns of the rotation to north, east and down are axes of the body.
+        axes = zip(*rotation(("phi", "theta", "psi")), strict=True)
+        turned = {flow[state]: column for state, column in zip("uvw", axes, strict=True)}
+        yield _current(("north", "east", "down"), turned, scale, "steady current")
+    elif {"u", "v"} <= set(flow) and "psi" in angles:
+        pair = (flow["u"], flow["v"])
+        yield forces.current_horizontal_plane(flow=pair, scale=scale)
+    elif "u" in flow and "psi" in angles and "v" not in angles:
+        # A vehicle without sway meets the part of it along its heading.
+        what = "steady horizontal current along the heading"
+        along = {flow["u"]: ("cos(psi)", "sin(psi)")}
+        yield _current(("north", "east"), along, scale, what)
+    dives = "theta" in angles and "v" not in flow
+    if dives and {"u", "w"} <= set(flow):
+        pair = (flow["u"], flow["w"])
+        yield forces.current_forward(flow=pair, scale=scale)
+        yield forces.current_down(flow=pair, scale=0.5 * scale)
+    if "u" not in flow:
+        yield from _drifts(model, scale)
 
 
 def _drifts(model: Model, scale: float) -> Iterator[Effect]:
     """A current that carries positions along, where forces do not know the flow."""
-    for state in model.states:
+    for state in model.states if model.axes else ():
         if state.name in (*HORIZONTAL, "z", "zeta") and state.name in model.kinematics:
             name = f"drift_{state.name}"
             size = Parameter(f"E_{name}", 0.0, f"{state.unit}/s", scale=scale)
@@ -525,38 +512,24 @@ def _drifts(model: Model, scale: float) -> Iterator[Effect]:
             )
 
 
-def _current(flow: dict[str, str], scale: float) -> Effect:
-    """A current towards north, east and down on a vehicle of any attitude."""
-    ways = ("north", "east", "down")
+def _current(
+    ways: Sequence[str], turned: Mapping[str, Sequence[str]], scale: float, description: str
+) -> Effect:
+    """A current in some directions; ``turned`` has its parts along each velocity of the flow."""
     towards = [amplitude(f"current_{way}", "m/s", scale=scale) for way in ways]
-    # Columns of the rotation to north, east and down are axes of the body.
-    columns = zip(*rotation(("phi", "theta", "psi")), strict=True)
     terms = {
-        flow[state]: flow[state]
-        + "".join(f" - {size.name}*({text})" for size, text in zip(towards, column, strict=True))
-        for state, column in zip("uvw", columns, strict=True)
+        flow: flow
+        + "".join(f" - {size.name}*({text})" for size, text in zip(towards, parts, strict=True))
+        for flow, parts in turned.items()
     }
+    over = "velocity over ground, on several headings"
     return Environment(
         "current",
         terms,
         tuple(towards),
-        description="steady current",
+        description=description,
         source=forces.CURRENT,
-        needs="position or velocity over ground, on several headings",
-    )
-
-
-def _head_current(flow: str, scale: float) -> Effect:
-    """A current of which a vehicle without sway meets the part along its heading."""
-    ways = ("north", "east")
-    north, east = (amplitude(f"current_{way}", "m/s", scale=scale) for way in ways)
-    return Environment(
-        "current",
-        {flow: f"{flow} - ({north.name}*cos(psi) + {east.name}*sin(psi))"},
-        (north, east),
-        description="steady horizontal current along the heading",
-        source=forces.CURRENT,
-        needs="velocity over ground, on several headings",
+        needs=over if len(ways) == 2 else f"position or {over}",
     )
 
 
@@ -721,18 +694,16 @@ def settled(
 def _late(dataset: Dataset, log: LogCheck | None) -> tuple[Effect, ...]:
     """Delays of single sensors that a check found."""
     step = min(record.sample_time for record in dataset)
-    measured = dataset.channels.output_names
-    found = []
-    for finding in () if log is None else log.serious:
-        size = finding.size or 0.0
-        if finding.kind != "delay" or len(finding.signals) > 1 or not size > 0.0:
-            continue
-        (signal,) = finding.signals
-        if signal in measured:
-            most = 2.0 * size + 2.0 * step
-            found.append(
-                signals.sensor_delay(
-                    f"delay_{signal}", signal, max_delay=most, interval=step, scale=size
-                )
-            )
-    return tuple(found)
+    late = [
+        (one.signals[0], one.size)
+        for one in (() if log is None else log.serious)
+        if one.kind == "delay" and len(one.signals) == 1
+        if one.signals[0] in dataset.channels.output_names
+    ]
+    return tuple(
+        signals.sensor_delay(
+            f"delay_{name}", name, max_delay=2.0 * (size + step), interval=step, scale=size
+        )
+        for name, size in late
+        if size is not None and size > 0.0
+    )
