@@ -164,6 +164,18 @@ def test_median_module_is_short() -> None:
     assert statistics.median(sizes) < MEDIAN_LINES
 
 
+def test_named_numbers_say_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A comment stands beside or above every named number: the page of the site shows both."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    from constants import constants
+
+    numbers = {path: list(constants(path)) for path in PACKAGE.rglob("*.py")}
+    assert sum(map(len, numbers.values())) > 100
+    assert not [
+        (path.name, name) for path, all_ in numbers.items() for name, _, why in all_ if not why
+    ]
+
+
 def test_problems_use_the_public_api_only() -> None:
     """A shipped problem is written as a user would write one."""
     wrong = []

@@ -102,6 +102,7 @@ def effective_draws(draws: np.ndarray) -> np.ndarray:
 DRAWS = ("joint", "coordinate")
 
 
+# Between-chain over within-chain spread up to which chains count as mixed (Vehtari et al. 2021).
 R_HAT_LIMIT = 1.01
 
 

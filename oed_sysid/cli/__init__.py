@@ -19,6 +19,7 @@ import traceback
 import warnings
 from collections.abc import Sequence
 
+# The table above; 130 is 128 plus the number of the signal, as shells count.
 DONE, NO_RESULT, BAD_INPUT, UNEXPECTED, SUSPECT, INTERRUPTED = 0, 1, 2, 3, 4, 130
 
 

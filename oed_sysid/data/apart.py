@@ -23,6 +23,7 @@ from oed_sysid.errors import DataError
 
 # Seconds of computing and bytes of memory: at least, and more per byte of the file.
 SECONDS, SECONDS_PER_BYTE = 10.0, 5e-6
+# Bytes: libraries of tables take tens of bytes for each of a compressed file.
 MEMORY, MEMORY_PER_BYTE = 4 * 1024**3, 30
 # Wall time over computing time: a machine may have other work.
 PATIENCE = 6.0

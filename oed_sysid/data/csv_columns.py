@@ -30,6 +30,7 @@ from oed_sysid.text.units import (
 # -- columns of a table on their way to channels ---------------------------------------
 
 
+# Seconds.
 DAY = 86_400.0
 TIME_NAMES = ("t", "time", "times", "timestamp")
 # Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.

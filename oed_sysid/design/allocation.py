@@ -38,6 +38,7 @@ import numpy as np
 from oed_sysid.design.criteria import NOTHING, AOptimal, ByShifts, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 
+# Of the log criterion to its bound at which weights are optimal: far below what a run is worth.
 GAP = 2e-4
 # Runs tried in an exchange, and starts that are exchanged.
 _TRIED = 4

@@ -376,6 +376,7 @@ class GOptimal(_Prediction):
         return measure
 
 
+# Misfit or power below which a logarithm is cut off; arithmetic only.
 _SMALLEST = 1e-9
 # Width of the soft minimum over pairs or effects, in units of log misfit or log power.
 _SOFTNESS = 0.1

@@ -47,9 +47,11 @@ ATTITUDES = ("psi", "theta", "phi")
 _RATES = {"psi": "r", "theta": "q", "phi": "p"}
 _KEPT = {"theta": "z"}
 # Sizes tried until the limits hold, as shares of the range (the largest that does and a gentler
-# one are candidates), and of the angles of a standard zigzag.
+# one are candidates).
 SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
+# A run of this share of the largest size stays linear where the largest does not.
 _GENTLER = 0.4
+# Of the angles of a standard zigzag, largest first.
 _STANDARD_SHARES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)
 ZIGZAGS = (5.0, 10.0, 20.0)  # degrees, both of the control and of the attitude
 # Attitudes of quick zigzags, as shares of the control's angle: a large control within narrow

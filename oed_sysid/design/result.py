@@ -46,6 +46,7 @@ from oed_sysid.runtime.display import (
 from oed_sysid.runtime.files import make_folder
 from oed_sysid.text.csv_table import write_table
 
+# Characters of a line of a printed card: A4 in a readable type.
 WIDTH = 92
 # Relative error up to which a coefficient counts as found.
 _GOOD = 0.05

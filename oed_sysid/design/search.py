@@ -155,10 +155,12 @@ def _largest(
 _MARGIN = 5e-4
 # Loss of criterion that weighs as much as an excess of the whole width of a limit.
 _PRICE = 300.0
+# Of a step, in shares of the range of the numbers searched: larger ones only cost retries.
 _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
 # A smaller gain of a criterion, or of a goal's log, is not worth the effort: of five steps
 # together, of a run.
 WORTH = 0.01
+# Attempts to bring a result inside its limits, each with commands smaller by this factor.
 _N_FINISHES, _INWARD = 3, 0.85
 
 

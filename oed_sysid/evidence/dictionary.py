@@ -26,6 +26,7 @@ from oed_sysid.physics.table import POLYNOMIAL, factor_of
 from oed_sysid.text import dimensions, expressions, notation
 from oed_sysid.text.units import Dimension, dimension
 
+# Of a product: expansions of hydrodynamic forces end at third order (Abkowitz 1964).
 MOST_FACTORS = 3
 # With more signals than this a product of three has at most two different ones.
 MANY_SIGNALS = 6

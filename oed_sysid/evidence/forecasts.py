@@ -18,6 +18,7 @@ from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
+# Gauss-Newton steps for a start state; linear models need one.
 ITERATIONS = 6
 # Weight of the guessed start state against its measurements, in units of the state's scale.
 VAGUE = 10.0

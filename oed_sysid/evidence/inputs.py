@@ -42,13 +42,17 @@ from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.expressions import names as names_in
 
+# Twice the log-likelihood by which another reading of an input has to be ahead.
 ACCEPTED = 20.0
 # A lag is physics of an actuator as well as a fault of a log: it only competes.
 LAGS = (0.0, 0.25, 0.5, 1.0, 2.0)
 # An input this many times beyond its limit is in another unit.
 BEYOND = 1.5
+# Samples of a piece: the shortest over which motion stands out of noise is taken.
 PIECES = (5, 10, 20, 40)
+# Effort only: readings differ by far more than such a piece needs.
 MOST_SAMPLES = 1500
+# Fewer equations do not determine free parameters and a reading.
 LEAST_PIECES = 30
 # Motion over a piece against its noise before the piece is long enough.
 VISIBLE = 6.0
@@ -56,6 +60,7 @@ VISIBLE = 6.0
 FREE = 30.0
 # A declared prior is not trusted beyond this share of its mean.
 LEAST_PRIOR = 0.25
+# Iterations of weights and parameters; more move a statistic by less than a hundredth.
 SWEEPS = 4
 # What is left of a state's changes is not believed to be smaller than this share of them.
 EXACT = 1e-6

@@ -62,6 +62,7 @@ from oed_sysid.evidence.traces import QUARTILE, RELATIVE, Trace, fast_noise
 
 # False alarms a signal of a record; what rounding repeats is counted, not assumed.
 ALPHA = 0.001
+# Fewer have no usual behaviour to differ from.
 LEAST_SAMPLES = 20
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5

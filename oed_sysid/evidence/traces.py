@@ -21,6 +21,7 @@ from scipy.interpolate import CubicSpline
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
 
+# Median absolute value of a standard normal variable.
 QUARTILE = 0.6745
 FOURTH_DIFFERENCE = np.sqrt(70.0)
 # What is below this share of a signal is immaterial.

@@ -492,6 +492,7 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
 # usual step had passed, the clock was set and no time is missing: standard errors from which a
 # change contradicts the clock, and up to which it agrees with a step; and a jump in usual steps.
 JUMP = 2.5
+# Standard errors; between the two nothing is said.
 WRONG, RIGHT = 8.0, 4.0
 
 

@@ -279,6 +279,7 @@ def _number(entry: Any) -> Any:
     return float(entry) if isinstance(entry, str) else entry
 
 
+# Of the file; raised when older programs could not read it.
 FORMAT = 2
 # A file beyond this (bytes) is no result of this package.
 LARGEST = 4 * 1024**3

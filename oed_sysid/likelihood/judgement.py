@@ -86,6 +86,7 @@ LEVEL_FACTOR = 1.15
 COLOUR_CHANCE = 1e-5
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
+# Parts of a step in the check: an error of fourth order falls by 256.
 FINER = 4
 # Samples over which the step is tried where disturbance forces move the vehicle.
 PIECE = 20

@@ -20,9 +20,11 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
 
+# Samples of the smoothing window: the shortest that leaves noise below the motion.
 WINDOWS = (5, 9, 17, 33, 65)
 # What is known of a state before anything is measured, in units of its scale.
 VAGUE = 10.0
+# For one sample of kinematic equations, which are nearly linear; a start value only.
 NEWTON_STEPS = 5
 
 

@@ -306,6 +306,7 @@ NEW_ORDER = 0.35
 HELD = 0.02
 
 
+# Normal noise passes this once in 16,000 samples.
 HELD_NOISE = 4.0
 
 

@@ -289,6 +289,7 @@ def _draw_run(programme: Programme, run: Candidate, left: Axes, right: Axes) -> 
 
 
 DANGER = "#b00020"
+# Inches.
 _A4 = (8.27, 11.69)
 # Shares of the page that edges and pictures take, and the largest type, points.
 _EDGE, _PICTURES, _TYPE = 0.035, 0.26, 7.2

@@ -173,6 +173,7 @@ def _readable_scale(ax: Axes, largest: float) -> None:
     ax.set_xlim(left=0.0)
 
 
+# Of a signal, for the mean force in each; a drawing only.
 _N_BINS = 12
 
 

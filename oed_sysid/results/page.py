@@ -33,6 +33,7 @@ from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Tab
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
 
+# Of a table on a page; the document has all.
 _MOST_ROWS = 30
 
 # A page is a document; its older name.

@@ -53,6 +53,7 @@ def figure_record(record: Record) -> Figure:
 # How a signal is drawn as logged, and with the findings of a check undone.
 _BEFORE: dict[str, Any] = {"color": draw.COLOURS[0], "label": "as logged"}
 _AFTER: dict[str, Any] = {"color": draw.COLOURS[1], "label": "findings undone"}
+# Drawn below one another; more are not read.
 _MOST_RECORDS = 3
 # Residuals beyond this many of the corrected ones are cut off, or the corrected ones vanish.
 _TALL = 12.0

@@ -26,6 +26,7 @@ from pathlib import Path
 
 from oed_sysid.errors import FileError
 
+# Of the key that signs cached code: that of SHA-256.
 KEY_BYTES = 32
 
 

@@ -28,6 +28,7 @@ from oed_sysid.text import expressions
 from oed_sysid.text.expressions import CONSTANTS, NUMERIC, walk
 from oed_sysid.text.units import Dimension
 
+# Of a unit; beyond it a text is a mistake, and exact fractions grow without end.
 LARGEST_POWER = 100
 _SAME = ("abs", "floor", "min", "max", "clip", "where")
 _ONE = Dimension()
