@@ -141,7 +141,7 @@ def test_fit_says_that_a_rudder_began_elsewhere() -> None:
 
 
 def test_fit_with_random_forces_says_it_too_and_a_sea_is_no_start() -> None:
-    """Random forces absorb a start, so that it is looked for before they are admitted."""
+    """Disturbance forces absorb a start, so that it is looked for before they are admitted."""
     for kind, off in (("lag", OFF), ("play", 0.03)):
         for seed in range(3):
             fit = MultipleShooting().fit(SHIP + RUDDERS[kind], runs(kind, off, seed))

@@ -51,7 +51,7 @@ def fit(differing: Dataset) -> Fit:
         # Levels of the forces are estimated anew in refits, and held to first order.
         (MultipleShooting(), 0.02, 0.35),
     ],
-    ids=["whole records", "horizon", "random forces"],
+    ids=["whole records", "horizon", "disturbance forces"],
 )
 def test_first_order_is_near_refits(estimator: MultipleShooting, force: float, near: float) -> None:
     """Leaving a record out of the sums moves estimates as leaving it out of the data does."""

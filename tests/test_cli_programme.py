@@ -35,7 +35,7 @@ def test_programme_is_planned_and_written(ship: Path, tmp_path: Path, capsys) ->
     assert f"{len(found['runs'])} runs, {found['hours']:.3g} h: " in first
     assert "limits on" in first or "no limit on the motion" in first
     assert "ship time" in said.out.replace("\n", " ")
-    assert "Random forces:" in said.err
+    assert "Disturbance forces:" in said.err
     found = json.loads(stored.read_text())
     assert 1 <= len(found["runs"]) <= 3
     assert found["hours"] <= 1.0 + 1e-9

@@ -110,7 +110,7 @@ def test_noise_levels_are_estimated_where_asked(zigzags: Dataset) -> None:
 
 
 def test_settings_that_have_no_place_are_refused(zigzags: Dataset) -> None:
-    """Random forces, robust losses, known starts and too short horizons are named."""
+    """Disturbance forces, robust losses, known starts and too short horizons are named."""
     with pytest.raises(ModelError, match="whole records"):
         MultipleShooting(horizon=10.0, disturbances="all")
     with pytest.raises(ModelError, match="intervals"):

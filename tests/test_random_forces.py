@@ -1,4 +1,4 @@
-"""Random forces: whether they act, how strongly, and what they leave of the parameters."""
+"""Disturbance forces: whether they act, how strongly, and what they leave of the parameters."""
 
 from __future__ import annotations
 

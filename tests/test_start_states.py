@@ -109,7 +109,7 @@ def test_a_vague_prior_leaves_the_fit_and_a_sharp_one_holds_it() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("way", ["free", "known", "held", "known, random force"])
+@pytest.mark.parametrize("way", ["free", "known", "held", "known, disturbance force"])
 def test_stated_errors_are_right(way: str) -> None:
     """Normalised errors of the parameters have unit variance, over 150 data sets."""
     rng, scores = np.random.default_rng(4), []

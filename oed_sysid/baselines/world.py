@@ -223,9 +223,9 @@ def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator)
 IDEAL = "ideal"
 WORLDS: Mapping[str, World] = {
     IDEAL: World("as simulated: white noise, as declared"),
-    "forces_2": World("random forces of 2 %", forces=0.02),
-    "forces_5": World("random forces of 5 %", forces=0.05),
-    "forces_10": World("random forces of 10 %", forces=0.10),
+    "forces_2": World("disturbance forces of 2 %", forces=0.02),
+    "forces_5": World("disturbance forces of 5 %", forces=0.05),
+    "forces_10": World("disturbance forces of 10 %", forces=0.10),
     "coloured": World("sensor noise all coloured", colour=1.0),
     "declared_half": World("noise declared half its size", declared=0.5),
     "declared_twice": World("noise declared twice its size", declared=2.0),

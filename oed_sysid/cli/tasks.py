@@ -98,7 +98,7 @@ class Weather:
 
         model: Model = getattr(nominal, "model", nominal)  # type: ignore[arg-type]
         found = sea_noise(model, self.sea, problem.experiments.values())
-        show.note(f"Random forces: {sea_words(found)}.")
+        show.note(f"Disturbance forces: {sea_words(found)}.")
         return found
 
     def spread(self, problem: Problem) -> float | None:

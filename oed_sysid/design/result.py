@@ -246,7 +246,7 @@ class Design(_Accuracy):
                 ("limits met", "; ".join(self.active) or "none is reached"),
                 *([("certainty", safe.report())] if safe else []),
                 ("effort", f"{self.n_evaluations} trajectories, {self.seconds:.1f} s"),
-                *([("random forces", sea_words(self.sea))] if self.sea is not None else []),
+                *([("disturbance forces", sea_words(self.sea))] if self.sea is not None else []),
             ),
             numbers=(
                 ("length", f"{length:g} s"),
@@ -363,7 +363,7 @@ class Design(_Accuracy):
         ]
         lines += wrap(f"Noise assumed: {', '.join(map(' '.join, stated))}.", WIDTH)
         if self.sea is not None:
-            lines += wrap(f"Random forces assumed: {sea_words(self.sea)}.", WIDTH)
+            lines += wrap(f"Disturbance forces assumed: {sea_words(self.sea)}.", WIDTH)
         last = (
             "Write down wind, sea, current, loading, battery, and anything touched during the run."
         )
@@ -459,7 +459,7 @@ class Design(_Accuracy):
 
     def _to_expect(self) -> list[str]:
         """Accuracy against standard manoeuvres, and which parameters will be found."""
-        kind = "white noise" if self.sea is None else "noise and random forces"
+        kind = "white noise" if self.sea is None else "noise and disturbance forces"
         lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
         for reference in self.references:
             mean, worst = self.gain(reference)
@@ -729,7 +729,7 @@ class Programme(_Accuracy):
             answer=self._answer(),
             warnings=[f"{self.danger}. {STAND_BY}"] if self.danger else [],
             head=(
-                ("random forces", "none" if self.sea is None else sea_words(self.sea)),
+                ("disturbance forces", "none" if self.sea is None else sea_words(self.sea)),
                 ("measured", ", ".join(self.outputs)),
             ),
             numbers=(

@@ -160,8 +160,8 @@ def improve(
     run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
     end = run.whole(study, base)
     if disturbances == "auto" and _hidden_by_forces(end):
-        tell("searching without random forces")
-        calm = keep.once("without random forces", partial(begin, disturbances="none"))
+        tell("searching without disturbance forces")
+        calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
         end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
@@ -234,8 +234,8 @@ class _Run:
         if not decided.stands:
             return replace(end, state=replace(end.state, decisions=decisions))
         self.notes.append(
-            "Random forces had grown over what is missing: it was searched for without them, and "
-            "is likelier with them, too."
+            "Disturbance forces had grown over what is missing: it was searched for without them, "
+            "and is likelier with them, too."
         )
         path = (*calm.path[:-1], fit)
         state = replace(calm, study=study, fit=fit, path=path, decisions=decisions)
@@ -260,7 +260,7 @@ def _bought(end: _Ended) -> list[str]:
     if not overgrown(study, fit):
         return []
     return [
-        "Random forces make the records likely, but a whole run is then "
+        "Disturbance forces make the records likely, but a whole run is then "
         f"{own_error(study, fit, study.train):.3g} x noise off, {study.plain_error:.3g} for the "
         "nominal model without them. Where the sea was calm, look again with disturbances='none' "
         "(--disturbances none): what is missing shows more clearly."
@@ -300,7 +300,7 @@ def _result(
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
     path = [study.polished(fit) for fit in (end.base, *state.path[1:])]
-    fits = [study.result(fit, "improve, random forces") for fit in path]
+    fits = [study.result(fit, "improve, disturbance forces") for fit in path]
     sigma = _sigma(study, fits)
     records = {"train": study.train, "test": study.validation}
     rms = [{name: _rms(study, fit, of) for name, of in records.items()} for fit in path]

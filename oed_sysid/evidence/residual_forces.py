@@ -322,7 +322,7 @@ class _Part:
 def repeated(
     study: Study, fit: FilteredSolution, other: FilteredSolution | None
 ) -> tuple[Repeated, ...] | None:
-    """Random forces and slow noise of a fit that follow inputs and motion, one entry each.
+    """Disturbance forces and slow noise of a fit that follow inputs and motion, one entry each.
 
     None where that cannot be asked: the smoother or the model on its own diverges.
 

@@ -552,7 +552,7 @@ class Fit(Estimate):
         return Table(headers, rows)
 
     def _random(self) -> list[Section]:
-        """Random forces and coloured sensors, one line each."""
+        """Disturbance forces and coloured sensors, one line each."""
         noise = self.noise
         if noise.is_white:
             return []

@@ -367,7 +367,7 @@ def _colours(fit: Estimate) -> Iterator[Found]:
         "depend on the manoeuvre; look for what is missing with improve()."
         if fit.coloured
         else "Standard errors are too small; look for what is missing with improve(), or let "
-        "random forces in."
+        "disturbance forces in."
     )
     found = {}
     for name, tests in fit.whiteness().items():
@@ -701,7 +701,8 @@ def _unexplained(fit: Estimate) -> Iterator[Found]:
         return
     moves = _Motion.of(fit).beyond(white_levels(fit.dataset)[0])
     moving = dict(zip(fit.model.output_names, moves, strict=True))
-    what = "random forces hold the rest" if fit.innovations is not None else "the noise is the rest"
+    rest = "the noise is the rest"
+    what = "disturbance forces hold the rest" if fit.innovations is not None else rest
     for name in poor:
         if len(poor) == len(shares) or moving[name]:
             yield Found(shares[name], name, facts={"what": what})

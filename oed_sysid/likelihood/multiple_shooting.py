@@ -494,7 +494,7 @@ class MultipleShooting:
         if solution is None:
             return None
         iterations = fit.iterations + solution.iterations
-        how = replace(task.how, name=f"{self.name}, random forces", iterations=iterations)
+        how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
         ends = solution.point.unknowns, solution.matrix, solution.right
         return replace(summarise_filtered(solution, how), binding=binding(solution.problem, *ends))
 

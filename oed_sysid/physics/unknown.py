@@ -52,7 +52,7 @@ Kind = TypeVar("Kind", bound=Effect)
 def RandomForce(
     equation: str, *, level: float = 0.0, time: float = 1.0, known: bool = False
 ) -> Force:
-    """Random force in one equation: waves, gusts, turbulence.
+    """Disturbance force in one equation: waves, gusts, turbulence.
 
     Parameters
     ----------
@@ -68,7 +68,7 @@ def RandomForce(
     >>> RandomForce("Z", level=0.3, time=2.0).noise.place
     'force Z'
     """
-    words = ("random_force", f"random force in {equation}")
+    words = ("random_force", f"disturbance force in {equation}")
     return _random(Force, equation, words, level, time, known)
 
 
