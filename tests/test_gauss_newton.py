@@ -139,7 +139,7 @@ class Valley:
         equations = Equations(jacobian.T @ jacobian, -jacobian.T @ error, closed)
         return Iterate(self, point, closed + self.limits.prior_cost(x), lambda _: equations)
 
-    def move(self, point: Point, maps, offsets, step: np.ndarray, length: float) -> Point:
+    def move(self, point: Point, follows, step: np.ndarray, length: float) -> Point:
         """The point after a share of a step."""
         return Point(point.unknowns + length * step, ())
 

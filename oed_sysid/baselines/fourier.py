@@ -131,7 +131,7 @@ class FourierRegression:
             spectra = Spectra.none(form, frequencies)
             spectra = spectra.plus(record.times - record.times[0], targets, regressors)
             total = total.plus(spectra, factor=1.0)
-        found = Regression(*total.solve(model), extras={"n_frequencies": total.n_frequencies})
+        found = Regression(*total.solve(model), facts={"n_frequencies": total.n_frequencies})
         return fit_from_values(model, dataset, found, estimator=self.name, began=began)
 
 

@@ -147,7 +147,7 @@ class JointKalmanFilter:
             "history_std": dict(zip(model.free_names, spreads.T, strict=True)),
             "innovation": filter_.innovation,
         }
-        found = Regression(values, covariance, status=status, iterations=len(tracks), extras=extras)
+        found = Regression(values, covariance, status=status, iterations=len(tracks), facts=extras)
         return fit_from_values(
             model, dataset, found, estimator=self.name, began=began, known=self.initial
         )

@@ -272,14 +272,14 @@ class Found:
         Generations.
     status : Status
         Whether it ended by itself.
-    extras : mapping
+    facts : mapping
         What else there is to tell.
     """
 
     best: np.ndarray
     iterations: int
     status: Status
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 class TrajectorySearch(ABC):
@@ -317,10 +317,10 @@ class TrajectorySearch(ABC):
         )
         end = self._search(cost)
         status = end.status if np.isfinite(cost(end.best)[0]) else DIVERGED
-        extras = {"evaluations": cost.n_evaluations, **end.extras}
+        extras = {"evaluations": cost.n_evaluations, **end.facts}
         information, covariance, coloured = cost.errors(end.best)
         found = Regression(
-            end.best, covariance, information, coloured, status, end.iterations, extras=extras
+            end.best, covariance, information, coloured, status, end.iterations, facts=extras
         )
         return fit_from_values(
             model, dataset, found, estimator=self.name, began=began, known=cost.initial

@@ -65,7 +65,7 @@ class Regression:
         Iterations or samples.
     posterior : Posterior or None
         Draws, of a sampler.
-    extras : mapping
+    facts : mapping
         What else there is to tell.
     """
 
@@ -76,7 +76,7 @@ class Regression:
     status: Status = CONVERGED
     iterations: int = 1
     posterior: Posterior | None = None
-    extras: Mapping[str, Any] = field(default_factory=dict)
+    facts: Mapping[str, Any] = field(default_factory=dict)
 
 
 def fit_from_values(
@@ -141,7 +141,7 @@ def fit_from_values(
         iterations=found.iterations,
         seconds=time.perf_counter() - began,
         posterior=found.posterior,
-        extras=dict(found.extras),
+        extras=dict(found.facts),
     )
 
 
@@ -267,7 +267,7 @@ def each_equation(rows: Rows, solve: Callable[[int], EquationSolution]) -> Regre
         coloured |= found.coloured
         for key, fact in found.facts.items():
             extras.setdefault(key, {})[equation] = fact
-    return Regression(estimates, covariance, coloured=coloured, extras=extras)
+    return Regression(estimates, covariance, coloured=coloured, facts=extras)
 
 
 def weighed(
@@ -332,7 +332,7 @@ def solve_rows(rows: Rows, *, coloured: str = "auto") -> Regression:
         "equation_errors": dict(zip(rows.form.equations, map(float, levels), strict=True)),
         "equation_residuals": residuals,
     }
-    return Regression(estimates, covariance, information, use, extras=extras)
+    return Regression(estimates, covariance, information, use, facts=extras)
 
 
 def column_norms(matrix: np.ndarray) -> np.ndarray:
@@ -539,7 +539,7 @@ def separate(
         return EquationSolution(names, values, covariance, coloured, facts)
 
     found = each_equation(rows, solve)
-    return replace(found, extras={**found.extras, "history": history}) if history else found
+    return replace(found, facts={**found.facts, "history": history}) if history else found
 
 
 def equation_covariance(

@@ -290,17 +290,39 @@ class Signal:
 
     def spikes(self) -> Stopped | None:
         """Samples, alone or in short groups, that their neighbours contradict."""
-        y, known = self.series.copy(), self.taken.copy()
-        factor, found = 0.0, [np.empty(0, dtype=int)]
-        # What stands beside a spike shows once that is gone; then groups.
-        for lengths in ((1,), (1,), LENGTHS):
-            y[known] = np.interp(np.flatnonzero(known), np.flatnonzero(~known), y[~known])
-            factor = factor or _limit(deviations(y, 1)[:, 0])
-            fresh = bursts(self.times, y, known, factor, self.least, lengths)
-            found += fresh
-            known[np.concatenate([found[0], *fresh])] = True
-        rows = np.sort(np.concatenate(found))
+        y, taken = self.series.copy(), self.taken
+        y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), y[~taken])
+        d = deviations(y, 1)[:, 0]
+        if d.size < LEAST_SAMPLES:
+            return None
+        factor = _limit(d)
+        alone = self._alone(y, d, factor)
+        known = taken.copy()
+        known[alone] = True
+        rows = np.sort(np.concatenate([alone, *bursts(self.times, y, known, factor, self.least)]))
         return (rows, float(rows.size)) if rows.size else None
+
+    def _alone(self, y: np.ndarray, d: np.ndarray, factor: float) -> np.ndarray:
+        """Rows of single spikes, the largest first; each is taken out of ``y`` as it is found."""
+        limit = max(factor * float(np.median(np.abs(d))) / QUARTILE, self.least)
+        uneven, found = _uneven(self.times), []
+        for i in np.argsort(-np.abs(d)) + 2:
+            if abs(d[i - 2]) <= limit:
+                break
+            if self.taken[i] or uneven[i - 2 : i + 2].any():
+                continue
+            # Beside a spike that has been taken out the neighbours are other ones than in d.
+            now = deviations(y[i - 2 : i + 3], 1)[0, 0]
+            nearby = factor * float(np.median(np.abs(d[max(i - 12, 0) : i + 8]))) / QUARTILE
+            middle = 0.5 * (y[i - 1] + y[i + 1])
+            bend = abs((y[i + 2] - y[i + 1]) - (y[i - 1] - y[i - 2]))
+            apart = abs(y[i] - middle)
+            if abs(now) <= max(limit, nearby) or apart <= 1.5 * bend:
+                continue
+            if abs(y[i + 1] - y[i - 1]) <= 0.5 * apart:
+                found.append(int(i))
+                y[i] = middle
+        return np.array(found, dtype=int)
 
     def jumps(self) -> Stopped | None:
         """Steps after which it keeps its new level."""
@@ -354,14 +376,9 @@ def _limit(d: np.ndarray) -> float:
 
 
 def bursts(
-    times: np.ndarray,
-    series: np.ndarray,
-    taken: np.ndarray,
-    limit: float,
-    least: float,
-    lengths: Sequence[int] = LENGTHS,
+    times: np.ndarray, series: np.ndarray, taken: np.ndarray, limit: float, least: float
 ) -> list[np.ndarray]:
-    """Find groups of consecutive samples that their surroundings contradict.
+    """Find groups of two to six consecutive samples that their surroundings contradict.
 
     Parameters
     ----------
@@ -373,8 +390,6 @@ def bursts(
         Robust deviations that both ends of a group have to stand out by.
     least : float
         The least deviation that matters, in the unit of the series.
-    lengths : sequence of int
-        Of the groups.
 
     Returns
     -------
@@ -389,17 +404,16 @@ def bursts(
     >>> [rows.tolist() for rows in bursts(t, y, np.zeros(300, dtype=bool), 8.5, 0.02)]
     [[100, 101, 102]]
     """
-    used, uneven = np.zeros_like(taken), _uneven(times)
+    used, uneven = taken.copy(), _uneven(times)
     found: list[tuple[float, int, int]] = []
-    for length in lengths:
+    for length in LENGTHS:
         if series.size - length - 3 >= LEAST_SAMPLES:
             found += _candidates(series, length, limit, least)
     groups = []
     # The clearest first: a window that holds a part of a group sees the rest beside it.
     for _, first, length in sorted(found, reverse=True):
         window = slice(first - 2, first + length + 2)
-        bad = taken[window] if length > 1 else taken[first]
-        if used[window].any() or uneven[first - 2 : first + length + 1].any() or bad.any():
+        if used[window].any() or uneven[first - 2 : first + length + 1].any():
             continue
         groups.append(np.arange(first, first + length))
         used[first : first + length] = True
@@ -450,20 +464,14 @@ def _candidates(
         bend = 1.5 * abs(after - before)
         into, out = y[first] - y[first - 1] - before, y[last + 1] - y[last] - after
         back = y[last + 1] - y[first - 1] - 0.5 * (length + 1) * (before + after)
-        # Of a single sample, how far it is from the middle of its neighbours.
-        rise = (
-            min(abs(into), abs(out))
-            if length > 1
-            else 0.5 * abs(y[first + 1] + y[first - 1] - 2.0 * y[first])
-        )
-        if rise <= bend or abs(back) > 0.5 * ends[k]:
+        if min(abs(into), abs(out)) <= bend or abs(back) > 0.5 * ends[k]:
             continue
         # Windows that overlap the group see it as well.
         beside = np.abs(np.arange(d.shape[0]) - k)
         near = d[(beside > length + 3) & (beside <= length + 3 + AROUND)]
         nearby = limit * float(np.median(near[:, [0, -1]])) / QUARTILE if near.size else 0.0
         # Calm surroundings: their own changes are no size that would make a group stand out.
-        calm = 3.0 * max(abs(before), abs(after)) if length > 1 else 0.0
+        calm = 3.0 * max(abs(before), abs(after))
         if ends[k] > max(nearby, calm):
             result.append((float(ends[k] / max(limit * usual, nearby, least)), first, length))
     return result
