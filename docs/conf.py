@@ -11,6 +11,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from importlib import import_module
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +30,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
-    "sphinx-mathjax-offline",
+    "sphinx.ext.mathjax",
     "sphinx.ext.napoleon",
     "sphinx_copybutton",
     "sphinx_design",
@@ -47,6 +48,9 @@ autodoc_member_order = "bysource"
 napoleon_google_docstring = False
 napoleon_use_rtype = False
 napoleon_use_ivar = True
+# MathJax and its fonts from an installed package: formulas are drawn without a network.
+mathjax_path = "mathjax/tex-chtml.js"
+html_static_path = [str(Path(find_spec("sphinx-mathjax-offline").origin).parent / "static")]
 html_theme = "furo"
 html_title = f"oed_sysid {release}"
 html_show_sphinx = False
@@ -81,7 +85,7 @@ RESULTS = {
     ),
     "oed_sysid.likelihood": (
         "fit.Fit",
-        "fit.Status",
+        "estimate.Status",
         "judgement.Concern",
         "prediction.Prediction",
         "captive.CaptiveTests",
@@ -99,7 +103,9 @@ def public(package: str, taken: set[int]) -> list[str]:
     for name in [*getattr(module, "__all__", ()), *RESULTS.get(package, ())]:
         part, _, last = name.rpartition(".")
         thing = getattr(import_module(f"{package}.{part}") if part else module, last)
-        if callable(thing) and id(thing) not in taken:
+        # What has another name as well is documented under its own.
+        own = getattr(thing, "__name__", last) == last
+        if callable(thing) and own and id(thing) not in taken:
             taken.add(id(thing))
             found.append(name)
     return sorted(found, key=str.lower)
