@@ -294,7 +294,7 @@ class SupportVectorRegression(RegressionEstimator):
     Statistics and Computing 14; solver: Fan et al. (2008), LIBLINEAR.
     """
 
-    C: float = 100.0  # of scaled data: their noise is a tenth of their spread
+    C: float = 100.0  # of data scaled to one: errors outweigh the size of coefficients
     epsilon: float = 1e-3
     scale: str | Mapping[str, float] = "unit"
     rule: str = "simpson"

@@ -49,7 +49,7 @@ _KEPT = {"theta": "z"}
 # Sizes tried until the limits hold, as shares of the range (the largest that does and a gentler
 # one are candidates).
 SHARES = (1.0, 0.6, 0.35, 0.2, 0.1, 0.05)
-# A run of this share of the largest size stays linear where the largest does not.
+# The gentler one, as a share of the largest.
 _GENTLER = 0.4
 # Of the angles of a standard zigzag, largest first.
 _STANDARD_SHARES = (1.0, 0.8, 0.6, 0.45, 0.3, 0.2, 0.1)

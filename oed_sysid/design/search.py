@@ -160,7 +160,7 @@ _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
 # A smaller gain of a criterion, or of a goal's log, is not worth the effort: of five steps
 # together, of a run.
 WORTH = 0.01
-# Attempts to bring a result inside its limits, each with commands smaller by this factor.
+# Last refinements of the best result; all but the first begin at commands of this share.
 _N_FINISHES, _INWARD = 3, 0.85
 
 

@@ -80,7 +80,7 @@ MATERIAL, SAMPLES = 0.15, 0.3
 LARGEST = 4.0
 # What an equation may leave: of the changes of its left side, and of what noise makes (power).
 UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
-# Faults that one log is explained by, and iterations at most; neither is reached by usual logs.
+# Effort: faults that one log is explained by, and iterations of its fit, at most.
 MOST_FAULTS, SWEEPS = 6, 12
 # Statistic over its limit from which on linearised scores mislead.
 STRAINED = 10.0

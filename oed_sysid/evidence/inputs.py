@@ -50,7 +50,7 @@ LAGS = (0.0, 0.25, 0.5, 1.0, 2.0)
 BEYOND = 1.5
 # Samples of a piece: the shortest over which motion stands out of noise is taken.
 PIECES = (5, 10, 20, 40)
-# Effort only: readings differ by far more than such a piece needs.
+# Effort: of a record, from its beginning.
 MOST_SAMPLES = 1500
 # Fewer equations do not determine free parameters and a reading.
 LEAST_PIECES = 30
@@ -60,7 +60,7 @@ VISIBLE = 6.0
 FREE = 30.0
 # A declared prior is not trusted beyond this share of its mean.
 LEAST_PRIOR = 0.25
-# Iterations of weights and parameters; more move a statistic by less than a hundredth.
+# Iterations of weights and parameters; with twelve a statistic of a spoilt log moved by 3 %.
 SWEEPS = 4
 # What is left of a state's changes is not believed to be smaller than this share of them.
 EXACT = 1e-6

@@ -489,10 +489,9 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
 # -- clocks ----------------------------------------------------------------------------------
 
 # Over a gap of the times each equation predicts a change. If the signals change as if only one
-# usual step had passed, the clock was set and no time is missing: standard errors from which a
-# change contradicts the clock, and up to which it agrees with a step; and a jump in usual steps.
+# usual step had passed, the clock was set and no time is missing. A jump, in usual steps:
 JUMP = 2.5
-# Standard errors; between the two nothing is said.
+# Standard errors from which a change contradicts the clock, and up to which it agrees with a step.
 WRONG, RIGHT = 8.0, 4.0
 
 

@@ -243,7 +243,7 @@ def _samples_before(present: np.ndarray) -> np.ndarray:
 
 
 SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}
-# Correlation time of first-order forces when none is given, s: about that of a wave force.
+# Correlation time of first-order forces when none is given, s; longer where samples are rare.
 USUAL_TIME = 2.0
 # Relative width of waves of which only the period is given, about that of swell.
 USUAL_WIDTH = 0.2

@@ -20,7 +20,7 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
 
-# Samples of the smoothing window: the shortest that leaves noise below the motion.
+# Samples of the smoothing window: the one with the least noise and bias together is taken.
 WINDOWS = (5, 9, 17, 33, 65)
 # What is known of a state before anything is measured, in units of its scale.
 VAGUE = 10.0

@@ -363,7 +363,7 @@ LEAST_LEFT = 0.1
 AT_RATE = 0.75
 # A change of course has to lower the sum of squares by this share, and by this of the rudder's.
 LEAST_GAIN = 0.25
-# The second share: what rounding of a logged rudder leaves.
+# The second share, of the whole sum of squares of the rudder.
 LEAST_OF_RUDDER = 1e-3
 # A rudder that moves less than this is constant, rad.
 CONSTANT = 1e-4

@@ -35,7 +35,7 @@ from oed_sysid.text.units import shown_unit
 SIDES = ("starboard", "port")
 # Heading change that is simulated: a full turn, then half a turn to call steady.
 TURN = 3.0 * math.pi
-# Of the simulated time, until the heading has changed by TURN: 4,096 times the first guess.
+# Simulations, each twice as long, until the heading has changed by TURN.
 _DOUBLINGS = 12
 NEAR_AMIDSHIPS = math.radians(10.0)
 # Share by which the speed that the propulsion keeps may differ from that of the approach.
