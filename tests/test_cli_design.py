@@ -235,14 +235,6 @@ def test_what_is_missing_is_named(
 HIDDEN = "yaw_quadratic_damping"
 
 
-@pytest.fixture(name="ship", scope="module")
-def _ship_improve(tmp_path_factory) -> Path:
-    """The starter folder; its data hides a damping that the model lacks."""
-    folder = tmp_path_factory.mktemp("cli") / "my_ship"
-    assert main(["new", str(folder)]) == DONE
-    return folder
-
-
 def split(ship: Path) -> list[str]:
     """Command line that learns from the zigzags and judges with the circle."""
     data = ship / "data"

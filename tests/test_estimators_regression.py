@@ -308,8 +308,8 @@ def test_missing_library_says_which_extra_to_install() -> None:
         optional("no_such_library_anywhere", "nothing", wanted_by="A test")
 
 
-SHIP = load_problem("online_ship")
-RECORD_ONLINE = simulate(SHIP.model, SHIP.experiment("zigzag_5_5"), noise=False)
+TANKER = load_problem("online_ship")
+ZIGZAG = simulate(TANKER.model, TANKER.experiment("zigzag_5_5"), noise=False)
 SCRIPT_ONLINE = paper("online_ship")
 FEATURES, TARGETS = SCRIPT_ONLINE.yaw_rows()
 
@@ -412,22 +412,22 @@ INDEPENDENT_ONLINE = {
 @pytest.mark.parametrize("method", ["recursive", "incremental"])
 def test_error_table_of_the_tanker(rule: str, method: str) -> None:
     """Errors of the six coefficients equal those of an independent program at both lengths."""
-    fit = OnlineRegression(method=method, C=3e5, rule=rule).fit(SHIP.model, DATA)
+    fit = OnlineRegression(method=method, C=3e5, rule=rule).fit(TANKER.model, Dataset((ZIGZAG,)))
     names = ("Y_v", "Y_r", "N_v", "N_r", "Y_delta", "N_delta")
     early, late = INDEPENDENT_ONLINE[rule]
     for name, at_60, at_200 in zip(names, early, late, strict=True):
-        truth, track = SHIP.truth[name], fit.extras["history"][name]
+        truth, track = TANKER.truth[name], fit.extras["history"][name]
         assert 100 * (track[59] / truth - 1) == pytest.approx(at_60, abs=2e-3)
         assert 100 * (fit.values[name] / truth - 1) == pytest.approx(at_200, abs=2e-3)
 
 
 def test_stream_gives_the_rows_of_the_batch() -> None:
     """Samples pushed one by one give the rows that the whole record gives."""
-    stream = EquationStream(SHIP.model, rule="trapezoid")
+    stream = EquationStream(TANKER.model, rule="trapezoid")
     rows = []
-    for k, moment in enumerate(RECORD_ONLINE.times):
-        sample = {"delta": RECORD_ONLINE.input("delta")[k]}
-        sample |= {name: RECORD_ONLINE.output(name)[k] for name in ("v", "r", "psi")}
+    for k, moment in enumerate(ZIGZAG.times):
+        sample = {"delta": ZIGZAG.input("delta")[k]}
+        sample |= {name: ZIGZAG.output(name)[k] for name in ("v", "r", "psi")}
         rows += [row for row in stream.push(float(moment), sample) if row.equation == "r"]
     assert stream.names("r") == ("N_v", "N_r", "N_delta")
     assert np.array([row.features for row in rows]) == pytest.approx(FEATURES)
@@ -436,7 +436,7 @@ def test_stream_gives_the_rows_of_the_batch() -> None:
 
 def test_stream_skips_missing_and_refuses_impossible_samples() -> None:
     """A missing output gives no row; a missing command or a clock set back is an error."""
-    stream = EquationStream(SHIP.model, rule="euler")
+    stream = EquationStream(TANKER.model, rule="euler")
     whole = {"delta": 0.1, "v": 0.0, "r": 0.0}
     assert stream.push(0.0, whole) == []
     assert stream.push(3.0, {"delta": 0.1, "v": np.nan, "r": 0.0}) == []
