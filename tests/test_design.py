@@ -151,16 +151,13 @@ def test_families_find_their_own_members(family: Levels) -> None:
     np.testing.assert_allclose(shape.commands(found[None])[:, 1:], commands[:, 1:], atol=2e-3)
 
 
-@pytest.mark.parametrize(
-    ("family", "colour"),
-    [(Levels(12), None), (Levels(9, "linear"), None), (Levels(12), {"r": 0.7}), (Pulses(1), None)],
-)
-def test_derivatives_equal_differences(family: Levels, colour: dict | None) -> None:
+@pytest.mark.parametrize("family", [Levels(12), Levels(9, "linear"), Pulses(1)])
+def test_derivatives_equal_differences(family: Levels) -> None:
     """Derivatives through restarted trajectories equal central differences of whole runs."""
     model = ship()
     fitted = grid()
     shape = family.on(fitted)
-    noise = noise_of(model, coloured=colour)
+    noise = noise_of(model)
     vehicle = VehicleInformation(model, fitted.times, shape.edges, np.array([0.0, 0.01]), noise)
     bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)})
     measure = DOptimal().bind(SETTING)

@@ -25,8 +25,8 @@ from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.information import information_of
-from oed_sysid.information.bound import joint_information
+from oed_sysid.information import information_of, plays
+from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.shifts import Shifts
 
 CUBIC = Force("cubic", {"r": "-E_cubic*r**3"}, (Parameter("E_cubic", 0.0, scale=30.0),))
@@ -97,12 +97,15 @@ def test_parameters_keep_their_information_beside_shifts() -> None:
     )  # fmt: skip
     n = len(model.free_parameters)
     for noise in (None, sea):
-        joint = joint_information(model, RUN, shifts, noise=noise)
+        joint = RunInformation(model, noise, shifts=shifts).matrix(RUN)
+        assert joint is not None
         alone = information_of(model, RUN, noise=noise, priors=None).matrix
         np.testing.assert_allclose(joint[:n, :n], alone, rtol=1e-7)
     calm = replace(sea, force=np.array([1e-12]))
-    white = joint_information(model, RUN, shifts)
-    weak = joint_information(model, RUN, shifts, noise=calm)
+    white = RunInformation(model, None, shifts=shifts).matrix(RUN)
+    weak = RunInformation(model, calm, shifts=shifts).matrix(RUN)
+    assert white is not None
+    assert weak is not None
     sizes = np.sqrt(np.diag(white))
     np.testing.assert_allclose(weak / sizes / sizes[:, None], white / sizes / sizes[:, None],
                                atol=1e-6)  # fmt: skip
@@ -117,7 +120,8 @@ def test_expected_gain_is_what_a_refit_gains(effect: Force) -> None:
     plain = MultipleShooting(noise="given", coloured="never", disturbances="none").fit(model, data)
     criterion = Detect([effect])
     shifts = criterion.shifts(model)
-    matrix = joint_information(model, RUN, shifts)
+    matrix = RunInformation(model, None, shifts=shifts).matrix(RUN)
+    assert matrix is not None
     (found,) = criterion.detections(shifts, 0 * matrix, matrix, len(model.free_parameters))
     assert found.gain_before == pytest.approx(0.0, abs=1e-9)
     assert 2 * plain.cost == pytest.approx(found.gain_after, rel=0.3)
@@ -140,9 +144,9 @@ def test_a_design_reveals_what_the_records_could_not_show() -> None:
     )
     cubic = found.chances[0]
     shifts = Shifts.of(fit.model, [hidden])
-    told = joint_information(
-        fit.model, fit.dataset, shifts, initial_states=fit.initial_states, noise=fit.sigma
-    )
+    (play,) = plays(fit.model, fit.dataset, initial_states=fit.initial_states)
+    factor = RunInformation(fit.model, fit.sigma, shifts=shifts).factor(play)
+    told = factor.T @ factor
     n = len(fit.model.free_parameters)
     left = told[n, n] - told[n, :n] @ np.linalg.solve(told[:n, :n], told[:n, n])
     assert cubic.gain_before == pytest.approx(left, rel=1e-3)
@@ -187,7 +191,8 @@ def test_a_programme_is_chosen_for_what_it_reveals() -> None:
     shifts = Shifts.of(found.model, [hidden])
     best = 0.0
     for run in found.candidates:
-        told = joint_information(found.model, run.experiment, shifts)
+        told = RunInformation(found.model, shifts=shifts).matrix(run.experiment)
+        assert told is not None
         left = told[3, 3] - told[3, :3] @ np.linalg.pinv(told[:3, :3]) @ told[:3, 3]
         best = max(best, float(left))
     assert chance.gain_after >= best * 0.999
