@@ -33,11 +33,11 @@ from oed_sysid.physics.channels import Channels, settle
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.structure import Line, effect_lines, lines
 from oed_sysid.text import expressions, notation
-from oed_sysid.text.dimensions import Deduction, Form
-from oed_sysid.text.units import dimension
+from oed_sysid.text.dimensions import Deduction
+from oed_sysid.text.units import Dimension, dimension
 
 DEFAULT = "default"
-_SECOND = Form(dimension("s"))
+_SECOND = dimension("s")
 _NAME = re.compile(r"[A-Za-z]\w*")
 
 
@@ -373,12 +373,12 @@ class _Units:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.units = Deduction()
-        self.masses: dict[str, Form | None] = {}
-        self.known: dict[str, Form | None] = {"t": _SECOND, "h": _SECOND}
-        self.known |= {state.name: Form(dimension(state.unit)) for state in model.states}
-        self.known |= {channel.name: Form(dimension(channel.unit)) for channel in model.inputs}
+        self.masses: dict[str, Dimension | None] = {}
+        self.known: dict[str, Dimension | None] = {"t": _SECOND, "h": _SECOND}
+        self.known |= {state.name: dimension(state.unit) for state in model.states}
+        self.known |= {channel.name: dimension(channel.unit) for channel in model.inputs}
         self.known |= {p.name: _stated(p.unit) for p in model.all_parameters}
-        self.outputs = {output.name: Form(dimension(output.unit)) for output in model.outputs}
+        self.outputs = {output.name: dimension(output.unit) for output in model.outputs}
         self.faults = tuple(self._faults())
 
     def copy(self) -> _Units:
@@ -424,8 +424,8 @@ class _Units:
             self.known[line.key] = found
 
     def _derived(
-        self, where: str, text: str, needed: Form | None = None
-    ) -> Generator[str, None, Form | None]:
+        self, where: str, text: str, needed: Dimension | None = None
+    ) -> Generator[str, None, Dimension | None]:
         """Yield a fault if there is one, and return the dimension."""
         try:
             found = self.units.form(text, self.known, where=where)
@@ -439,11 +439,11 @@ class _Units:
             )
         return found
 
-    def _rate(self, name: str) -> Form | None:
+    def _rate(self, name: str) -> Dimension | None:
         own = self.known.get(name)
         return None if own is None else own / _SECOND
 
-    def _needed(self, line: Line, effect: Effect | None) -> Form | None:
+    def _needed(self, line: Line, effect: Effect | None) -> Dimension | None:
         """Dimension that a text has to have; None where nothing says one."""
         key, stage = line.key, "" if effect is None else effect.stage
         match line.role:
@@ -467,7 +467,7 @@ class _Units:
             return force
         return force / rate
 
-    def _force(self, axis: str) -> Form | None:
+    def _force(self, axis: str) -> Dimension | None:
         """Dimension of an axis: inertia times acceleration, or by the name of the axis."""
         state = self.model.axes[axis]
         rate = self._rate(state)
@@ -487,14 +487,14 @@ class _Units:
         return _usual_force(axis) if mass is None else mass * rate
 
 
-def _usual_force(axis: str) -> Form | None:
+def _usual_force(axis: str) -> Dimension | None:
     """Force or moment, by the name of the axis."""
-    return Form(dimension("N" if axis in "XYZ" else "N m")) if axis in notation.AXES else None
+    return dimension("N" if axis in "XYZ" else "N m") if axis in notation.AXES else None
 
 
-def _stated(unit: str) -> Form | None:
+def _stated(unit: str) -> Dimension | None:
     """Dimension of a stated unit; an empty one is unknown."""
-    return Form(dimension(unit)) if unit else None
+    return dimension(unit) if unit else None
 
 
 def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
