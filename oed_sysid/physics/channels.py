@@ -53,9 +53,8 @@ def settle(
 
     def check(what: str, value: object, kind: Any, expected: str = "") -> None:
         if not isinstance(value, kind):
-            words = expected or (
-                "text" if kind is str else f"a {kind.__name__}, {kind.__name__}(...)"
-            )
+            article = "an" if kind.__name__[0] in "AEIOU" else "a"
+            words = expected or ("text" if kind is str else f"{article} {kind.__name__}")
             raise error(
                 f"{owner}: {what} is a {type(value).__name__}, {value!r:.60}; expected {words}."
             )
