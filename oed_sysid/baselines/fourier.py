@@ -503,7 +503,7 @@ class FourierStream:
         errors = self.relative_errors
         worst = max(errors, key=lambda name: errors[name])
         if errors[worst] <= goal:
-            return f"enough: every parameter is within {goal:.0%} ({worst} {errors[worst]:.1%})"
+            return f"enough: every parameter is within {goal:.0%} ({worst} {share(errors[worst])})"
         elapsed = self._spectra.length
         if not np.isfinite(errors[worst]):
             return f"go on: nothing is known of {worst} yet"
