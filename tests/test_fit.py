@@ -16,6 +16,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.runtime.display import rounded
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def test_report_holds_what_a_paper_needs(fit: Fit) -> None:
         assert piece in text
     for name, value in fit.values.items():
         assert f"{name} " in text
-        assert f"{value:.6g}" in text
+        assert rounded(value, fit.std_errors[name]) in text
     assert "rms residual" in text
     assert "K per record: a 0.1" in text
     assert "None" not in text

@@ -35,6 +35,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.multistart import profile
+from oed_sysid.runtime.display import rounded
 
 SHIP = Model(
     "ferry",
@@ -300,7 +301,7 @@ def test_report_is_one_file_that_fetches_nothing(fit: Fit, tmp_path) -> None:
     assert picture is not None
     assert b"<svg" in base64.b64decode(picture[1])
     for name, value in fit.values.items():
-        assert f"<td>{name}</td><td>{value:.6g}</td>" in text
+        assert f"<td>{name}</td><td>{rounded(value, fit.std_errors[name])}</td>" in text
 
 
 def test_report_escapes_what_the_user_wrote(fit: Fit) -> None:
