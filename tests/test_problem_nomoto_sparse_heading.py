@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.published import paper
-from oed_sysid import Dataset, Record, load_problem
+from oed_sysid import Dataset, Record, load_problem, simulate
 from oed_sysid.baselines import HeadingDifferences
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
 SCRIPT = paper("nomoto_sparse_heading")
