@@ -399,7 +399,7 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
     assert proposals.best is not None
     effect, study = proposals.best.effect, state.study
     start = state.path[count]
-    wide = study.with_candidates([effect])
+    wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
     kept = state.added[:count]
     found = wide.estimate(
         [*(one.effect for one in kept), effect],
