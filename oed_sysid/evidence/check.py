@@ -38,7 +38,7 @@ from scipy.fft import idct
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
-from oed_sysid.evidence.contrasts import Found, Piece, Result
+from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
@@ -46,11 +46,12 @@ from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogC
 from oed_sysid.evidence.screens import marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
+    READ,
     clock_findings,
+    judged_row,
     misfit_finding,
     reading_finding,
     screen_findings,
-    seen_from,
     sized_finding,
 )
 from oed_sysid.experiments.problem import Problem
@@ -71,9 +72,6 @@ __all__ = [
 ]
 
 
-# Faults that are other readings of the same numbers, and the least error of a scale that would be
-# seen from which on they would be, too.
-READ, LEGIBLE = ("sign", "unit", "swap"), 0.5
 # Samples that must not enter any equation.
 BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
 
@@ -126,13 +124,13 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     ended = None
     if equations:
         findings, balances, ended = _related(dataset, model, clean, equations, findings)
-    reason = ""
+    reason, of_inputs = "", list[Judged]()
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
-        judged, reason = input_findings(dataset, model, known, ranges)
+        judged, of_inputs, reason = input_findings(dataset, model, known, ranges)
         findings += judged
-    asked = _asked(model, traces, equations, ended, reason if inputs else "not asked")
+    asked = [*_asked(model, traces, equations, ended), *of_inputs]
     return LogCheck(
         tuple(_ordered(findings)),
         dataset.names,
@@ -176,7 +174,9 @@ def _related(
     findings: Sequence[Finding],
 ) -> tuple[list[Finding], tuple[Balance, ...], Result]:
     """Findings with those of the equations, how well these hold, and what was searched."""
-    found, ended = contrasts.diagnosed(clean, equations, [*_places(findings, clean)])
+    found, ended = contrasts.diagnosed(
+        clean, Question.of(clean, equations), [*_places(findings, clean)]
+    )
     known, sized = _merged(findings, ended.found, clean)
     fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
@@ -312,48 +312,15 @@ def _asked(
     traces: Sequence[Trace],
     equations: tuple[Relation, ...],
     ended: Result | None,
-    inputs: str,
 ) -> list[Judged]:
     """What was asked of every signal, from which size on it shows, or why it was not."""
     related, units = names_of(equations), units_of(traces)
     kinds = ("bias", "scale", "delay", "rate", "drift", "step", *READ)
-    rows = [
-        _row(kind, name, units[name], ended, name in related)
-        for name in model.output_names
+    return [
+        judged_row(kind, name, units[name], ended, related=name in related)
+        for name, kind in product(model.output_names, kinds)
         if name in units
-        for kind in kinds
     ]
-    state = "not tested" if inputs else "tested"
-    of_inputs = product(model.input_names, ("sign", "unit", "delay"))
-    return rows + [Judged(kind, name, state, inputs) for name, kind in of_inputs]
-
-
-def _row(kind: str, name: str, unit: str, ended: Result | None, related: bool) -> Judged:
-    """Whether a fault was tested, from which size on, or why it was not."""
-    size, plausible = _visible(ended, "scale" if kind in READ else kind, name)
-    shown = seen_from(kind, size, unit)
-    if kind in READ:
-        shown, plausible, why = "", LEGIBLE, "no equation in which it moves enough"
-    elif not related:
-        why = "no equation without unknown parameters relates it"
-    elif np.isfinite(size):
-        why = f"the motion shows it from {shown} on only"
-    else:
-        why = "nothing that was measured depends on it"
-    tested = size <= plausible
-    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
-
-
-def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
-    """Least size of a fault of a signal alone that would be seen, and the largest plausible."""
-    if ended is None:
-        return np.inf, 0.0
-    sizes = [
-        (float(v), contrasts.LARGEST * f.plausible)
-        for f, v in zip(ended.faults, ended.visible, strict=True)
-        if f.kind == kind and f.signals == (name,)
-    ]
-    return min(sizes, default=(np.inf, 0.0))
 
 
 def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[str, ...]:

@@ -163,7 +163,7 @@ class Motion:
                 continue
             self.right[index] = one({n: self.raw[n] for n in one.signals}, trace.times)
             if one.is_rate:
-                predicted = integral(trace.times, self.right[index][:, None])[:, 0]
+                predicted = one.integral(trace.times, self.right[index][:, None])[:, 0]
                 self.values[one.target] = predicted + _line(
                     trace.times, self.raw[one.target] - predicted
                 )
@@ -212,21 +212,6 @@ SHAPES = {
 }
 
 
-def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Cumulative integral of cubic Hermite splines through ``(n, k)`` samples; first row zero.
-
-    Examples
-    --------
-    >>> t = np.linspace(0.0, 3.0, 31)
-    >>> print(round(float(integral(t, np.cos(t)[:, None])[-1, 0] / np.sin(3.0)), 6))
-    0.999996
-    """
-    steps = np.diff(times)[:, None]
-    slopes = np.gradient(columns, times, axis=0)
-    parts = 0.5 * steps * (columns[1:] + columns[:-1]) - steps**2 / 12.0 * np.diff(slopes, axis=0)
-    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
-
-
 # -- candidates ------------------------------------------------------------------------------
 
 
@@ -249,11 +234,29 @@ def velocities_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tu
 
 @dataclass(frozen=True)
 class Dictionary:
-    """Faults of all records, those of single records, and a step of every signal."""
+    """Faults of all records, those of single records, and a step of every signal.
+
+    ``given`` are errors that are in every regression, of a size that is known before.
+    """
 
     common: tuple[Candidate, ...]
     single: tuple[Candidate, ...]
     local: Mapping[str, Candidate]
+    given: tuple[Candidate, ...] = ()
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of signals: the equations, faults with a size, and other readings."""
+
+    relations: tuple[Relation, ...]
+    words: Dictionary
+    readings: tuple[Reading, ...]
+
+    @classmethod
+    def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Question:
+        """Everything that may be wrong with signals that equations relate."""
+        return cls(relations, candidates(traces, relations), tuple(readings(traces, relations)))
 
 
 class Facts:
@@ -403,7 +406,7 @@ def contrasts(
         used = [k for k in here if shapes[k].keys() & {*relation.names}]
         _, usable = trace.filled(relation.signals)
         inner = {n: motion.raw[n] for n in relation.signals}
-        slopes = {n: partial(relation, inner, trace.times, n) for n in relation.signals}
+        slopes = {n: partial(relation, inner, trace.times, n) for n in relation.asked}
         direct = np.zeros((trace.times.size, len(used)))
         under = np.zeros((trace.times.size, len(used) + 1))
         under[:, 0] = right
@@ -436,7 +439,7 @@ def _pieces(
         if n < LEAST_BLOCKS:
             continue
         times = trace.times[piece]
-        inside = integral(times, under[piece]) if relation.is_rate else under[piece]
+        inside = relation.integral(times, under[piece]) if relation.is_rate else under[piece]
         rows = rows[: n * group]
         inside = inside[rows - piece.start]
         left = target[rows]
@@ -449,7 +452,7 @@ def _pieces(
         }
         total = sum(power.values())
         every = np.column_stack([*slopes.values()])[piece]
-        sums = integral(times, every) if relation.is_rate else every
+        sums = relation.integral(times, every) if relation.is_rate else every
         sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
         waves = dct(means, axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
@@ -483,7 +486,7 @@ def partial(
     relation: Relation, series: Mapping[str, np.ndarray], times: np.ndarray, name: str
 ) -> np.ndarray:
     """Derivative of a right side by one signal, by central differences, ``(n_times,)``."""
-    h = 1e-4 * (float(np.std(series[name])) + 1e-3)
+    h = 1e-4 * (float(np.sqrt(np.mean(series[name] ** 2))) + 1e-3)
     up = relation({**series, name: series[name] + h}, times)
     return (up - relation({**series, name: series[name] - h}, times)) / (2.0 * h)
 
@@ -718,6 +721,16 @@ class System:
     doubt: np.ndarray
     levels: tuple[np.ndarray, ...]
 
+    def given(self, n: int) -> System:
+        """The same with the first ``n`` candidates in every regression, and asked no more."""
+        if not n:
+            return self
+        across = self._inverse(range(n)) @ self.gram[:n]
+        gram = self.gram - self.gram[:, :n] @ across
+        right = self.right - across.T @ self.right[:n]
+        gram[:n], gram[:, :n], right[:n] = 0.0, 0.0, 0.0
+        return replace(self, gram=gram, right=right)
+
     def of(self, what: str) -> np.ndarray:
         """A number of every candidate."""
         return np.array([getattr(fault, what) for fault in self.faults])
@@ -862,7 +875,7 @@ class Result:
 
 def search(
     traces: Sequence[Trace],
-    relations: tuple[Relation, ...],
+    question: Question,
     *,
     start: Sequence[Correction] = (),
     single: bool = True,
@@ -873,8 +886,9 @@ def search(
     ``start`` are delays to begin from, ``known`` steps that were undone by sizes which need
     improving: signal, record and share of it.
     """
-    words = candidates(traces, relations)
-    faults = [*words.common, *words.single * single]
+    words, relations = question.words, question.relations
+    n_given, n_common = len(words.given), len(words.given) + len(words.common)
+    faults = [*words.given, *words.common, *words.single * single]
     n_more = 2 * PLACES * len(words.local) * len(traces) * single
     active = _begun(words, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
@@ -886,8 +900,8 @@ def search(
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
         now = [place[f] for f in active]
-        inside = np.union1d(np.arange(len(words.common)), now).astype(int)
-        system = assemble(pieces, relations, faults, inside, n_more)
+        inside = np.union1d(np.arange(n_common), now).astype(int)
+        system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
         found = scanned(undone, pieces, system, now, words.local) if single else []
@@ -950,28 +964,30 @@ def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
 
 def diagnosed(
     traces: Sequence[Trace],
-    relations: tuple[Relation, ...],
+    question: Question,
     known: Sequence[tuple[str, str, float]] = (),
 ) -> tuple[list[Reading], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
-    plain = search(traces, relations, known=known)
-    if not plain.strained:
+    relations = question.relations
+    plain = search(traces, question, known=known)
+    if not (plain.strained or question.words.given):
         return [], plain
-    found, start = misread(traces, relations)
+    found, start = misread(traces, question)
     mended = [undo(t, [one.correction for one in found], relations) for t in traces]
-    ends = [search(mended, relations, known=known)] if found else [plain]
-    ends += [search(mended, relations, start=start, known=known)] if start else []
+    ends = [search(mended, question, known=known)] if found else [plain]
+    ends += [search(mended, question, start=start, known=known)] if start else []
 
     def worth(end: Result) -> float:
         left = [undo(t, [one.correction for one in end.found], relations) for t in mended]
-        return float(evidence(left, relations).sum()) - CLOSE * len(end.found)
+        told = evidence(left, relations, question.words.given)
+        return float(told.sum()) - CLOSE * len(end.found)
 
     best = max(ends, key=worth)
     units = [one for f in best.found for one in _as_units(f)]
     if units:
         found = [*found, *units]
         mended = [undo(t, [one.correction for one in units], relations) for t in mended]
-        best = search(mended, relations, known=known)
+        best = search(mended, question, known=known)
     return found, best
 
 
@@ -1039,19 +1055,21 @@ def _axes(
             yield Reading(turn, f"{90 * quarter} deg")
 
 
-def evidence(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> np.ndarray:
+def evidence(
+    traces: Sequence[Trace],
+    relations: tuple[Relation, ...],
+    given: tuple[Candidate, ...] = (),
+) -> np.ndarray:
     """Information that each equation gives about its left side, ``(n_relations,)``."""
-    pieces = [p for t in traces for p in contrasts(t, relations, (), {})]
+    pieces = [p for t in traces for p in contrasts(t, relations, given, {})]
     result = np.zeros(len(relations))
     for index in {p.relation for p in pieces}:
         mine = [p for p in pieces if p.relation == index]
-        result[index] = _noise(mine, (), np.zeros(0, dtype=int))[3]
+        result[index] = _noise(mine, given, np.arange(len(given)))[3]
     return result
 
 
-def misread(
-    traces: Sequence[Trace], relations: tuple[Relation, ...]
-) -> tuple[list[Reading], list[Correction]]:
+def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading], list[Correction]]:
     """Other readings that the equations ask for, and delays to begin from.
 
     A reading is accepted if it tells more than every fault with a size does together.
@@ -1063,13 +1081,19 @@ def misread(
     start : list of Correction
         Large delays that compete with readings: their sizes are for :func:`search` to find.
     """
+    relations, given = question.relations, question.words.given
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    if np.any((evidence(coarse, relations) == 0.0) & (evidence(traces, relations) != 0.0)):
+    lost = evidence(coarse, relations, given) == 0.0
+    if np.any(lost & (evidence(traces, relations, given) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
-    late = _late(coarse, relations)
+    late = [
+        Reading(Correction("delay", f.signals, d))
+        for f, d in product((f for f in question.words.common if f.kind == "delay"), DELAYS)
+        if abs(d) > 2.0 * f.material
+    ]
     found: list[Reading] = []
     for _ in range(3):
-        least, scored = _scored(coarse, relations, late)
+        least, scored = _scored(coarse, question, late)
         best = scored[0]
         # What chance exceeds rarely, however many readings are tried.
         limit = 2.0 * math.log(len(scored) / ALPHA)
@@ -1084,31 +1108,23 @@ def misread(
     return found, []
 
 
-def _late(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Reading]:
-    """Large delays, as rivals of readings."""
-    delays = [f for f in candidates(traces, relations).common if f.kind == "delay"]
-    return [
-        Reading(Correction("delay", f.signals, d))
-        for f, d in product(delays, DELAYS)
-        if abs(d) > 2.0 * f.material
-    ]
-
-
 def _scored(
-    coarse: Sequence[Trace], relations: tuple[Relation, ...], late: Sequence[Reading]
+    coarse: Sequence[Trace], question: Question, late: Sequence[Reading]
 ) -> tuple[float, list[Reading]]:
     """What faults with a size tell, and all readings, those that tell most first."""
-    now = evidence(coarse, relations)
-    sized = [one.correction for one in search(coarse, relations, single=False).found]
+    relations, given = question.relations, question.words.given
+    now = evidence(coarse, relations, given)
+    sized = [one.correction for one in search(coarse, question, single=False).found]
     mended = [undo(t, sized, relations) for t in coarse]
-    told = float(np.sum(evidence(mended, relations) - now))
+    told = float(np.sum(evidence(mended, relations, given) - now))
     scored = []
-    for one in (*readings(coarse, relations), *late):
+    for one in (*question.readings, *late):
         touched = {*one.correction.signals}
         mine = [i for i, r in enumerate(relations) if touched & {*r.names}]
         some = tuple(relations[i] for i in mine)
         changed = [undo(t, (one.correction,), relations) for t in coarse]
-        scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
+        gain = float(np.sum(evidence(changed, some, given) - now[mine]))
+        scored.append(replace(one, gain=gain))
     return max(0.0, told), sorted(scored, key=lambda one: -one.gain)
 
 

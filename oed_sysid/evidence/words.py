@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, overlap
-from oed_sysid.evidence.contrasts import Candidate, Found, Misfit, Reading
+from oed_sysid.evidence.contrasts import LARGEST, Candidate, Found, Misfit, Reading, Result
 from oed_sysid.evidence.relations import Relation
-from oed_sysid.evidence.result import Correction, Finding, amount, angle_aware, interval
+from oed_sysid.evidence.result import Correction, Finding, Judged, amount, angle_aware, interval
 from oed_sysid.evidence.screens import Fault
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -23,6 +23,12 @@ from oed_sysid.runtime.display import counted
 COPY = "oed-sysid check ... --fix FOLDER writes corrected copies"
 CUT = f"cut the record there with window(), or {COPY}"
 BLANK = f"leave these cells empty: {COPY}"
+# Faults that are other readings of the same numbers: seen where a scale of one would be.
+READ = ("sign", "unit", "swap")
+# Rows that tell of a vehicle rather than of its log.
+NO_FAULT = ("input lag", "run")
+# What may be wrong in place of an input.
+NOMINAL = "a nominal model or priors that are wrong by as much"
 # Fast noise against the declared level before it is mentioned, and a gap in usual steps.
 NOISIER, GAP = 2.5, 4.5
 
@@ -182,6 +188,53 @@ SAYS = {
         "with declared noise, errors are stated too small by as much",
         'Output("{commas}", "{si}", noise_std={found:.2g}), or let the noise be estimated',
     ),
+    # inputs and parameters, against the nominal model
+    "input sign": (
+        "{both} acts with the other sign than the nominal model and its priors say.",
+        "the coefficients of {both} are fitted to their mirror image",
+        "{signs}",
+    ),
+    "input unit": (
+        "{both} acts as if it were in {meaning}, not in {declared}.",
+        "the coefficients of {both} are fitted {times} times too small",
+        "{headers}",
+    ),
+    "input twice": (
+        "{both} acts {factor:.3g} times as strongly as logged: converted twice?",
+        "the coefficients of {both} are fitted {factor:.3g} times too large",
+        "correct the unit in the header",
+    ),
+    "input swap": (
+        "{first} and {last} are in each other's column.",
+        "both commands are fitted to the other one's forces",
+        "{columns}",
+    ),
+    "input scale": (
+        "{both} acts as if its values were wrong by {shown}.",
+        "the coefficients of {both} are wrong by as much",
+        "calibrate {both}, or correct the unit in the header",
+    ),
+    "input delay": (
+        "the vehicle answers {both} {shown} before the log shows it.",
+        "lags of actuators and damping are wrong by as much",
+        "shift {both} back in time, or the outputs forward, before the columns are joined",
+    ),
+    "input lag": (
+        "the vehicle answers {both} {shown} late: an actuator lags, or its command was logged in "
+        "place of its feedback.",
+        "damping and added mass take the place of the lag",
+        "log the feedback, or give the model a lag of the actuator as a candidate",
+    ),
+    "run": (
+        "{both} is {shown} away from the other runs in {record}.",
+        "what differs between runs is fitted by a compromise",
+        "fit {record} apart, or give the model what differs (loading, water, a current)",
+    ),
+    "limit": (
+        "{commas} reaches {largest:.3g} {unit}, far beyond its limit of {allowed}{as_if}.",
+        "the coefficients of {commas} are wrong by as much",
+        "correct the unit in the header, or the limit in the problem",
+    ),
     # times and records
     "gap": (
         "{gaps} in time, the longest of {size:.3g} s after t = {at:.6g} s.",
@@ -284,11 +337,13 @@ def reading_finding(
     twice = "twice" in one.meaning
     header = unit if twice and unit else one.meaning
     signs = (f"sign={-getattr(channel, 'sign', 1.0):g}" for channel in known.values())
+    of_input = isinstance(known[names[0]], Input)
     swapped = zip(names, reversed(names), strict=True)
     words = {
         "both": " and ".join(names), "first": names[0], "last": names[-1], "meaning": one.meaning,
         "have": "has" if len(names) == 1 else "have", "are": "is" if len(names) == 1 else "are",
         "declared": unit, "times": f"{1.0 / fix.value:.3g}" if fix.value else "",
+        "factor": fix.value,
         "headers": " and ".join(f'write the header as "{c} [{header}]"' for c in columns.values()),
         "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
         "signs": " and ".join(_declared(channels, *p) for p in zip(names, signs, strict=True)),
@@ -297,9 +352,12 @@ def reading_finding(
         ),
         "frames": _frame_lines(names, channels, relations),
     }  # fmt: skip
+    others = tuple(map(_say_reading, one.rivals))
     return said(
-        fix.kind, names, records, words, row="twice" if twice else "", gain=one.gain,
-        alternatives=tuple(map(_say_reading, one.rivals)), correction=fix,
+        fix.kind, names, records, words, gain=one.gain,
+        row="input " * of_input + ("twice" if twice else fix.kind),
+        alternatives=(*others, NOMINAL) if of_input else others,
+        correction=None if of_input and fix.kind == "swap" else fix,
     )  # fmt: skip
 
 
@@ -319,7 +377,7 @@ def _say_sized(one: Candidate, size: float) -> str:
     return f"{words}{f' in {one.record}' if one.record else ''} ({number})"
 
 
-def seen_from(kind: str, size: float, unit: str) -> str:
+def _seen_from(kind: str, size: float, unit: str) -> str:
     """Least size of a fault that would be seen, in people's units."""
     unit = {"scale": "1", "delay": "s", "rate": "1", "drift": f"{unit}/s"}.get(kind, unit)
     value, shown = angle_aware(size, unit)
@@ -346,19 +404,21 @@ def sized_finding(
     relations: tuple[Relation, ...],
     records: tuple[str, ...],
     *,
-    allowed: bool,
+    allowed: bool = False,
     begins: dict[str, tuple[float, float]] | None = None,
 ) -> Finding:
     """Words for a fault with a size; ``allowed`` where the model has an effect for it."""
     fault, names, size = one.candidate, one.candidate.signals, one.size
-    row, bounds, correction, early = fault.kind, interval(size, one.std), one.correction, ""
+    of_input = isinstance(_channel(channels, names[0]), Input)
+    row, correction, early = fault.kind, None if of_input else one.correction, " and ".join(names)
     if row == "delay" and size < 0.0:
         # Nothing is measured before it happens: the others lag.
-        row, early = "ahead", " and ".join(names)
-        names, size, bounds = _others(names, relations), -size, (-bounds[1], -bounds[0])
-        correction = Correction("delay", names, size)
+        row, size = ("lag" if of_input else "ahead"), -size
+        names = names if of_input else _others(names, relations)
+        correction = None if of_input else Correction("delay", names, size)
     elif row == "drift" and fault.unit == "m/s":
         row = "current"
+    row, bounds = "input " * of_input + row, interval(size, one.std)
     start, end = (begins or {}).get(fault.record, (0.0, 1.0))
     both = f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
     words = {
@@ -370,18 +430,46 @@ def sized_finding(
         "own": ", per_record=True" * bool(fault.record),
     }  # fmt: skip
     fix = "the model has an effect for it already" if allowed else ""
-    if (
-        not fix
-        and "effect" in SAYS[row][2]
-        and not isinstance(_channel(channels, names[0]), Output)
-    ):
+    if not fix and "effect" in SAYS[row][2] and _channel(channels, names[0]) is None:
         fix = f"{both} is no output of the model: {COPY}"
+    others = tuple(_say_sized(*rival) for rival in one.rivals)
     return said(
         {"rate": "clock"}.get(fault.kind, fault.kind), names,
         (fault.record,) if fault.record else records, words, row=row, fix=fix,
-        suspect=not allowed, size=size, interval=bounds, unit=fault.unit, gain=one.gain,
-        alternatives=tuple(_say_sized(*rival) for rival in one.rivals), correction=correction,
+        suspect=not allowed and row not in NO_FAULT, size=size, interval=bounds, unit=fault.unit,
+        gain=one.gain, alternatives=(*others, NOMINAL) if of_input else others,
+        correction=correction,
     )  # fmt: skip
+
+
+def judged_row(
+    kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
+) -> Judged:
+    """Whether a fault was tested, from which size on, or why it was not."""
+    size, plausible = _visible(ended, "scale" if kind in READ else kind, name)
+    shown = _seen_from(kind, size, unit)
+    if kind in READ:
+        shown, why = "", "nothing in which it moves enough"
+    elif not related:
+        why = "no equation without unknown parameters relates it"
+    elif np.isfinite(size):
+        why = f"the motion shows it from {shown} on only"
+    else:
+        why = "nothing that was measured depends on it"
+    tested = size <= plausible
+    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
+
+
+def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
+    """Least size of a fault of a signal alone that would be seen, and the largest plausible."""
+    if ended is None:
+        return np.inf, 0.0
+    sizes = [
+        (float(v), LARGEST * f.plausible)
+        for f, v in zip(ended.faults, ended.visible, strict=True)
+        if f.kind == kind and f.signals == (name,)
+    ]
+    return min(sizes, default=(np.inf, 0.0))
 
 
 def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -> list[Finding]:
