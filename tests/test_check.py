@@ -50,8 +50,8 @@ from oed_sysid import (
     write_csv,
 )
 from oed_sysid.evidence.check import LogCheck, corrected_copies
-from oed_sysid.evidence.contrasts import fitted_law, integral, laws
-from oed_sysid.evidence.relations import relations, spare_signals
+from oed_sysid.evidence.contrasts import fitted_law, laws
+from oed_sysid.evidence.relations import integral, relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.simulation import simulate

@@ -240,12 +240,14 @@ def fit(study: Study, show: Shown) -> Outcome:
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.data.dataset import check_disjoint
+    from oed_sysid.evidence.check import with_estimates
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
     log = oed_sysid.quick_check(train, study.problem)
     result = fits_of(study, {"": model}, show)[""]
+    log = with_estimates(log, result)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
     if study.test is not None:

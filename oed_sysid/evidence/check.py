@@ -40,7 +40,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
-from oed_sysid.evidence.inputs import input_findings
+from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
 from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogCheck
 from oed_sysid.evidence.screens import marked, screened
@@ -51,11 +51,15 @@ from oed_sysid.evidence.words import (
     judged_row,
     misfit_finding,
     reading_finding,
+    said,
     screen_findings,
     sized_finding,
 )
 from oed_sysid.experiments.problem import Problem
+from oed_sysid.likelihood.departures import other_way
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 
 __all__ = [
@@ -69,9 +73,12 @@ __all__ = [
     "quick_check",
     "signal_check",
     "why_not_more",
+    "with_estimates",
 ]
 
 
+# Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
+FAR = 5.0
 # Samples that must not enter any equation.
 BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
 
@@ -224,6 +231,49 @@ def signal_check(dataset: Dataset) -> LogCheck:
     open_points = ("signals against each other: name the problem whose channels these are",)
     spent = perf_counter() - began
     return LogCheck(tuple(findings), dataset.names, unchecked=open_points, duration=spent)
+
+
+def with_estimates(
+    log: LogCheck,
+    fit: Fit,
+    claimed: Sequence[Effect] = (),
+    nominal: Mapping[str, float] | None = None,
+) -> LogCheck:
+    """The check of a log together with what a fit says about it: the gate of every certificate.
+
+    Parameters
+    ----------
+    log : LogCheck
+        Of the records of the fit.
+    fit : Fit
+        Its values are held against their declared priors and against what the model began with.
+    claimed : sequence of Effect
+        Effects that were claimed: a finding on a signal that one of them puts right is answered.
+    nominal : mapping of str to float, optional
+        Values that the model began with; those of the fit's own beginning if not given.
+
+    Returns
+    -------
+    LogCheck
+        Suspect as well where values are many prior deviations away (``far``) or an input acts
+        otherwise than the start values say (``other_way``); with parameters that are others in
+        single records (``run``).
+    """
+    mended = {key for one in claimed if one.stage == "sensor" for key in one.terms}
+    findings = [f for f in log.findings if not (f.suspect and mended & set(f.signals))]
+    for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
+        row = {"says": one.text, "name": one.channel.name}
+        findings.append(said("other_way", (one.channel.name,), log.records, row))
+    away = {
+        p.name: abs(p.value - p.prior_mean) / p.prior_std
+        for p in fit.model.free_parameters
+        if p.prior_std and p.prior_mean is not None
+    }
+    far = {name: size for name, size in away.items() if size > FAR}
+    if far:
+        row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
+        findings.append(said("far", tuple(far), log.records, row))
+    return replace(log, findings=tuple(_ordered([*findings, *between_runs(fit)])))
 
 
 def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple[Relation, ...]:

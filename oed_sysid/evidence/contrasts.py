@@ -721,6 +721,31 @@ class System:
     doubt: np.ndarray
     levels: tuple[np.ndarray, ...]
 
+    @classmethod
+    def plain(cls, faults: Sequence[Candidate], gram: np.ndarray, right: np.ndarray) -> System:
+        """Equations whose noise is known: limits are those of a normal score."""
+        n = len(faults)
+        limits = np.full(n, stdtrit(1e6, 1.0 - 0.5 * ALPHA / n) ** 2)
+        return cls(faults, gram, right, limits, np.zeros(n), ())
+
+    def found(self, chosen: Sequence[int] | None = None) -> tuple[Found, ...]:
+        """Accepted faults with errors, statistics and rivals, the strongest first."""
+        chosen = self.chosen(()) if chosen is None else chosen
+        size, std, own = self.sizes(chosen)
+        result = []
+        for i, k in enumerate(chosen):
+            gain, other, error = self.beside([j for j in chosen if j != k])
+            near = self.able(chosen, other, error) & (gain > own[i] - CLOSE)
+            told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+            for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
+                f = self.faults[j]
+                told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
+            mine = self.faults[k]
+            told.pop((mine.kind, mine.signals, mine.other, mine.record), None)
+            rivals = tuple(told.values())[:MOST_FAULTS]
+            result.append(Found(mine, float(size[i]), WIDER * float(std[i]), float(own[i]), rivals))
+        return tuple(sorted(result, key=lambda one: -one.gain))
+
     def given(self, n: int) -> System:
         """The same with the first ``n`` candidates in every regression, and asked no more."""
         if not n:
@@ -914,7 +939,7 @@ def search(
         shift *= 0.5 if near else 1.0
     error = bench.beside(chosen)[2]
     visible = np.sqrt(system.limits) * np.where(error > 0.0, error, np.inf)
-    return Result(_described(bench, chosen), tuple(faults), visible, strained)
+    return Result(bench.found(chosen), tuple(faults), visible, strained)
 
 
 def _settled(
@@ -1001,30 +1026,6 @@ def _as_units(one: Found) -> list[Reading]:
         if abs((1.0 + one.size) * factor - 1.0) < max(RELATIVE, 3.0 * one.std * factor)
     ]
     return near[:1]
-
-
-def _described(bench: System, chosen: list[int]) -> tuple[Found, ...]:
-    """Accepted faults with errors, statistics and rivals, the strongest first."""
-    if not chosen:
-        return ()
-    size, std, own = bench.sizes(chosen)
-    result = []
-    for i, k in enumerate(chosen):
-        rest = [j for j in chosen if j != k]
-        gain, other, error = bench.beside(rest)
-        near = bench.able(chosen, other, error) & (gain > own[i] - CLOSE)
-        told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
-            f = bench.faults[j]
-            told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
-        mine = bench.faults[k]
-        told.pop((mine.kind, mine.signals, mine.other, mine.record), None)
-        result.append(
-            Found(
-                mine, float(size[i]), WIDER * float(std[i]), float(own[i]), tuple(told.values())[:6]
-            )
-        )
-    return tuple(sorted(result, key=lambda one: -one.gain))
 
 
 def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:

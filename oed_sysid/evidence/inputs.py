@@ -13,6 +13,15 @@ widens all intervals alike. Asked are the sign, unit, column, scale and delay of
 moves. Without a declared prior none of this can be told, because an input of the other sign is a
 coefficient of the other sign.
 
+Between runs the fit itself is asked (:func:`between_runs`), without errors in the regressors: with
+information :math:`H_i` and score :math:`g_i` of record *i* about the shared parameters at the
+estimate, start states eliminated, changes :math:`\delta_i` of parameters in single records have
+
+.. math:: I_{ij} = \delta_{ij} H_i - H_i H^{-1} H_j, \qquad
+    s_i = g_i - H_i H^{-1} \sum_j g_j, \qquad H = \sum_i H_i + \text{priors},
+
+and the same search chooses among them.
+
 A state whose sensor is dead or missing is taken from the kinematics where these give it at every
 sample; a record in which they do not is left out of the judgement.
 """
@@ -20,11 +29,12 @@ sample; a record in which they do not is left out of the judgement.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from itertools import combinations
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
@@ -34,6 +44,7 @@ from oed_sysid.evidence.contrasts import (
     Dictionary,
     Question,
     Reading,
+    System,
     diagnosed,
 )
 from oed_sysid.evidence.corrections import ORDER, corrected
@@ -41,7 +52,9 @@ from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
 from oed_sysid.evidence.words import judged_row, reading_finding, said, sized_finding
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
+from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.expressions import names as names_in
@@ -58,7 +71,7 @@ ASKED = ("sign", "unit", "scale", "delay")
 class Nominal(Relation):
     """How a state changes by the nominal model: from states, inputs and parameters."""
 
-    run: Kernel | None = None
+    run: Kernel = field(kw_only=True)
 
     @property
     def asked(self) -> tuple[str, ...]:
@@ -70,7 +83,8 @@ class Nominal(Relation):
         """Mean rate of the state from every sample to the next, ``(n_times,)``; the last is 0."""
         table = np.column_stack([times, *(values[name] for name in self.signals)])
         changes = _changes(self.run, table.shape, table.tobytes())
-        return changes[:, self.run.model.state_names.index(self.target)]
+        column: np.ndarray = changes[:, self.run.model.state_names.index(self.target)]
+        return column
 
     def integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Sum of mean rates over the steps, ``(n_times, k)``."""
@@ -207,6 +221,7 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
     means = {p.name: p.value if p.prior_mean is None else p.prior_mean
              for p in model.free_parameters}  # fmt: skip
     constants = {name: np.full(record.n_samples, mean) for name, mean in means.items()}
+    channels: tuple[State | Input | Parameter, ...]
     channels = (*model.states, *model.inputs, *model.free_parameters)
     units = {channel.name: channel.unit for channel in channels}
     noise = dict.fromkeys(units, 0.0) | {k: fast_noise(x) for k, x in states.items()}
@@ -267,3 +282,45 @@ def _readings(moving: Mapping[str, str]) -> Iterator[Reading]:
     for pair in combinations(moving, 2):
         if moving[pair[0]] == moving[pair[1]]:
             yield Reading(Correction("swap", pair))
+
+
+def between_runs(fit: Fit) -> tuple[Finding, ...]:
+    """Parameters that are others in single records: *run 2 has 8 % more inertia*.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of two records or more.
+
+    Returns
+    -------
+    tuple of Finding
+        Of kind ``run``, with the share of the value by which it differs; no fault of the log.
+    """
+    sources = fit.sources
+    if sources is None or sources.n_records < 2 or not fit.status.ok:
+        return ()
+    own, scores = sources.matrices[1:], sources.scores[1:]
+    whole = sources.matrices.sum(axis=0)
+    values = [abs(fit.values[name]) for name in fit.names]
+    series = [record.name for record in fit.dataset if not record.independent]
+    faults = [
+        Candidate(
+            "run", (name,), "1" if value else fit.model.parameter(name).unit, 1.0, RELATIVE,
+            record=record,
+        )
+        for record in series for name, value in zip(fit.names, values, strict=True)
+    ]  # fmt: skip
+    root = 1.0 / np.sqrt(np.maximum(whole.diagonal(), 1e-300))
+    inverse = np.linalg.pinv(whole * np.outer(root, root), rcond=1e-12, hermitian=True)
+    across = np.concatenate(own) * root
+    gram = block_diag(*own) - across @ inverse @ across.T
+    right = np.concatenate(scores) - across @ inverse @ (root * sources.scores.sum(axis=0))
+    # Errors of correlated residuals are larger than the information says.
+    with np.errstate(invalid="ignore", divide="ignore"):
+        grown = np.diag(fit.covariance) / np.diag(fit.information.covariance)
+    share = np.tile([value or 1.0 for value in values], len(series))
+    less = max(1.0, float(np.nanmean(np.where(np.isfinite(grown), grown, np.nan))))
+    system = System.plain(faults, gram * np.outer(share, share) / less, right * share / less)
+    about = fit.dataset.channels, (), fit.dataset.names
+    return tuple(sized_finding(one, *about) for one in system.found())

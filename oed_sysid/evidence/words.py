@@ -226,9 +226,16 @@ SAYS = {
         "log the feedback, or give the model a lag of the actuator as a candidate",
     ),
     "run": (
-        "{both} is {shown} away from the other runs in {record}.",
+        "{both} differs by {shown} in {record} from the other runs.",
         "what differs between runs is fitted by a compromise",
         "fit {record} apart, or give the model what differs (loading, water, a current)",
+    ),
+    "other_way": ("{says}", "values are those of {name} as it was logged", "correct {name}"),
+    "far": (
+        "values many prior deviations from what was declared: {away}. An input or a sensor is in "
+        "another unit, or the priors are wrong.",
+        "predictions hold for this log alone",
+        "look at units and signs of inputs and outputs, or widen the priors",
     ),
     "limit": (
         "{commas} reaches {largest:.3g} {unit}, far beyond its limit of {allowed}{as_if}.",
@@ -373,6 +380,7 @@ def _say_sized(one: Candidate, size: float) -> str:
         "lever": f"lever arm of {names} against {''.join(one.other)}",
         "drift": f"current or drift along {names}",
         "rate": f"slow clock of {names}",
+        "run": f"another {names}",
     }.get(one.kind, f"{one.kind} of {names}")
     return f"{words}{f' in {one.record}' if one.record else ''} ({number})"
 
