@@ -28,9 +28,9 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, product
+from itertools import product
 from time import perf_counter
 
 import numpy as np
@@ -47,6 +47,7 @@ from oed_sysid.evidence.screens import marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
     READ,
+    caught_up,
     clock_findings,
     judged_row,
     misfit_finding,
@@ -168,9 +169,7 @@ def _screened(
     dead = {name for said in mute for name in said.split(" = ")}
     equations = tuple(r for r in equations if not dead & {*r.names})
     clean = [t.blank(marked(faults, t.name, BLANKED)) for t in marked_traces]
-    findings = [_caught_up(f, clean, equations) for f in findings]
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
-    return findings, marked_traces, [undo(t, jumps) for t in clean], equations
+    return findings, marked_traces, clean, equations
 
 
 def _related(
@@ -181,10 +180,13 @@ def _related(
     findings: Sequence[Finding],
 ) -> tuple[list[Finding], tuple[Balance, ...], Result]:
     """Findings with those of the equations, how well these hold, and what was searched."""
+    known = [
+        one for one in findings if one.kind == "step" and {*one.signals} & {*names_of(equations)}
+    ]
     found, ended = contrasts.diagnosed(
-        clean, Question.of(clean, equations), [*_places(findings, clean)]
+        clean, Question.of(clean, equations), [*_steps(known, clean).values()]
     )
-    known, sized = _merged(findings, ended.found, clean)
+    known, sized = _settled(findings, known, ended.found, clean)
     fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
     about = dataset.channels, equations, dataset.names
@@ -284,64 +286,51 @@ def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple
     return relations(model, standard, missing)
 
 
-def _caught_up(found: Finding, traces: Sequence[Trace], equations: tuple[Relation, ...]) -> Finding:
-    """A finding of a step, without its correction where the equations contradict that.
+def _steps(
+    findings: Sequence[Finding], traces: Sequence[Trace]
+) -> dict[tuple[str, int], Correction]:
+    """Steps that a screen found, by record and row: each as a fault of the equations."""
+    times = {t.name: t.times - t.times[0] for t in traces}
+    return {
+        (record, row): Correction(
+            "step", one.signals, size, record=record,
+            span=(float(0.5 * (since[row] + since[row - 1]) / since[-1]), 1.0),
+        )
+        for one in findings if one.correction is not None
+        for record, rows in one.correction.rows.items()
+        for since in (times[record],)
+        for row, size in zip(rows, one.correction.sizes[record], strict=True)
+    }  # fmt: skip
+
+
+def _settled(
+    findings: Sequence[Finding],
+    steps: Sequence[Finding],
+    found: Sequence[Found],
+    traces: Sequence[Trace],
+) -> tuple[list[Finding], list[Found]]:
+    """Findings of steps with the sizes that the equations give them, and the other faults.
 
     A signal that catches up with the motion after it was lost jumps as well, and is right
-    afterwards: with the jump subtracted the equations tell less, not more.
+    afterwards: the equations know of no step then, and nothing is to be subtracted.
     """
-    some = tuple(r for r in equations if {*found.signals} & {*r.names})
-    if found.kind != "step" or found.correction is None or not some:
-        return found
-    touched = [t for t in traces if t.name in found.records]
-    mended = [undo(t, [found.correction]) for t in touched]
-    told = (contrasts.evidence(here, some).sum() for here in (touched, mended))
-    if next(told) < next(told):
-        return found
-    return replace(
-        found,
-        says=f"{found.says.rsplit(':', 1)[0]}: the other signals say that the vehicle moved "
-        "there, so that it was lost before and caught up.",
-        fix="cut the record there with window(); nothing is subtracted in a corrected copy",
-        correction=None,
-    )
-
-
-def _places(
-    findings: Sequence[Finding], traces: Sequence[Trace]
-) -> Iterator[tuple[str, str, float]]:
-    """Signal, record and share of it of the steps that were undone."""
-    times = {t.name: t.times for t in traces}
-    for one in findings:
-        if one.kind == "step" and one.correction is not None:
-            for record, rows in one.correction.rows.items():
-                for row in rows:
-                    yield one.signals[0], record, share_of(times[record], row)
-
-
-def share_of(times: np.ndarray, row: int) -> float:
-    """Share of a record at which a sample is the first after a step."""
-    return float((0.5 * (times[row] + times[row - 1]) - times[0]) / (times[-1] - times[0]))
-
-
-def _merged(
-    findings: Sequence[Finding], found: Sequence[Found], traces: Sequence[Trace]
-) -> tuple[list[Finding], list[Found]]:
-    """Findings of steps with the sizes that the equations give them, and the other faults."""
-    about = {(f.candidate.signals[0], f.candidate.record, f.candidate.at): f for f in found
-             if f.candidate.kind == "step"}  # fmt: skip
-    mine = [*_places(findings, traces)]
-    extra = iter([about[key].size if key in about else 0.0 for key in mine])
-    result = []
-    for one in findings:
-        fix = one.correction
-        if one.kind == "step" and fix is not None:
-            sizes = {n: tuple(float(s + next(extra)) for s in fix.sizes[n]) for n in fix.rows}
-            largest = max(chain.from_iterable(sizes.values()), key=abs)
-            one = replace(one, size=largest, correction=replace(fix, sizes=sizes))
-        result.append(one)
-    done = [about[key] for key in mine if key in about]
-    return result, [f for f in found if f not in done]
+    left = {(c.kind, c.signals, c.record, c.at): f for f in found for c in (f.candidate,)}
+    result = [one for one in findings if one not in steps]
+    for one in steps:
+        own = {
+            key: left.pop(("step", fix.signals, fix.record, fix.span[0]), None)
+            for key, fix in _steps((one,), traces).items()
+        }
+        kept = {key: float(f.size) for key, f in own.items() if f is not None}
+        if kept and one.correction is not None:
+            names = dict.fromkeys(record for record, _ in kept)
+            rows = {n: tuple(row for record, row in kept if record == n) for n in names}
+            sizes = {n: tuple(kept[n, row] for row in rows[n]) for n in names}
+            fix = replace(one.correction, rows=rows, sizes=sizes)
+            result.append(replace(one, size=max(kept.values(), key=abs), correction=fix))
+        else:
+            result.append(caught_up(one))
+    return result, list(left.values())
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:

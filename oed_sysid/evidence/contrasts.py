@@ -53,7 +53,6 @@ from itertools import combinations, product
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
@@ -506,8 +505,7 @@ def fitted_law(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Shares of each kind of noise of largest likelihood, and the variances they make.
 
-    Multiplicative steps on :math:`\sum_k \ln S_k + P_k/S_k` (Févotte & Idier 2011) come near;
-    Fisher scoring, each step a least-squares problem with non-negative unknowns, ends it.
+    Multiplicative steps on :math:`\sum_k \ln S_k + P_k/S_k` (Févotte & Idier 2011).
 
     Parameters
     ----------
@@ -522,35 +520,11 @@ def fitted_law(
     """
     mean = float(np.mean(power / left)) + 1e-300
     shares = np.maximum(mean / basis.mean(axis=1) / len(basis), floor)
-    for _ in range(SWEEPS):
+    for _ in range(SWEEPS**2):
         variance = shares @ basis
         ratio = (basis @ (power / variance**2)) / (basis @ (left / variance))
-        shares = np.maximum(shares * np.sqrt(ratio), floor)
-    best = _cost(power, left, shares @ basis)
-    for _ in range(SWEEPS):
-        variance = shares @ basis
-        size = 1.0 / np.sqrt(np.sum(basis**2 * left / variance**2, axis=1))
-        scaled = basis * size[:, None] / variance
-        root = np.linalg.cholesky((scaled * left) @ scaled.T + 1e-9 * np.eye(len(basis))).T
-        aim = scaled @ ((power - left * (floor @ basis)) / variance)
-        fresh = floor + size * nnls(root, np.linalg.solve(root.T, aim))[0]
-        for part in (1.0, 0.3, 0.1):
-            trial = shares + part * (fresh - shares)
-            cost = _cost(power, left, trial @ basis)
-            if cost < best:
-                break
-        else:
-            break
-        done = best - cost < 1e-3
-        shares, best = trial, cost
-        if done:
-            break
+        shares = np.maximum(shares * ratio, floor)
     return shares, shares @ basis
-
-
-def _cost(power: np.ndarray, left: np.ndarray, variance: np.ndarray) -> float:
-    """Minus twice the logarithm of Whittle's likelihood."""
-    return float(np.sum(left * np.log(variance) + power / variance))
 
 
 # -- regression ------------------------------------------------------------------------------
@@ -575,7 +549,8 @@ def assemble(
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
         shares, variance, law, _ = _noise(mine, faults, nuisance)
-        active = shares > 1e-6 * shares.max()
+        part = shares * law.mean(axis=1)
+        active = part > RELATIVE * part.sum()
         fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
         begin = 0
         for piece in mine:
@@ -904,13 +879,9 @@ def search(
     *,
     start: Sequence[Correction] = (),
     single: bool = True,
-    known: Sequence[tuple[str, str, float]] = (),
+    known: Sequence[Correction] = (),
 ) -> Result:
-    """Find faults with a size.
-
-    ``start`` are delays to begin from, ``known`` steps that were undone by sizes which need
-    improving: signal, record and share of it.
-    """
+    """Find faults with a size; ``start`` are delays, ``known`` steps to begin from."""
     words, relations = question.words, question.relations
     n_given, n_common = len(words.given), len(words.given) + len(words.common)
     faults = [*words.given, *words.common, *words.single * single]
@@ -951,18 +922,17 @@ def _settled(
 
 
 def _begun(
-    words: Dictionary, start: Sequence[Correction], known: Sequence[tuple[str, str, float]]
+    words: Dictionary, start: Sequence[Correction], known: Sequence[Correction]
 ) -> dict[Candidate, float]:
     """Faults that a search begins with, and their sizes."""
     keys = {(f.kind, f.signals, f.other): f for f in words.common}
-    begun = {
-        keys[one.kind, one.signals, one.other]: one.value
-        for one in start
-        if (one.kind, one.signals, one.other) in keys
-    }
-    steps = ((words.local[n], record, at) for n, record, at in known if n in words.local)
+    same = ((keys.get((one.kind, one.signals, one.other)), one.value) for one in start)
+    begun = {fault: value for fault, value in same if fault is not None}
+    steps = ((words.local.get(one.signals[0]), one) for one in known)
     return begun | {
-        replace(one, material=0.0, record=record, at=at): 0.0 for one, record, at in steps
+        replace(fault, material=0.0, record=one.record, at=one.span[0]): one.value
+        for fault, one in steps
+        if fault is not None
     }
 
 
@@ -990,14 +960,14 @@ def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
 def diagnosed(
     traces: Sequence[Trace],
     question: Question,
-    known: Sequence[tuple[str, str, float]] = (),
+    known: Sequence[Correction] = (),
 ) -> tuple[list[Reading], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     relations = question.relations
     plain = search(traces, question, known=known)
     if not (plain.strained or question.words.given):
         return [], plain
-    found, start = misread(traces, question)
+    found, start = misread([undo(t, known, relations) for t in traces], question)
     mended = [undo(t, [one.correction for one in found], relations) for t in traces]
     ends = [search(mended, question, known=known)] if found else [plain]
     ends += [search(mended, question, start=start, known=known)] if start else []

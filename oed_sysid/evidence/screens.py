@@ -67,7 +67,7 @@ LEAST_SAMPLES = 20
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
 # Lengths of groups, and samples around one that say what is usual.
-LENGTHS, AROUND = (2, 3, 4, 5, 6, 9, 12), 25
+LENGTHS, AROUND = (1, 2, 3, 4, 5, 6, 9, 12), 25
 # Largest deviation of a time step from the usual one.
 UNEVEN = 0.2
 # Samples on either side of a step that tell level and slope.
@@ -295,34 +295,10 @@ class Signal:
         d = deviations(y, 1)[:, 0]
         if d.size < LEAST_SAMPLES:
             return None
-        factor = _limit(d)
-        alone = self._alone(y, d, factor)
-        known = taken.copy()
-        known[alone] = True
-        rows = np.sort(np.concatenate([alone, *bursts(self.times, y, known, factor, self.least)]))
+        rows = np.sort(np.concatenate([
+            np.zeros(0, dtype=int), *bursts(self.times, y, taken, _limit(d), self.least)
+        ]))  # fmt: skip
         return (rows, float(rows.size)) if rows.size else None
-
-    def _alone(self, y: np.ndarray, d: np.ndarray, factor: float) -> np.ndarray:
-        """Rows of single spikes, the largest first; each is taken out of ``y`` as it is found."""
-        limit = max(factor * float(np.median(np.abs(d))) / QUARTILE, self.least)
-        uneven, found = _uneven(self.times), []
-        for i in np.argsort(-np.abs(d)) + 2:
-            if abs(d[i - 2]) <= limit:
-                break
-            if self.taken[i] or uneven[i - 2 : i + 2].any():
-                continue
-            # Beside a spike that has been taken out the neighbours are other ones than in d.
-            now = deviations(y[i - 2 : i + 3], 1)[0, 0]
-            nearby = factor * float(np.median(np.abs(d[max(i - 12, 0) : i + 8]))) / QUARTILE
-            middle = 0.5 * (y[i - 1] + y[i + 1])
-            bend = abs((y[i + 2] - y[i + 1]) - (y[i - 1] - y[i - 2]))
-            apart = abs(y[i] - middle)
-            if abs(now) <= max(limit, nearby) or apart <= 1.5 * bend:
-                continue
-            if abs(y[i + 1] - y[i - 1]) <= 0.5 * apart:
-                found.append(int(i))
-                y[i] = middle
-        return np.array(found, dtype=int)
 
     def jumps(self) -> Stopped | None:
         """Steps after which it keeps its new level."""
@@ -378,7 +354,7 @@ def _limit(d: np.ndarray) -> float:
 def bursts(
     times: np.ndarray, series: np.ndarray, taken: np.ndarray, limit: float, least: float
 ) -> list[np.ndarray]:
-    """Find groups of two to six consecutive samples that their surroundings contradict.
+    """Find groups of one to twelve consecutive samples that their surroundings contradict.
 
     Parameters
     ----------
@@ -404,20 +380,31 @@ def bursts(
     >>> [rows.tolist() for rows in bursts(t, y, np.zeros(300, dtype=bool), 8.5, 0.02)]
     [[100, 101, 102]]
     """
-    used, uneven = taken.copy(), _uneven(times)
-    found: list[tuple[float, int, int]] = []
-    for length in LENGTHS:
-        if series.size - length - 3 >= LEAST_SAMPLES:
-            found += _candidates(series, length, limit, least)
-    groups = []
-    # The clearest first: a window that holds a part of a group sees the rest beside it.
-    for _, first, length in sorted(found, reverse=True):
-        window = slice(first - 2, first + length + 2)
-        if used[window].any() or uneven[first - 2 : first + length + 1].any():
-            continue
-        groups.append(np.arange(first, first + length))
-        used[first : first + length] = True
-    return groups
+    y, used, uneven = series.copy(), taken.copy(), _uneven(times)
+    groups: list[np.ndarray] = []
+    while True:
+        found = [
+            one
+            for length in LENGTHS
+            if y.size - length - 3 >= LEAST_SAMPLES
+            for one in _candidates(y, length, limit, least)
+        ]
+        before = len(groups)
+        # The clearest first: a window that holds a part of a group sees the rest beside it.
+        for _, first, length in sorted(found, reverse=True):
+            window = slice(first - 2, first + length + 2)
+            if used[window].any() or uneven[first - 2 : first + length + 1].any():
+                continue
+            groups.append(np.arange(first, first + length))
+            used[first : first + length] = True
+        if len(groups) == before:
+            return groups
+        # Beside a group that is taken out there may be another one.
+        bad = np.concatenate(groups)
+        good = np.setdiff1d(np.arange(y.size), bad)
+        y[bad] = np.interp(bad, good, y[good])
+        used = taken.copy()
+        used[bad] = True
 
 
 def _uneven(times: np.ndarray) -> np.ndarray:

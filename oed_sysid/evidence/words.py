@@ -6,6 +6,7 @@ One table holds the sentences of every kind of finding; what fills them in are f
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
@@ -541,6 +542,17 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
         unit="samples" if many else unit * steps,
         correction=None if kind in ("quantised", "copied") else correction,
     )  # fmt: skip
+
+
+def caught_up(found: Finding) -> Finding:
+    """A finding of a step after which the other signals know of none."""
+    return replace(
+        found,
+        says=f"{found.says.rsplit(':', 1)[0]}: the other signals say that the vehicle moved "
+        "there, so that it was lost before and caught up.",
+        fix="cut the record there with window(); nothing is subtracted in a corrected copy",
+        correction=None,
+    )
 
 
 def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
