@@ -58,39 +58,30 @@ from scipy.special import stdtrit
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
+from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, RELATIVE, Trace, units_of
 
-# False alarms a log, shared by all candidates; halved and doubled it moves the limit by 1.4.
-ALPHA = 0.01
-# Resolution: block means of a piece, and the fewest that tell anything.
-MOST_BLOCKS, LEAST_BLOCKS = 240, 12
-# Places a record at which a step or a burst is tried before its place is refined.
-PLACES = 60
+# Resolution: block means of a piece; and places a record at which a step or a burst is tried before
+# its place is refined.
+MOST_BLOCKS = 240
+PLACES = MOST_BLOCKS // 4
 LOCAL = ("step", "burst")
-# Share of its information that a candidate must keep beside others.
-APART = 0.01
 # Variance of noise at one place of a record over that of the whole.
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
 CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
-# Sizes that count: of the signal's noise, of a sample.
-MATERIAL, SAMPLES = 0.15, 0.3
 # A size beyond this many usual ones is none that such faults have.
 LARGEST = 4.0
-# What an equation may leave: of the changes of its left side, and of what noise makes (power).
+# What an equation may leave: of the changes of its left side, and of what noise makes (power); so
+# far beyond a limit linearised scores mislead.
 UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
 # Effort: faults that one log is explained by, and iterations of its fit, at most.
 MOST_FAULTS, SWEEPS = 6, 12
-# Statistic over its limit from which on linearised scores mislead.
-STRAINED = 10.0
-# Explanations within this likelihood ratio of each other are one group.
-CLOSE = 9.0
+# Explanations are one group unless the odds between them are those of a false alarm.
+CLOSE = -2.0 * math.log(ALPHA)
 # Errors are that much wider than said: the law of the noise is estimated, faults are selected.
 WIDER = 1.15
 # What a linearisation leaves of a fault, as a share of its statistic.
 CURVED = 1e-3
-# Delays from which the search begins, s: the linearised score does not reach so far.
-DELAYS = (-2.4, -1.2, -0.6, -0.3, 0.3, 0.6, 1.2, 2.4)
 
 
 @dataclass(frozen=True)
@@ -292,8 +283,8 @@ class Facts:
         """Delays and rates of clocks of each signal, of all positions and of all velocities."""
         together = (g for g in (self.positions, self.velocities) if len(g) > 1)
         for group in (*((n,) for n in self.size), *together):
-            yield Candidate("delay", group, "s", max(0.7, 3.0 * self.step), SAMPLES * self.step)
-            yield Candidate("rate", group, "1", 0.05, SAMPLES * self.step / self.length)
+            yield Candidate("delay", group, "s", max(0.7, 3.0 * self.step), MATERIAL * self.step)
+            yield Candidate("rate", group, "1", 0.05, MATERIAL * self.step / self.length)
 
     def places(self) -> Iterator[Candidate]:
         """Lever arms and misalignments of velocities."""
@@ -431,11 +422,11 @@ def _pieces(
     """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
     direct, under, used = columns
     target = trace.values[relation.target]
-    for piece in trace.pieces(usable, LEAST_BLOCKS):
+    for piece in trace.pieces(usable, LEAST):
         rows = np.flatnonzero(np.isfinite(target[piece])) + piece.start
         group = max(1, -(-rows.size // MOST_BLOCKS))
         n = rows.size // group
-        if n < LEAST_BLOCKS:
+        if n < LEAST:
             continue
         times = trace.times[piece]
         inside = relation.integral(times, under[piece]) if relation.is_rate else under[piece]
@@ -746,7 +737,7 @@ class System:
         across = self._inverse(a) @ gram[a]
         left = own - np.einsum("ij,ij->j", gram[a], across)
         score = self.right - across.T @ self.right[a]
-        told = (left > APART * own) & (own > 0.0)
+        told = (left > RELATIVE * own) & (own > 0.0)
         left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 
@@ -899,7 +890,7 @@ def search(
         inside = np.union1d(np.arange(n_common), now).astype(int)
         system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
-        strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
+        strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > LOUDER * system.limits))
         found = scanned(undone, pieces, system, now, words.local) if single else []
         picked = [f for f in found if f not in place]
         chosen = bench.chosen(now)
@@ -1059,7 +1050,8 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
         coarse = list(traces)  # motion too fast for fewer samples
     late = [
         Reading(Correction("delay", f.signals, d))
-        for f, d in product((f for f in question.words.common if f.kind == "delay"), DELAYS)
+        for f, k in product((f for f in question.words.common if f.kind == "delay"), range(4))
+        for d in (f.plausible * 2.0 ** (k - 1), -f.plausible * 2.0 ** (k - 1))
         if abs(d) > 2.0 * f.material
     ]
     found: list[Reading] = []

@@ -58,22 +58,18 @@ from itertools import combinations
 import numpy as np
 from scipy.special import bdtrc
 
-from oed_sysid.evidence.traces import QUARTILE, RELATIVE, Trace, fast_noise
+from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, QUARTILE, RELATIVE, Trace, fast_noise
 
-# False alarms a signal of a record; what rounding repeats is counted, not assumed.
-ALPHA = 0.001
-# Fewer have no usual behaviour to differ from.
-LEAST_SAMPLES = 20
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
-# Lengths of groups, and samples around one that say what is usual.
-LENGTHS, AROUND = (1, 2, 3, 4, 5, 6, 9, 12), 25
-# Largest deviation of a time step from the usual one.
-UNEVEN = 0.2
+# Lengths of groups.
+LENGTHS = (1, 2, 3, 4, 5, 6, 9, 12)
 # Samples on either side of a step that tell level and slope.
 SIDE = 5
-# Shares of samples and values from which on a signal is coarse, held or interpolated.
-COARSE, UNIQUE, HELD = 0.2, 0.6, 0.5
+# Samples around a group or a step that say what is usual.
+AROUND = 5 * SIDE
+# Share of samples or values from which on a signal is coarse, held or interpolated.
+HELD = 0.5
 # Faults that may be answers to the inputs.
 ANSWERS = ("spikes", "step")
 
@@ -134,7 +130,8 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     Samples of one signal that stand out and follow steps of the inputs more often than chance would
     have it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
     """
-    faults = [fault for trace in traces for fault in screen(trace)]
+    shared = sum(len(trace.values) for trace in traces)
+    faults = [fault for trace in traces for fault in screen(trace, shared)]
     after = {trace.name: trace.pushed for trace in traces}
     fast = _fast([one for one in faults if one.kind in ANSWERS], after)
     kept: list[Fault] = []
@@ -162,8 +159,8 @@ def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
     }
 
 
-def screen(trace: Trace) -> list[Fault]:
-    """All faults of the single signals of one record.
+def screen(trace: Trace, shared: int = 1) -> list[Fault]:
+    """All faults of the single signals of one record; ``shared`` of them share the false alarms.
 
     A signal without any noise (a simulation, a hand-made file) is not judged as frozen or dead,
     because nothing tells that it should have moved.
@@ -177,9 +174,9 @@ def screen(trace: Trace) -> list[Fault]:
     ]
     for name, values in trace.values.items():
         present = np.flatnonzero(np.isfinite(values))
-        if present.size < LEAST_SAMPLES or (not noisy and np.ptp(values[present]) == 0.0):
+        if present.size < LEAST or (not noisy and np.ptp(values[present]) == 0.0):
             continue
-        signal = Signal(trace, name, present, noisy)
+        signal = Signal(trace, name, present, noisy=noisy, shared=shared)
         for kind, look, ends in SCREENS:
             rows, *more = look(signal) or (None,)
             if rows is None:
@@ -198,7 +195,9 @@ Stopped = tuple[np.ndarray] | tuple[np.ndarray, float] | tuple[np.ndarray, float
 class Signal:
     """Samples of one signal in one record, and those that a screen has stopped."""
 
-    def __init__(self, trace: Trace, name: str, present: np.ndarray, noisy: bool) -> None:
+    def __init__(
+        self, trace: Trace, name: str, present: np.ndarray, *, noisy: bool, shared: int
+    ) -> None:
         self.times, self.series = trace.times[present], trace.values[name][present]
         self.dt, self.noisy = trace.step, noisy
         self.taken = np.zeros(present.size, dtype=bool)
@@ -206,9 +205,10 @@ class Signal:
         distinct = np.unique(self.series)
         self.step = float(np.min(np.diff(distinct), initial=np.inf))
         self.equal = 1.0 - self.runs.length.size / present.size
-        self.coarse = self.equal > COARSE and distinct.size < UNIQUE * self.runs.length.size
-        few = distinct.size < HELD * present.size
-        self.coarse |= few and self.step > trace.noise[name] > 0.0
+        few = distinct.size < HELD * self.runs.length.size
+        self.coarse = few and self.step > MATERIAL * trace.noise[name]
+        # What rounding repeats is counted, not assumed.
+        self.alpha = ALPHA / shared
         self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
         # The least size that is material.
         self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)
@@ -263,7 +263,7 @@ class Signal:
         # Of the repetitions those in the longest run of all are what is asked.
         usual = np.sort(runs.length)[: max(1, int(0.99 * runs.length.size))]
         p = float(np.clip((usual - 1).sum() / n, 1.0 / n, 0.98))
-        least = 1.0 + np.log(ALPHA / n) / np.log(p)
+        least = 1.0 + np.log(self.alpha / n) / np.log(p)
         if coarse:  # a slow signal stays on a step of the converter
             least = max(least, 4.0 * float(np.quantile(runs.length, 0.9)))
         into, out = runs.edges()
@@ -293,10 +293,10 @@ class Signal:
         y, taken = self.series.copy(), self.taken
         y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), y[~taken])
         d = deviations(y, 1)[:, 0]
-        if d.size < LEAST_SAMPLES:
+        if d.size < LEAST:
             return None
         rows = np.sort(np.concatenate([
-            np.zeros(0, dtype=int), *bursts(self.times, y, taken, _limit(d), self.least)
+            np.zeros(0, dtype=int), *bursts(self.times, y, taken, _limit(d, self.alpha), self.least)
         ]))  # fmt: skip
         return (rows, float(rows.size)) if rows.size else None
 
@@ -343,12 +343,12 @@ def interpolated(series: np.ndarray) -> np.ndarray:
     return np.flatnonzero(flat & (np.abs(np.diff(series))[1:] > 0.0)) + 1
 
 
-def _limit(d: np.ndarray) -> float:
+def _limit(d: np.ndarray, alpha: float) -> float:
     """Robust deviations beyond which noise like this leaves nothing, heavy tails allowed for."""
     size = np.abs(d) / (float(np.median(np.abs(d))) / QUARTILE + 1e-300)
     beyond = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5
     n_tail = int(np.sum((size > TAIL) & ~beyond)) - 1
-    return max(SPIKE, TAIL * (max(n_tail, 0) / ALPHA) ** 0.2)
+    return max(SPIKE, TAIL * (max(n_tail, 0) / alpha) ** 0.2)
 
 
 def bursts(
@@ -386,7 +386,7 @@ def bursts(
         found = [
             one
             for length in LENGTHS
-            if y.size - length - 3 >= LEAST_SAMPLES
+            if y.size - length - 3 >= LEAST
             for one in _candidates(y, length, limit, least)
         ]
         before = len(groups)
@@ -411,7 +411,7 @@ def _uneven(times: np.ndarray) -> np.ndarray:
     """Time steps that differ from the usual one, ``(n_times - 1,)``."""
     intervals = np.diff(times)
     usual = np.median(intervals)
-    return np.asarray(np.abs(intervals - usual) > UNEVEN * usual)
+    return np.asarray(np.abs(intervals - usual) > MATERIAL * usual)
 
 
 def weights(length: int) -> np.ndarray:
@@ -493,7 +493,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     [(250, 1.5)]
     """
     n = series.size - 2 * SIDE + 1
-    if n < LEAST_SAMPLES:
+    if n < LEAST:
         return []
     # Level half a sample beyond the end of a line through SIDE samples, and its slope.
     at = np.arange(SIDE) - 0.5 * (SIDE - 1)

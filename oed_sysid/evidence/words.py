@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, overlap
-from oed_sysid.evidence.contrasts import LARGEST, Candidate, Found, Misfit, Reading, Result
+from oed_sysid.data.record import GAP
+from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Reading, Result
 from oed_sysid.evidence.relations import Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged, amount, angle_aware, interval
 from oed_sysid.evidence.screens import Fault
@@ -30,8 +31,8 @@ READ = ("sign", "unit", "swap")
 NO_FAULT = ("input lag", "run")
 # What may be wrong in place of an input.
 NOMINAL = "a nominal model or priors that are wrong by as much"
-# Fast noise against the declared level before it is mentioned, and a gap in usual steps.
-NOISIER, GAP = 2.5, 4.5
+# Fast noise over the declared level, and a jump of the times in usual steps, that are mentioned.
+NOISIER = 2.5
 
 # What a finding says, what it does to an estimate, and what mends it.
 SAYS = {
@@ -597,10 +598,7 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
 # -- clocks ----------------------------------------------------------------------------------
 
 # Over a gap of the times each equation predicts a change. If the signals change as if only one
-# usual step had passed, the clock was set and no time is missing. A jump, in usual steps:
-JUMP = 2.5
-# Standard errors from which a change contradicts the clock, and up to which it agrees with a step.
-WRONG, RIGHT = 8.0, 4.0
+# usual step had passed, the clock was set and no time is missing.
 
 
 def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list[Finding]:
@@ -608,7 +606,7 @@ def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list
     result = []
     for trace in traces:
         steps = np.diff(trace.times)
-        for k in np.flatnonzero(steps > JUMP * trace.step):
+        for k in np.flatnonzero(steps > NOISIER * trace.step):
             if _contradicts(trace, relations, int(k)):
                 more = float(steps[k] - trace.step)
                 words = {"size": steps[k], "at": trace.times[k], "step": trace.step, "more": more}
@@ -638,4 +636,4 @@ def _contradicts(trace: Trace, relations: tuple[Relation, ...], k: int) -> bool:
         sides = 4.0 * trace.step
         by_clock = max(by_clock, abs(change - rate * (span + sides)) / noise)
         by_step = max(by_step, abs(change - rate * (trace.step + sides)) / noise)
-    return by_clock > WRONG and by_step < RIGHT
+    return by_clock > LOUDER and by_step < 0.5 * LOUDER
