@@ -270,6 +270,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.check import with_estimates
 
     train, validation = study.training(), study.validation()
     models, saved = _models(study.equipped if added else study.problem, added)
@@ -280,6 +281,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     fits = fits_of(study, models, show) | saved
     show.say("predicting")
     result = oed_sysid.compare(fits, validation)
+    log = with_estimates(log, fits[result.best.label])
     notes = [
         f"The fit of {n} ended as {one.status}" for n, one in fits.items() if not one.status.ok
     ]

@@ -74,7 +74,6 @@ __all__ = [
     "quick_check",
     "signal_check",
     "why_not_more",
-    "with_estimates",
 ]
 
 
@@ -266,16 +265,20 @@ def with_estimates(
     for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
         findings.append(said("other_way", (one.channel.name,), log.records, row))
+    findings += [*_far(fit, log.records), *between_runs(fit)]
+    return replace(log, findings=tuple(_ordered(findings)))
+
+
+def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
+    """Values many prior deviations from their prior means."""
     away = {
         p.name: abs(p.value - p.prior_mean) / p.prior_std
         for p in fit.model.free_parameters
         if p.prior_std and p.prior_mean is not None
     }
     far = {name: size for name, size in away.items() if size > FAR}
-    if far:
-        row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
-        findings.append(said("far", tuple(far), log.records, row))
-    return replace(log, findings=tuple(_ordered([*findings, *between_runs(fit)])))
+    row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
+    return [said("far", tuple(far), records, row)] if far else []
 
 
 def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple[Relation, ...]:
@@ -314,30 +317,42 @@ def _settled(
     A signal that catches up with the motion after it was lost jumps as well, and is right
     afterwards: the equations know of no step then, and nothing is to be subtracted.
     """
-    left = {(c.kind, c.signals, c.record, c.at): f for f in found for c in (f.candidate,)}
-    result = [one for one in findings if one not in steps]
+    left = {(one.candidate.signals, one.candidate.record, one.candidate.at): one for one in found
+            if one.candidate.kind == "step"}  # fmt: skip
+    result, done = [one for one in findings if one not in steps], list[Found]()
     for one in steps:
-        own = {
-            key: left.pop(("step", fix.signals, fix.record, fix.span[0]), None)
-            for key, fix in _steps((one,), traces).items()
-        }
-        kept = {key: float(f.size) for key, f in own.items() if f is not None}
-        if kept and one.correction is not None:
-            names = dict.fromkeys(record for record, _ in kept)
-            rows = {n: tuple(row for record, row in kept if record == n) for n in names}
-            sizes = {n: tuple(kept[n, row] for row in rows[n]) for n in names}
-            fix = replace(one.correction, rows=rows, sizes=sizes)
-            result.append(replace(one, size=max(kept.values(), key=abs), correction=fix))
-        else:
-            result.append(caught_up(one))
-    return result, list(left.values())
+        places = _steps((one,), traces)
+        own = {key: left.get((c.signals, c.record, c.span[0])) for key, c in places.items()}
+        kept = {key: same for key, same in own.items() if same is not None}
+        done += kept.values()
+        result.append(_resized(one, {key: same.size for key, same in kept.items()}))
+    return result, [one for one in found if one not in done]
+
+
+def _resized(one: Finding, sizes: Mapping[tuple[str, int], float]) -> Finding:
+    """A finding of steps with sizes by record and row, or where there are none of it."""
+    if not sizes or one.correction is None:
+        return caught_up(one)
+    own = {record: {row: float(size) for (name, row), size in sizes.items() if name == record}
+           for record, _ in sizes}  # fmt: skip
+    fix = replace(
+        one.correction,
+        rows={record: tuple(rows) for record, rows in own.items()},
+        sizes={record: tuple(rows.values()) for record, rows in own.items()},
+    )
+    return replace(one, size=float(max(sizes.values(), key=abs)), correction=fix)
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:
-    """Suspect ones first, the largest gain first; a wrong unit explains a wrong noise level."""
+    """Suspect ones first, then the largest gain; coincidences have none and are certain.
+
+    A wrong unit explains a wrong noise level.
+    """
     rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
     kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
-    return sorted(kept, key=lambda one: (not one.suspect, -(one.gain or 0.0)))
+    return sorted(
+        kept, key=lambda one: (not one.suspect, -np.inf if one.gain is None else -one.gain)
+    )
 
 
 def _allowed(model: Model, fault: contrasts.Candidate) -> bool:

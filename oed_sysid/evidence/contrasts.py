@@ -1048,12 +1048,7 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
     lost = evidence(coarse, relations, given) == 0.0
     if np.any(lost & (evidence(traces, relations, given) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
-    late = [
-        Reading(Correction("delay", f.signals, d))
-        for f, k in product((f for f in question.words.common if f.kind == "delay"), range(4))
-        for d in (f.plausible * 2.0 ** (k - 1), -f.plausible * 2.0 ** (k - 1))
-        if abs(d) > 2.0 * f.material
-    ]
+    late = [*_late(question.words)]
     found: list[Reading] = []
     for _ in range(3):
         least, scored = _scored(coarse, question, late)
@@ -1069,6 +1064,14 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
         found.append(replace(best, rivals=close))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
+
+
+def _late(words: Dictionary) -> Iterator[Reading]:
+    """Large delays, as rivals of readings: the linearised score does not reach so far."""
+    for fault, k in product((f for f in words.common if f.kind == "delay"), range(-1, 3)):
+        delay = fault.plausible * 2.0**k
+        if delay > 2.0 * fault.material:
+            yield from (Reading(Correction("delay", fault.signals, d)) for d in (delay, -delay))
 
 
 def _scored(

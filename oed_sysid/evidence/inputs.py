@@ -31,7 +31,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -252,18 +252,21 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
             Candidate("delay", (name,), "s", max(0.7, 3.0 * step), step),
         )
     ]
-    errors = [
-        Candidate("bias", (p.name,), p.unit, std, RELATIVE * max(abs(p.value), std))
-        for p in model.free_parameters
-        for std in [_believed(p)]
-    ]
-    pushes = [
-        Candidate("drift", (r.target,), "", np.ptp(t.values[r.target]) / length + 1e-12, 0.0,
-                  record=t.name)
-        for r in equations for t in traces
-    ]  # fmt: skip
-    words = Dictionary(tuple(common), (), {}, (*errors, *pushes))
+    words = Dictionary(tuple(common), (), {}, tuple(_given(traces, equations, model, length)))
     return Question(equations, words, tuple(_readings(moving)))
+
+
+def _given(
+    traces: Sequence[Trace], equations: tuple[Nominal, ...], model: Model, length: float
+) -> Iterator[Candidate]:
+    """Errors of the parameters, and constant forces in each record."""
+    for p in model.free_parameters:
+        std = _believed(p)
+        least = RELATIVE * max(abs(p.value), std)
+        yield Candidate("bias", (p.name,), p.unit, std, least)
+    for r, t in product(equations, traces):
+        usual = float(np.ptp(t.values[r.target])) / length + 1e-12
+        yield Candidate("drift", (r.target,), "", usual, 0.0, record=t.name)
 
 
 def _believed(p: Parameter) -> float:

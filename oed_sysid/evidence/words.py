@@ -27,8 +27,8 @@ CUT = f"cut the record there with window(), or {COPY}"
 BLANK = f"leave these cells empty: {COPY}"
 # Faults that are other readings of the same numbers: seen where a scale of one would be.
 READ = ("sign", "unit", "swap")
-# Rows that tell of a vehicle rather than of its log.
-NO_FAULT = ("input lag", "run")
+# Rows that tell of the vehicle or of what its model lacks as well as of its log.
+NO_FAULT = ("input lag", "input scale", "run")
 # What may be wrong in place of an input.
 NOMINAL = "a nominal model or priors that are wrong by as much"
 # Fast noise over the declared level, and a jump of the times in usual steps, that are mentioned.
@@ -346,12 +346,12 @@ def reading_finding(
     twice = "twice" in one.meaning
     header = unit if twice and unit else one.meaning
     signs = (f"sign={-getattr(channel, 'sign', 1.0):g}" for channel in known.values())
-    of_input = isinstance(known[names[0]], Input)
     swapped = zip(names, reversed(names), strict=True)
+    have, are = ("has", "is") if len(names) == 1 else ("have", "are")
     words = {
         "both": " and ".join(names), "first": names[0], "last": names[-1], "meaning": one.meaning,
-        "have": "has" if len(names) == 1 else "have", "are": "is" if len(names) == 1 else "are",
-        "declared": unit, "times": f"{1.0 / fix.value:.3g}" if fix.value else "",
+        "have": have, "are": are,
+        "declared": unit, "times": f"{1.0 / fix.value:.3g}",
         "factor": fix.value,
         "headers": " and ".join(f'write the header as "{c} [{header}]"' for c in columns.values()),
         "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
@@ -361,12 +361,13 @@ def reading_finding(
         ),
         "frames": _frame_lines(names, channels, relations),
     }  # fmt: skip
+    row = "twice" if twice else fix.kind
     others = tuple(map(_say_reading, one.rivals))
+    if isinstance(known[names[0]], Input):
+        row, others = f"input {row}", (*others, NOMINAL)
     return said(
-        fix.kind, names, records, words, gain=one.gain,
-        row="input " * of_input + ("twice" if twice else fix.kind),
-        alternatives=(*others, NOMINAL) if of_input else others,
-        correction=None if of_input and fix.kind == "swap" else fix,
+        fix.kind, names, records, words, row=row, gain=one.gain, alternatives=others,
+        correction=None if row == "input swap" else fix,
     )  # fmt: skip
 
 
@@ -418,17 +419,12 @@ def sized_finding(
     begins: dict[str, tuple[float, float]] | None = None,
 ) -> Finding:
     """Words for a fault with a size; ``allowed`` where the model has an effect for it."""
-    fault, names, size = one.candidate, one.candidate.signals, one.size
-    of_input = isinstance(_channel(channels, names[0]), Input)
-    row, correction, early = fault.kind, None if of_input else one.correction, " and ".join(names)
-    if row == "delay" and size < 0.0:
-        # Nothing is measured before it happens: the others lag.
-        row, size = ("lag" if of_input else "ahead"), -size
-        names = names if of_input else _others(names, relations)
-        correction = None if of_input else Correction("delay", names, size)
-    elif row == "drift" and fault.unit == "m/s":
-        row = "current"
-    row, bounds = "input " * of_input + row, interval(size, one.std)
+    fault, early = one.candidate, " and ".join(one.candidate.signals)
+    of_input = isinstance(_channel(channels, fault.signals[0]), Input)
+    row, names, size = _row_of(fault, one.size, relations, of_input=of_input)
+    bounds = interval(size, one.std)
+    undone = replace(one.correction, signals=names, value=size)
+    correction = None if of_input or row == "run" else undone
     start, end = (begins or {}).get(fault.record, (0.0, 1.0))
     both = f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
     words = {
@@ -450,6 +446,20 @@ def sized_finding(
         gain=one.gain, alternatives=(*others, NOMINAL) if of_input else others,
         correction=correction,
     )  # fmt: skip
+
+
+def _row_of(
+    fault: Candidate, size: float, relations: tuple[Relation, ...], *, of_input: bool
+) -> tuple[str, tuple[str, ...], float]:
+    """Row of the table that tells of a fault, the signals it is told of, and its size there."""
+    if of_input:
+        lag = fault.kind == "delay" and size < 0.0
+        return f"input {'lag' if lag else fault.kind}", fault.signals, -size if lag else size
+    if fault.kind == "delay" and size < 0.0:
+        # Nothing is measured before it happens: the others lag.
+        return "ahead", _others(fault.signals, relations), -size
+    current = fault.kind == "drift" and fault.unit == "m/s"
+    return "current" if current else fault.kind, fault.signals, size
 
 
 def judged_row(
