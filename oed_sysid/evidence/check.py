@@ -43,11 +43,10 @@ from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
 from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogCheck
-from oed_sysid.evidence.screens import marked, screened
+from oed_sysid.evidence.screens import Fault, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
     READ,
-    caught_up,
     clock_findings,
     judged_row,
     misfit_finding,
@@ -126,11 +125,14 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
-    findings, traces, clean, equations = _screened(dataset, traces, equations)
-    balances: tuple[Balance, ...] = ()
-    ended = None
+    faults, traces = screened(traces)
+    mute = {name for one in faults if one.kind in ("dead", "copied") for name in one.names}
+    equations = tuple(r for r in equations if not mute & {*r.names})
+    related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
-        findings, balances, ended = _related(dataset, model, clean, equations, findings)
+        clean = [t.blank(marked(faults, t.name, BLANKED)) for t in traces]
+        faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
+    findings = [*screen_findings(dataset, traces, faults), *related]
     reason, of_inputs = "", list[Judged]()
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
@@ -158,46 +160,77 @@ def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Jud
     )
 
 
-def _screened(
-    dataset: Dataset, traces: Sequence[Trace], equations: tuple[Relation, ...]
-) -> tuple[list[Finding], list[Trace], list[Trace], tuple[Relation, ...]]:
-    """Findings in single signals, records, these with them undone, and equations that hold."""
-    faults, marked_traces = screened(traces)
-    findings = screen_findings(dataset, marked_traces, faults)
-    mute = (fault.signal for fault in faults if fault.kind in ("dead", "copied"))
-    dead = {name for said in mute for name in said.split(" = ")}
-    equations = tuple(r for r in equations if not dead & {*r.names})
-    clean = [t.blank(marked(faults, t.name, BLANKED)) for t in marked_traces]
-    return findings, marked_traces, clean, equations
-
-
 def _related(
     dataset: Dataset,
     model: Model,
     clean: Sequence[Trace],
     equations: tuple[Relation, ...],
-    findings: Sequence[Finding],
-) -> tuple[list[Finding], tuple[Balance, ...], Result]:
-    """Findings with those of the equations, how well these hold, and what was searched."""
-    known = [
-        one for one in findings if one.kind == "step" and {*one.signals} & {*names_of(equations)}
-    ]
-    found, ended = contrasts.diagnosed(
-        clean, Question.of(clean, equations), [*_steps(known, clean).values()]
-    )
-    known, sized = _settled(findings, known, ended.found, clean)
+    faults: Sequence[Fault],
+) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:
+    """Steps with the sizes that equations give, what these find, how well they hold, the search."""
+    steps = [one for one in faults if one.kind == "step" and one.signal in names_of(equations)]
+    known = {one: _steps(one, clean, equations) for one in steps}
+    begun = [fix for fixes in known.values() for fix in fixes]
+    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), begun)
+    faults, sized = _settled(faults, known, ended)
     fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
     about = dataset.channels, equations, dataset.names
     begins = {t.name: (float(t.times[0]), float(t.times[-1])) for t in clean}
-    known += [reading_finding(one, *about) for one in found]
-    known += [
-        sized_finding(one, *about, allowed=_allowed(model, one.candidate), begins=begins)
-        for one in sized
+    findings = [reading_finding(one, *about) for one in found]
+    for one in sized:
+        allowed = _allowed(model, one)
+        findings.append(sized_finding(one, *about, allowed=allowed, begins=begins))
+    findings += clock_findings(mended, equations)
+    findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
+    return faults, findings, _balances(clean, mended, equations), ended
+
+
+def _settled(
+    faults: Sequence[Fault], known: Mapping[Fault, Sequence[Correction]], ended: Result
+) -> tuple[list[Fault], list[Found]]:
+    """Faults of the screens, steps with their sizes by the equations; and what else was found."""
+    sizes = {_place(one.correction): one for one in ended.found if one.candidate.kind == "step"}
+    done = [sizes.pop(_place(fix), None) for fixes in known.values() for fix in fixes]
+    own = {_place(one.correction): float(one.size) for one in done if one is not None}
+    kept = [one for one in faults if one not in known]
+    kept += [_resized(one, fixes, own) for one, fixes in known.items()]
+    return kept, [one for one in ended.found if one not in done]
+
+
+def _steps(
+    fault: Fault, traces: Sequence[Trace], equations: tuple[Relation, ...]
+) -> list[Correction]:
+    """Steps that a screen found, as faults of the equations; none where these contradict them.
+
+    A signal that catches up with the motion after it was lost jumps as well, and is right
+    afterwards: with the jump subtracted the equations tell less, not more.
+    """
+    here = [trace for trace in traces if trace.name == fault.record]
+    since = here[0].times - here[0].times[0]
+    fixes = [
+        Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
+        for row, size in zip(fault.rows, fault.sizes, strict=True)
+        for share in (0.5 * (since[row] + since[row - 1]) / since[-1],)
     ]
-    known += clock_findings(mended, equations)
-    known += misfit_finding(contrasts.unexplained(mended, equations), equations)
-    return known, _balances(clean, mended, equations), ended
+    some = tuple(r for r in equations if fault.signal in r.names)
+    mended = [undo(trace, fixes) for trace in here]
+    before, after = (contrasts.evidence(one, some).sum() for one in (here, mended))
+    return fixes if after > before else []
+
+
+def _place(step: Correction) -> tuple[str, str, float]:
+    return step.signals[0], step.record, step.span[0]
+
+
+def _resized(
+    fault: Fault, fixes: Sequence[Correction], sizes: Mapping[tuple[str, str, float], Found]
+) -> Fault:
+    """A fault with the sizes that the equations give its steps; it has caught up without any."""
+    if not fixes:
+        return replace(fault, kind="caught up")
+    own = tuple(sizes.get(_place(f), f.value) for f in fixes)
+    return replace(fault, sizes=own, amount=max(own, key=abs))
 
 
 def quick_check(dataset: Dataset, model: Problem | Model) -> LogCheck:
@@ -289,60 +322,6 @@ def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple
     return relations(model, standard, missing)
 
 
-def _steps(
-    findings: Sequence[Finding], traces: Sequence[Trace]
-) -> dict[tuple[str, int], Correction]:
-    """Steps that a screen found, by record and row: each as a fault of the equations."""
-    times = {t.name: t.times - t.times[0] for t in traces}
-    return {
-        (record, row): Correction(
-            "step", one.signals, size, record=record,
-            span=(float(0.5 * (since[row] + since[row - 1]) / since[-1]), 1.0),
-        )
-        for one in findings if one.correction is not None
-        for record, rows in one.correction.rows.items()
-        for since in (times[record],)
-        for row, size in zip(rows, one.correction.sizes[record], strict=True)
-    }  # fmt: skip
-
-
-def _settled(
-    findings: Sequence[Finding],
-    steps: Sequence[Finding],
-    found: Sequence[Found],
-    traces: Sequence[Trace],
-) -> tuple[list[Finding], list[Found]]:
-    """Findings of steps with the sizes that the equations give them, and the other faults.
-
-    A signal that catches up with the motion after it was lost jumps as well, and is right
-    afterwards: the equations know of no step then, and nothing is to be subtracted.
-    """
-    left = {(one.candidate.signals, one.candidate.record, one.candidate.at): one for one in found
-            if one.candidate.kind == "step"}  # fmt: skip
-    result, done = [one for one in findings if one not in steps], list[Found]()
-    for one in steps:
-        places = _steps((one,), traces)
-        own = {key: left.get((c.signals, c.record, c.span[0])) for key, c in places.items()}
-        kept = {key: same for key, same in own.items() if same is not None}
-        done += kept.values()
-        result.append(_resized(one, {key: same.size for key, same in kept.items()}))
-    return result, [one for one in found if one not in done]
-
-
-def _resized(one: Finding, sizes: Mapping[tuple[str, int], float]) -> Finding:
-    """A finding of steps with sizes by record and row, or where there are none of it."""
-    if not sizes or one.correction is None:
-        return caught_up(one)
-    own = {record: {row: float(size) for (name, row), size in sizes.items() if name == record}
-           for record, _ in sizes}  # fmt: skip
-    fix = replace(
-        one.correction,
-        rows={record: tuple(rows) for record, rows in own.items()},
-        sizes={record: tuple(rows.values()) for record, rows in own.items()},
-    )
-    return replace(one, size=float(max(sizes.values(), key=abs)), correction=fix)
-
-
 def _ordered(findings: list[Finding]) -> list[Finding]:
     """Suspect ones first, then the largest gain; coincidences have none and are certain.
 
@@ -355,10 +334,10 @@ def _ordered(findings: list[Finding]) -> list[Finding]:
     )
 
 
-def _allowed(model: Model, fault: contrasts.Candidate) -> bool:
+def _allowed(model: Model, one: Found) -> bool:
     """Whether the model has a sensor effect on a signal of this fault."""
     touched = {key for e in model.effects if e.stage == "sensor" for key in e.terms}
-    return bool(touched & set(fault.signals))
+    return bool(touched & set(one.candidate.signals))
 
 
 def _asked(

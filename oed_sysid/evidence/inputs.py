@@ -265,7 +265,7 @@ def _given(
         least = RELATIVE * max(abs(p.value), std)
         yield Candidate("bias", (p.name,), p.unit, std, least)
     for r, t in product(equations, traces):
-        usual = float(np.ptp(t.values[r.target])) / length + 1e-12
+        usual = float(np.nanstd(t.values[r.target])) / length + 1e-12
         yield Candidate("drift", (r.target,), "", usual, 0.0, record=t.name)
 
 

@@ -74,7 +74,7 @@ HELD = 0.5
 ANSWERS = ("spikes", "step")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fault:
     """Samples of one signal in one record that a screen stopped; for steps, the size of each."""
 
@@ -85,17 +85,26 @@ class Fault:
     amount: float = 0.0
     sizes: tuple[float, ...] = ()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Signals: of copies both."""
+        return tuple(self.signal.split(" = "))
+
     def groups(self) -> list[np.ndarray]:
         """Positions in ``rows`` of what happened at once."""
         together = self.kind == "spikes"
         apart = np.diff(self.rows) > 1 if together else np.ones(self.rows.size - 1, dtype=bool)
         return np.split(np.arange(self.rows.size), np.flatnonzero(apart) + 1)
 
-    def only(self, chosen: np.ndarray) -> Fault:
-        """Return the fault with some of its rows only."""
+    def without(self, pushed: np.ndarray) -> list[Fault]:
+        """The fault without what begins at marked samples; none where nothing is left."""
+        left = [group for group in self.groups() if not pushed[self.rows[group[0]]]]
+        if not left:
+            return []
+        chosen = np.concatenate(left)
         sizes = tuple(self.sizes[k] for k in chosen) if self.sizes else ()
         amount = max(sizes, key=abs, default=0.0) if self.sizes else float(chosen.size)
-        return replace(self, rows=self.rows[chosen], amount=amount, sizes=sizes)
+        return [replace(self, rows=self.rows[chosen], amount=amount, sizes=sizes)]
 
 
 @dataclass(frozen=True)
@@ -132,31 +141,38 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     """
     shared = sum(len(trace.values) for trace in traces)
     faults = [fault for trace in traces for fault in screen(trace, shared)]
+    names = dict.fromkeys(name for trace in traces for name in trace.values)
+    fast = frozenset(name for name in names if _answers(traces, name))
     after = {trace.name: trace.pushed for trace in traces}
-    fast = _fast([one for one in faults if one.kind in ANSWERS], after)
-    kept: list[Fault] = []
-    for fault in faults:
-        if fault.kind not in ANSWERS or fault.signal not in fast:
-            kept.append(fault)
-            continue
-        pushed = after[fault.record][fault.rows]
-        left = [group for group in fault.groups() if not pushed[group[0]]]
-        kept += [fault.only(np.concatenate(left))] if left else []
-    return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
+    kept = [
+        left
+        for fault in faults
+        for answers in (fault.kind in ANSWERS and fault.signal in fast,)
+        for left in ([fault] if not answers else fault.without(after[fault.record]))
+    ]
+    return kept, [replace(trace, fast=fast) for trace in traces]
 
 
-def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
-    """Signals whose faults follow steps of the inputs more often than chance would have it."""
-    share = float(np.concatenate(list(after.values())).mean())
-    answers: dict[str, list[bool]] = {}
-    for fault in faults:
-        begins = [fault.rows[group[0]] for group in fault.groups()]
-        answers.setdefault(fault.signal, []).extend(after[fault.record][begins].tolist())
-    return {
-        name
-        for name, said in answers.items()
-        if any(said) and bdtrc(sum(said) - 1, len(said), share) < 0.2
-    }
+def _answers(traces: Sequence[Trace], name: str) -> bool:
+    """Whether a signal stands out after steps of the inputs more often than chance would have it.
+
+    Spikes elsewhere say nothing about that.
+    """
+    hits, others, share = 0, 0, np.concatenate([trace.pushed for trace in traces])
+    for trace in traces:
+        present = np.flatnonzero(np.isfinite(trace.values.get(name, np.zeros(0))))
+        size = _sizes(trace.values[name][present]) if present.size > LEAST else np.zeros(0)
+        pushed = trace.pushed[present][2:-2] if size.size else np.zeros(0, dtype=bool)
+        spiky = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5 if size.size else pushed
+        hits += _events((size > TAIL) & pushed)
+        others += _events((size > TAIL) & ~pushed & ~spiky)
+    return hits > 0 and bool(bdtrc(hits - 1, hits + others, share.mean()) < ALPHA)
+
+
+def _events(here: np.ndarray) -> int:
+    """How many stretches of samples are marked; gaps of less than a group do not part them."""
+    rows = np.flatnonzero(here)
+    return rows.size and 1 + int(np.sum(np.diff(rows) > SIDE))
 
 
 def screen(trace: Trace, shared: int = 1) -> list[Fault]:
@@ -292,11 +308,10 @@ class Signal:
         """Samples, alone or in short groups, that their neighbours contradict."""
         y, taken = self.series.copy(), self.taken
         y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), y[~taken])
-        d = deviations(y, 1)[:, 0]
-        if d.size < LEAST:
+        if y.size < LEAST + 4:
             return None
         rows = np.sort(np.concatenate([
-            np.zeros(0, dtype=int), *bursts(self.times, y, taken, _limit(d, self.alpha), self.least)
+            np.zeros(0, dtype=int), *bursts(self.times, y, taken, _limit(y, self.alpha), self.least)
         ]))  # fmt: skip
         return (rows, float(rows.size)) if rows.size else None
 
@@ -343,9 +358,16 @@ def interpolated(series: np.ndarray) -> np.ndarray:
     return np.flatnonzero(flat & (np.abs(np.diff(series))[1:] > 0.0)) + 1
 
 
-def _limit(d: np.ndarray, alpha: float) -> float:
+def _sizes(series: np.ndarray) -> np.ndarray:
+    """Deviations from a cubic through four neighbours, in robust deviations; none without noise."""
+    d = np.abs(deviations(series, 1)[:, 0])
+    usual = float(np.median(d)) / QUARTILE
+    return d / usual if usual > 0.0 else 0.0 * d
+
+
+def _limit(series: np.ndarray, alpha: float) -> float:
     """Robust deviations beyond which noise like this leaves nothing, heavy tails allowed for."""
-    size = np.abs(d) / (float(np.median(np.abs(d))) / QUARTILE + 1e-300)
+    size = _sizes(series)
     beyond = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5
     n_tail = int(np.sum((size > TAIL) & ~beyond)) - 1
     return max(SPIKE, TAIL * (max(n_tail, 0) / alpha) ** 0.2)

@@ -185,6 +185,13 @@ SAYS = {
         "a model cannot move at once, and explains the new level by offsets and forces",
         f"cut the record there with window(), or subtract the jump from all later samples: {COPY}",
     ),
+    "caught up": (
+        "{commas} jumps by {jump} from one sample to the next at t = {at:.6g} s of {record}{more}: "
+        "the other signals say that the vehicle moved there, so that it was lost before and caught "
+        "up.",
+        "a model cannot move at once, and explains the new level by offsets and forces",
+        "cut the record there with window(); nothing is subtracted in a corrected copy",
+    ),
     "noise": (
         "{commas} is {ratio:.2g} times noisier than declared ({level:.3g} for {said:.3g} {unit}).",
         "with declared noise, errors are stated too small by as much",
@@ -529,7 +536,7 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     """Finding of samples of one signal that say nothing, or little, or lie on another level."""
     largest = max(here, key=lambda one: abs(one.amount))
     trace = series[largest.record]
-    names = tuple(signal.split(" = "))
+    names = largest.names
     unit, size = trace.units[names[0]], largest.amount
     if kind == "dead":
         size = float(trace.values[signal][largest.rows[0]])
@@ -543,27 +550,18 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
         "jump": f"{value:+.3g} {shown}", "its": "its" if n == 1 else "their",
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
-    steps, many = kind == "step", kind in ("spikes", "dropouts", "frozen", "saturated")
+    steps = kind in ("step", "caught up")
+    many = kind in ("spikes", "dropouts", "frozen", "saturated")
     correction = Correction("blank", names, rows=rows)
     if steps:
         correction = Correction("step", names, rows=rows, sizes={f.record: f.sizes for f in here})
-    return said(
-        kind, names, tuple(rows), words, row="jump" if steps else "",
+    found = said(
+        kind, names, tuple(rows), words, row="jump" if kind == "step" else "",
         suspect=kind not in ("held", "quantised"), size=float(n) if many else size,
         unit="samples" if many else unit * steps,
-        correction=None if kind in ("quantised", "copied") else correction,
+        correction=None if kind in ("quantised", "copied", "caught up") else correction,
     )  # fmt: skip
-
-
-def caught_up(found: Finding) -> Finding:
-    """A finding of a step after which the other signals know of none."""
-    return replace(
-        found,
-        says=f"{found.says.rsplit(':', 1)[0]}: the other signals say that the vehicle moved "
-        "there, so that it was lost before and caught up.",
-        fix="cut the record there with window(); nothing is subtracted in a corrected copy",
-        correction=None,
-    )
+    return replace(found, kind="step") if steps else found
 
 
 def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
