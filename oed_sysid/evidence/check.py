@@ -78,8 +78,9 @@ __all__ = [
 
 # Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
 FAR = 5.0
-# Samples that must not enter any equation.
-BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
+# Exact coincidences, which are certain; and samples that must not enter any equation.
+EXACT = ("dead", "copied", "dropouts", "frozen", "saturated", "held", "interpolated")
+BLANKED = ("spikes", *EXACT)
 
 
 def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
@@ -224,7 +225,7 @@ def _place(step: Correction) -> tuple[str, str, float]:
 
 
 def _resized(
-    fault: Fault, fixes: Sequence[Correction], sizes: Mapping[tuple[str, str, float], Found]
+    fault: Fault, fixes: Sequence[Correction], sizes: Mapping[tuple[str, str, float], float]
 ) -> Fault:
     """A fault with the sizes that the equations give its steps; it has caught up without any."""
     if not fixes:
@@ -323,10 +324,7 @@ def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple
 
 
 def _ordered(findings: list[Finding]) -> list[Finding]:
-    """Suspect ones first, then the largest gain; coincidences have none and are certain.
-
-    A wrong unit explains a wrong noise level.
-    """
+    """Suspect ones first, coincidences before gains; a wrong unit explains a wrong noise level."""
     rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
     kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
     return sorted(
