@@ -78,9 +78,9 @@ __all__ = [
 
 # Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
 FAR = 5.0
-# Exact coincidences, which are certain; and samples that must not enter any equation.
-EXACT = ("dead", "copied", "dropouts", "frozen", "saturated", "held", "interpolated")
-BLANKED = ("spikes", *EXACT)
+# Samples that must not enter any equation; and exact coincidences, which are certain.
+BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
+EXACT = ("dead", "copied", *BLANKED[1:])
 
 
 def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
@@ -327,9 +327,7 @@ def _ordered(findings: list[Finding]) -> list[Finding]:
     """Suspect ones first, coincidences before gains; a wrong unit explains a wrong noise level."""
     rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
     kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
-    return sorted(
-        kept, key=lambda one: (not one.suspect, -np.inf if one.gain is None else -one.gain)
-    )
+    return sorted(kept, key=lambda o: (not o.suspect, o.kind not in EXACT, -(o.gain or 0.0)))
 
 
 def _allowed(model: Model, one: Found) -> bool:
