@@ -9,14 +9,14 @@ import shlex
 import subprocess
 import sys
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from oed_sysid import load_problem, write_csv
+from oed_sysid import load_problem, simulate_inputs, write_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.experiments.simulation import simulate_inputs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(
@@ -232,6 +232,19 @@ def test_notebook_is_small_and_holds_no_results(path: Path) -> None:
     assert not [cell for cell in code if cell["outputs"] or cell["execution_count"]]
     assert "".join(cells[0]["source"]).startswith("# ")
     assert "Conclusion" in "".join(code[-1]["source"])
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_notebook_imports_present_names(path: Path) -> None:
+    """What a notebook imports from the package exists, under a name that is not an old one."""
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    text = "\n".join("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code")
+    lines = re.findall(r"^(?:from oed_sysid\S* import .*|import oed_sysid\S*)$", text, re.MULTILINE)
+    assert lines
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DeprecationWarning)
+        for line in lines:
+            exec(line, {})
 
 
 @pytest.mark.slow

@@ -785,6 +785,7 @@ class _Part(Kernel):
         starts: np.ndarray | None = None,
         carry: bool = False,
         sensitivities: bool = False,
+        n_columns: int | None = None,
     ) -> Run:
         wide, values, nodes = self._wide, self._widened(values), np.atleast_2d(nodes)
         first, _ = wide.start(nodes[0, : self.n_own], inputs[0], values, times[0])

@@ -100,7 +100,7 @@ REFUSED: tuple[tuple[str, str | dict[str, str | bytes], tuple[str, ...]], ...] =
     ("one effect alone", swap("(drag, bias)", "drag"), ("effects is a Force", "(effect,)")),
     ("effect as text", swap("(drag, bias)", "('drag',)"), ("one of its effects is a str",)),
     ("one state alone", swap('(State("psi", "rad"), State("r", "rad/s", scale=0.05))',
-                             'State("r", "rad/s")'), ("states is a State", "(State(...),)")),
+                             'State("r", "rad/s")'), ("states is a State", "(state,)")),
     ("state as text", swap('State("psi", "rad")', "'psi'"), ("one of its states is a str",)),
     ("kinematics as text", swap('{"psi": "r", "r": "(K*rudder - r)/T"}', "'r'"),
      ("kinematics is a str", "mapping")),
