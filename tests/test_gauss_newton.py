@@ -370,7 +370,8 @@ def test_elimination_solves_the_whole_problem() -> None:
     expected = np.linalg.solve(matrix, right)
     step = np.linalg.solve(found.matrix, found.right)
     assert np.allclose(step, expected[size:], rtol=1e-9)
-    assert np.allclose((found.solved[:, :, -1] - found.solved[:, :, :-1] @ step).ravel(), expected[:size], rtol=1e-9)
+    moved = found.solved[:, :, -1] - found.solved[:, :, :-1] @ step
+    assert np.allclose(moved.ravel(), expected[:size], rtol=1e-9)
     # Twice the drop of the quadratic: right-hand side times solution.
     assert found.gain + found.right @ step == pytest.approx(right @ expected, rel=1e-9)
 
