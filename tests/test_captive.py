@@ -8,26 +8,20 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import (
-    Actuator,
-    Dataset,
-    Experiment,
-    ExtraState,
-    Force,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    State,
-    ZigZag,
-)
 from oed_sysid.baselines import OutputError
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, UnitWarning
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import ZigZag
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics import Actuator, ExtraState, Force
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 TRUTH = {"Y_v": -40.0, "Y_r": 25.0, "N_v": -15.0, "N_r": -60.0, "Y_d": 12.0, "N_d": -30.0}
 SPEED = 2.0

@@ -34,28 +34,18 @@ from benchmarks.compatibility import (
     read_filled,
     spoil,
 )
-from oed_sysid import (
-    Dataset,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    Problem,
-    Record,
-    State,
-    check,
-    load_problem,
-    quick_check,
-    read_csv,
-    write_csv,
-)
-from oed_sysid.evidence.check import LogCheck, corrected_copies
+from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check
 from oed_sysid.evidence.contrasts import fitted_law, integral, laws
 from oed_sysid.evidence.relations import relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
+from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Fit, load_problem, write_csv
+from oed_sysid import Dataset, Fit, load_problem, new_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main
 from oed_sysid.cli.arguments import spread
 from oed_sysid.cli.terminal import answer
 from oed_sysid.errors import FileError, ProblemError
-from oed_sysid.experiments.problem import new_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.runtime.files import check_place, make_folder, write_text
 
 NOMOTO = """

@@ -17,11 +17,10 @@ import pytest
 import typer
 from test_walks import mapping_of, write_log
 
-from oed_sysid import new_problem
+from oed_sysid import list_problems, new_problem
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.cli.application import app
 from oed_sysid.cli.terminal import Shown
-from oed_sysid.experiments.problem import list_problems
 from oed_sysid.likelihood.gauss_newton import Progress
 
 PROBLEM = "remus_diving_plane"

@@ -15,9 +15,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import load_problem, write_csv
+from oed_sysid import load_problem, simulate_inputs, write_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.experiments.simulation import simulate_inputs
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted(

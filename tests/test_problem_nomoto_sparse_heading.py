@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Record, load_problem
+from oed_sysid import Dataset, Record, load_problem, simulate
 from oed_sysid.baselines import HeadingDifferences
 from oed_sysid.data.reconstruction import (
     METHODS,
@@ -17,7 +17,6 @@ from oed_sysid.data.reconstruction import (
     reconstruct,
 )
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("nomoto_sparse_heading")
 # An independent program's mean of |dK| and |dT| relative to 0.1 s, per cent.

@@ -17,8 +17,7 @@ import yaml
 
 import oed_sysid.testing
 from benchmarks.lowest import constraints, lowest
-from oed_sysid import __version__
-from oed_sysid.experiments.problem import list_problems
+from oed_sysid import __version__, list_problems
 
 ROOT = Path(__file__).resolve().parent.parent
 
