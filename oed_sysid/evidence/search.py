@@ -395,13 +395,8 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
     """The best term beside the effects of the first steps, less those not needed any more."""
     assert proposals.best is not None
     effect, study = proposals.best.effect, state.study
-<<<<<<< HEAD
     start = state.fit if count else state.path[0]
-    wide = study.with_candidates([effect])
-=======
-    start = state.path[count]
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
->>>>>>> main
     kept = state.added[:count]
     found = wide.estimate(
         [*(one.effect for one in kept), effect],
