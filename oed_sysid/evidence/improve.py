@@ -35,6 +35,7 @@ from oed_sysid.evidence.search import (
     BOUGHT,
     Standing,
     eliminated,
+    every_step,
     overgrown,
     searched,
     with_term,
@@ -296,7 +297,7 @@ def _result(
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
-    path = [study.polished(fit) for fit in (end.base, *state.path[1:])]
+    path = [study.polished(fit) for fit in (end.base, *every_step(state)[1:])]
     fits = [study.result(fit, "improve, disturbance forces") for fit in path]
     sigma = _sigma(study, fits)
     records = {"train": study.train, "test": study.validation}
