@@ -7,7 +7,6 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from scipy.linalg import toeplitz
 
 from oed_sysid import Dataset, Experiment, Input, Model, Output, Parameter, State
 from oed_sysid.errors import DesignError
@@ -17,7 +16,6 @@ from oed_sysid.information import (
     collinear_groups,
     collinearity_index,
     confirm_bound,
-    fitted_colour,
     identifiability,
     identifiable_subset,
     information_of,
@@ -120,24 +118,6 @@ def test_priors_add_their_inverse_variance() -> None:
     np.testing.assert_allclose(twice.matrix, 2 * plain.matrix, rtol=1e-9)
 
 
-@pytest.mark.parametrize("autoregression", [(0.8,), (1.1, -0.4), (0.5, 0.2, -0.3)])
-def test_coloured_noise_is_prewhitened_exactly(autoregression: tuple[float, ...]) -> None:
-    """Autoregressive prewhitening equals the inverse of the dense noise covariance."""
-    times = step_test().times
-    impulse = np.zeros(4000)
-    impulse[0] = 1.0
-    for k in range(1, len(impulse)):
-        for lag, a in enumerate(autoregression, start=1):
-            impulse[k] += a * impulse[k - lag] if k >= lag else 0.0
-    lags = np.array([impulse[: len(impulse) - k] @ impulse[k:] for k in range(len(times))])
-    covariance = NOISE**2 * toeplitz(lags / lags[0])
-    rows = closed_form(times)
-    matrix = rows.T @ np.linalg.solve(covariance, rows)
-    bound = np.linalg.inv(matrix)[1:, 1:]
-    found = information_of(first_order(), step_test(), coloured={"r": autoregression})
-    np.testing.assert_allclose(found.covariance, bound, rtol=1e-6)
-
-
 def test_missing_samples_carry_no_information() -> None:
     """A record with NaN gives the information of the samples it has."""
     model = first_order()
@@ -151,27 +131,15 @@ def test_missing_samples_carry_no_information() -> None:
     np.testing.assert_allclose(found.matrix, rows.T @ rows, rtol=1e-8)
 
 
-def test_colour_of_residuals_is_found() -> None:
-    """Yule-Walker finds the autoregression of a long series, and none in white noise."""
-    rng = np.random.default_rng(3)
-    white = rng.standard_normal((20000, 2))
-    coloured = white.copy()
-    for k in range(1, len(coloured)):
-        coloured[k, 0] += 0.7 * coloured[k - 1, 0]
-    found = fitted_colour([coloured], ("a", "b"), order=1)
-    assert set(found) == {"a"}
-    assert found["a"][0] == pytest.approx(0.7, abs=0.02)
-
-
 def test_noise_errors_say_what_to_do() -> None:
-    """Unknown noise and unstable colours are refused with advice."""
+    """Unknown noise and another description of colour are refused with advice."""
     silent = first_order(outputs=(Output("r", "rad/s"),))
     with pytest.raises(DesignError, match="noise_std"):
         information_of(silent, step_test())
-    with pytest.raises(DesignError, match="not stationary"):
-        noise_of(first_order(), coloured={"r": 1.2})
     with pytest.raises(DesignError, match="no output"):
-        noise_of(first_order(), coloured={"psi": 0.2})
+        noise_of(first_order(), {"psi": 0.2})
+    with pytest.raises(DesignError, match="NoiseModel"):
+        information_of(first_order(), step_test(), coloured={"r": 0.5})
 
 
 def test_collinearity_follows_its_definition() -> None:

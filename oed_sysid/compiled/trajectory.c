@@ -40,15 +40,16 @@ typedef double row_t[WIDTH] __attribute__((aligned(32)));
 
 /* Columns in use: chosen at run time, rounded up to whole vectors, or all. */
 #ifdef SELECT
-static _Thread_local int active;
+static _Thread_local int active, chosen;
 static _Thread_local const int *column_of;
 #define ACTIVE active
-#define active_width(n) (active = ((n) + 3) & ~3)
+#define COLUMNS chosen
+#define active_width(n) (chosen = (n), active = ((n) + 3) & ~3)
 #define PARAMETER(row, index, value) \
     if (column_of[index] >= 0) target[row][column_of[index]] += value;
 #else
 #define ACTIVE WIDTH
-#define active_width(n)
+#define COLUMNS NC
 #define PARAMETER(row, index, value) target[row][NZ + index] += value;
 #endif
 
@@ -84,7 +85,8 @@ static inline void add_scaled(double *restrict target, double factor, const doub
 /* Rows without their padding. */
 static inline void copy_rows(double *target, const row_t *rows, int n)
 {
-    for (int i = 0; i < n; ++i) memcpy(target + (size_t)i * NC, rows[i], sizeof(double) * NC);
+    const int count = COLUMNS;
+    for (int i = 0; i < n; ++i) memcpy(target + (size_t)i * count, rows[i], sizeof(double) * count);
 }
 
 static void inputs_between(const double *start, const double *end, double fraction, double *result)
@@ -412,13 +414,24 @@ void kernel_start(const double *own, const double *input, const double *p, doubl
     start_jac(arg, res, iw, w, 0);
 }
 
+#ifdef SELECT
+/* Columns of the runs of this thread: those of all start states, then of each parameter the one
+ * that is stated, or none where that is negative. */
+void kernel_select(int width, const int *columns)
+{
+    active_width(width);
+    column_of = columns;
+}
+#endif
+
 /* Run segments of one record.
  *
  * times (n), inputs (n x NU), p (NP), starts (n_segments: index of the first
  * sample of each), nodes (n_segments x NZ; with carry only the first is read
  * and each segment starts where the last one ended).
  * Any result may be NULL: z (n x NZ, before the measurement), y (n x NY),
- * dy (n x NY x NC), ends (n_segments x NZ), dends (n_segments x NZ x NC).
+ * dy (n x NY x columns), ends (n_segments x NZ), dends (n_segments x NZ x columns), all NC columns
+ * or those of kernel_select.
  * Returns -1, or the first sample at which the state is no longer finite.
  */
 int kernel_run(int n, const double *times, const double *inputs, const double *p, double h_max,
@@ -447,13 +460,13 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
             if (y_out || dy_out || NS > 0) {
                 sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
                 if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
-                if (dy_out) copy_rows(dy_out + (size_t)k * NY * NC, (const row_t *)sy, NY);
+                if (dy_out) copy_rows(dy_out + (size_t)k * NY * COLUMNS, (const row_t *)sy, NY);
             }
             if (k + 1 >= n) break;
             advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
         }
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) copy_rows(dends + (size_t)segment * NZ * NC, (const row_t *)s, NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
     }
     return -1;
 }
@@ -520,66 +533,8 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
         double *block = gram + (size_t)segment * NG * NG;
         for (int a = 0; a < NG; ++a) memcpy(block + a * NG, sum[a], sizeof(double) * NG);
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) copy_rows(dends + (size_t)segment * NZ * NC, (const row_t *)s, NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
     }
     return -1;
-}
-
-/* Eliminate the start states of independent segments from their normal equations.
- *
- * gram as kernel_gather leaves it; away (n_segments x NZ), start states minus
- * their guesses, which weigh weight (NZ). The diagonal of the states is raised
- * by the share damping. Results: solved (n_segments x NZ x (NF + 1)), with
- * which the states answer a step of the parameters: last column minus the
- * others times the step; reduced (NF x (NF + 1)), matrix and right-hand side of
- * the parameters; gain, right-hand sides times solutions of the states.
- * Returns 0, or 1 where a block is not positive definite.
- */
-int kernel_eliminate(int n_segments, const double *gram, const double *away, const double *weight,
-                     double damping, double *solved, double *reduced, double *gain)
-{
-    double sum[MAX1(NF)][NF + 1], low[MAX1(NZ)][MAX1(NZ)], b[MAX1(NZ)][NF + 1], x[MAX1(NZ)][NF + 1];
-    memset(sum, 0, sizeof(double) * NF * (NF + 1));
-    *gain = 0.0;
-    for (int segment = 0; segment < n_segments; ++segment) {
-        const double *block = gram + (size_t)segment * NG * NG;
-        const double *off = away + (size_t)segment * NZ;
-        for (int i = 0; i < NZ; ++i) {
-            for (int j = 0; j <= NF; ++j) b[i][j] = block[i * NG + NZ + j];
-            b[i][NF] -= weight[i] * off[i];
-            memcpy(x[i], b[i], sizeof b[i]);
-        }
-        /* Cholesky factor with inverse pivots, and the forward substitution beside it. */
-        for (int i = 0; i < NZ; ++i) {
-            for (int j = 0; j <= i; ++j) {
-                double v = block[i * NG + j];
-                if (i == j) v = (v + weight[i]) * (1.0 + damping);
-                for (int l = 0; l < j; ++l) v -= low[i][l] * low[j][l];
-                if (i == j) {
-                    if (!(v > 0.0)) return 1;
-                    low[i][i] = 1.0 / sqrt(v);
-                } else
-                    low[i][j] = v * low[j][j];
-            }
-            for (int l = 0; l < i; ++l)
-                for (int j = 0; j <= NF; ++j) x[i][j] -= low[i][l] * x[l][j];
-            for (int j = 0; j <= NF; ++j) x[i][j] *= low[i][i];
-        }
-        for (int i = NZ - 1; i >= 0; --i) {
-            for (int l = i + 1; l < NZ; ++l)
-                for (int j = 0; j <= NF; ++j) x[i][j] -= low[l][i] * x[l][j];
-            for (int j = 0; j <= NF; ++j) x[i][j] *= low[i][i];
-        }
-        for (int a = 0; a < NF; ++a)
-            for (int j = 0; j <= NF; ++j) sum[a][j] += block[(NZ + a) * NG + NZ + j];
-        for (int i = 0; i < NZ; ++i) {
-            for (int a = 0; a < NF; ++a)
-                for (int j = 0; j <= NF; ++j) sum[a][j] -= b[i][a] * x[i][j];
-            *gain += b[i][NF] * x[i][NF];
-            memcpy(solved + ((size_t)segment * NZ + i) * (NF + 1), x[i], sizeof x[i]);
-        }
-    }
-    memcpy(reduced, sum, sizeof(double) * NF * (NF + 1));
-    return 0;
 }
 #endif

@@ -69,8 +69,7 @@ from scipy.special import chdtri, chndtr, ndtr
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import plays, respond
-from oed_sysid.information.noise import Noise
-from oed_sysid.information.shifts import Group, Shifts
+from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
@@ -179,14 +178,14 @@ class Setting:
         Parameters that the information matrix is about, in order.
     scales : ndarray (n_names,)
         Their units in that matrix.
-    noise : Noise
-        Of the outputs.
+    sigma : ndarray (n_outputs,)
+        Standard deviations of the noise of the outputs.
     """
 
     model: Model
     names: tuple[str, ...]
     scales: np.ndarray
-    noise: Noise
+    sigma: np.ndarray
 
 
 @runtime_checkable
@@ -326,7 +325,7 @@ class _Prediction:
         columns = [len(setting.model.states) + setting.model.free_names.index(n)
                    for n in setting.names]  # fmt: skip
         rows = [
-            (respond(setting.model, play).jacobian[:, :, columns] / setting.noise.sigma[:, None])
+            (respond(setting.model, play).jacobian[:, :, columns] / setting.sigma[:, None])
             for play in plays(setting.model, self.manoeuvres)
         ]
         return np.vstack([r.reshape(-1, len(columns)) for r in rows]) * setting.scales
@@ -380,9 +379,6 @@ class GOptimal(_Prediction):
 _SMALLEST = 1e-9
 # Width of the soft minimum over pairs or effects, in units of log misfit or log power.
 _SOFTNESS = 0.1
-# A rival whose refit is this close, in twice the log-likelihood, is not told apart by a search for
-# missing physics.
-GROUP_WIDTH = 6.0
 
 
 @runtime_checkable

@@ -586,7 +586,7 @@ class _Outlook:
         cls, expected: ExpectedInformation, candidates: Sequence[Candidate], goals: Sequence[Goal]
     ) -> _Outlook:
         """Return the outlook, without runs that diverge on what is known now."""
-        each = expected.each([run.experiment for run in candidates])
+        each = [*map(expected.told().matrix, (run.experiment for run in candidates))]
         finite = [i for i, one in enumerate(each) if one is not None]
         rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
         return cls(

@@ -39,15 +39,9 @@ from oed_sysid.design.criteria import (
 )
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.information.bound import (
-    RunInformation,
-    information_of,
-    joint_information,
-    prior_factor,
-    triangle,
-)
-from oed_sysid.information.noise import Colour, Noise, noise_of
-from oed_sysid.information.response import Levels, expected_noise
+from oed_sysid.information.bound import RunInformation, information_of, prior_factor, triangle
+from oed_sysid.information.noise import noise_of
+from oed_sysid.information.response import Levels, expected_noise, plays
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -68,8 +62,6 @@ class Knowledge:
     noise : optional
         Standard deviations, a noise model with disturbance forces, or a fit; by default the fit's
         noise, disturbance forces included, or the model's ``noise_std``.
-    coloured : optional
-        See :func:`~oed_sysid.information.information_of`.
     spread : float or None
         Relative half-width of uniform draws of vehicles that are possible; None draws from what
         is known (prior standard deviations, or the fit).
@@ -78,7 +70,6 @@ class Knowledge:
     prior: str | Information | None = "auto"
     start: str | Mapping[str, float] = "unknown"
     noise: Levels | NoiseModel | Fit = None
-    coloured: Colour = None
     spread: float | None = None
 
     def __post_init__(self) -> None:
@@ -122,7 +113,7 @@ class ExpectedInformation:
     before : ndarray (n, n)
         The same in SI units, effects in units of their size beside it: with a fit, what its
         records would have shown of them.
-    start, coloured
+    start
         See :class:`Knowledge`.
     shifts : Shifts or None
         Absent effects that the criterion asks for.
@@ -137,7 +128,6 @@ class ExpectedInformation:
     prior: Information | None
     before: np.ndarray
     start: str | Mapping[str, float]
-    coloured: Colour
     shifts: Shifts | None
     raised: float = 1.0
 
@@ -151,7 +141,7 @@ class ExpectedInformation:
         if isinstance(given, Fit) and noise is None:
             noise = given
         sea, levels = expected_noise(model, noise)
-        sigma = noise_of(model, levels).sigma
+        sigma = noise_of(model, levels)
         # The levels belong to the model, so that reports and cards state them.
         model = with_levels(model, sigma)
         prior = knowledge.before(given, model)
@@ -162,26 +152,18 @@ class ExpectedInformation:
             # A fit brings its records, judged at its values: what they would have shown is known.
             rows = prior_factor(model, _shared(model), "model")
             before[:n, :n] = rows.T @ rows
-            before += joint_information(
-                model, given.dataset, shifts, noise=sigma if sea is None else sea,
-                coloured=knowledge.coloured, initial_states=given.initial_states,
-            )  # fmt: skip
+            told = RunInformation(model, sigma if sea is None else sea, shifts=shifts)
+            for play in plays(model, given.dataset, initial_states=given.initial_states):
+                factor = told.factor(play)
+                before += factor.T @ factor
         elif prior is not None:
             before[:n, :n] = prior.matrix
-        return cls(
-            model, criterion, sigma, sea, prior, before, knowledge.start, knowledge.coloured, shifts
-        )
+        return cls(model, criterion, sigma, sea, prior, before, knowledge.start, shifts)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters that all runs share."""
         return _shared(self.model)
-
-    @property
-    def noise(self) -> Noise:
-        """Noise of the outputs as a search sees it."""
-        found = noise_of(self.model, self.sigma, self.coloured)
-        return replace(found, sigma=self.raised * found.sigma)
 
     @property
     def expected(self) -> NoiseModel | np.ndarray:
@@ -207,8 +189,7 @@ class ExpectedInformation:
             assert shifts is not None
             return self.criterion.bind_shifts(shifts, len(self.names))
         units = self.scales(model) if scales is None else scales
-        noise = noise_of(self.model, self.sigma, self.coloured)
-        return self.criterion.bind(Setting(model, self.names, units, noise))
+        return self.criterion.bind(Setting(model, self.names, units, self.sigma))
 
     def relative(self, matrix: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """A matrix in SI units in units of the parameters; effects are in units of their size."""
@@ -217,28 +198,20 @@ class ExpectedInformation:
         units = np.concatenate([units, np.ones(n_effects)])
         return matrix * units[:, None] * units
 
-    def each(
-        self,
-        runs: Sequence[Experiment],
-        *,
-        vehicle: Model | None = None,
-        outputs: Sequence[str] | None = None,
-    ) -> list[np.ndarray | None]:
-        """Information of each run alone, SI units, nothing known before; None where it diverges.
+    def told(
+        self, vehicle: Model | None = None, outputs: Sequence[str] | None = None
+    ) -> RunInformation:
+        """What single runs tell, nothing known before.
 
         Parameters
         ----------
-        runs : sequence of Experiment
         vehicle : Model, optional
             By default the nominal one.
         outputs : sequence of str, optional
             Outputs that are measured; by default all.
         """
         model = vehicle or self.model
-        shifts = self.shifts_of(model)
-        told = RunInformation(model, self.expected, self.coloured, self.start, outputs, shifts)
-        factors = [told.factor_or_none(run) for run in runs]
-        return [None if factor is None else factor.T @ factor for factor in factors]
+        return RunInformation(model, self.expected, self.start, outputs, self.shifts_of(model))
 
     def total(self, run: Experiment | None) -> np.ndarray:
         """Relative information after a run, or before it (None).
@@ -248,22 +221,17 @@ class ExpectedInformation:
         DesignError, SimulationError
             If the run diverges.
         """
-        if run is None:
-            return self.relative(self.before)
-        if self.shifts is None:
-            return self.relative(self.bound(run).matrix)
-        more = joint_information(
-            self.model, run, self.shifts, noise=self.expected, coloured=self.coloured,
-            start=self.start,
-        )  # fmt: skip
+        more = 0.0
+        if run is not None:
+            factor = self.told().factor(plays(self.model, run)[0])
+            more = factor.T @ factor
         return self.relative(self.before + more)
 
     def bound(self, run: Experiment) -> Information:
         """Information on the parameters after a run, prior knowledge included."""
         return information_of(
-            self.model, run, noise=self.expected, coloured=self.coloured, priors=self.prior,
-            start=self.start,
-        )  # fmt: skip
+            self.model, run, noise=self.expected, priors=self.prior, start=self.start
+        )
 
     def worth(self, run: Experiment) -> float:
         """Criterion after a run, under the noise that is expected."""

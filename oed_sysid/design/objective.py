@@ -16,8 +16,7 @@ from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
 from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
-from oed_sysid.information.bound import start_weights
-from oed_sysid.information.noise import Noise
+from oed_sysid.information.bound import unknowns
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.physics.model import Model
 
@@ -33,7 +32,7 @@ class Evaluation:
     ----------
     rows : ndarray (n_times, n_outputs, n_columns)
         Scaled derivatives of the outputs by nuisance unknowns, parameters and
-        rival shifts, in noise units, not prewhitened.
+        rival shifts, in noise units.
     signals : ndarray (n_times, n_full + n_outputs)
         Full states and outputs.
     nodes : ndarray (n_edges, n_full)
@@ -65,8 +64,8 @@ class VehicleInformation:
         Samples from which a changed trajectory can be restarted; starts with 0.
     own : ndarray (n_own,)
         Start state.
-    noise : Noise
-        Of the outputs.
+    sigma : ndarray (n_outputs,)
+        Standard deviations of the noise of the outputs.
     start : str or mapping
         See :func:`~oed_sysid.information.bound.information_of`.
     shifts : Shifts, optional
@@ -79,12 +78,12 @@ class VehicleInformation:
         times: np.ndarray,
         edges: np.ndarray,
         own: np.ndarray,
-        noise: Noise,
+        sigma: np.ndarray,
         *,
-        start: object = "unknown",
+        start: str | Mapping[str, float] = "unknown",
         shifts: Shifts | None = None,
     ) -> None:
-        self.model, self.times, self.own, self.noise = model, times, own, noise
+        self.model, self.times, self.own, self.sigma = model, times, own, sigma
         self.edges = np.ascontiguousarray(edges, dtype=np.intc)
         self.kernel = kernel(model)
         self.values = model.value_vector
@@ -92,19 +91,13 @@ class VehicleInformation:
         if shifts is not None:
             values = [rival.value_vector for rival in shifts.models]
             self.rivals = list(zip(shifts.kernels, values, map(float, shifts.factors), strict=True))
-        n_own, free = len(model.states), model.free_parameters
-        weights = start_weights(model, start)  # type: ignore[arg-type]
-        states = [i for i in range(n_own) if np.isfinite(weights[i])]
-        local = [i for i, parameter in enumerate(free) if parameter.per_record]
-        shared = [i for i, parameter in enumerate(free) if not parameter.per_record]
-        self.columns = np.array([*states, *(n_own + i for i in (*local, *shared))], dtype=int)
-        self.n_nuisance = len(states) + len(local)
-        units = [model.states[i].scale for i in states]
-        self.scales = np.array([*units, *(free[i].magnitude for i in (*local, *shared))])
+        self.columns, weights = unknowns(model, start)
+        self.n_nuisance = len(weights)
+        units = [one.scale for one in model.states]
+        units += [parameter.magnitude for parameter in model.free_parameters]
+        self.scales = np.array(units)[self.columns]
         # Of nuisance unknowns only; priors on parameters are added to the information later.
-        known = [weights[i] for i in states]
-        known += [1.0 / (free[i].prior_spread or np.inf) for i in local]
-        self.nuisance_prior = (np.array(known) * self.scales[: self.n_nuisance]) ** 2
+        self.nuisance_prior = (weights * self.scales[: self.n_nuisance]) ** 2
 
     def evaluation(self, commands: np.ndarray) -> Evaluation | None:
         """Evaluate commands ``(n_times, n_inputs)``; None where a trajectory diverges."""
@@ -135,7 +128,7 @@ class VehicleInformation:
                 return None
             rows[:, :, len(self.columns) + position] = factor * (other.outputs - run.outputs)
             rival_nodes.append(other.states[self.edges])
-        rows /= self.noise.sigma[:, None]
+        rows /= self.sigma[:, None]
         if not np.abs(rows).max() < _DIVERGED:
             return None
         signals = np.hstack([run.states, run.outputs])
@@ -182,7 +175,7 @@ class VehicleInformation:
         if not run.ok or run.output_sensitivities is None:
             return None
         n_kept = len(self.columns)
-        weights = by_rows[first:] / self.noise.sigma[:, None]
+        weights = by_rows[first:] / self.sigma[:, None]
         # <W, S chain> = <W chain', S>: one product, no copy of the sensitivities.
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
         total = float(np.vdot(pulled, run.output_sensitivities))
@@ -210,26 +203,11 @@ class VehicleInformation:
 
     def information(self, rows: np.ndarray) -> np.ndarray:
         """Scaled information on ``[nuisance, parameters, rival shifts]``."""
-        white = self.whitened(rows).reshape(-1, rows.shape[2])
-        matrix = white.T @ white
+        flat = rows.reshape(-1, rows.shape[2])
+        matrix = flat.T @ flat
         index = np.arange(self.n_nuisance)
         matrix[index, index] += self.nuisance_prior
         return matrix
-
-    def whitened(self, rows: np.ndarray) -> np.ndarray:
-        """Rows with the colour of the noise removed."""
-        if self.noise.is_white:
-            return rows
-        present = np.ones(rows.shape[:2], dtype=bool)
-        return Noise(np.ones(rows.shape[1]), self.noise.coefficients).whiten(rows, present)
-
-    def unwhitened(self, weights: np.ndarray) -> np.ndarray:
-        """Adjoint of :meth:`whitened`, for gradients."""
-        if self.noise.is_white:
-            return weights
-        n_times, n_outputs = weights.shape[:2]
-        unit = np.broadcast_to(np.eye(n_times)[:, None], (n_times, n_outputs, n_times))
-        return np.einsum("koj,koc->joc", self.whitened(unit), weights, optimize=True)
 
 
 T = TypeVar("T")
@@ -401,10 +379,10 @@ class Objective:
         commands = self.all_commands(score.numbers + np.diag(_STEP * signs))
         parts = [self._measured(i, evaluation) for i, evaluation in enumerate(score.evaluations)]
         _, weights = self._combined([value for value, _ in parts])
-        slopes = []
-        for i, vehicle in enumerate(self.vehicles):
-            whitened = vehicle.whitened(score.evaluations[i].rows)
-            slopes.append(2 * weights[i] * vehicle.unwhitened(whitened @ parts[i][1]))
+        slopes = [
+            2 * weight * (one.rows @ slope)
+            for weight, one, (_, slope) in zip(weights, score.evaluations, parts, strict=True)
+        ]
         scenarios, edges, columns = self.scenarios, self.vehicles[0].edges, self.bounds.columns
         decisive = scenarios.decisive(score.scenarios) if scenarios and score.scenarios else []
         n_limited = len(scenarios.bounds.names) if scenarios else 0

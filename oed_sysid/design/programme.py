@@ -314,9 +314,8 @@ class _Planner:
         None where one vehicle diverges.
         """
         missing = [run for run in runs if (id(run), outputs) not in self.known]
-        experiments = [run.experiment for run in missing]
         told = [
-            self.expected.each(experiments, vehicle=vehicle, outputs=outputs)
+            list(map(self.expected.told(vehicle, outputs).matrix, (r.experiment for r in missing)))
             for vehicle in (self.expected.model, *self.vehicles[: self.n_draws])
         ]
         for run, parts in zip(missing, zip(*told, strict=True), strict=True):
@@ -436,7 +435,7 @@ class _Planner:
         return replace(
             expected, model=with_levels(expected.model, raised * expected.sigma), sea=None,
             before=matrix, sigma=raised * expected.sigma, raised=1.0, start="unknown",
-            coloured=None, prior=Information.from_matrix(expected.names, matrix[:n, :n], scales),
+            prior=Information.from_matrix(expected.names, matrix[:n, :n], scales),
         )  # fmt: skip
 
 

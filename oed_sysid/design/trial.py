@@ -287,7 +287,8 @@ class Task:
         expected, own = self.expected, self.own
         vehicles = [
             VehicleInformation(
-                model, self.grid.times, used.edges, own, expected.noise, start=expected.start,
+                model, self.grid.times, used.edges, own, expected.raised * expected.sigma,
+                start=expected.start,
                 shifts=expected.shifts_of(model),
             )
             for model in self.models

@@ -1,10 +1,10 @@
 """What a manoeuvre can tell, before any data exist."""
 
+from oed_sysid.errors import respelled_names as _respelled_names
 from oed_sysid.information.bound import (
     Confirmation,
     confirm_bound,
     information_of,
-    information_of_each,
 )
 from oed_sysid.information.identifiability import (
     Structure,
@@ -25,7 +25,7 @@ from oed_sysid.information.linear import (
     nomoto_of,
     straight_line_stability,
 )
-from oed_sysid.information.noise import SEAS, Noise, fitted_colour, noise_of, sea_noise, sea_words
+from oed_sysid.information.noise import SEAS, noise_of, sea_noise, sea_words
 from oed_sysid.information.ranking import (
     Drop,
     Reduction,
@@ -38,3 +38,12 @@ from oed_sysid.information.response import Play, Response, plays, respond
 from oed_sysid.runtime.version import exported
 
 __all__ = exported(globals())
+
+__getattr__ = _respelled_names(
+    __name__,
+    {
+        "Noise": "numpy.ndarray",
+        "fitted_colour": "MultipleShooting(...).fit(...).noise",
+        "information_of_each": "information_of",
+    },
+)

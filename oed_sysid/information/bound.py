@@ -15,20 +15,18 @@ evaluation of it: for one run or many, parameters alone or with absent effects b
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
-from joblib import Parallel, delayed
 from scipy.linalg import LinAlgError, cholesky
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.information.noise import Colour, Levels, Noise, noise_of
+from oed_sysid.information.noise import Levels, noise_of
 from oed_sysid.information.response import Innovations, Play, Run, expected_noise, plays, respond
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.fit import Fit
@@ -42,12 +40,16 @@ from oed_sysid.runtime.display import TWO_SIDED_95, Report, Section, Table, as_d
 _SAFE_SQUARED_CONDITION = 1e5
 
 
+# Coloured sensors have one description.
+COLOURED = {"coloured": "noise=NoiseModel(..., colour=..., colour_time=...)"}
+
+
+@respelled(DesignError, COLOURED)
 def information_of(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
     noise: Levels | NoiseModel | Fit = None,
-    coloured: Colour = None,
     priors: str | Mapping[str, float] | Information | None = "model",
     start: str | Mapping[str, float] = "unknown",
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
@@ -74,9 +76,6 @@ def information_of(
     noise : mapping or sequence of float, NoiseModel or Fit, optional
         Standard deviations of the outputs' noise, ``noise_std`` by default; or
         a noise model with disturbance forces, or a fit that found one.
-    coloured : mapping of str to float or sequence of float, optional
-        Autoregression of an output's noise (one number: lag-one correlation);
-        the Jacobian is prewhitened with it.
     priors : {"model", None}, mapping of str to float, or Information
         What is known besides: the parameters' own ``prior_std``, nothing,
         standard deviations, or the information of earlier data.
@@ -112,71 +111,9 @@ def information_of(
     >>> print(known.names, known.std_errors.round(5))
     ('K', 'T') [0.00056 0.08128]
     """
-    expected = RunInformation(model, noise, coloured, start, outputs)
+    expected = RunInformation(model, noise, start, outputs)
     listed = plays(model, runs, initial_states=initial_states)
     return expected.joint([expected.factor(play) for play in listed], priors)
-
-
-def information_of_each(
-    model: Model,
-    runs: Iterable[Run],
-    *,
-    noise: Levels | NoiseModel | Fit = None,
-    priors: str | Mapping[str, float] | Information | None = "model",
-    start: str | Mapping[str, float] = "unknown",
-    outputs: Sequence[str] | None = None,
-) -> tuple[Information | None, ...]:
-    """Information of each of many runs alone, the model made ready once.
-
-    Parameters
-    ----------
-    model, runs, noise, priors, start, outputs
-        See :func:`information_of`.
-
-    Returns
-    -------
-    tuple of Information or None
-        One for each run; None where it diverges.
-    """
-    expected = RunInformation(model, noise, start=start, outputs=outputs)
-    factors = [expected.factor_or_none(run) for run in runs]
-    return tuple(None if one is None else expected.joint([one], priors) for one in factors)
-
-
-def joint_information(
-    model: Model,
-    runs: Run | Dataset | Iterable[Run],
-    shifts: Shifts,
-    *,
-    noise: Levels | NoiseModel = None,
-    coloured: Colour = None,
-    start: str | Mapping[str, float] = "unknown",
-    initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
-    outputs: Sequence[str] | None = None,
-) -> np.ndarray:
-    """Information of runs on the shared parameters and on absent effects together.
-
-    Parameters
-    ----------
-    model : Model
-        The nominal one.
-    runs, noise, coloured, start, initial_states, outputs
-        See :func:`information_of`; no prior is added.
-    shifts : Shifts
-
-    Returns
-    -------
-    ndarray (n_shared + n_columns, n_shared + n_columns)
-        Parameters in SI units, effects in units of their size.
-
-    Raises
-    ------
-    DesignError, SimulationError
-        If noise is not known, or a run diverges, with an effect or without.
-    """
-    expected = RunInformation(model, noise, coloured, start, outputs, shifts)
-    factors = [expected.factor(play) for play in plays(model, runs, initial_states=initial_states)]
-    return np.asarray(sum(factor.T @ factor for factor in factors))
 
 
 class RunInformation:
@@ -184,7 +121,7 @@ class RunInformation:
 
     Parameters
     ----------
-    model, noise, coloured, start, outputs
+    model, noise, start, outputs
         See :func:`information_of`.
     shifts : Shifts, optional
         Absent effects, kept beside the parameters.
@@ -194,7 +131,6 @@ class RunInformation:
         self,
         model: Model,
         noise: Levels | NoiseModel | Fit = None,
-        coloured: Colour = None,
         start: str | Mapping[str, float] = "unknown",
         outputs: Sequence[str] | None = None,
         shifts: Shifts | None = None,
@@ -206,7 +142,7 @@ class RunInformation:
                     f"{', '.join(model.output_names)}."
                 )
         disturbed, self._levels = expected_noise(model, noise)
-        self._model, self._coloured, self._start, self._outputs = model, coloured, start, outputs
+        self._model, self._start, self._outputs = model, start, outputs
         self._shifts = shifts
         self._innovations = None if disturbed is None else Innovations.of(model, disturbed)
 
@@ -225,18 +161,22 @@ class RunInformation:
         present = response.present
         if self._outputs is not None:
             present = present & [name in self._outputs for name in model.output_names]
-        jacobian = response.jacobian
+        jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=play.noise)
         if moved is not None:
             jacobian = np.concatenate([jacobian, moved], axis=2)
-        noise = noise_of(model, self._levels, self._coloured, changed=play.noise)
-        return whitened_factor(model, jacobian, present, noise, self._start)
+        white = np.where(present[:, :, None], jacobian / sigma[:, None], 0.0)
+        return eliminated(model, white.reshape(-1, white.shape[2]), self._start)
 
-    def factor_or_none(self, run: Run) -> np.ndarray | None:
-        """The factor of a planned run; None where it diverges."""
+    def matrix(self, run: Run) -> np.ndarray | None:
+        """Information of a run alone, SI units, effects in units of their size.
+
+        None where it diverges.
+        """
         try:
-            return self.factor(plays(self._model, run)[0])
+            factor = self.factor(plays(self._model, run)[0])
         except OedSysidError:
             return None
+        return factor.T @ factor
 
     def joint(
         self,
@@ -251,20 +191,28 @@ class RunInformation:
         return Information(names, triangle(rows) * scales, scales)
 
 
-def whitened_factor(
-    model: Model,
-    jacobian: np.ndarray,
-    present: np.ndarray,
-    noise: Noise,
-    start: str | Mapping[str, float] = "unknown",
-) -> np.ndarray:
-    """Factor of one run's information on the shared parameters, shape ``(n, n_shared)``.
+def unknowns(model: Model, start: str | Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Columns of a run's derivatives that are kept: its own unknowns, then shared parameters.
 
-    Start states and per-record parameters, with their priors, are eliminated
-    by triangularisation with them in front.
+    Parameters
+    ----------
+    model : Model
+    start
+        See :func:`information_of`; start states that are known exactly are left out.
+
+    Returns
+    -------
+    columns : ndarray of int (n_kept,)
+        Among own start states and free parameters.
+    weights : ndarray (n_own_unknown,)
+        Of the run's own unknowns, the first columns: 1 / std of what is known, or 0.
     """
-    white = noise.whiten(jacobian, present)
-    return eliminated(model, white.reshape(-1, white.shape[2]), start)
+    by_state = start_weights(model, start)
+    states = np.flatnonzero(np.isfinite(by_state))
+    own = np.array([parameter.per_record for parameter in model.free_parameters], dtype=bool)
+    spreads = [p.prior_spread or np.inf for p in model.free_parameters if p.per_record]
+    order = len(by_state) + np.argsort(~own, kind="stable")
+    return np.append(states, order), np.append(by_state[states], 1.0 / np.array(spreads))
 
 
 def eliminated(
@@ -285,26 +233,13 @@ def eliminated(
     ndarray (n, n)
         Upper triangular, by shared parameters and what else is kept.
     """
-    own_weights = start_weights(model, start)
-    n_own = len(model.states)
-    free = model.free_parameters
-    local = [n_own + i for i, p in enumerate(free) if p.per_record]
-    shared = [n_own + i for i, p in enumerate(free) if not p.per_record]
-    unknown = np.flatnonzero(np.isfinite(own_weights)).tolist()
-    more = range(n_own + len(free), white.shape[1])
-    columns = [*unknown, *local, *shared, *more]
-    # In the usual order nothing has to be copied.
-    ordered = columns == list(range(white.shape[1]))
-    rows = white if ordered else np.ascontiguousarray(white[:, columns])
-    weights = np.zeros(len(columns))
-    weights[: len(unknown)] = own_weights[unknown]
-    for position, index in enumerate(local, start=len(unknown)):
-        std = free[index - n_own].prior_spread
-        weights[position] = 0.0 if std is None else 1.0 / std
+    columns, weights = unknowns(model, start)
+    more = range(len(model.states) + len(model.free_parameters), white.shape[1])
+    rows = np.take(white, [*columns, *more], axis=1)
     if weights.any():
-        rows = np.vstack([rows, np.diag(weights)[weights > 0]])
-    n_drop = len(unknown) + len(local)
-    return triangle(rows)[n_drop:, n_drop:]
+        known = weights[:, None] * np.eye(len(weights), rows.shape[1])
+        rows = np.vstack([rows, known[weights > 0]])
+    return triangle(rows)[len(weights) :, len(weights) :]
 
 
 def triangle(rows: np.ndarray) -> np.ndarray:
@@ -392,10 +327,6 @@ def _weights(
         return 1.0 / np.array([float(stds.get(name, np.inf)) for name in names])
 
 
-class _Estimator(Protocol):
-    def fit(self, model: Model, dataset: Dataset) -> Fit: ...
-
-
 @dataclass(frozen=True, eq=False)
 class Confirmation:
     """Predicted and found accuracy of repeated simulated experiments.
@@ -474,10 +405,6 @@ def confirm_bound(
     *,
     rng: np.random.Generator,
     n_runs: int = 50,
-    estimator: _Estimator | None = None,
-    start_model: Model | None = None,
-    n_jobs: int = 1,
-    progress: Callable[[int], None] | None = None,
 ) -> Confirmation:
     """Compare the bound with the errors of actual estimations.
 
@@ -495,36 +422,22 @@ def confirm_bound(
         Source of the noise.
     n_runs : int
         Repetitions.
-    estimator : Estimator, optional
-        By default :class:`~oed_sysid.likelihood.multiple_shooting.MultipleShooting` with given
-        noise.
-    start_model : Model, optional
-        Start values of the estimation; the truth by default.
-    n_jobs : int
-        Processes.
-    progress : callable, optional
-        Called with the number of runs done (serial runs only).
     """
     planned = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     if n_runs < 3:
         raise DesignError(f"{n_runs} runs cannot confirm anything. Give at least 20.")
-    model = _without_priors(model)
-    started = model if start_model is None else _without_priors(start_model)
-    worker = estimator or MultipleShooting(disturbances="none", noise="given", coloured="never")
+    for parameter in model.free_parameters:
+        model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
+    worker = MultipleShooting(disturbances="none", noise="given", coloured="never")
     information = information_of(model, planned)
     names, truth = information.names, model.values
-    seeds = rng.spawn(n_runs)
 
-    def one(index: int) -> tuple[bool, np.ndarray, np.ndarray]:
-        generator = seeds[index]
-        data = Dataset(tuple(simulate(model, plan, rng=generator) for plan in planned))
-        fit = worker.fit(started, data)
-        if progress is not None and n_jobs == 1:
-            progress(index + 1)
+    def one(generator: np.random.Generator) -> tuple[bool, np.ndarray, np.ndarray]:
+        fit = worker.fit(model, Dataset(tuple(simulate(model, p, rng=generator) for p in planned)))
         errors = np.array([fit.values[name] - truth[name] for name in names])
         return fit.status.ok, errors, np.array([fit.std_errors[name] for name in names])
 
-    results = Parallel(n_jobs=n_jobs)(delayed(one)(index) for index in range(n_runs))
+    results = map(one, rng.spawn(n_runs))
     good = [(errors, stated) for ok, errors, stated in results if ok]
     if len(good) < 3:
         raise DesignError(
@@ -542,10 +455,3 @@ def confirm_bound(
         n_runs=n_runs,
         n_failed=n_runs - len(good),
     )
-
-
-def _without_priors(model: Model) -> Model:
-    for parameter in model.free_parameters:
-        if parameter.prior_std is not None:
-            model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
-    return model

@@ -12,12 +12,11 @@ from itertools import combinations
 import numpy as np
 
 from oed_sysid.errors import DesignError, SimulationError
-from oed_sysid.information.bound import prior_factor, triangle, whitened_factor
-from oed_sysid.information.noise import Noise
+from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.response import Play, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text
+from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
 from oed_sysid.text import notation
 
 # Brun et al. call subsets between 10 and 15 critical.
@@ -190,10 +189,10 @@ class Subset:
             (
                 place.name,
                 words[place.advice],
-                f"{place.error:.2%}" if np.isfinite(place.error) else "none",
-                f"{place.assumed:.0%}",
-                f"{place.bias:.2%} of {place.biased}" if place.bias > 0 else "none",
-                f"{1.0 - place.imitated:.2%}" if place.imitated > 0 else "all",
+                share(place.error) if np.isfinite(place.error) else "none",
+                share(place.assumed),
+                f"{share(place.bias)} of {place.biased}" if place.bias > 0 else "none",
+                share(1.0 - place.imitated) if place.imitated > 0 else "all",
             )
             for place in self.places
         ]
@@ -405,7 +404,7 @@ def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
     if place.advice == "prior":
         text += (
             f" Fixed at a value {place.assumed:.0%} wrong it would move {place.biased} by "
-            f"{place.bias:.0%}; free, its error is {place.error:.1%}."
+            f"{share(place.bias)}; free, its error is {share(place.error)}."
         )
     for partner, _ in place.partners:
         one, other = _symbols(place.name), _symbols(partner)
@@ -551,22 +550,18 @@ def structural_identifiability(
     found = []
     for _ in range(n_points):
         drawn = _draw(model, rng, spread)
+        told: RunInformation | None = None
         factors = []
         for _ in range(n_runs):
             play = _random_play(drawn, inputs, rng, duration, sample_time, initial or {})
             try:
-                response = respond(drawn, play)
+                spans = np.ptp(respond(drawn, play).outputs, axis=0)
             except SimulationError:
                 continue
-            spans = np.ptp(response.outputs, axis=0)
-            noise = Noise(np.where(spans > 0, spans, 1.0), ((),) * len(spans))
-            factors.append(
-                whitened_factor(drawn, response.jacobian, response.present, noise, start)
-            )
-        if factors:
-            scales = np.array([drawn.parameter(name).magnitude for name in names])
-            rows = np.vstack([*factors, prior_factor(drawn, names, None)])
-            found.append(Information(names, triangle(rows) * scales, scales))
+            told = RunInformation(drawn, np.where(spans > 0, spans, 1.0), start)
+            factors.append(told.factor(play))
+        if told is not None:
+            found.append(told.joint(factors, None))
     if not found:
         raise DesignError(
             f"No random run of model {model.name!r} stays finite. Make the ranges of the inputs "
@@ -603,13 +598,11 @@ def _random_play(
     initial: Mapping[str, float],
 ) -> Play:
     times = np.arange(0.0, duration + 0.5 * sample_time, sample_time)
-    columns = []
-    for name in model.input_names:
-        lower, upper = inputs[name]
+    commands = np.empty((len(times), len(model.inputs)))
+    for column, name in enumerate(model.input_names):
         hold = max(1, int(rng.uniform(0.02, 0.15) * len(times)))
-        levels = rng.uniform(lower, upper, size=len(times) // hold + 1)
-        columns.append(np.repeat(levels, hold)[: len(times)])
-    commands = np.column_stack(columns) if columns else np.empty((len(times), 0))
+        levels = rng.uniform(*inputs[name], size=len(times) // hold + 1)
+        commands[:, column] = np.repeat(levels, hold)[: len(times)]
     own = np.array([initial.get(state.name, 0.0) for state in model.states])
     own = own + 0.1 * rng.standard_normal(len(own)) * [state.scale for state in model.states]
     present = np.ones((len(times), len(model.outputs)), dtype=bool)

@@ -12,11 +12,11 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.errors import DesignError, SimulationError, respelled
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information.bound import RunInformation, information_of
+from oed_sysid.information.bound import COLOURED, RunInformation, information_of
 from oed_sysid.information.identifiability import Subset, identifiable_subset
-from oed_sysid.information.noise import Colour, Levels, noise_of
+from oed_sysid.information.noise import Levels, noise_of
 from oed_sysid.information.response import Play, Run, plays, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
@@ -194,13 +194,13 @@ class SensitivityRanking:
     )  # fmt: skip
 
 
+@respelled(DesignError, COLOURED)
 @single_threaded
 def rank_parameters(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
     noise: Levels = None,
-    coloured: Colour = None,
     priors: str | Mapping[str, float] | Information | None = None,
     start: str | Mapping[str, float] = "unknown",
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
@@ -220,7 +220,7 @@ def rank_parameters(
 
     Parameters
     ----------
-    model, runs, noise, coloured, priors, start, initial_states
+    model, runs, noise, priors, start, initial_states
         See :func:`~oed_sysid.information.bound.information_of`.
     signals : sequence of str, optional
         Outputs or states in the index; all outputs by default. Leave out
@@ -240,7 +240,7 @@ def rank_parameters(
     if not change or change <= -1:
         raise DesignError(f"change is {change}. Give a relative change such as 0.2.")
     played = plays(model, runs, initial_states=initial_states)
-    expected = RunInformation(model, noise, coloured, start)
+    expected = RunInformation(model, noise, start)
     factors = [expected.factor(play) for play in played]
     information = expected.joint(factors, priors)
     wanted = tuple(signals) if signals is not None else model.output_names
@@ -387,12 +387,12 @@ class Reduction:
     to_dict = as_dict("dropped", "n_samples", model="full.name", steps="drops")
 
 
+@respelled(DesignError, COLOURED)
 def reduce_model(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
     noise: Levels = None,
-    coloured: Colour = None,
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
     keep: Sequence[str] = (),
     largest_rms: float | None = None,
@@ -406,7 +406,7 @@ def reduce_model(
 
     Parameters
     ----------
-    model, runs, noise, coloured, initial_states
+    model, runs, noise, initial_states
         See :func:`~oed_sysid.information.bound.information_of`; start states
         are refitted.
     keep : sequence of str
@@ -418,14 +418,12 @@ def reduce_model(
     """
     played = plays(model, runs, initial_states=initial_states)
     own = [play.initial for play in played]
-    information = information_of(
-        model, runs, noise=noise, coloured=coloured, priors=None, initial_states=own
-    )
+    information = information_of(model, runs, noise=noise, priors=None, initial_states=own)
     n_samples = sum(int(play.present.sum()) for play in played)
     fisher = information.matrix
     values = np.array([model.values[name] for name in information.names])
     base = [respond(model, play).outputs for play in played]
-    spans = [noise_of(model, noise, coloured, changed=play.noise).sigma for play in played]
+    spans = [noise_of(model, noise, changed=play.noise) for play in played]
     order = _dropping(fisher, values, [n not in keep for n in information.names])
     drops: list[Drop] = []
     n_dropped, open_ended = 0, True
