@@ -179,7 +179,7 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
         "one initial guess for three records",
         lambda: FIT.fit(MODEL, DATA, initial_states=[{"psi": 0.1}]),
         DataError,
-        ("1 guesses for 3 records",),
+        ("1 mappings for 3 records",),
     ),
     (
         "initial guess that is not a number",

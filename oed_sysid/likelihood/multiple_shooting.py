@@ -56,7 +56,6 @@ from oed_sysid.likelihood.starts import (
     FAR,
     GOOD,
     check_enough_samples,
-    check_initial_states,
     misfit,
     warm_model,
     warm_point,
@@ -237,14 +236,15 @@ class MultipleShooting:
         """
         with one_thread():
             known = KnownStarts.of(model, dataset, start_states)
-            return self._fit(model, dataset, warm, initial_states, known)
+            guessed = KnownStarts.of(model, dataset, initial_states, "initial_states")
+            return self._fit(model, dataset, warm, guessed, known)
 
     def _fit(
         self,
         model: Model,
         dataset: Dataset,
         warm: Fit | None,
-        initial_states: Sequence[Mapping[str, float]] | None,
+        initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
     ) -> Fit:
         began = time.perf_counter()
@@ -280,12 +280,11 @@ class MultipleShooting:
         model: Model,
         dataset: Dataset,
         warm: Fit | None,
-        initial_states: Sequence[Mapping[str, float]] | None,
+        initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
     ) -> tuple[Shooting, np.ndarray]:
         """The problem without process noise, and which levels of white noise are unknown."""
         check_channels(model, dataset)
-        check_initial_states(model, dataset, initial_states)
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
         shooting = Shooting(
