@@ -19,6 +19,7 @@ from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import (
     Solver,
+    check_choice,
     check_disturbances,
     check_levels,
     check_positive,
@@ -148,10 +149,8 @@ class MultipleShooting:
     horizon: float | None = None
 
     def __post_init__(self) -> None:
-        if self.start not in ("auto", "near", "wide"):
-            raise ModelError(f"start is {self.start!r}. Choose auto, near or wide.")
-        if self.coloured not in ("auto", "never", "always"):
-            raise ModelError(f"coloured is {self.coloured!r}. Choose auto, never or always.")
+        check_choice("start", self.start, ("auto", "near", "wide"))
+        check_choice("coloured", self.coloured, ("auto", "never", "always"))
         check_levels(self.noise)
         check_disturbances(self.disturbances)
         if self.interval is not None:
