@@ -392,13 +392,6 @@ def test_refused_when_loaded(
         assert word in message
 
 
-def test_catalogue_is_large_enough() -> None:
-    """At least 66 folders are refused, each another one."""
-    assert len({one[0] for one in REFUSED}) == len(REFUSED) >= 66
-    sources = [str(one[1]) for one in REFUSED]
-    assert len(set(sources)) == len(sources)
-
-
 def test_a_problem_does_not_move_the_process(tmp_path: Path) -> None:
     """What a problem does to the working folder ends with its loading."""
     here = os.getcwd()

@@ -12,7 +12,15 @@ from scipy.stats import chi2
 from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
 from oed_sysid.errors import DataError
-from oed_sysid.evidence.claim import FALSE_CLAIMS, RISE, RISE_DISTURBED, Claim, at_bounds, claim
+from oed_sysid.evidence.claim import (
+    FALSE_CLAIMS,
+    RISE,
+    RISE_DISTURBED,
+    Claim,
+    at_bounds,
+    claim,
+    independent_share,
+)
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.rank import rank, threshold
 from oed_sysid.evidence.score import two_sided
@@ -90,6 +98,21 @@ def test_prediction_of_validation_records_is_laplaces_approximation() -> None:
     # An absent effect: validation records lose about what its uncertainty costs.
     assert -10.0 < one.validation < 5.0
     assert not one.stands
+
+
+def test_correlated_innovations_count_as_fewer_where_no_process_noise_explains_them() -> None:
+    """All samples count where the model is right or process noise acts; else the independent."""
+    right, lacking = dataset(3), dataset(11, -15.0)
+    shares = {}
+    for name, train, forces in (
+        ("right", right, "none"),
+        ("lacking", lacking, "none"),
+        ("disturbed", lacking, "auto"),
+    ):
+        study, base = Study.begin(SHIP, train, None, [], known_noise=True, disturbances=forces)
+        shares[name] = independent_share(study, base)
+    assert shares["right"] == shares["disturbed"] == 1.0
+    assert 0.0 < shares["lacking"] < 0.5
 
 
 def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound_goes_on() -> None:

@@ -264,16 +264,6 @@ def test_improve_finds_what_was_hidden(improved: tuple[dict, str]) -> None:
     assert abs(amplitude["value"] - 1.5) < 4 * amplitude["std_error"]
 
 
-def test_improve_report_says_the_same(improved: tuple[dict, str]) -> None:
-    """The page names the effect and both errors, and refers to nothing outside."""
-    stored, page = improved
-    assert f"lacks {HIDDEN}" in page
-    assert f"{stored['base_error']['test']:.3g} × noise" in page
-    assert f"{stored['final_error']['test']:.3g} × noise" in page
-    assert "http://" not in page
-    assert "https://" not in page
-
-
 def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tmp_path) -> None:
     """Without --validate the search still runs; errors on validation records are absent."""
     given = split(ship)

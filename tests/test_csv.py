@@ -349,13 +349,6 @@ def test_clocks_give_the_same_times(tmp_path: Path) -> None:
         np.testing.assert_allclose(record.times, good.times, atol=1e-6)
 
 
-def test_catalogue_is_large_enough() -> None:
-    """At least a hundred files are refused, and every one of them is another file."""
-    contents = [one[1] for one in (*REFUSED, *NOTED)]
-    assert len(REFUSED) >= 100
-    assert len({c if isinstance(c, bytes) else c.encode() for c in contents}) == len(contents)
-
-
 def test_page_of_errors_is_current() -> None:
     """docs/errors.md holds every kind of the catalogues, and of files the very messages."""
     from bad_input.problem_files import REFUSED as FOLDERS

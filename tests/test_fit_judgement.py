@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -283,17 +282,6 @@ def test_filters_state_whether_their_innovations_are_right() -> None:
         fit = JointKalmanFilter().fit(replace(yaw_model(), outputs=declared), data)
         assert fit.status.code == code
         assert (fit.extras["innovation"] ** 2 > 2.0) == (code != "converged")
-
-
-def test_concerns_are_reported_and_stored() -> None:
-    """Every concern is in the report's warnings and, as plain data, in ``to_dict``."""
-    fit = MultipleShooting(noise=0.5 * NOISE, disturbances="none").fit(yaw_model(), yaw_data(13))
-    assert fit.concerns is fit.concerns
-    text, plain = fit.report(), fit.to_dict()
-    assert len(plain["concerns"]) == len(fit.concerns) == 2
-    json.dumps(plain["concerns"], allow_nan=False)
-    for concern in fit.concerns:
-        assert concern.text in text
 
 
 def test_what_no_record_shows_and_has_left_its_scale_ran_away() -> None:

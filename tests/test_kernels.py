@@ -19,8 +19,10 @@ from vehicles import remus, roll_oscillator
 from oed_sysid import Input, Model, Output, Parameter, State
 from oed_sysid import physics as effects
 from oed_sysid.compiled import compile as compiling
+from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.filtered import active_components, disturbed_model
 
 START = np.array([1.5, 0.02, 0.01, 0.05, 10.0])
 
@@ -44,6 +46,26 @@ def rich() -> Model:
         effects.sensor_lag("depth_lag", "z", value=0.25),
     )
     return remus() + chain
+
+
+def test_a_part_of_a_larger_kernel_runs_as_its_own() -> None:
+    """A study compiles once: every smaller model is run by the library of all candidates."""
+    whole, times = rich(), np.linspace(0.0, 6.0, 121)
+    gone = ("play", "memory", "depth_lag")
+    absent, model = [e for e in whole.effects if e.name in gone], whole.without(*gone)
+    wide = filter_kernel(disturbed_model(model + [e.absent() for e in absent], ()))
+    part, own = wide.part(model, active_components(wide.model, model)), kernel(model)
+    assert part is not None
+    inputs, values, starts = commands(times), model.value_vector, np.arange(0, 121, 30)
+    z, dz = own.start(START, inputs[0], values, 0.0)
+    for found, expected in zip(part.start(START, inputs[0], values, 0.0), (z, dz), strict=True):
+        assert np.allclose(found, expected, atol=1e-12)
+    nodes = own.run(times, inputs, values, z).states[starts]
+    runs = [
+        one.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
+        for one in (part, own)
+    ]
+    assert_same(*runs, atol=1e-9)
 
 
 def commands(times: np.ndarray) -> np.ndarray:

@@ -46,10 +46,7 @@ from oed_sysid.results import (
     plot_bode,
     plot_history,
     plot_sensitivity,
-    ranking_page,
-    style_sheet,
 )
-from oed_sysid.runtime.display import share, told
 
 mpl.use("Agg")
 
@@ -534,14 +531,6 @@ def test_report_tells_the_story(story) -> None:
     assert not re.search(r'(src|href)="(?!data:|#)', html)
 
 
-def test_comparison_report_says_where_models_fail(story) -> None:
-    """The verdict of every model is on the page, with a table each."""
-    comparison = story[1]
-    page = report.comparison_page(comparison)
-    assert set(map(told, comparison.verdict.splitlines())) <= set(page.verdict)
-    assert [len(one.tables) for one in page.sections[:2]] == [1, 1]
-
-
 class Clock:
     """A wall clock that stands where it is set."""
 
@@ -651,17 +640,3 @@ def test_record_is_drawn_in_degrees_without_what_was_not_measured() -> None:
     assert "[deg]" in pitch.get_ylabel()
     np.testing.assert_allclose(pitch.lines[0].get_ydata(), np.degrees(record.output("theta")))
     assert sum("time" in ax.get_xlabel() for ax in shown) == 2
-
-
-def test_ranking_page_states_the_worst_parameter() -> None:
-    """Numbers of the page are those of the ranking, and its parts hold them."""
-    problem = load_problem("remus_diving_plane")
-    runs = [problem.experiment("steps")]
-    ranking = rank_parameters(problem.model, runs)
-    page = ranking_page(ranking)
-    worst = ranking.rows[-1]
-    assert (f"std. error, worst: {worst.name}", share(worst.error)) in page.numbers
-    assert share(worst.error) in page.summary_html()
-    assert worst.name in page.sections[0].html()
-    assert page.drawn().sections[0].html().strip() in page.html()
-    assert ".verdict" in style_sheet()

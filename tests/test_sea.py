@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden_files import restored
 from scipy.signal import lfilter
 
 from benchmarks.random_forces.scenarios import SCENARIOS
@@ -127,9 +128,7 @@ def test_a_sea_is_reported_and_survives_a_file(at_sea: Fit, tmp_path: Path) -> N
     (sea,) = at_sea.noise.seas
     assert plain["period"] == sea.period
     assert plain["significant"]["force r"] == pytest.approx(2 * float(sea.level[0]))
-    at_sea.save(tmp_path / "fit.json")
-    again = Fit.load(tmp_path / "fit.json")
-    assert again.noise.seas == at_sea.noise.seas
+    assert restored(at_sea, tmp_path).noise.seas == at_sea.noise.seas
     assert Sea.from_dict(plain) == sea
 
 

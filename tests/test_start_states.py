@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from golden_files import restored
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
@@ -172,11 +173,9 @@ def test_what_does_not_belong_is_refused() -> None:
 def test_a_fit_with_known_starts_is_kept_in_full(tmp_path) -> None:  # type: ignore[no-untyped-def]
     """What was known of the start states is saved and reported."""
     data = Dataset((record(np.random.default_rng(7)),))
-    fit = ESTIMATOR.fit(oscillator(), data, start_states={"x": (1.0, 0.02)})
-    fit.save(tmp_path / "fit.json")
-    again = Fit.load(tmp_path / "fit.json")
-    assert again.start_states == fit.start_states == ({"x": (1.0, 0.02)},)
-    assert again.n_unknowns == fit.n_unknowns == 4
+    again = restored(ESTIMATOR.fit(oscillator(), data, start_states={"x": (1.0, 0.02)}), tmp_path)
+    assert again.start_states == ({"x": (1.0, 0.02)},)
+    assert again.n_unknowns == 4
     assert "start of run given: x 1 +/- 0.039 (95 %)" in again.report()
 
 

@@ -67,7 +67,11 @@ def test_sizes_are_those_of_the_records() -> None:
     assert found.swing["ds"] == pytest.approx(np.std(fin))
 
 
-@pytest.mark.parametrize("name", ["kvlcc2", "remus_diving_plane", "roll_decay", "cascaded_tanks"])
+@pytest.mark.parametrize(
+    "name",
+    ["roll_decay", "cascaded_tanks"]
+    + [pytest.param(name, marks=pytest.mark.slow) for name in ("kvlcc2", "remus_diving_plane")],
+)
 def test_each_keeps_the_contract_of_effects(name: str) -> None:
     """Units, zeros and derivatives of every candidate are right; each is described and cited."""
     problem = load_problem(name)
@@ -118,6 +122,7 @@ def test_free_derivatives_are_not_repeated() -> None:
     assert "abs(w_r)*w_r" in terms
 
 
+@pytest.mark.slow
 def test_hidden_drag_is_found_as_by_the_prepared_vocabulary() -> None:
     """Nobody names a candidate: the same term is found, with the same gain."""
     problem = load_problem("remus_diving_plane")
@@ -156,6 +161,7 @@ def test_a_published_problem_without_candidates_is_equipped() -> None:
     assert equipped(bare) is bare
 
 
+@pytest.mark.slow
 def test_a_drift_is_not_taken_for_two_effects() -> None:
     """A large effect led forces and parameters astray: with it, the search goes back and finds.
 
@@ -180,6 +186,7 @@ def test_a_drift_is_not_taken_for_two_effects() -> None:
     assert found.final_error["test"] == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_what_only_thinned_records_show_is_no_claim(monkeypatch: pytest.MonkeyPatch) -> None:
     """A rate limit in a log that is thinned: the lag that the means of commands make is dropped."""
     problem = load_problem("torpedo")
@@ -266,10 +273,13 @@ def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) 
     return Record(f"run {seed}", times, inputs, outputs, HOVERCRAFT.channels)
 
 
-HIDDEN = ("", "quadratic_N_r", "vane_deadband", "wind", "wind_by_record", "vane_offset_by_record")
+HIDDEN = ("", "wind_by_record", "quadratic_N_r", "vane_deadband", "wind", "vane_offset_by_record")
 
 
-@pytest.mark.parametrize("hidden", HIDDEN)
+@pytest.mark.parametrize(
+    "hidden",
+    [*HIDDEN[:2], *(pytest.param(kind, marks=pytest.mark.slow) for kind in HIDDEN[2:])],
+)
 def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
     """A hovercraft measured by position and compass: what its log hides is found, and no more."""
     runs = [hovercraft_run(hidden, seed) for seed in range(1, 5)]

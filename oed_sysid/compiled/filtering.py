@@ -52,7 +52,7 @@ from scipy.linalg import solve_continuous_lyapunov
 
 from oed_sysid.compiled.compile import call, doubles, load
 from oed_sysid.compiled.interpreter import Commands, chained, interpreted
-from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.compiled.kernels import Kernel, Run
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
 
@@ -584,6 +584,19 @@ class FilterKernel:
         """Full state at the first sample and its derivatives; see :meth:`Kernel.start`."""
         return self.plain.start(own, inputs, values, time)
 
+    def part(self, model: Model, own: np.ndarray | None) -> Kernel | None:
+        """Trajectories of a smaller model by the same library; None where nothing is compiled.
+
+        Parameters
+        ----------
+        model : Model
+            Without some effects, whose absence is their default.
+        own : ndarray of int (n_full,) or None
+            Components of the full state that it has; None for all.
+        """
+        own = np.arange(self.n_full) if own is None else own
+        return None if self._library is None else _Part(self, self._library, model, own)
+
     def simulate(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, own: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, bool]:
@@ -779,6 +792,73 @@ class FilterKernel:
                 raise ModelError(
                     f"More than {MOST_PROCESSES} processes act on {name!r}. Take fewer seas."
                 )
+
+
+class _Part(Kernel):
+    """A model that is run as part of a larger one: a study compiles no other."""
+
+    def __init__(
+        self, wide: FilterKernel, library: ctypes.CDLL, model: Model, own: np.ndarray
+    ) -> None:
+        super().__init__(model, compiled=False)
+        self._wide, self._select, self._own = wide, library.kernel_select, own
+        names, free = wide.model.parameter_names, wide.model.free_names
+        self._places = [names.index(name) for name in model.parameter_names]
+        self._free = np.array([free.index(name) for name in model.free_names], dtype=int)
+        self._values = wide.model.value_vector
+        # Where a command stands still an absent memory would take its derivatives: begun aside,
+        # it does not.
+        memories = wide.n_full - sum(len(e.memory) for e in wide.model.effects)
+        self._aside = np.setdiff1d(np.arange(memories, wide.n_full), own)
+
+    def _widened(self, values: np.ndarray) -> np.ndarray:
+        found = self._values.copy()
+        found[self._places] = values
+        return found
+
+    def start(
+        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        z, dz = self._wide.start(own, inputs, self._widened(values), time)
+        columns = [*range(self.n_own), *(self.n_own + self._free)]
+        return z[self._own], dz[np.ix_(self._own, columns)]
+
+    def run(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        nodes: np.ndarray,
+        *,
+        starts: np.ndarray | None = None,
+        carry: bool = False,
+        sensitivities: bool = False,
+        n_columns: int | None = None,
+    ) -> Run:
+        wide, values, nodes = self._wide, self._widened(values), np.atleast_2d(nodes)
+        first, _ = wide.start(nodes[0, : self.n_own], inputs[0], values, times[0])
+        first[self._aside] += 1.0
+        z = np.tile(first, (len(nodes), 1))
+        z[:, self._own] = nodes
+        columns = np.full(max(wide.plain.n_free, 1), -1, dtype=np.intc)
+        columns[self._free] = wide.n_full + np.arange(self.n_free)
+        width = wide.n_full + self.n_free if sensitivities else 0
+        call(self._select, width, columns)
+        found = wide.plain.run(
+            times, inputs, values, z, starts=starts, carry=carry, n_columns=width or None
+        )
+        kept = [*self._own, *range(wide.n_full, width)]
+        by_start, by_end = found.output_sensitivities, found.end_sensitivities
+        if by_start is None or by_end is None:
+            return replace(found, states=found.states[:, self._own], ends=found.ends[:, self._own])
+        return Run(
+            found.outputs,
+            found.states[:, self._own],
+            by_start[:, :, kept],
+            found.ends[:, self._own],
+            by_end[:, self._own][:, :, kept],
+            found.failed_at,
+        )
 
 
 def _lengths(

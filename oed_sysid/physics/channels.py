@@ -53,8 +53,7 @@ def settle(
 
     def check(what: str, value: object, kind: Any, expected: str = "") -> None:
         if not isinstance(value, kind):
-            article = "an" if kind.__name__[0] in "AEIOU" else "a"
-            words = expected or ("text" if kind is str else f"{article} {kind.__name__}")
+            words = expected or ("text" if kind is str else f"{kind.__name__}(...)")
             raise error(
                 f"{owner}: {what} is a {type(value).__name__}, {value!r:.60}; expected {words}."
             )

@@ -94,7 +94,7 @@ REFUSED: tuple[tuple[str, str | dict[str, str | bytes], tuple[str, ...]], ...] =
     ("unknown option", swap("step=0.5", "stepp=0.5"), ("stepp", "Check the spelling")),
     ("model missing", swap("    model=model,\n", ""), ("model",)),
     ("name missing", swap('    name="ferry",\n    model=', "    model="), ("name",)),
-    ("model as text", swap("    model=model,", "    model='m',"), ("model is a str", "a Model")),
+    ("model as text", swap("    model=model,", "    model='m',"), ("model is a str", "expected Model(...)")),
     ("name as number", swap('name="ferry",\n    model=', "name=7,\n    model="), ("is a int",)),
     ("name with a space", swap('name="ferry",\n    m', 'name="a b",\n    m'), ("no identifier",)),
     ("one effect alone", swap("(drag, bias)", "drag"), ("effects is a Force", "(effect,)")),
