@@ -360,3 +360,23 @@ def test_page_of_errors_is_current() -> None:
     assert rows in page, "run: python -m benchmarks.bad_input --write"
     for kind, _, _ in FOLDERS:
         assert f"| {kind} |" in page
+
+
+@pytest.mark.parametrize("marks", [",.", ";,"], ids=["point", "comma"])
+def test_fast_reader_gives_the_digits_of_the_other(tmp_path, monkeypatch, marks: str) -> None:
+    """Many rows, with gaps and words for gaps, are the same bits with and without pyarrow."""
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((40_000, 3)) * 10.0 ** rng.integers(-300, 300, (40_000, 3))
+    texts = np.array([repr(value) for value in values.ravel().tolist()]).reshape(values.shape)
+    texts[rng.random(texts.shape) < 0.01] = ""
+    texts[-5:, 2] = "NaN"
+    lines = [f"{0.1 * k:.1f},{','.join(row)}" for k, row in enumerate(texts)]
+    text = "\n".join(["t [s],u [m/s],v [m/s],w [m/s]", *lines, ""])
+    file = tmp_path / "long.csv"
+    file.write_text(text.translate(str.maketrans(",.", ";,")) if marks == ";," else text)
+    pytest.importorskip("pyarrow")
+    quick = csv_table.read_table(file)
+    monkeypatch.setattr(csv_table, "_arrow", lambda: None)
+    assert np.array_equal(quick.values, csv_table.read_table(file).values, equal_nan=True)
+    kept = np.array([float(text or "nan") for text in texts.ravel()]).reshape(texts.shape)
+    assert np.array_equal(quick.values[:, 1:], kept, equal_nan=True)

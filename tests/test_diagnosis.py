@@ -559,7 +559,7 @@ def step(*group: str, test_gain: float = 9.0, test_error: float = 1.0) -> Simple
 def test_one_effect_is_believed_with_its_size() -> None:
     """A single confirmed effect is stated with value and error; what is invisible is not denied."""
     text = "\n".join(advice([step("drag")], RANKING, ESTIMATES, explained=True))
-    assert "drag is missing, the validation records agree: E_drag = 2 +/- 0.2 N (95 %)" in text
+    assert "drag is missing, the validation records agree: E_drag = 2.00 ± 0.20 N (95 %)" in text
     assert "that faint is absent: its typical" in text
     assert "Next at sea" not in text
 
@@ -568,7 +568,7 @@ def test_a_group_is_not_believed_to_be_its_first_member() -> None:
     """Rivals are named, with the manoeuvres that they need and the command that designs one."""
     text = "\n".join(advice([step("drag", "bias")], RANKING, ESTIMATES, explained=False))
     assert "drag or bias is missing" in text
-    assert "that it is drag (E_drag = 2 +/- 0.2 N (95 %)): bias does as well" in text
+    assert "that it is drag (E_drag = 2.00 ± 0.20 N (95 %)): bias does as well" in text
     assert "coasting; several speeds" in text
     assert "--discriminate drag bias" in text
     assert "more is missing than was found" in text

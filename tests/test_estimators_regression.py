@@ -26,7 +26,7 @@ from oed_sysid.baselines import (
 )
 from oed_sysid.baselines.equations import exact_rates, local_cubic, regression_form, rows_of
 from oed_sysid.baselines.fourier import FourierRegression, FourierStream
-from oed_sysid.baselines.least_squares import TotalLeastSquares, generalised_tls, is_linear
+from oed_sysid.baselines.least_squares import TotalLeastSquares, generalised_tls
 from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.support_vectors import GaussianKernel, train
 from oed_sysid.data.dataset import Dataset, Record
@@ -157,7 +157,6 @@ def test_nonlinear_parameters_are_named() -> None:
     """K/T in the kinematics is refused, with the way to write it, and accepted as an inertia."""
     with pytest.raises(ModelError, match=r"not linear in K, T.*equation of r.*inertia"):
         regression_form(NOMOTO)
-    assert not is_linear(NOMOTO)
     assert regression_form(NOMOTO.fix("T")).names == ("K",)
     assert regression_form(YAW).names == ("T", "K")
 

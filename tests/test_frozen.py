@@ -137,6 +137,10 @@ PLAN = "--patterns zigzag_10_10 --duration 90 --uncertainty 0.1"
 LINES = {
     "problems": "problems",
     "problem": "problems ship",
+    "new": "new my_boat",
+    "simulate": "simulate ship --experiment zigzag_10_10 --out simulated",
+    "report": "report fit.json --validate ship/data/turning_circle.csv",
+    "export": "export fit.json --as python",
     "check": f"check ship {RUNS}",
     "rank": f"rank ship {RUNS}",
     "rank of experiments": "rank ship --experiment zigzag_10_10",
@@ -166,6 +170,8 @@ def _place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     line = ["simulate", "online_ship", "--out", str(folder / "tanker")]
     assert main([*line, "--experiment", "zigzag_10_10"]) == 0
     (folder / "ship.toml").write_text(mapping_of("ship"))
+    records = [str(folder / run) for run in RUNS.split()]
+    assert main(["fit", str(folder / "ship"), *records, "--save", str(folder / "fit.json")]) == 0
     return folder
 
 

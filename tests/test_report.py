@@ -47,6 +47,7 @@ from oed_sysid.results import (
     plot_history,
     plot_sensitivity,
 )
+from oed_sysid.runtime.display import rounded
 
 mpl.use("Agg")
 
@@ -315,7 +316,7 @@ def test_report_is_one_file_that_fetches_nothing(fit: Fit, tmp_path) -> None:
     assert picture is not None
     assert b"<svg" in base64.b64decode(picture[1])
     for name, value in fit.values.items():
-        assert f"<td>{name}</td><td>{value:.6g}</td>" in text
+        assert f"<td>{name}</td><td>{rounded(value, fit.std_errors[name])}</td>" in text
 
 
 def test_report_escapes_what_the_user_wrote(fit: Fit) -> None:

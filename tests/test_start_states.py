@@ -176,7 +176,7 @@ def test_a_fit_with_known_starts_is_kept_in_full(tmp_path) -> None:  # type: ign
     again = restored(ESTIMATOR.fit(oscillator(), data, start_states={"x": (1.0, 0.02)}), tmp_path)
     assert again.start_states == ({"x": (1.0, 0.02)},)
     assert again.n_unknowns == 4
-    assert "start of run given: x 1 +/- 0.039 (95 %)" in again.report()
+    assert "start of run given: x 1.000 ± 0.039 (95 %)" in again.report()
 
 
 STEP, SAMPLE = 0.01, 0.25

@@ -486,7 +486,9 @@ def test_search_says_so_as_well() -> None:
     (said,) = other_way(found.fit, nominal)
     assert said.factor == -1.0
     assert set(said.values) == {"K", "b"}
-    assert said.text in found.notes
+    assert found.remains.kind == "log suspect"
+    assert found.log is not None
+    assert [f.says for f in found.log.findings if f.kind == "other_way"] == [said.text]
 
 
 @pytest.mark.parametrize("name", ["remus_diving_plane", "catamaran"])

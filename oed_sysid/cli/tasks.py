@@ -9,11 +9,9 @@ cost (:class:`Allowed`). Each makes the objects of :mod:`oed_sysid.design` that 
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -240,12 +238,14 @@ def fit(study: Study, show: Shown) -> Outcome:
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.data.dataset import check_disjoint
+    from oed_sysid.evidence.check import with_estimates
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
     log = oed_sysid.quick_check(train, study.problem)
     result = fits_of(study, {"": model}, show)[""]
+    log = with_estimates(log, result)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
     if study.test is not None:
@@ -268,6 +268,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.check import with_estimates
 
     train, validation = study.training(), study.validation()
     models, saved = _models(study.equipped if added else study.problem, added)
@@ -278,6 +279,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     fits = fits_of(study, models, show) | saved
     show.say("predicting")
     result = oed_sysid.compare(fits, validation)
+    log = with_estimates(log, fits[result.best.label])
     notes = [
         f"The fit of {n} ended as {one.status}" for n, one in fits.items() if not one.status.ok
     ]
@@ -330,7 +332,7 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool =
     result = oed_sysid.improve(
         problem.model, train, study.test, candidates=problem.effects,
         known_noise=study.known_noise, disturbances=study.acting, max_effects=max_effects,
-        terms=not no_terms, progress=Rounds(max_effects, show).tell, journal=show.journal,
+        terms=not no_terms, progress=partial(_round, show, max_effects), journal=show.journal,
     )  # fmt: skip
     fits = {NOMINAL: result.base_fit} | ({IMPROVED: result.fit} if result.steps else {})
     show.say("predicting")
@@ -542,36 +544,11 @@ def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
     return NO_RESULT if any(one.grave or not one.status.ok for one in fits) else DONE
 
 
-class Rounds:
-    """How long a search goes on at most: every round adds one effect.
-
-    Parameters
-    ----------
-    n_most : int
-        Rounds at most.
-    show : Shown, optional
-        Who is told.
-    """
-
-    def __init__(self, n_most: int, show: Shown | None = None) -> None:
-        self._n_most, self._show = n_most, show
-        self._began: list[float] = []
-
-    def left(self, round: int, now: float) -> float | None:
-        """Return the seconds left at most when a round begins; None before the second."""
-        if round == len(self._began) + 1:
-            self._began.append(now)
-        longest = max((b - a for a, b in pairwise(self._began)), default=None)
-        return None if longest is None else longest * (self._n_most - round + 1)
-
-    def tell(self, what: str) -> None:
-        """Tell what is being done, and how long it takes at most."""
-        assert self._show is not None
-        self._show.say(what)
-        if named := re.search(r"round (\d+)", what):
-            left = self.left(int(named[1]), time.monotonic())
-            if left is not None:
-                self._show.left(left, at_most=True)
+def _round(show: Shown, n_most: int, what: str) -> None:
+    """Tell what is being done, and how long a search of so many rounds takes at most."""
+    show.say(what)
+    if named := re.search(r"round (\d+)", what):
+        show.share((int(named[1]) - 1) / n_most, at_most=True)
 
 
 # Starts of a design that are finished, in up to twice the rounds of the others.
