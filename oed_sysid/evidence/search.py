@@ -149,9 +149,10 @@ def with_waves(state: Standing, rival: float) -> tuple[Standing, bool]:
     # A level in each place, a period that is the best of many, and a width.
     needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
     decided = replace(claim(study, fit, found, (), needed), name="a sea")
-    taken = decided.stands and decided.statistic > rival
+    if decided.stands and decided.statistic <= rival:
+        return state, False  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
-    if not taken:
+    if not decided.stands:
         return state, False
     return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
 
