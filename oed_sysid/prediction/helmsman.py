@@ -237,8 +237,8 @@ def smooth_heading(
         return np.clip(start, *BOUNDS)
 
     shown = [fast_level([psi], 3), fast_level([turned], 2), 0.1 * fast_level([np.diff(psi)], 1)]
-    shown = np.nan_to_num(shown, nan=1.0)
-    guess = np.log(np.maximum(shown, [10 * LEAST_NOISE] * 2 + [LEAST_NOISE]))
+    least = [10 * LEAST_NOISE] * 2 + [LEAST_NOISE]
+    guess = np.log(np.maximum(np.nan_to_num(shown, nan=1.0), least))
     levels = fitted(np.array([*guess, 0, 0, 0, 0]), 1.5, 1.5, 1.5, 0, 0, 0, 0)
     if np.ptp(turning) > 0:
         _, states, _ = equations.solve(levels)

@@ -501,9 +501,9 @@ def _legs(
             last -= 1
         ramps.append(np.arange(last + 1, begin + int(held.argmax())))
     levels, known = np.array(orders), np.isfinite(errors)
-    for i in np.flatnonzero(~known):
-        others = levels[known & (levels * levels[i] > 0)]
-        levels[i] = np.median(others) if len(others) else levels[i]
+    for loose in np.flatnonzero(~known):
+        others = levels[known & (levels * levels[loose] > 0)]
+        levels[loose] = np.median(others) if len(others) else levels[loose]
     slopes = [
         abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0]))
         for ramp in ramps
