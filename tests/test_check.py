@@ -32,13 +32,22 @@ from benchmarks.compatibility import (
     spoil,
 )
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
-from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check
-from oed_sysid.evidence.contrasts import fitted_law, integral, laws
-from oed_sysid.evidence.relations import relations, spare_signals
+from oed_sysid.evidence.check import (
+    FAR,
+    LogCheck,
+    check,
+    corrected_copies,
+    quick_check,
+    with_estimates,
+)
+from oed_sysid.evidence.contrasts import fitted_law, laws
+from oed_sysid.evidence.inputs import between_runs
+from oed_sysid.evidence.relations import integral, relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -593,6 +602,63 @@ def test_records_without_the_speed_are_left_out_of_the_judgement(dives_inputs) -
     every = check(Dataset(tuple(with_dead(record, "u") for record in turned)), problem)
     assert [f.kind for f in every.serious] == ["dead"]
     assert any(line.startswith("Signs and units of inputs") for line in every.unchecked)
+
+
+@pytest.mark.parametrize(
+    ("kind", "change"),
+    [
+        (None, lambda t, y: y),
+        ("sign", lambda t, y: -y),
+        ("unit", lambda t, y: np.degrees(y)),
+        ("delay", lambda t, y: np.interp(t - 0.5, t, y)),
+    ],
+)
+def test_an_input_is_named_where_the_values_differ_from_the_nominal_ones(kind, change) -> None:  # type: ignore[no-untyped-def]
+    """Truth is drawn from the priors; a fin that is right raises nothing, a wrong one its fault."""
+    problem = load_problem("remus_diving_plane")
+    rng = np.random.default_rng(11)
+    drawn = {p.name: rng.normal(p.prior_mean, p.prior_std) for p in problem.model.free_parameters}
+    fin = problem.model.input_names.index("fin_command")
+    runs = []
+    for name, run in problem.experiments.items():
+        record = simulate(problem.model.with_values(drawn), run, rng=rng, name=name)
+        inputs = record.inputs.copy()
+        inputs[:, fin] = change(record.times, inputs[:, fin])
+        runs.append(replace(record, inputs=inputs))
+    found = check(Dataset(tuple(runs)), problem)
+    expected = [] if kind is None else [(kind, ("fin_command",))]
+    assert [(one.kind, one.signals) for one in found.serious] == expected
+    if kind == "delay":
+        assert found.serious[0].size == pytest.approx(0.5, abs=0.1)
+    states = {one.fault: one.state for one in found.judged if one.signal == "fin_command"}
+    assert states["sign"] == ("found" if kind == "sign" else "tested")
+
+
+def test_a_parameter_that_is_another_one_in_one_run_is_named(dives_inputs) -> None:  # type: ignore[no-untyped-def]
+    """Eight per cent more restoring moment in one of four runs, and nothing in four alike."""
+    problem, data = dives_inputs
+    heavier = problem.model.with_values({"zgW": 1.08 * problem.model.values["zgW"]})
+    run = problem.experiments[data[2].name]
+    other = simulate(heavier, run, rng=np.random.default_rng(4), name=data[2].name)
+    estimator = MultipleShooting(disturbances="none")
+    assert between_runs(estimator.fit(problem.model, data)) == ()
+    fit = estimator.fit(problem.model, Dataset((*data[:2], other, *data[3:])))
+    (one,) = between_runs(fit)
+    assert (one.kind, one.signals, one.records) == ("run", ("zgW",), (data[2].name,))
+    assert not one.suspect
+    assert one.size == pytest.approx(0.08, abs=0.02)
+
+
+def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None:  # type: ignore[no-untyped-def]
+    """The gate of all certificates: the same log, once with values that were expected."""
+    problem, data = dives_inputs
+    fit = MultipleShooting(disturbances="none").fit(problem.model, data)
+    log = LogCheck((), data.names)
+    assert with_estimates(log, fit).ok
+    first = problem.model.free_parameters[0]
+    moved = fit.model.with_values({first.name: first.prior_mean + 1.2 * FAR * first.prior_std})
+    gate = with_estimates(log, replace(fit, model=moved))
+    assert [(one.kind, one.signals) for one in gate.serious] == [("far", (first.name,))]
 
 
 def test_a_guess_says_where_it_is_lost(dives_inputs) -> None:  # type: ignore[no-untyped-def]

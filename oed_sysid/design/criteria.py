@@ -69,7 +69,7 @@ from scipy.special import chdtri, chndtr, ndtr
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import plays, respond
-from oed_sysid.information.shifts import Group, Shifts
+from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
@@ -379,9 +379,6 @@ class GOptimal(_Prediction):
 _SMALLEST = 1e-9
 # Width of the soft minimum over pairs or effects, in units of log misfit or log power.
 _SOFTNESS = 0.1
-# A rival whose refit is this close, in twice the log-likelihood, is not told apart by a search for
-# missing physics.
-GROUP_WIDTH = 6.0
 
 
 @runtime_checkable

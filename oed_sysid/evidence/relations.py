@@ -81,6 +81,15 @@ class Relation:
         """All signals, the left side first."""
         return (self.target, *self.signals)
 
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Signals of the right side whose errors are asked."""
+        return self.signals
+
+    def integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
+        return integral(times, columns)
+
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
 
@@ -90,6 +99,21 @@ class Relation:
         for name, text in self.steps:
             scope[name] = expressions.to_numpy(text, scope)
         return np.broadcast_to(np.asarray(scope[self.steps[-1][0]], dtype=float), times.shape)
+
+
+def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Cumulative integral of cubic Hermite splines through ``(n, k)`` samples; first row zero.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 3.0, 31)
+    >>> print(round(float(integral(t, np.cos(t)[:, None])[-1, 0] / np.sin(3.0)), 6))
+    0.999996
+    """
+    steps = np.diff(times)[:, None]
+    slopes = np.gradient(columns, times, axis=0)
+    parts = 0.5 * steps * (columns[1:] + columns[:-1]) - steps**2 / 12.0 * np.diff(slopes, axis=0)
+    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
 
 
 def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:

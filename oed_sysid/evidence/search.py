@@ -16,7 +16,6 @@ import numpy as np
 
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.claim import (
-    GROUP_WIDTH,
     Claim,
     claim,
     own_error,
@@ -26,6 +25,7 @@ from oed_sysid.evidence.claim import (
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.study import Study
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics import Effect
@@ -58,7 +58,7 @@ class Standing:
     fit : FilteredSolution
         With them.
     path : tuple of FilteredSolution
-        Fits on the way, that of the nominal model first.
+        Every fit that was reached, that of the nominal model first.
     decisions : tuple of Claim
         Everything that was asked, in this order.
     replaced, dropped : tuple of str
@@ -95,7 +95,8 @@ class Standing:
     def dropping(self, one: Added, fit: FilteredSolution) -> Standing:
         """The same without one effect, which does not come back."""
         gone = (*self.dropped, one.effect.name)
-        return replace(self, added=self.others(one), fit=fit, dropped=gone)
+        path = (*self.path, fit)
+        return replace(self, added=self.others(one), fit=fit, path=path, dropped=gone)
 
 
 def rounds(
@@ -189,8 +190,8 @@ def with_refit(
         Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))
         for effect in refit.effects
     ]
-    path = [*state.path, *[fit] * len(added)]
-    return replace(state, added=(*state.added, *added), fit=fit, path=tuple(path))
+    path = (*state.path, fit)
+    return replace(state, added=(*state.added, *added), fit=fit, path=path)
 
 
 def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
@@ -263,14 +264,13 @@ def eliminated(
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
-    begun = state
     while len(state.added) > int(judge is None):
         spare = [(one, *fits) for one in state.added if (fits := _spared(state, there, one, rise))]
         if not spare:
             break
         one, fit, judged = min(spare, key=lambda found: found[1].objective)
         state, there = state.dropping(one, fit), there.dropping(one, judged)
-    return state if state is begun else rebuilt(state)
+    return state
 
 
 def _spared(
@@ -312,7 +312,7 @@ def _exchanged(state: Standing, old: Added) -> Standing:
         return state
     new = Added(best.effects[0], decided, ranking.claimed_with(best, [decided, kept]))
     asked = (*state.decisions, decided)
-    return rebuilt(replace(state, added=(*others, new), fit=fit, decisions=asked))
+    return replace(state, added=(*others, new), fit=fit, path=(*state.path, fit), decisions=asked)
 
 
 def _without(state: Standing, one: Added) -> FilteredSolution | None:
@@ -322,25 +322,22 @@ def _without(state: Standing, one: Added) -> FilteredSolution | None:
     return state.study.estimate(effects, values, state.fit, max_iterations=25)
 
 
-def rebuilt(state: Standing) -> Standing:
-    """The same with the fits of all steps made again, each with its own and earlier effects."""
-    study, path = state.study, [state.path[0]]
+def every_step(state: Standing) -> tuple[FilteredSolution, ...]:
+    """Fits of the nominal model and of every step, those that were left out made again."""
+    study, fits = state.study, [state.path[0]]
     for count in range(1, len(state.added)):
-        last = path[-1]
-        effects = state.effects[:count]
-        names = [effect.name for effect in effects]
-        fits = [fit for fit in state.path if [e.name for e in study.effects_of(fit)] == names]
-        for values in (state.fit.values, last.values):
+        effects, last = state.effects[:count], fits[-1]
+        names = {effect.name for effect in effects}
+        seen = [fit for fit in state.path if {e.name for e in study.effects_of(fit)} == names]
+        for values in () if seen else (state.fit.values, last.values):
             fit = study.estimate(
                 effects, values, last, max_iterations=25, noise=study.loosened(last.noise)
             )
-            fits += [] if fit is None else [fit]
+            seen += [] if fit is None else [fit]
         # Two optima of nearly the same likelihood: the one that predicts is meant.
-        fits = [fit for fit in fits if not rises(study, last, fit)] or fits
-        path.append(min(fits, key=lambda fit: fit.objective, default=last))
-    if state.added:
-        path.append(state.fit)
-    return replace(state, path=tuple(path))
+        seen = [fit for fit in seen if not rises(study, last, fit)] or seen
+        fits.append(min(seen, key=lambda fit: fit.objective, default=last))
+    return (*fits, *[state.fit][: len(state.added)])
 
 
 def with_term(
@@ -363,7 +360,7 @@ def with_term(
     options: list[tuple[float, Standing, Proposals]] = []
     tied: tuple[str, ...] = ()
     for count in sorted({0, len(state.added)}, reverse=True):
-        proposals = propose(state.study, state.path[count])
+        proposals = propose(state.study, state.fit if count else state.path[0])
         if proposals.best is None:
             continue
         if count == len(state.added):
@@ -391,14 +388,14 @@ def with_term(
         decisions=state.decisions,
         replaced=tuple(one.effect.name for one in gone),
     )
-    return rebuilt(found), proposals, ()
+    return found, proposals, ()
 
 
 def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | None:
     """The best term beside the effects of the first steps, less those not needed any more."""
     assert proposals.best is not None
     effect, study = proposals.best.effect, state.study
-    start = state.path[count]
+    start = state.fit if count else state.path[0]
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
     kept = state.added[:count]
     found = wide.estimate(

@@ -22,9 +22,8 @@ of the noise and the samples per independent one. Independent tests, such as cap
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
@@ -32,9 +31,8 @@ from oed_sysid.errors import DataError
 from oed_sysid.likelihood.between_records import Sources, sources_of
 from oed_sysid.likelihood.covariance import sandwich, tests_middle, tests_stray
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Iterate, Progress
+from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Progress, Solution
 from oed_sysid.likelihood.information import Information, effective_sample_size
-from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.projection import share_of
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.summary import Procedure
@@ -57,56 +55,6 @@ def check_horizon(shooting: Shooting, horizon: float) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class WindowSolution:
-    """Where the iterations over windows ended; see :class:`.gauss_newton.Solution`.
-
-    ``paths`` are outputs and states of the windows, put together per record.
-    """
-
-    problem: Windows
-    horizon: float
-    now: Iterate
-    iterations: int
-    reason: str
-
-    @property
-    def point(self) -> Point:
-        """Unknowns, and start states of the windows."""
-        return self.now.point
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares, priors included."""
-        return self.now.cost
-
-    @cached_property
-    def paths(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Outputs and states of the windows, put together per record."""
-        return list(zip(*predictions(self.problem, self.point), strict=True))
-
-    @property
-    def residuals(self) -> Sequence[np.ndarray]:
-        """Measured less predicted ``(n_times, n_outputs)``, per record."""
-        pairs = zip(self.problem.shooting.records, self.paths, strict=True)
-        return [record.outputs - outputs for record, (outputs, _) in pairs]
-
-    def levels(self, shooting: Shooting) -> np.ndarray:
-        """Noise levels that the residuals of the windows show, start states counted."""
-        own = self.problem.n_windows * min(shooting.layout.n_own, len(shooting.sigma))
-        return residual_levels(self.residuals, len(shooting.layout.shared) + own)
-
-    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        return self.now.equations.matrix, self.now.equations.right
-
-    def rated(self, shooting: Shooting) -> WindowSolution:
-        """The same end where the noise levels are those of another problem."""
-        problem = self.problem.rated(shooting)
-        now = problem.at(self.point)
-        return self if now is None else replace(self, problem=problem, now=now)
-
-
 def solve_windows(
     shooting: Shooting,
     point: Point,
@@ -115,7 +63,7 @@ def solve_windows(
     max_iterations: int,
     tolerance: float,
     callback: Callable[[Progress], None] | None = None,
-) -> WindowSolution | None:
+) -> Solution | None:
     """Minimise over windows of a horizon; None where the model diverges within the first.
 
     Parameters
@@ -135,10 +83,10 @@ def solve_windows(
         return None
     descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
     reason = descent.run(max_iterations, callback=callback)
-    return WindowSolution(problem, horizon, descent.now, descent.steps + 1, reason)
+    return Solution(descent.now, descent.steps + 1, reason)
 
 
-def summarise_windows(solution: WindowSolution, how: Procedure) -> Fit:
+def summarise_windows(solution: Solution, how: Procedure) -> Fit:
     """Build the result; its predictions and residuals are those of the windows.
 
     Unless errors are ``"never"`` to hold the colour of residuals, they are those at the head of
@@ -146,58 +94,32 @@ def summarise_windows(solution: WindowSolution, how: Procedure) -> Fit:
     """
     problem, unknowns = solution.problem, solution.point.unknowns
     shooting = problem.shooting
-    information, covariance, sources, scattered = _uncertainty(problem, solution.now, how.coloured)
+    paths, own = problem.paths(solution.point), how.coloured
+    information, covariance, sources, scattered = _uncertainty(problem, solution.point, own)
     end = solution.reason, solution.cost
-    fit = how.fit(shooting, unknowns, end, information, solution.paths, sources)
+    fit = how.fit(shooting, unknowns, end, information, paths, sources)
     n_own = shooting.layout.n_own
     return replace(
         fit,
         covariance=covariance,
         coloured=how.coloured != "never" and problem.n_windows > 0,
-        initial_states=tuple(states[0, :n_own].copy() for _, states in solution.paths),
-        horizon=solution.horizon,
+        initial_states=tuple(states[0, :n_own].copy() for _, states in paths),
+        horizon=problem.horizon,
         n_windows=problem.n_windows,
         tests_scatter=scattered,
     )
 
 
-def predictions(problem: Windows, point: Point) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Outputs and states of the windows, put together per record.
-
-    Where two windows meet, the sample is that of the window which it ends.
-    """
-    shooting = problem.shooting
-    outputs = [np.full(r.outputs.shape, np.nan) for r in shooting.records]
-    states = [np.full((r.n_samples, shooting.kernel.n_full), np.nan) for r in shooting.records]
-    for part, at in zip(problem.windows, point.nodes, strict=True):
-        record = shooting.records[part.record]
-        z0, _ = shooting.full_start(point.unknowns, part.record)
-        run = shooting.kernel.run(
-            record.times,
-            record.inputs,
-            shooting.values(point.unknowns, part.record),
-            z0[None] if record.independent else at,
-            starts=part.starts,
-        )
-        stops = [*part.starts[1:], record.n_samples]
-        for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
-            if counted:
-                first = start if start == 0 else start + 1
-                outputs[part.record][first:stop] = run.outputs[first:stop]
-                states[part.record][first:stop] = run.states[first:stop]
-    return outputs, states
-
-
 def _uncertainty(
-    problem: Windows, now: Iterate, coloured: str
+    problem: Windows, point: Point, coloured: str
 ) -> tuple[Information, np.ndarray, Sources | None, bool]:
     """Information and covariance of the shared parameters, their sources, whether tests scatter."""
-    shooting, unknowns = problem.shooting, now.point.unknowns
+    shooting, unknowns = problem.shooting, point.unknowns
     layout, limits = shooting.layout, shooting.limits
     n_shared = len(layout.shared)
     slopes = layout.shared_values(unknowns)[1]
     prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
-    told, gains = _told_by_records(problem, now.point)
+    told, gains = _told_by_records(problem, point)
     tests = [i for i, record in enumerate(shooting.records) if record.independent]
     series = [i for i in range(layout.n_records) if i not in tests]
     matrices = [told[i][0] for i in series]
@@ -214,7 +136,7 @@ def _uncertainty(
     scattered = bool(len(rows)) and (coloured == "always" or tests_stray(rows, errors, covariance))
     middle = prior + tests_middle(rows, errors, covariance, scattered=scattered)
     if problem.n_windows < ENOUGH * n_shared:
-        middle += _inflation(problem, now.point) * (whole - known)
+        middle += _inflation(problem, point) * (whole - known)
     else:
         middle += sum(map(_summed, (told[i][1] for i in series)), np.zeros_like(prior))
     return information, sandwich(covariance, middle), sources, scattered
@@ -305,10 +227,9 @@ def _summed(rows: np.ndarray) -> np.ndarray:
 def _inflation(problem: Windows, point: Point) -> float:
     """Mean square of the residuals in units of the noise, times samples per independent one."""
     shooting = problem.shooting
-    outputs, _ = predictions(problem, point)
     ratios = []
-    for record, predicted in zip(shooting.records, outputs, strict=True):
-        for column in ((record.outputs - predicted) / shooting.sigma).T:
+    for record, residual in zip(shooting.records, problem.residuals(point), strict=True):
+        for column in (residual / shooting.sigma).T:
             seen = column[np.isfinite(column)]
             if len(seen) > 10 and not record.independent:
                 mean_square = float(np.mean(seen**2))

@@ -27,7 +27,6 @@ from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
 from oed_sysid.likelihood.horizons import (
-    WindowSolution,
     check_horizon,
     solve_windows,
     summarise_windows,
@@ -87,8 +86,7 @@ MOST_ROUNDS = 12
 # Most rounds in which spikes are looked for; large ones hide small ones.
 SPIKE_ROUNDS = 4
 
-Ended = Solution | WindowSolution
-Minimiser = Callable[..., Ended | None]
+Minimiser = Callable[..., Solution | None]
 
 
 @dataclass(frozen=True)
@@ -345,13 +343,13 @@ class MultipleShooting:
 
     def _summary(self, task: _Task, end: _End, *, weighed: bool = True) -> Fit:
         how, solution = replace(task.how, iterations=end.iterations), end.solution
-        if isinstance(solution, WindowSolution):
+        if solution is not None and self.horizon is not None:
             fit = summarise_windows(solution, how)
         else:
             fit = summarise(end.shooting, solution, how, weighed=weighed)
         if solution is None:
             return fit
-        at = solution.point.unknowns, *solution.equations(end.shooting)
+        at = solution.point.unknowns, solution.matrix, solution.right
         return replace(fit, binding=binding(end.shooting, *at, self.solver.constraints))
 
     def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> Fit:
@@ -501,15 +499,15 @@ class MultipleShooting:
     def _estimate_noise(
         self,
         shooting: Shooting,
-        solution: Ended,
+        solution: Solution,
         estimated: np.ndarray,
         minimise: Minimiser,
-    ) -> tuple[Shooting, Ended, int]:
+    ) -> tuple[Shooting, Solution, int]:
         """Alternate between noise levels and everything else until the levels stay."""
         iterations = 0
         least = EXACT * signal_spread(shooting.dataset)
         for _ in range(MOST_ROUNDS):
-            levels = np.maximum(solution.levels(shooting), least)
+            levels = np.maximum(solution.levels, least)
             sigma = np.where(estimated, levels, shooting.sigma)
             change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
             shooting = shooting.with_sigma(sigma)
@@ -539,7 +537,7 @@ class MultipleShooting:
 
     def _solve(
         self, shooting: Shooting, point: Point, minimise: Minimiser
-    ) -> tuple[Ended | None, int]:
+    ) -> tuple[Solution | None, int]:
         """Iterate from near, from far, or from both, and return the better end."""
         if self.start == "near" or self.horizon is not None:
             only = minimise(shooting, point)
@@ -584,18 +582,18 @@ class _End:
     """Where the fit without process noise ended."""
 
     shooting: Shooting
-    solution: Ended | None
+    solution: Solution | None
     iterations: int
 
 
-def _trusted(begin: float, shooting: Shooting, found: Ended) -> bool:
+def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
     """Whether an end is no doubtful minimum: it began or ended near the records."""
     if found.reason not in ENDED:
         return False
     return begin < DOUBTFUL or misfit(shooting, found.point) < GOOD
 
 
-def _better(first: Ended | None, second: Ended | None) -> tuple[Ended | None, int]:
+def _better(first: Solution | None, second: Solution | None) -> tuple[Solution | None, int]:
     """The better of two ends, and the iterations of both."""
     found = [one for one in (first, second) if one is not None]
     if not found:
@@ -712,7 +710,7 @@ def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     return told
 
 
-def _explains(shooting: Shooting, solution: Ended | None) -> bool:
+def _explains(shooting: Shooting, solution: Solution | None) -> bool:
     """Whether a solution leaves less than half of the motion of every output."""
     if solution is None:
         return False

@@ -21,7 +21,7 @@ import numpy as np
 
 from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.gauss_newton import Progress, Solution
+from oed_sysid.likelihood.gauss_newton import Progress, Solution, linearised
 from oed_sysid.likelihood.shooting import Point, Shooting, huber, student
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
@@ -244,9 +244,9 @@ class NonlinearProgram:
         lin = shooting.linearise(found_point)
         if lin is None:
             return None
-        cost = shooting.cost(lin, found_point.unknowns)
         reason = _REASONS.get(stats["return_status"], "stalled")
-        return Solution(found_point, lin, cost, int(stats["iter_count"]), reason)
+        now = linearised(shooting, found_point, lin)
+        return Solution(now, int(stats["iter_count"]), reason)
 
 
 # Functions that choose a sample: of the first, or of the last one of a record.
