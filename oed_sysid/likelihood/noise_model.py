@@ -53,13 +53,13 @@ class Sea:
     shape : str, optional
         ``"velocity"``, whose spectrum vanishes at frequency zero, ``"displacement"``, which has a
         tail there, or ``"jonswap"``, which is steep below its peak and has a tail above, as the
-        spectrum of that name. An estimation takes the likeliest.
+        spectrum of that name, which levels without a shape have. An estimation takes the likeliest.
 
     Examples
     --------
     >>> sea = Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3})
     >>> sea.places, sea.shape, sea.significant
-    (('force Z',), 'velocity', {'force Z': 0.6})
+    (('force Z',), 'jonswap', {'force Z': 0.6})
     """
 
     period: float | None = None
@@ -71,7 +71,7 @@ class Sea:
         if self.levels is not None:
             named = {k if " " in k else f"force {k}": float(v) for k, v in self.levels.items()}
             object.__setattr__(self, "levels", named)
-            object.__setattr__(self, "shape", "velocity" if self.shape is None else self.shape)
+            object.__setattr__(self, "shape", "jonswap" if self.shape is None else self.shape)
         faults = (
             (bool(np.all((self.level >= 0) & np.isfinite(self.level))),
              f"levels {dict(self.levels or {})}. Give them as zero or above."),
@@ -267,7 +267,7 @@ class NoiseModel:
             self.colour[coloured] ** 2,
             self.colour_time[coloured],
             each(0.0, *(0.5 * (sea.bandwidth or 0.0) for sea in self.seas)),
-            each(0, *(SHAPES[sea.shape or "velocity"] for sea in self.seas)),
+            each(0, *(SHAPES[sea.shape or "jonswap"] for sea in self.seas)),
             each(-1, *range(len(self.seas))),
         )
 
