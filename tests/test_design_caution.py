@@ -13,7 +13,13 @@ from test_design import LIMITS, grid, quick, ship
 
 from oed_sysid import Input, Limits, Model, Output, Parameter, State
 from oed_sysid.design import Caution, Design, Levels, ZigZags, assess_limits
-from oed_sysid.design.vehicles import LimitBounds, Scenarios, at_least, draw_models
+from oed_sysid.design.vehicles import (
+    UNCERTAINTY,
+    LimitBounds,
+    Scenarios,
+    at_least,
+    draw_models,
+)
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import Information
@@ -110,7 +116,7 @@ def test_waived_vehicles_do_not_count() -> None:
 def test_closed_loop_keeps_limits_on_other_vehicles() -> None:
     """A cautious zigzag closes its loop on each vehicle and keeps the heading there."""
     found = quick(
-        family=ZigZags("psi", 0.5, n_swings=2, n_trials=40),
+        family=ZigZags("psi"),
         caution=replace(CAUTION, n_sets=20, n_checks=40),
     )
     assert found.experiment.reacts
@@ -122,10 +128,8 @@ def test_closed_loop_keeps_limits_on_other_vehicles() -> None:
     assert again.probability >= 0.8
 
 
-def test_nothing_known_and_nonsense_are_named() -> None:
-    """Drawing from unknown knowledge, or a probability of two, is answered with advice."""
-    with pytest.raises(DesignError, match="Nothing is known about the spread"):
-        quick(caution=Caution(0.9))
+def test_nonsense_is_named() -> None:
+    """A probability of two is answered with advice."""
     with pytest.raises(DesignError, match="probability 2"):
         Caution(2.0)
     with pytest.raises(DesignError, match="spread 3"):
@@ -146,6 +150,20 @@ def test_priors_may_be_too_narrow() -> None:
     known = Information.from_matrix(("K",), np.array([[1e4]]), np.array([0.2]))
     drawn = np.array([one.values["K"] for one in draw_models(ship, None, 4000, known, rng)])
     assert np.std(drawn) == pytest.approx(0.01, rel=0.05)
+
+
+def test_what_nobody_knows_may_be_far_off() -> None:
+    """Beside a prior, coefficients without one are drawn up to a share of their value off."""
+    model = Model(
+        "ship", (State("r", "rad/s"),), (Input("d", "rad"),), (Output("r", "rad/s"),),
+        kinematics={"r": "K*d - c*r"},
+        parameters=(Parameter("K", 0.2, "1/s", prior_std=0.01), Parameter("c", 0.1, "1/s")),
+    )  # fmt: skip
+    drawn = draw_models(model, None, 2000, None, np.random.default_rng(0))
+    shares = np.array([one.values["c"] for one in drawn]) / 0.1 - 1.0
+    assert np.abs(shares).max() == pytest.approx(UNCERTAINTY, rel=0.01)
+    assert np.std(shares) == pytest.approx(UNCERTAINTY / np.sqrt(3.0), rel=0.05)
+    assert np.std([one.values["K"] for one in drawn[::2]]) == pytest.approx(0.01, rel=0.1)
 
 
 def test_the_stated_bound_is_that_of_the_binomial() -> None:

@@ -26,7 +26,6 @@ from oed_sysid.design import (
     Design,
     Servo,
     assess_limits,
-    predicted_tracks,
     write_bag,
     write_overrides,
 )
@@ -86,16 +85,16 @@ def test_the_track_of_a_circle_is_a_circle_and_its_room_the_diameter() -> None:
         sample_time=0.5,
         initial={"u": 2.0, "r": 0.05},
     )
-    found = predicted_tracks(
-        turning(), run, rng=np.random.default_rng(0), spread=0.01, n_vehicles=3, length=10.0
-    )
+    found = assess_limits(
+        turning(), run, rng=np.random.default_rng(0), spread=0.01, vehicles=20
+    ).tracks
     assert found is not None
     assert not found.is_vertical
     centre = found.nominal - np.array([0.0, 40.0])
     np.testing.assert_allclose(np.hypot(*centre.T), 40.0, atol=0.15)
     np.testing.assert_allclose(found.room, [[-40, 40], [0, 80]], atol=1.5)
-    assert any("L)" in words for words in found.words())
-    assert predicted_tracks(ship(), RUN, rng=np.random.default_rng(0)) is None
+    assert any("L)" in words for words in replace(found, length=10.0).words())
+    assert assess_limits(ship(), RUN, rng=np.random.default_rng(0), vehicles=20).tracks is None
 
 
 def test_waves_push_the_vehicles_of_the_search() -> None:
@@ -166,7 +165,7 @@ def test_the_card_is_one_page_with_danger_in_red(design: Design) -> None:
     """Text ends above the pictures; where limits are left on many vehicles the top is red."""
     risky = replace(design, assurance=replace(design.assurance, n_kept=30, left={"psi": 30}))
     for one, alarming in ((risky, True), (replace(design, assurance=None), False)):
-        figure = figure_card(one)
+        figure = figure_card(one.card())
         assert tuple(figure.get_size_inches()) == (8.27, 11.69)
         top = max(figure.axes, key=lambda ax: ax.get_position().y1).get_position().y1
         lowest = min(figure.texts, key=lambda text: text.get_position()[1])
@@ -174,11 +173,11 @@ def test_the_card_is_one_page_with_danger_in_red(design: Design) -> None:
         assert (figure.texts[0].get_color() == DANGER) is alarming
     assert "STOP THE RUN" in risky.sea_trial_card()
     left = 1 - risky.assurance.probability
-    for page in (risky.card(), risky.document()):
+    for page in (risky.card().document(), risky.document()):
         first = page.html().partition('<p class="danger">')[2]
         assert first.startswith(f"DANGER: on {left:.0%} of the vehicles")
         assert page.first[0] == risky.assurance.danger
-    assert '<p class="danger">' not in replace(design, assurance=None).card().html()
+    assert '<p class="danger">' not in replace(design, assurance=None).card().document().html()
 
 
 def test_the_first_line_warns_as_soon_as_less_is_kept_than_asked(design: Design) -> None:

@@ -95,6 +95,7 @@ def test_design() -> None:
         rng=np.random.default_rng(5),
         criterion=DOptimal(),
         search=Search(family=Levels(n_levels=8), n_starts=1, n_candidates=12, n_steps=6),
+        caution=None,
     )
     told = found.to_dict()
     kept = {key: told[key] for key in ("criterion", "parametrisation", "value", "parameters")}

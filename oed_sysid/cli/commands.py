@@ -476,7 +476,7 @@ def _candidates(
     lent = patterns_of(problem, patterns)
     return candidate_runs(
         problem.model, lent, limits=limits, rng=rng, turnaround=60.0 * turnaround,
-        vehicles=draw_models(problem.model, weather.spread(problem), 12, None, rng),
+        vehicles=draw_models(problem.model, weather.uncertainty, 12, None, rng),
         durations=None if bounds.duration is None else (bounds.duration,),
     )  # fmt: skip
 

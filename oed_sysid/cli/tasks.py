@@ -101,12 +101,6 @@ class Weather:
         show.note(f"Disturbance forces: {sea_words(found)}.")
         return found
 
-    def spread(self, problem: Problem) -> float | None:
-        """Relative spread of vehicles; None where priors tell it."""
-        from oed_sysid.design.choices import usual_spread
-
-        return usual_spread(problem.model) if self.uncertainty is None else self.uncertainty
-
 
 @dataclass(frozen=True)
 class Expected(Weather):
@@ -147,13 +141,13 @@ class Effort:
         family = named("family", self.family, FAMILIES)(**bands)
         return Search(family, *named("effort", self.effort, EFFORTS))
 
-    def caution(self, expected: Expected, spread: float | None) -> Any:
-        """How limits are kept; after a fit they are, where nobody said how surely."""
+    def caution(self, spread: float | None) -> Any:
+        """How limits are kept: surely, unless somebody said how surely."""
         from oed_sysid.design import Caution
 
         if self.certainty:
             return Caution(self.certainty, spread)
-        return "auto" if expected.after and self.certainty is None else None
+        return "auto" if self.certainty is None else None
 
 
 @dataclass(frozen=True)
@@ -429,8 +423,8 @@ def design(
     found = oed_sysid.design_experiment(
         nominal, Trial.like(pattern, limits, duration=bounds.duration),
         rng=np.random.default_rng(effort.seed), criterion=criterion, search=search,
-        knowledge=Knowledge(noise=expected.noise(problem, nominal, show)),
-        caution=effort.caution(expected, spread), journal=show.journal,
+        knowledge=Knowledge(noise=expected.noise(problem, nominal, show), spread=spread),
+        caution=effort.caution(spread), journal=show.journal,
         progress=partial(_searching, show, search.n_starts, search.n_steps),
     )  # fmt: skip
     found = _on_other_vehicles(found, limits, spread, effort.seed, show)
@@ -465,11 +459,10 @@ def programme(
     nominal = expected.nominal(study, show)
     durations = None if bounds.duration is None else (bounds.duration,)
     noise = expected.noise(problem, nominal, show)
-    spread = expected.uncertainty if expected.after else expected.spread(problem)
     found = design_programme(
         nominal, patterns_of(problem, patterns), limits=bounds.limits(problem, show),
         rng=np.random.default_rng(seed), budget=allowed.budget(), criterion=aim.made(study),
-        knowledge=Knowledge(noise=noise, spread=spread),
+        knowledge=Knowledge(noise=noise, spread=expected.uncertainty),
         search=ProgrammeSearch(durations=durations, n_rounds=rounds), progress=show.say,
     )  # fmt: skip
     return Outcome(
@@ -714,7 +707,7 @@ class Played(Files):
             found.write_csv(self.out)
             yield f"Written: {self.out}"
         if self.card is not None:
-            self._write_card(outcome, self.card, study.problem.title, show)
+            self._write_card(outcome, self.card, study.problem.title)
             yield f"Written: {self.card}"
         if self.overrides is not None:
             servos = self._servos(limits)
@@ -752,27 +745,17 @@ class Played(Files):
             found[kind] = checked("file", Path(place))
         return found
 
-    def _write_card(self, outcome: Outcome, path: Path, title: str, show: Shown) -> None:
+    def _write_card(self, outcome: Outcome, path: Path, title: str) -> None:
         """Write the card as text, as a page or as one sheet of A4."""
-        import numpy as np
-
-        from oed_sysid.design import predicted_tracks
         from oed_sysid.results import figure_card, save_figure
 
-        found, settings, kind = outcome.result, outcome.settings, path.suffix.lower()
+        card, kind = outcome.result.card(self.length), path.suffix.lower()
         if kind == ".txt":
-            write_text(path, found.sea_trial_card() + "\n")
-            return
-        rng = np.random.default_rng(settings["seed"])
-        drawing = partial(
-            predicted_tracks, found.model, found.experiment, spread=settings["spread"],
-            sea=found.sea, prior=found.prior, rng=rng, length=self.length,
-        )  # fmt: skip
-        tracks = show.journal.once("track", drawing)
-        if kind == ".html":
-            found.card(tracks, title=title).write(path)
+            write_text(path, card.text() + "\n")
+        elif kind == ".html":
+            card.document(title=title).write(path)
         else:
-            save_figure(figure_card(found, tracks), path)
+            save_figure(figure_card(card), path)
 
     def _servos(self, limits: Limits) -> dict[str, Servo]:
         """Servos of the inputs, from one end of their limits to the other."""

@@ -20,8 +20,7 @@ With information :math:`F` in units of the values, :math:`C = F^{-1}`, ``n`` par
     D_s:\ \log\det\left(F_{ss} - F_{sr} F_{rr}^{-1} F_{rs}\right)
 
 .. math::
-    V:\ -\log \frac1m \sum_k c_k' C c_k, \quad G:\ -\log \max_k c_k' C c_k, \quad
-    \text{modified } E:\ \log \frac{\lambda_{min}(F)}{\lambda_{max}(F)}
+    V:\ -\log \frac1m \sum_k c_k' C c_k, \quad G:\ -\log \max_k c_k' C c_k
 
 Each comes with its derivative :math:`\partial\varphi / \partial F`: for D :math:`C`, for A
 :math:`C^2 / \mathrm{tr}\, C`, for V with :math:`W = \tfrac1m \sum c c'` :math:`C W C /
@@ -67,6 +66,7 @@ from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr
 
 from oed_sysid.errors import DesignError
+from oed_sysid.evidence.claim import GROUP_WIDTH
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import plays, respond
 from oed_sysid.information.shifts import Group, Shifts
@@ -212,14 +212,11 @@ def _mean_variance(weight: np.ndarray | None = None) -> Measure:
     return measure
 
 
-def _ends(matrix: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Logarithms of the smallest and the largest eigenvalue, and their derivatives."""
+def _smallest(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+    """Logarithm of the smallest eigenvalue, and its derivative."""
     values, vectors = np.linalg.eigh(matrix)
-    sizes = np.maximum(values, NOTHING)
-    return [
-        (float(np.log(sizes[i])), np.outer(vectors[:, i], vectors[:, i]) / sizes[i])
-        for i in (0, -1)
-    ]
+    size = max(float(values[0]), NOTHING)
+    return float(np.log(size)), np.outer(vectors[:, 0], vectors[:, 0]) / size
 
 
 @dataclass(frozen=True)
@@ -252,26 +249,7 @@ class EOptimal:
 
     def bind(self, setting: Setting) -> Measure:
         """Return ``log(lambda_min)`` and its derivative."""
-        return lambda matrix: _ends(matrix)[0]
-
-
-@dataclass(frozen=True)
-class ModifiedE:
-    """Roundest ellipsoid: minus log of the condition number.
-
-    Says nothing about size; combine the result with a look at the errors.
-    """
-
-    name: str = "modified E"
-
-    def bind(self, setting: Setting) -> Measure:
-        """Return ``-log(lambda_max / lambda_min)`` and its derivative."""
-
-        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
-            (small, by_small), (large, by_large) = _ends(matrix)
-            return small - large, by_small - by_large
-
-        return measure
+        return _smallest
 
 
 @dataclass(frozen=True)
@@ -375,13 +353,8 @@ class GOptimal(_Prediction):
         return measure
 
 
-# Misfit or power below which a logarithm is cut off; arithmetic only.
-_SMALLEST = 1e-9
 # Width of the soft minimum over pairs or effects, in units of log misfit or log power.
 _SOFTNESS = 0.1
-# A rival whose refit is this close, in twice the log-likelihood, is not told apart by a search for
-# missing physics.
-GROUP_WIDTH = 6.0
 
 
 @runtime_checkable
@@ -480,11 +453,11 @@ class Discriminate:
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
             gram, mapping = eliminate(matrix, n_parameters)
             pairs = pair_misfits(gram, shifts, against_believed=self.against_believed)
-            logs = np.array([np.log(max(value, _SMALLEST)) for _, _, value, _ in pairs])
+            logs = np.array([np.log(max(value, NOTHING)) for _, _, value, _ in pairs])
             value, weights = soft_minimum(logs, _SOFTNESS)
             by_gram = np.zeros_like(gram)
             for weight, (_, _, misfit, slope) in zip(weights, pairs, strict=True):
-                if misfit > _SMALLEST:
+                if misfit > NOTHING:
                     by_gram += weight / misfit * slope
             return value, mapping.T @ by_gram @ mapping
 
@@ -517,7 +490,7 @@ def told_apart(misfit: float) -> float:
     >>> round(told_apart(6.0), 2), round(told_apart(25.0), 2)
     (0.5, 0.97)
     """
-    if misfit <= _SMALLEST:
+    if misfit <= NOTHING:
         return 0.0
     return float(ndtr((misfit - GROUP_WIDTH) / (2.0 * np.sqrt(misfit))))
 
@@ -556,7 +529,7 @@ def pair_misfits(
                 continue
             mine, theirs = own.columns, other.columns
             block = gram[np.ix_(theirs, theirs)]
-            floor = _SMALLEST + 1e-12 * float(np.trace(block))
+            floor = NOTHING + 1e-12 * float(np.trace(block))
             imitated = np.linalg.solve(
                 block + floor * np.eye(len(theirs)), gram[np.ix_(theirs, mine)]
             )

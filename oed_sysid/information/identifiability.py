@@ -61,25 +61,10 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     return float(1.0 / smallest) if smallest > 1e-14 else float(np.inf)
 
 
-def collinear_groups(
-    information: Information, *, size: int = 2, limit: float = COLLINEARITY_LIMIT
-) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Sets of ``size`` parameters whose collinearity index passes a limit, worst first.
-
-    A set that contains a smaller one that already passes is still listed;
-    look at pairs first, then at triples.
-    """
-    found = [
-        (group, collinearity_index(information, group))
-        for group in combinations(information.names, size)
-    ]
-    return tuple(sorted((f for f in found if f[1] > limit), key=lambda f: -f[1]))
-
-
 # Up to here all sets are looked at that could be larger than the best one found: 2^17 at most.
 ENUMERATED = 17
-# A parameter without a prior is fixed at a value that is wrong by this share.
-ASSUMED = 0.25
+# A parameter of which nothing is known has a value that is wrong by this share.
+ASSUMED = 0.3
 # Two motions keep nearly one ratio where the cosine between them is this large.
 ALIKE = 0.9
 
@@ -96,7 +81,7 @@ class Place:
     error : float
         Relative standard error if it is estimated with the set, parameters outside it fixed.
     assumed : float
-        Relative error of the value at which it would be fixed: its prior, else a quarter.
+        Relative error of the value at which it would be fixed: its prior, else 30 %.
     bias : float
         Largest relative change of another parameter of the set if it is fixed so wrong.
     biased : str
@@ -254,7 +239,7 @@ def identifiable_subset(
     largest_error : float
         Largest relative standard error that any of them may have.
     assumed : mapping of str to float, optional
-        How wrong each would be if it were fixed, in its unit; a quarter of the value by default.
+        How wrong each would be if it were fixed, in its unit; 30 % of the value by default.
     motions : mapping of str to numpy.ndarray, optional
         States and inputs in the runs ``(n_times,)``, to say which of them keep one ratio.
 
