@@ -28,6 +28,7 @@ from oed_sysid.runtime.files import make_folder, write_text
 if TYPE_CHECKING:
     from oed_sysid.design import Design, Servo
     from oed_sysid.evidence.compare import ModelMisfit
+    from oed_sysid.evidence.result import LogCheck
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
@@ -270,6 +271,51 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     both = together(train, validation)
     log = oed_sysid.quick_check(both, study.problem).without("duplicate")
     fits = fits_of(study, models, show) | saved
+    return _compared(study, show, fits, log)
+
+
+def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
+    """Fix what training records cannot tell, fit the smaller model, and check it on validation.
+
+    [bold]Example[/bold]: oed-sysid reduce remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv
+    """
+    from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.claim import threshold
+
+    model, train, validation = study.problem.model, study.training(), study.validation()
+    check_disjoint(train, validation)
+    log = oed_sysid.quick_check(together(train, validation), study.problem).without("duplicate")
+    fits = fits_of(study, {NOMINAL: model}, show)
+    full = fits[NOMINAL]
+    ranking = oed_sysid.rank_parameters(
+        full.model, train, noise=full, initial_states=full.initial_states
+    )
+    fixed = [name for name in ranking.together.advised("fix") if name not in keep]
+    told = ranking.together.words(" from these records")
+    lost = 0.0
+    if fixed:
+        fits |= fits_of(study, {"reduced": model.fix(*fixed)}, show)
+        lost = 2.0 * (full.log_likelihood - fits["reduced"].log_likelihood)
+        chance = threshold(1, len(fixed))
+        told += (
+            f" With {', '.join(fixed)} fixed at their nominal values twice the log-likelihood "
+            f"falls by {lost:.3g}; chance alone takes {chance:.3g} in one case of a hundred: "
+        ) + (
+            "the records do not miss them."
+            if lost <= chance
+            else "these values are wrong. Keep some of them free (--keep), or correct them."
+        )
+    outcome = _compared(study, show, fits, log)
+    more = {"fixed": fixed, "lost": lost, "subset": ranking.together.to_dict()}
+    sections = (*outcome.said.sections, *ranking.together.document().sections)
+    said = replace(outcome.said, answer=told, sections=sections)
+    return replace(outcome, said=said, facts={**outcome.facts, **more})
+
+
+def _compared(study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck) -> Outcome:
+    """What validation records say of several fits."""
+    validation = study.validation()
     show.say("predicting")
     result = oed_sysid.compare(fits, validation)
     notes = [
@@ -280,7 +326,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     return Outcome(
         result, result.document(), {**result.to_dict(), "log": log.to_dict()},
         partial(result.document, title=study.problem.title, log=log), predicted(result.models),
-        above=log.warning(), notes=tuple(notes), fits=fits, comparison=result,
+        above=log.warning(), notes=tuple(notes), fits=dict(fits), comparison=result,
         status=_status(list(fits.values()), suspect=log.suspect),
     )  # fmt: skip
 
@@ -783,6 +829,7 @@ TASKS = {
         Task(check, "Check the log", "Checking", "files [validate]", Corrected, "--fix corrected"),
         Task(fit, "Fit", "Fitting", "files [validate] noise journal", Saved, "--save fit.json"),
         Task(compare, "Compare", "Fitting", "files validate noise journal"),
+        Task(reduce, "Reduce: what the records can tell", "Fitting", "files validate noise"),
         Task(diagnose, "Diagnose: where it fails", "Looking", "files noise"),
         Task(improve, "Improve: what is missing", "Starting", "files [validate] noise journal",
              Saved, "--json improve.json --save improved.json"),

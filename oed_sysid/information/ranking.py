@@ -17,7 +17,9 @@ from oed_sysid.information.bound import COLOURED, RunInformation
 from oed_sysid.information.identifiability import Subset, identifiable_subset
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import Play, Run, plays
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain, share
 from oed_sysid.runtime.threads import single_threaded
@@ -167,7 +169,7 @@ def rank_parameters(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
-    noise: Levels = None,
+    noise: Levels | NoiseModel | Fit = None,
     priors: str | Mapping[str, float] | Information | None = None,
     start: str | Mapping[str, float] = "unknown",
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
@@ -353,7 +355,7 @@ def reduce_model(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
-    noise: Levels = None,
+    noise: Levels | NoiseModel | Fit = None,
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
     keep: Sequence[str] = (),
 ) -> Reduction:
