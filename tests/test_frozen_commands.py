@@ -26,6 +26,7 @@ LINES = {
     "rank of experiments": "rank ship --experiment zigzag_10_10",
     "fit": f"fit ship {JUDGED}",
     "compare": f"compare ship {JUDGED} --with rudder_offset",
+    "reduce": f"reduce ship {JUDGED} --known-noise",
     "diagnose": f"diagnose ship {RUNS}",
     "improve": f"improve ship {JUDGED} --known-noise",
     "design": "design ship --duration 30",
