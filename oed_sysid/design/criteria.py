@@ -72,12 +72,10 @@ from oed_sysid.information import plays, respond
 from oed_sysid.information.shifts import Group, Shifts
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import Section, Table, as_dict
 
 # Information that counts as none, in units of (relative error)**-2: a prior of 1e5 times the value.
 NOTHING = 1e-10
-# Smallest pivot of an equilibrated information at which its inverse has ten digits.
-REGULAR = 1e-3
 
 
 def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -125,20 +123,6 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(regular / outer)
     inner = (vectors / np.maximum(values, 1e-15)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return inner / outer
-
-
-def quick_inverse(matrix: np.ndarray) -> np.ndarray:
-    """As :func:`inverse`, several times faster where nothing is near singular."""
-    sizes = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
-    if sizes.min() > 0:
-        outer = sizes[..., :, None] * sizes[..., None, :]
-        try:
-            roots = np.linalg.cholesky(matrix / outer)
-        except np.linalg.LinAlgError:
-            return inverse(matrix)
-        if np.diagonal(roots, axis1=-2, axis2=-1).min() > REGULAR:
-            return np.asarray(np.linalg.inv(matrix / outer) / outer)
-    return inverse(matrix)
 
 
 def log_determinant(matrix: np.ndarray) -> float:
@@ -682,31 +666,31 @@ class Detection:
 
 def missing_physics(
     misfits: Mapping[tuple[str, str], float], chances: Sequence[Detection]
-) -> list[str]:
-    """Lines on rivals told apart and on effects detected, records in hand included."""
+) -> Section:
+    """What is said of rivals told apart and of effects detected, records in hand included."""
     lines = [
-        f"  If {first} is true, {second} is expected to fit worse by "
+        f"If {first} is true, {second} is expected to fit worse by "
         f"2 dlogL = {misfit:.3g}{'' if misfit > 16 else ' (not enough to decide)'}; "
         f"told apart with {told_apart(misfit):.0%}."
         for (first, second), misfit in misfits.items()
     ]
     if not chances:
-        return lines
+        return Section("MISSING PHYSICS", lines, heading=True, indent=2)
     # The effects that a run makes visible, and those that stay hidden.
-    lines += [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
-    gained = sorted(chances, key=lambda one: one.before - one.after)
-    for one in gained[:12]:
-        least = f"{one.least:.2g} of usual" if one.least < 1e3 else "-"
-        lines.append(f"  {one.name:<32} {one.before:>13.0%} {one.after:>7.0%} {least:>14}")
-    hidden = [one.name for one in chances if one.after < 0.5]
+    rows = [
+        (one.name, f"{one.before:.0%}", f"{one.after:.0%}",
+         f"{one.least:.2g} of usual" if one.least < 1e3 else "-")
+        for one in sorted(chances, key=lambda one: one.before - one.after)
+    ]  # fmt: skip
     shown = sum(one.after >= SURE for one in chances)
     lines.append(
-        f"  {shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
+        f"{shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
         f"{sum(one.before >= SURE for one in chances)} before."
     )
-    if hidden:
-        lines.append(f"  Would stay hidden: {', '.join(hidden)}.")
-    return lines
+    if hidden := [one.name for one in chances if one.after < 0.5]:
+        lines.append(f"Would stay hidden: {', '.join(hidden)}.")
+    table = Table(("effect", "chance before", "after", "shows from"), rows)
+    return Section("MISSING PHYSICS", lines, (table,), heading=True, indent=2)
 
 
 def log_power(gain: float, freedom: int, needed: float) -> tuple[float, float]:

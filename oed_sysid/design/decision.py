@@ -43,7 +43,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.card import TrialCard
-from oed_sysid.design.criteria import DOptimal, quick_inverse
+from oed_sysid.design.criteria import DOptimal, inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
 from oed_sysid.design.result import write_run
@@ -568,7 +568,7 @@ class _Outlook:
 
     def deviations(self, more: np.ndarray | float) -> np.ndarray:
         """Largest standard deviation of each goal with more information, ``(..., n_goals)``."""
-        bound = quick_inverse(self.matrix + more)
+        bound = inverse(self.matrix + more)
         parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in self.rows]
         return np.stack(parts, axis=-1)
 

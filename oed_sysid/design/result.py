@@ -222,7 +222,6 @@ class Design(_Accuracy):
         )  # fmt: skip
         starts = ", ".join(f"{value:.4g}" for value in self.start_values)
         length, every = self.experiment.duration, self.experiment.sample_time
-        told = "\n".join(missing_physics(self.misfits, self.chances))
         return Report(
             title=title or self.model.name,
             subtitle=f"Experiment {self.experiment.name!r}, criterion {self.criterion}",
@@ -248,7 +247,7 @@ class Design(_Accuracy):
                     "What to run, and what it will tell", self._remarks(), (self.accuracy(),),
                     (drawing,), indent=2,
                 ),
-                Section("Missing physics", listing=told),
+                missing_physics(self.misfits, self.chances),
                 Section("Sea-trial card", listing=self.sea_trial_card(), only="page"),
             ),
         )  # fmt: skip
@@ -302,10 +301,7 @@ class Design(_Accuracy):
         length : float, optional
             Of the vehicle, m.
         """
-        told = (
-            self._to_expect(),
-            Section("MISSING PHYSICS", missing_physics(self.misfits, self.chances), heading=True),
-        )
+        told = (self._to_expect(), missing_physics(self.misfits, self.chances))
         return TrialCard(
             self.model, self.experiment, self.trajectory, self.assurance, self.sea, self.active,
             told, length,
@@ -569,7 +565,6 @@ class Programme(_Accuracy):
         for words, (_, factor) in self.sensor_options.items():
             compared.append(f"With optional sensors {words}: information times {factor:.3g}.")
         compared += self._undetermined()
-        told = "\n".join(missing_physics(self.misfits, self.chances))
         return Report(
             title=title or self.model.name,
             subtitle=f"Programme, criterion {self.criterion}",
@@ -590,7 +585,7 @@ class Programme(_Accuracy):
                 Section("What to run", together, (self._plan(),), (drawing,), indent=2),
                 Section("Accuracy to expect", (), (self.accuracy(),), indent=2),
                 Section("What this is worth", wrap(worth, WIDTH), indent=2),
-                Section("Missing physics", listing=told),
+                missing_physics(self.misfits, self.chances),
                 Section("Compared", compared, indent=2),
             ),
         )
