@@ -32,7 +32,7 @@ is known as well,
 
 .. math:: s_i(\theta) = \sqrt{[F(\theta)^{-1}]_{ii}}, \qquad \theta \sim p(\theta)
 
-and the range that eight in ten of them stay within is stated. Beyond ``TRUSTED`` a linear bound
+and the range is stated. Beyond ``TRUSTED`` a linear bound
 under disturbance forces promises too much (calm fins with stated errors of 30 to 80 per cent
 realised 3.4 times more), so that no number is given there.
 """
@@ -58,6 +58,7 @@ from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.bound import information_of
+from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.information.noise import Levels, sea_words
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -73,10 +74,9 @@ _TAIL = 0.025
 _ROOM = 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
-# Relative error up to which a bound under disturbance forces is taken as it is.
-TRUSTED = 0.3
-# Share of the vehicles left out at either end of a range of errors.
-_OUTSIDE = 0.1
+# Relative error up to which a bound under disturbance forces is taken as it is, and a coefficient
+# counts as told: what is assumed of one of which nothing is known.
+TRUSTED = ASSUMED
 
 
 @dataclass(frozen=True)
@@ -445,7 +445,7 @@ class AccuracyRange:
     ----------
     names : tuple of str
     lowest, highest : ndarray (n,)
-        Shares of the values that eight in ten of the vehicles stay within.
+        Shares of the values.
     n_drawn : int
         Vehicles on which the runs stayed finite.
     sea : NoiseModel or None
@@ -525,7 +525,7 @@ def accuracy_range(
             f"The runs stay finite on {len(errors)} of {n_draws} vehicles only, so that no range "
             "can be stated. Make them gentler, or shorter."
         )
-    low, high = np.quantile(np.array(errors), [_OUTSIDE, 1 - _OUTSIDE], axis=0, method="nearest")
     sea = noise.noise if isinstance(noise, Fit) else noise
     kept = sea if isinstance(sea, NoiseModel) and not sea.is_white else None
+    low, high = np.min(errors, axis=0), np.max(errors, axis=0)
     return AccuracyRange(names, low, high, len(errors), kept)

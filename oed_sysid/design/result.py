@@ -24,7 +24,6 @@ from oed_sysid.design.vehicles import percent
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
-from oed_sysid.information.ranking import POOR
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.channels import Input, Output
@@ -314,11 +313,10 @@ class Design(_Accuracy):
     def _to_expect(self) -> Section:
         """Accuracy beside standard manoeuvres, and which parameters will be found."""
         lines = self._remarks()
-        usable = POOR if self.sea is None else TRUSTED
         for title, low, high in (
             (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
-            (f"Found to {usable:.0%}", _GOOD, usable),
-            ("NOT found by this run; hold at nominal values, or add runs", usable, np.inf),
+            (f"Found to {TRUSTED:.0%}", _GOOD, TRUSTED),
+            ("NOT found by this run; hold at nominal values, or add runs", TRUSTED, np.inf),
         ):
             inside = (low < self.relative_errors) & (self.relative_errors <= high)
             if names := [name for name, found in zip(self.names, inside, strict=True) if found]:

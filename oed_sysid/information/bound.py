@@ -153,7 +153,7 @@ class RunInformation:
             rows, _ = innovations.rows(play, outputs=self._outputs, changes=moved)
             return eliminated(model, rows, self._start)
         assert response is not None
-        present = response.present
+        present = play.present
         if self._outputs is not None:
             present = present & [name in self._outputs for name in model.output_names]
         jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=play.noise)

@@ -24,9 +24,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain, share
 from oed_sysid.runtime.threads import single_threaded
 
-# An error of the estimate beyond this share of the value counts as not determined.
-POOR = 0.5
-
 
 @dataclass(frozen=True)
 class Sensitivity:
