@@ -19,8 +19,10 @@ $(STAMP): pyproject.toml hatch_build.py
 	$(BIN)/python -m pip install --quiet -e ".[dev]"
 	touch $(STAMP)
 
+RUNS := problems/remus_diving_plane/data
+
 demo: setup
-	$(BIN)/python -m oed_sysid.cli.demo
+	$(BIN)/oed-sysid improve remus_diving_plane $(RUNS)/train_*.csv --validate $(RUNS)/test_*.csv --known-noise --html out/demo/report.html
 
 test: setup
 	$(BIN)/ruff check .

@@ -264,7 +264,7 @@ def digest() -> str:
     root = HERE.parent
     parts = [path for part in ("oed_sysid", "problems") for path in (root / part).rglob("*.*")]
     for path in [Path(__file__), *sorted(parts)]:
-        if path.suffix in (".py", ".c", ".csv"):
+        if path.suffix in (".py", ".c", ".csv", ".toml", ".txt"):
             said.update(path.name.encode() + path.read_bytes())
     return said.hexdigest()
 

@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from oed_sysid import load_problem
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Dataset, Record, load_problem
 
 PROBLEM = load_problem("remus_diving_plane")
 NOISE = np.array([0.02, 0.02, 0.004, 0.004, 0.03])

@@ -13,6 +13,11 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import pytest
+
+from oed_sysid.likelihood.fit import Fit
+
 FOLDER = Path(__file__).parent / "golden"
 UPDATE = os.environ.get("OED_SYSID_GOLDEN") == "update"
 # Fits without process noise, and those with it or whatever rests on several of them.
@@ -104,3 +109,23 @@ def _differences(
             yield f"{where}: {before!r} -> {now!r}"
     elif before != now:
         yield f"{where}: {before!r} -> {now!r}"
+
+
+def restored(fit: Fit, folder: Path) -> Fit:
+    """The fit that comes back from its file, in everything the one that was written."""
+    path = folder / "fit.json"
+    fit.save(path)
+    again = Fit.load(path)
+    assert again.report() == fit.report()
+    for one in ("model", "status", "purpose", "start_states", "n_unknowns", "local_values"):
+        assert getattr(again, one) == getattr(fit, one), one
+    assert np.array_equal(again.covariance, fit.covariance)
+    for first, second in zip(fit.residuals, again.residuals, strict=True):
+        assert np.array_equal(first, second, equal_nan=True)
+    assert (fit.noise and fit.noise.to_dict()) == (again.noise and again.noise.to_dict())
+    errors = [one.whole_runs.error for one in (fit, again)]
+    np.testing.assert_allclose(*errors, rtol=1e-6)
+    assert again.log_likelihood == pytest.approx(fit.log_likelihood, rel=1e-9)
+    sources = [one.sources and one.sources.agreement() for one in (fit, again)]
+    assert sources[0] == sources[1]
+    return again

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-from oed_sysid.physics import Actuator, Force, Memory, Sensor
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid import Actuator, Force, Input, Memory, Model, Output, Parameter, Sensor, State
 
 K, T = 0.08, 12.0
 NOMOTO = Model(

@@ -30,7 +30,7 @@ from app_pages import (  # noqa: F401
     typed,
 )
 
-from oed_sysid import Fit, load_problem, read_csv, write_csv
+from oed_sysid import Fit, OedSysidError, load_problem, read_csv, write_csv
 from oed_sysid.app import pages
 from oed_sysid.app.choices import likely_test, read_uploads, simulated
 from oed_sysid.app.jobs import Desk, Request
@@ -43,7 +43,6 @@ from oed_sysid.cli.options import line_of
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import TASKS
 from oed_sysid.cli.terminal import Shown
-from oed_sysid.errors import OedSysidError
 
 
 @pytest.mark.slow

@@ -1,24 +1,29 @@
-"""Every mistake that a user can make ends in a sentence that says what to do.
-
-The list is that of docs/errors.md: what was done, which error, which words.
-"""
+"""Every mistake that a user can make ends in a sentence that says what to do."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from bad_input.problem_files import REFUSED, SOUND
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid import check, diagnose, improve, simulate, turning_circle, usual_effects
-from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import DataError, ModelError, OedSysidError
+from oed_sysid.cli import BAD_INPUT, main
+from oed_sysid.data.dataset import Dataset, Record, read_csv
+from oed_sysid.errors import DataError, ModelError, OedSysidError, ProblemError
+from oed_sysid.experiments import manoeuvres as m
+from oed_sysid.experiments.definition import faults
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.problem import list_problems, load_problem
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics.channels import Output
+from oed_sysid.physics import ExtraState, Force
+from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 
@@ -274,3 +279,137 @@ def test_exact_data_with_estimated_noise_do_not_divide_by_zero() -> None:
     assert np.all(fit.sigma > 0)
     assert fit.status.ok
     assert "nan" not in fit.report()
+
+
+NAN, INF = float("nan"), float("inf")
+CHANNELS = Channels((), (Output("y", "m"),))
+SIZE = (Parameter("E", 0.0),)
+
+CASES_PARTS: dict[str, tuple[Callable[[], object], str]] = {
+    "limit NaN": (lambda: Limits(inputs={"a": (NAN, 1.0)}), "expected (lower, upper)"),
+    "limit as text": (lambda: Limits(inputs={"a": ("x", 1.0)}), "expected (lower, upper)"),
+    "limit upside down": (lambda: Limits(signals={"z": (10.0, 2.0)}), "signal 'z'"),
+    "rate of zero": (lambda: Limits(rates={"a": 0.0}), "above zero"),
+    "limit as a number": (lambda: Limits(inputs={"a": 3.0}), "expected (lower, upper)"),
+    "limits as a list": (lambda: Limits(inputs=[1.0]), "expected a mapping"),
+    "rate NaN": (lambda: Limits(rates={"a": NAN}), "above zero"),
+    "rate as text": (lambda: Limits(rates={"a": "1"}), "above zero"),
+    "duration of zero": (lambda: Experiment("a", duration=0), "several samples"),
+    "duration NaN": (lambda: Experiment("a", duration=NAN), "several samples"),
+    "duration infinite": (lambda: Experiment("a", duration=INF), "several samples"),
+    "duration as text": (lambda: Experiment("a", duration="5"), "duration '5'"),
+    "sampled more slowly than it lasts": (
+        lambda: Experiment("a", duration=5, sample_time=50),
+        "several samples",
+    ),
+    "experiment named by a number": (lambda: Experiment(5, duration=5), "Give text"),
+    "constant NaN": (lambda: Experiment("a", duration=5, constants={"r": NAN}), "'r' = nan"),
+    "constant as text": (lambda: Experiment("a", duration=5, constants={"r": "x"}), "mapping"),
+    "noise below zero": (lambda: Experiment("a", duration=5, noise={"r": -1}), "'r' = -1"),
+    "manoeuvre as text": (lambda: Experiment("a", "zigzag", duration=5), "got a str"),
+    "amplitude NaN": (lambda: m.ZigZag("r", NAN, 0.1), "amplitude nan"),
+    "table of unequal rows": (
+        lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": ([0, 1], [1])}),
+        "Table 'T'",
+    ),
+    "table that runs backwards": (
+        lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": ([1, 0], [1, 2])}),
+        "does not increase strictly",
+    ),
+    "table as a number": (
+        lambda: Force("f", {"X": "E*T(u)"}, SIZE, tables={"T": 5}),
+        "expected rows of numbers",
+    ),
+    "unit of an added state": (lambda: ExtraState("mu", "-mu", "0", "foo"), "Unknown unit 'foo'"),
+    "noise level below zero": (lambda: Output("y", "m", noise_std=-1.0), "noise_std -1.0"),
+    "noise level NaN": (lambda: Output("y", "m", noise_std=NAN), "noise_std nan"),
+    "noise level as text": (lambda: Output("y", "m", noise_std="1"), "noise_std '1'"),
+    "scale of zero": (lambda: State("y", "m", scale=0.0), "scale 0.0"),
+    "sign of zero": (lambda: Input("y", "m", sign=0.0), "sign 0.0"),
+    "times as text": (lambda: Record("a", ["x"] * 6, [], [1.0] * 6, CHANNELS), "no real numbers"),
+    "complex outputs": (lambda: Record("a", range(6), [], [1j] * 6, CHANNELS), "no real numbers"),
+    "ragged outputs": (
+        lambda: Record("a", range(6), [], [[1], [2, 3]] * 3, CHANNELS),
+        "no real numbers",
+    ),
+    "dataset of text": (lambda: Dataset(("a",)), "one of these is a str"),
+    "no path": (lambda: read_csv(None, CHANNELS), "names no files"),
+    "no channels": (lambda: read_csv("a.csv", None), "expected problem.channels"),
+}
+
+
+@pytest.mark.parametrize(("make", "words"), CASES_PARTS.values(), ids=CASES_PARTS)
+def test_refused_where_it_is_made(make: Callable[[], object], words: str) -> None:
+    """A part of the wrong kind ends in the package's own error, which says what is expected."""
+    with pytest.raises(OedSysidError) as caught:
+        make()
+    assert words in str(caught.value)
+
+
+def test_numbers_of_numpy_are_numbers() -> None:
+    """What NumPy returns is as good as Python's own numbers."""
+    parameter = Parameter("K", np.float64(0.1), "1/s", lower=np.float32(0.0), scale=np.int64(2))
+    assert parameter.magnitude == 2
+    assert Output("y", "m", noise_std=np.float64(0.1)).noise_std == 0.1
+    assert Limits(rates={"a": np.float64(0.1)}).rates == {"a": 0.1}
+
+
+def test_design_of_no_duration(capsys: pytest.CaptureFixture[str]) -> None:
+    """A duration of zero on the command line is not taken for one that was not given."""
+    assert main(["design", "remus_diving_plane", "--duration", "0"]) == BAD_INPUT
+    assert "ten samples or more" in capsys.readouterr().err
+
+
+def write(folder: Path, source: str | dict[str, str | bytes]) -> Path:
+    """Make the folder of an entry."""
+    place = folder / "ferry"
+    for name, content in ({"problem.py": source} if isinstance(source, str) else source).items():
+        target = place / name
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_bytes(content.encode() if isinstance(content, str) else content)
+    return place
+
+
+def test_sound_problem_loads(tmp_path: Path) -> None:
+    """The problem that the faulty ones are made from is without fault."""
+    problem = load_problem(write(tmp_path, SOUND))
+    assert problem.model.free_names == ("K", "T")
+    assert [effect.name for effect in problem.effects] == ["drag", "bias"]
+
+
+@pytest.mark.parametrize(
+    ("source", "words"), [one[1:] for one in REFUSED], ids=[one[0] for one in REFUSED]
+)
+def test_refused_when_loaded(
+    tmp_path: Path, source: str | dict[str, str | bytes], words: tuple[str, ...]
+) -> None:
+    """A faulty folder ends in a ProblemError that names the file and what is wrong."""
+    with pytest.raises(ProblemError) as caught:
+        load_problem(write(tmp_path, source))
+    message = str(caught.value)
+    assert "ferry" in message
+    for word in words:
+        assert word in message
+
+
+def test_a_problem_does_not_move_the_process(tmp_path: Path) -> None:
+    """What a problem does to the working folder ends with its loading."""
+    here = os.getcwd()
+    load_problem(write(tmp_path, SOUND + "import os\nos.chdir('/')\n"))
+    assert os.getcwd() == here
+
+
+@pytest.mark.parametrize("name", ["", "  ", 7, None, "a\0b"])
+def test_what_is_no_name_is_refused(name: object) -> None:
+    """Something else than a name or a folder is refused in words."""
+    with pytest.raises(ProblemError):
+        load_problem(name)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("name", list_problems())
+def test_shipped_problems_are_sound(name: str) -> None:
+    """No shipped problem has an error of dimension, or a candidate that is there at zero."""
+    problem = load_problem(name)
+    for one in (problem, *problem.others.values()):
+        assert faults(one.name, one.models, one.effects) == ()
+    assert problem.notes() == ()  # their numbers have no units of their own

@@ -14,7 +14,7 @@ import pytest
 from oed_sysid import load_problem
 from oed_sysid.errors import ModelError, ProblemError
 from oed_sysid.testing import check_problem
-from oed_sysid.text.dimensions import Deduction, Form, dimension_of
+from oed_sysid.text.dimensions import Deduction, dimension_of
 from oed_sysid.text.units import Dimension, dimension
 
 HEAD = "from oed_sysid import Force, Input, Model, Output, Parameter, Problem, Sensor, State\n"
@@ -250,11 +250,11 @@ def test_contract_prints_notes(tmp_path: Path, capsys: pytest.CaptureFixture[str
 def test_notes_of_an_expression(text: str, notes: tuple[str, ...]) -> None:
     """A number is named where only a unit makes it fit, and not where none is needed."""
     units = {"w": "m/s", "q": "rad/s", "theta": "rad", "h": "m"}
-    known = {name: Form(dimension(unit)) for name, unit in units.items()}
+    known = {name: dimension(unit) for name, unit in units.items()}
     found = Deduction()
     form = found.form(text, known, where="here")
     if form is not None:
-        assert found.equal(form, Form(dimension("m/s")))
+        assert found.equal(form, dimension("m/s"))
     said = [line.removeprefix("here: ").removesuffix(".") for line in found.notes()]
     assert [line.replace("-", "") for line in said] == list(notes)
 
@@ -313,14 +313,14 @@ def draw(rng: np.random.Generator, unit: Dimension, depth: int) -> str:
 def test_whatever_can_be_right_loads(seed: int) -> None:
     """Expressions drawn with a unit in mind have a solution, whichever of their units is stated."""
     rng = np.random.default_rng(seed)
-    known = {name: Form(dimension(unit)) for name, unit in UNITS.items()}
+    known = {name: dimension(unit) for name, unit in UNITS.items()}
     for _ in range(60):
         unit = dimension(str(rng.choice(list(UNITS.values()))))
         text = draw(rng, unit, int(rng.integers(1, 5)))
         stated = {n: form if rng.random() < 0.8 else None for n, form in known.items()}
         units = Deduction()
         form = units.form(text, stated)
-        assert form is None or units.equal(form, Form(unit)), text
+        assert form is None or units.equal(form, unit), text
 
 
 @pytest.mark.parametrize("seed", range(3))

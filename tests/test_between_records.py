@@ -6,12 +6,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from golden_files import restored
 from turning_ship import GAIN, NOISE, SHIP, TIME, record
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, jackknife, turning_circle
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.between_records import RecordScatter, record_scatter
+from oed_sysid.likelihood.between_records import record_scatter
 
 WHITE = MultipleShooting(disturbances="none")
 
@@ -174,11 +175,7 @@ def test_errors_between_records_can_be_taken_along(fit: Fit, tmp_path: Path) -> 
     honest = fit.with_record_errors()
     assert honest.std_errors == pytest.approx(fit.record_errors)
     assert honest.values == fit.values
-    fit.save(tmp_path / "fit.json")
-    again = Fit.load(tmp_path / "fit.json")
-    assert isinstance(again.record_scatter, RecordScatter)
-    assert again.record_errors == fit.record_errors
-    assert again.report() == fit.report()
+    assert restored(fit, tmp_path).record_errors == fit.record_errors
 
 
 def test_what_is_predicted_carries_the_caveat(fit: Fit, differing: Dataset) -> None:

@@ -9,30 +9,18 @@ import numpy as np
 import pytest
 
 from benchmarks.compatibility import DIVER, SHIP, Vehicle, log, motions
-from oed_sysid import (
-    Dataset,
-    Force,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    State,
-    check,
-    load_problem,
-    quick_check,
-    read_csv,
-    simulate,
-    write_csv,
-)
 from oed_sysid.cli import main
+from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
-from oed_sysid.evidence.check import corrected_copies, why_not_more
+from oed_sysid.evidence.check import check, corrected_copies, quick_check, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, deviations, screen, screened, steps, weights
 from oed_sysid.evidence.traces import Trace
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.experiments.problem import load_problem
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.physics import (
+    Force,
     actuator_lag,
     actuator_offset,
     backlash,
@@ -41,6 +29,9 @@ from oed_sysid.physics import (
     rate_limit,
     steady_wind,
 )
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 TIMES = np.arange(800) * 0.1
 

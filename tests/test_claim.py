@@ -1,4 +1,4 @@
-"""The one claim: its statistic, its threshold, whole runs, bounds, groups."""
+"""The one claim and the filter that serves it: statistic, threshold, bounds, groups."""
 
 from __future__ import annotations
 
@@ -7,10 +7,11 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from scipy.stats import chi2
-from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
+from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
-from oed_sysid import Force, Parameter, improve
+from oed_sysid.errors import DataError
 from oed_sysid.evidence.claim import (
     FALSE_CLAIMS,
     RISE,
@@ -18,10 +19,19 @@ from oed_sysid.evidence.claim import (
     Claim,
     at_bounds,
     claim,
-    threshold,
+    independent_share,
 )
-from oed_sysid.evidence.rank import rank
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.rank import rank, threshold
+from oed_sysid.evidence.score import two_sided
 from oed_sysid.evidence.study import Study
+from oed_sysid.likelihood.disturbances import disturbed_equations
+from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.smoother import Path
+from oed_sysid.physics import Force, sensor_bias
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import POLYNOMIAL
 
 BIASED = Force("push", {"r": "E_push"}, (Parameter("E_push", 0.0, "rad/s^2", scale=0.01),))
@@ -88,6 +98,21 @@ def test_prediction_of_validation_records_is_laplaces_approximation() -> None:
     # An absent effect: validation records lose about what its uncertainty costs.
     assert -10.0 < one.validation < 5.0
     assert not one.stands
+
+
+def test_correlated_innovations_count_as_fewer_where_no_process_noise_explains_them() -> None:
+    """All samples count where the model is right or process noise acts; else the independent."""
+    right, lacking = dataset(3), dataset(11, -15.0)
+    shares = {}
+    for name, train, forces in (
+        ("right", right, "none"),
+        ("lacking", lacking, "none"),
+        ("disturbed", lacking, "auto"),
+    ):
+        study, base = Study.begin(SHIP, train, None, [], known_noise=True, disturbances=forces)
+        shares[name] = independent_share(study, base)
+    assert shares["right"] == shares["disturbed"] == 1.0
+    assert 0.0 < shares["lacking"] < 0.5
 
 
 def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound_goes_on() -> None:
@@ -161,3 +186,101 @@ def test_pair_that_hides_each_other_is_found_together() -> None:
     assert found
     assert "cubic_damping" in found[0].name
     assert found[0].gain > ranking.refits[0].gain - 0.5
+
+
+N3 = -15.0
+
+
+def flow(state: np.ndarray, rudder: float, push: float) -> np.ndarray:
+    """Heading and yaw rate one sample later."""
+
+    def rate(t: float, x: np.ndarray) -> np.ndarray:
+        return rates(x, rudder, N3) + np.array([0.0, push])
+
+    return solve_ivp(rate, (0.0, SAMPLE), state, rtol=1e-11, atol=1e-13).y[:, -1]
+
+
+def test_moves_of_the_filter_are_derivatives_of_the_step() -> None:
+    """Transition and force gain equal central differences of a tight adaptive integrator."""
+    data = dataset(0, N3, 1)
+    model = (SHIP + CUBIC).with_values({"K": 0.5, "T": 4.0, "n3": N3})
+    nothing = np.zeros(2, dtype=bool)
+    noise = NoiseModel(NOISE, np.zeros(2), np.array([1e-3]), 1.0, 2.0, ("psi", "r"), ("force r",))
+    levels = Levels.of(
+        noise, noise, ["disturbance_force_r"], white=nothing, colour=nothing, force=nothing[:1]
+    )
+    problem = Filtered(model, data, levels)
+    unknowns = problem.point([data[0].outputs[0]]).unknowns
+    part = problem.passes(unknowns, columns=False, gains=True, moves=True)[0]
+    path = Path.of(part)
+    assert part.moves is not None
+    size = 1e-4
+    for k in (10, 77, 150, 280):
+        state, push = part.path[k, :2], part.path[k, 2]
+        rudder = float(data[0].inputs[k, 0])
+        for column in range(2):
+            move = size * np.eye(2)[column]
+            ends = [flow(state + sign * move, rudder, push) for sign in (1, -1)]
+            slope = (ends[0] - ends[1]) / (2 * size)
+            np.testing.assert_allclose(part.moves[k, :2, column], slope, atol=1e-5)
+        ends = [flow(state, rudder, push + sign * size) for sign in (1, -1)]
+        np.testing.assert_allclose(
+            path.drive[k, :2, 0], (ends[0] - ends[1]) / (2 * size), atol=1e-5
+        )
+    np.testing.assert_allclose(part.gains[3, :, 0, :2], np.eye(2), atol=1e-12)  # type: ignore[index]
+
+
+def test_only_equations_with_parameters_are_disturbed() -> None:
+    """Heading is the integral of yaw rate by definition; yaw acceleration may lack physics."""
+    assert disturbed_equations(SHIP) == ("r",)
+
+
+def test_sub_models_of_a_study_are_the_models_themselves() -> None:
+    """On the filter of all candidates each model has the likelihood it has on its own."""
+    data = dataset(1, N3, 1)
+    study, fit = Study.begin(SHIP, data, None, CANDIDATES, known_noise=False)
+    assert study.skipped == ()
+    levels = study.levels(fit.noise, data)
+    for effects in ((), study.candidates[:1], study.candidates[::-1]):
+        through = study.problem(effects, fit.values, levels, data)
+        alone = Filtered(through.model, data, levels)
+        point = through.point(fit.initial)
+        assert through.layout.free_names == alone.layout.free_names
+        value = alone.objective(point.unknowns)
+        assert through.objective(point.unknowns) == pytest.approx(value, rel=1e-9)
+        matrix, right = through.gathered(point.unknowns, through.passes(point.unknowns))
+        own_matrix, own_right = alone.gathered(point.unknowns, alone.passes(point.unknowns))
+        np.testing.assert_allclose(matrix, own_matrix, rtol=1e-7, atol=1e-9 * own_matrix.max())
+        size = np.sqrt(np.diag(own_matrix))
+        np.testing.assert_allclose(right / size, own_right / size, atol=1e-6)
+
+
+def test_a_candidate_that_does_not_fit_is_left_out() -> None:
+    """A candidate on signals that the model lacks is skipped and named."""
+    candidates = (*CANDIDATES, sensor_bias("bias_depth", "z", "m", scale=0.1))
+    study, _ = Study.begin(SHIP, dataset(1, N3, 1), None, candidates, known_noise=True)
+    assert study.skipped == ("bias_depth",)
+    assert [effect.name for effect in study.candidates] == [e.name for e in CANDIDATES]
+    assert [two_sided(effect) for effect in study.candidates] == [True, True, False, True]
+
+
+def test_known_noise_has_to_be_declared() -> None:
+    """Levels that nobody declared cannot be taken as known, and the outputs are named."""
+    from yaw_vehicle import yaw_data, yaw_model
+
+    with pytest.raises(DataError, match="psi, r"):
+        Study.begin(yaw_model(), yaw_data(), None, [CUBIC], known_noise=True)
+
+
+def test_validation_prefers_the_true_structure() -> None:
+    """Records that were not fitted are likelier under the model with the hidden damping."""
+    train, other = dataset(11, N3), dataset(12, N3)
+    study, fit = Study.begin(SHIP, train, other, CANDIDATES, known_noise=False)
+    right = study.estimate(study.candidates[:1], fit.values, fit, max_iterations=25)
+    wrong = study.estimate(study.candidates[1:2], fit.values, fit, max_iterations=25)
+    assert right is not None
+    assert wrong is not None
+    assert study.validate(fit) - study.validate(right) > 50.0
+    assert study.validate(wrong) - study.validate(right) > 50.0
+    np.testing.assert_allclose(study.rms(right, other), NOISE, rtol=0.12)
+    assert np.all(study.rms(fit, other) > 1.3 * study.rms(right, other))

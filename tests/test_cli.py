@@ -12,13 +12,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Fit, load_problem, write_csv
+from oed_sysid import Fit, load_problem, new_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main
 from oed_sysid.cli.arguments import spread
 from oed_sysid.cli.terminal import answer
 from oed_sysid.errors import FileError, ProblemError
-from oed_sysid.experiments.problem import new_problem
-from oed_sysid.experiments.simulation import simulate
 from oed_sysid.runtime.files import check_place, make_folder, write_text
 
 NOMOTO = """
@@ -277,12 +275,6 @@ def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return good, bad
 
 
-def test_good_logs_exit_0(logs, capsys) -> None:  # type: ignore[no-untyped-def]
-    """Logs that agree end well and say so."""
-    assert main(["check", "remus_diving_plane", str(logs[0])]) == 0
-    assert "agree with each other" in capsys.readouterr().out
-
-
 def test_suspect_logs_exit_1_with_report_page_and_copies(logs, tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
     """A wrong sign ends with 1, names the line, and its corrected copies pass."""
     plain, page, fixed = tmp_path / "check.json", tmp_path / "check.html", tmp_path / "fixed"
@@ -305,19 +297,6 @@ def test_copies_never_overwrite_the_records(logs, capsys) -> None:  # type: igno
     assert main(command) == 2
     assert "overwrite" in capsys.readouterr().err
     assert sorted((p.name, p.read_bytes()) for p in logs[1].iterdir()) == before
-
-
-def test_public_names() -> None:
-    """`check` and `quick_check` are at the top of the package and take a dataset and a model."""
-    import oed_sysid
-
-    problem = load_problem("remus_diving_plane")
-    record = simulate(
-        problem.model, problem.experiments["zigzag_5_5"], rng=np.random.default_rng(1)
-    )
-    data = Dataset((record,))
-    assert oed_sysid.quick_check(data, problem.model).ok
-    assert oed_sysid.check(data, problem, inputs=False).ok
 
 
 @pytest.mark.parametrize(

@@ -1,14 +1,15 @@
-"""The command that designs the next experiment, on a folder as `oed-sysid new` writes it."""
+"""The commands that design, plan, judge and improve, on a folder of `oed-sysid new`."""
 
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from oed_sysid import Limits, load_problem
+from oed_sysid import Experiment, Limits, load_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.cli.limit_words import with_limits
 from oed_sysid.errors import DesignError
@@ -134,3 +135,228 @@ def test_files_for_those_on_board(ship: Path, tmp_path: Path) -> None:
     assert table[:, 1].min() >= 1100
     assert table[:, 1].max() <= 1900
     assert (bag / "metadata.yaml").is_file()
+
+
+def test_programme_is_planned_and_written(ship: Path, tmp_path: Path, capsys) -> None:
+    """Runs, hours and limits in words of the trade are kept; tables, page and JSON are written."""
+    stored, page, runs = tmp_path / "p.json", tmp_path / "p.html", tmp_path / "runs"
+    arguments = ["programme", str(ship), "--runs", "3", "--hours", "1", "--sea", "calm,time=8"]
+    arguments += ["--patterns", "zigzag_10_10", "--duration", "90", "--max-rudder", "15"]
+    arguments += ["--rounds", "0", "--uncertainty", "0.1", "--out", str(runs)]
+    assert main([*arguments, "--json", str(stored), "--html", str(page)]) == DONE
+    said = capsys.readouterr()
+    first = said.out.splitlines()[0]
+    found = json.loads(stored.read_text())
+    assert f"{len(found['runs'])} runs, {found['hours']:.3g} h: " in first
+    assert "limits on" in first or "no limit on the motion" in first
+    assert "ship time" in said.out.replace("\n", " ")
+    assert "Disturbance forces:" in said.err
+    found = json.loads(stored.read_text())
+    assert 1 <= len(found["runs"]) <= 3
+    assert found["hours"] <= 1.0 + 1e-9
+    assert found["gap"] <= 2e-3
+    assert found["value"] <= found["bound"] + 1e-9
+    assert all(p["relative_error"] < 0.5 for p in found["parameters"])
+    tables = sorted(runs.glob("*.csv"))
+    assert len(tables) == len(found["runs"])
+    for table in tables:
+        rudder = np.genfromtxt(table, delimiter=",", names=True)["rudder_rad"]
+        assert np.abs(rudder).max() <= np.radians(15) * (1 + 1e-6)
+    assert "What to run" in page.read_text(encoding="utf-8")
+
+
+def test_campaign_goes_on_until_enough_is_known(ship: Path, tmp_path: Path, capsys) -> None:
+    """Begun, broken off and resumed, it proposes runs that a hidden ship does, then stops."""
+    folder, stored = tmp_path / "trial", tmp_path / "d.json"
+    begin = ["campaign", str(folder), "--problem", str(ship), "--goal", "all=3", "--hours", "5"]
+    begin += ["--patterns", "zigzag_10_10", "--duration", "90", "--uncertainty", "0.1"]
+    assert main([*begin, "--json", str(stored)]) == DONE
+    assert json.loads(stored.read_text())["action"] == "go on"
+    assert main(begin) == BAD_INPUT
+    problem = load_problem(ship)
+    truth = problem.model.with_values(
+        {p.name: 1.08 * p.value for p in problem.model.free_parameters}
+    )
+    rng = np.random.default_rng(0)
+    actions = []
+    for number in range(4):
+        journal = json.loads((folder / "journal.json").read_text())
+        proposed = next(
+            one["experiment"]
+            for one in journal["candidates"]
+            if one["experiment"]["name"] == journal["proposed"]
+        )
+        experiment = replace(Experiment.from_dict(proposed), limits=Limits())
+        log = tmp_path / f"log_{number}.csv"
+        write_csv(simulate(truth, experiment, rng=rng), log)
+        arguments = ["campaign", str(folder), "--record", str(log), "--json", str(stored)]
+        assert main(arguments) == DONE
+        decision = json.loads(stored.read_text())
+        actions.append(decision["action"])
+        assert decision["seconds"] < 20
+        if decision["action"] != "go on":
+            break
+    assert actions[-1] == "enough"
+    lines = capsys.readouterr().out.splitlines()
+    assert any(line.startswith("GO ON: ") and " next (" in line for line in lines)
+    assert any(
+        line.startswith(f"STOP after {len(actions)} run") and "everything" in line for line in lines
+    )
+    assert all(one["now"] <= 0.03 for one in decision["goals"])
+    # Asked again without a new log, the answer is the same; the same log twice is refused.
+    assert main(["campaign", str(folder), "--json", str(stored)]) == DONE
+    assert json.loads(stored.read_text())["action"] == "enough"
+    assert main(["campaign", str(folder), "--record", str(log)]) == BAD_INPUT
+    assert len(json.loads((folder / "journal.json").read_text())["records"]) == len(actions)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["programme", "{ship}"], "--hours and --runs"),
+        (["programme", "{ship}", "--runs", "2", "--sea", "wild"], "Say still"),
+        (["programme", "{ship}", "--runs", "2", "--criterion", "Q"], "Choose one of D, A"),
+        (["programme", "{ship}", "--runs", "2", "--sensor", "r"], "write NAME=NUMBER"),
+        (["campaign", "{folder}"], "Begin one with --problem"),
+        (["campaign", "{folder}", "--problem", "{ship}", "--goal", "all=x"], "write NAME=NUMBER"),
+    ],
+)
+def test_what_is_missing_is_named(
+    arguments: list[str], words: str, ship: Path, tmp_path: Path, capsys
+) -> None:
+    """A wrong choice is answered with the right ones."""
+    filled = [one.format(ship=ship, folder=tmp_path / "trial") for one in arguments]
+    if filled[0] == "programme":
+        filled += ["--patterns", "zigzag_10_10", "--duration", "60", "--rounds", "0"]
+    assert main(filled) == BAD_INPUT
+    assert words in capsys.readouterr().err
+
+
+HIDDEN = "yaw_quadratic_damping"
+
+
+def split(ship: Path) -> list[str]:
+    """Command line that learns from the zigzags and judges with the circle."""
+    data = ship / "data"
+    zigzags = [str(data / f"zigzag_{angle}.csv") for angle in ("10_10", "20_20")]
+    return [*zigzags, "--validate", str(data / "turning_circle.csv")]
+
+
+@pytest.fixture(name="improved", scope="module")
+def _improved(ship: Path, tmp_path_factory) -> tuple[dict, str]:
+    """What `improve` stores and the report that it writes."""
+    place = tmp_path_factory.mktemp("improved")
+    files = ["--json", str(place / "out.json"), "--html", str(place / "out.html")]
+    assert main(["improve", str(ship), *split(ship), "--known-noise", *files]) == DONE
+    stored = json.loads((place / "out.json").read_text())
+    return stored, (place / "out.html").read_text(encoding="utf-8")
+
+
+def test_improve_finds_what_was_hidden(improved: tuple[dict, str]) -> None:
+    """The hidden effect is added, and the error on the validation circle falls to the noise."""
+    stored, _ = improved
+    assert stored["verdict"] == "missing"
+    assert [step["added"] for step in stored["steps"]] == [HIDDEN]
+    assert stored["base_error"]["test"] > 3.0
+    assert stored["final_error"]["test"] == pytest.approx(1.0, abs=0.1)
+    assert stored["ranking"][0]["effect"] == HIDDEN
+    (amplitude,) = [one for one in stored["parameters"] if one["name"] == "E_yaw"]
+    assert abs(amplitude["value"] - 1.5) < 4 * amplitude["std_error"]
+
+
+def test_improve_without_untouched_records_makes_no_claim_on_them(ship: Path, tmp_path) -> None:
+    """Without --validate the search still runs; errors on validation records are absent."""
+    given = split(ship)
+    stored = tmp_path / "out.json"
+    arguments = ["improve", str(ship), *given[: given.index("--validate")], "--json", str(stored)]
+    assert main(arguments) == DONE
+    assert json.loads(stored.read_text())["final_error"]["test"] is None
+
+
+@pytest.mark.slow
+def test_improve_without_listed_candidates(ship: Path, tmp_path: Path) -> None:
+    """A problem that lists no candidate effects gets usual ones, and what is hidden is found."""
+    bare = tmp_path / "bare"
+    bare.mkdir()
+    text = (ship / "problem.py").read_text().replace("    effects=effects,\n", "")
+    text = text.replace(', "E_yaw": 1.5', "")
+    (bare / "problem.py").write_text(text)
+    stored = tmp_path / "found.json"
+    assert main(["improve", str(bare), *split(ship), "--json", str(stored)]) == DONE
+    found = json.loads(stored.read_text())
+    assert [step["added"] for step in found["steps"]] == ["quadratic_r_r"]
+    assert found["final_error"]["test"] < 1.2 < 100 < found["base_error"]["test"]
+    # The names are known to what comes next.
+    compared = tmp_path / "compare.json"
+    arguments = ["compare", str(bare), *split(ship), "--with", "quadratic_r_r", "--json"]
+    assert main([*arguments, str(compared)]) == DONE
+    models = {one["label"]: one for one in json.loads(compared.read_text())["models"]}
+    assert models["with quadratic_r_r"]["relative"] < 1.2 < models["nominal"]["relative"]
+
+
+def test_compare_judges_models_on_untouched_records(ship: Path, tmp_path: Path, capsys) -> None:
+    """The nominal model misses the circle; with the right effect only noise is left."""
+    stored = tmp_path / "compare.json"
+    page = tmp_path / "compare.html"
+    extra = [
+        "--with",
+        HIDDEN,
+        f"rudder_offset+{HIDDEN}",
+        "--json",
+        str(stored),
+        "--html",
+        str(page),
+    ]
+    assert main(["compare", str(ship), *split(ship), *extra]) == DONE
+    models = {one["label"]: one for one in json.loads(stored.read_text())["models"]}
+    assert models["nominal"]["relative"] > 3.0
+    assert models[f"with {HIDDEN}"]["relative"] < 1.1
+    assert models[f"with rudder_offset and {HIDDEN}"]["relative"] < 1.2
+    assert f"Closest: with {HIDDEN}" in capsys.readouterr().out
+    assert "turning_circle" in page.read_text(encoding="utf-8")
+
+
+def test_compare_refuses_an_unknown_candidate(ship: Path, capsys) -> None:
+    """A misspelt candidate is answered with the nearest one."""
+    arguments = ["compare", str(ship), *split(ship), "--with", "yaw_quadratic_dampin"]
+    assert main(arguments) == BAD_INPUT
+    assert f"Did you mean {HIDDEN!r}?" in capsys.readouterr().err
+
+
+def test_saved_fit_and_report_of_a_fit(ship: Path, tmp_path: Path) -> None:
+    """--save keeps a fit that loads again, --html writes its report."""
+    from oed_sysid import Fit
+
+    page, saved = tmp_path / "a" / "fit.html", tmp_path / "b" / "fit.json"
+    arguments = ["fit", str(ship), str(ship / "data"), "--html", str(page), "--save", str(saved)]
+    assert main(arguments) == DONE
+    assert "K" in Fit.load(saved).values
+    assert page.read_text(encoding="utf-8").startswith("<!doctype html>")
+
+
+def test_report_of_a_saved_fit_predicts_other_records(ship: Path, tmp_path: Path, capsys) -> None:
+    """`report` needs nothing but the saved fit, and adds the records it is shown."""
+    saved, page = tmp_path / "fit.json", tmp_path / "fit.html"
+    zigzag, circle = (
+        str(ship / "data" / f"{name}.csv") for name in ("zigzag_10_10", "turning_circle")
+    )
+    assert main(["fit", str(ship), zigzag, "--save", str(saved)]) == DONE
+    capsys.readouterr()
+    assert main(["report", str(saved), "--validate", circle, "--out", str(page)]) == DONE
+    assert "heading deviates" in capsys.readouterr().out
+    text = page.read_text(encoding="utf-8")
+    assert "zigzag_10_10" in text
+    assert "turning_circle" in text
+    assert main(["report", str(tmp_path / "missing.json")]) == BAD_INPUT
+    assert main(["report", zigzag]) == BAD_INPUT
+
+
+def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, capsys) -> None:
+    """`diagnose` names the candidate from the training records alone, on paper and page."""
+    given = split(ship)
+    stored, page = tmp_path / "look.json", tmp_path / "look.html"
+    files = ["--json", str(stored), "--html", str(page), "--known-noise"]
+    assert main(["diagnose", str(ship), *given[: given.index("--validate")], *files]) == DONE
+    assert json.loads(stored.read_text())["best"] == HIDDEN
+    assert HIDDEN in capsys.readouterr().out
+    assert f"lacks {HIDDEN}" in page.read_text(encoding="utf-8")

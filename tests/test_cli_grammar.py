@@ -12,16 +12,14 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 import typer
 from test_walks import mapping_of, write_log
 
-from oed_sysid import new_problem
+from oed_sysid import list_problems, new_problem
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.cli.application import app
 from oed_sysid.cli.terminal import Shown
-from oed_sysid.experiments.problem import list_problems
 from oed_sysid.likelihood.gauss_newton import Progress
 
 PROBLEM = "remus_diving_plane"
@@ -304,12 +302,15 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
 
 def test_rounds_bound_the_time_of_a_search() -> None:
     """After a round of 7 s a search of at most four has at most three such rounds left."""
-    from oed_sysid.cli.tasks import Rounds
+    from oed_sysid.cli.tasks import _round
 
-    rounds = Rounds(4)
-    assert rounds.left(1, 10.0) is None
-    assert rounds.left(2, 17.0) == pytest.approx(21.0)
-    assert np.isclose(rounds.left(3, 20.0), 14.0)
+    now = [10.0]
+    show = Shown("Ranking", clock=lambda: now[0])
+    _round(show, 4, "ranking, round 1")
+    assert show.remaining == ""
+    now[0] = 17.0
+    _round(show, 4, "ranking, round 2")
+    assert show.remaining == "at most 21 s left"
 
 
 def test_closed_pipe_is_no_failure(tmp_path: Path) -> None:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.prediction.closed_loop import CourseControl, ZigzagControl, closed_loop
 
 STEP = 0.5

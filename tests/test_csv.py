@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 from bad_input.csv_files import CHANNELS, GOOD, NOTED, READ, REFUSED
 
+from oed_sysid import Channels, Input, Output, Record, load_problem, read_csv
 from oed_sysid.cli import BAD_INPUT, DONE, main
-from oed_sysid.data.dataset import Record, read_csv
 from oed_sysid.data.record import closest
 from oed_sysid.errors import DataError, ProblemError, UnitWarning
-from oed_sysid.experiments.problem import load_problem
-from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text import csv_table
 from oed_sysid.text.csv_table import Table, read_table, write_table
 
@@ -351,13 +349,6 @@ def test_clocks_give_the_same_times(tmp_path: Path) -> None:
         np.testing.assert_allclose(record.times, good.times, atol=1e-6)
 
 
-def test_catalogue_is_large_enough() -> None:
-    """At least a hundred files are refused, and every one of them is another file."""
-    contents = [one[1] for one in (*REFUSED, *NOTED)]
-    assert len(REFUSED) >= 100
-    assert len({c if isinstance(c, bytes) else c.encode() for c in contents}) == len(contents)
-
-
 def test_page_of_errors_is_current() -> None:
     """docs/errors.md holds every kind of the catalogues, and of files the very messages."""
     from bad_input.problem_files import REFUSED as FOLDERS
@@ -369,3 +360,23 @@ def test_page_of_errors_is_current() -> None:
     assert rows in page, "run: python -m benchmarks.bad_input --write"
     for kind, _, _ in FOLDERS:
         assert f"| {kind} |" in page
+
+
+@pytest.mark.parametrize("marks", [",.", ";,"], ids=["point", "comma"])
+def test_fast_reader_gives_the_digits_of_the_other(tmp_path, monkeypatch, marks: str) -> None:
+    """Many rows, with gaps and words for gaps, are the same bits with and without pyarrow."""
+    rng = np.random.default_rng(0)
+    values = rng.standard_normal((40_000, 3)) * 10.0 ** rng.integers(-300, 300, (40_000, 3))
+    texts = np.array([repr(value) for value in values.ravel().tolist()]).reshape(values.shape)
+    texts[rng.random(texts.shape) < 0.01] = ""
+    texts[-5:, 2] = "NaN"
+    lines = [f"{0.1 * k:.1f},{','.join(row)}" for k, row in enumerate(texts)]
+    text = "\n".join(["t [s],u [m/s],v [m/s],w [m/s]", *lines, ""])
+    file = tmp_path / "long.csv"
+    file.write_text(text.translate(str.maketrans(",.", ";,")) if marks == ";," else text)
+    pytest.importorskip("pyarrow")
+    quick = csv_table.read_table(file)
+    monkeypatch.setattr(csv_table, "_arrow", lambda: None)
+    assert np.array_equal(quick.values, csv_table.read_table(file).values, equal_nan=True)
+    kept = np.array([float(text or "nan") for text in texts.ravel()]).reshape(texts.shape)
+    assert np.array_equal(quick.values[:, 1:], kept, equal_nan=True)

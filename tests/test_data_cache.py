@@ -152,7 +152,7 @@ def test_unknown_name_gets_the_nearest() -> None:
     with pytest.raises(DataError, match=r"Did you mean 'silverbox/multisine\.csv'"):
         data_cache.fetch("silverbox/multisin.csv")
     with pytest.raises(DataError, match="no registered data file"):
-        data_cache.fetch_all("nothing/")
+        data_cache.fetch("nothing/")
 
 
 def test_registry_is_complete() -> None:

@@ -7,21 +7,8 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 
-from oed_sysid import (
-    Dataset,
-    Experiment,
-    Fit,
-    Force,
-    Input,
-    Limits,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    State,
-    read_csv,
-)
 from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.design import (
     Design,
     Discriminate,
@@ -34,19 +21,25 @@ from oed_sysid.design import (
     Pulses,
     Robust,
     Search,
-    Setting,
     Trial,
     ZigZags,
     design_experiment,
 )
-from oed_sysid.design.criteria import eliminate
+from oed_sysid.design.criteria import Setting, eliminate
 from oed_sysid.design.objective import Objective, VehicleInformation
 from oed_sysid.design.vehicles import LimitBounds
 from oed_sysid.errors import DesignError
+from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.experiment import Experiment as Plan
 from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import information_of, noise_of
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.physics import Force
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 LIMITS = Limits(
     inputs={"rudder": (-0.35, 0.35)}, rates={"rudder": 0.2}, signals={"psi": (-0.6, 0.6)}

@@ -22,14 +22,12 @@ from vehicles import (
     ship,
 )
 
+from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, Sensor, State
 from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics import (
-    Actuator,
     Effect,
-    Force,
-    Sensor,
     bouc_wen_hysteresis,
     coulomb_friction,
     dahl_friction,
@@ -38,9 +36,6 @@ from oed_sysid.physics import (
     steady_wind,
     table_from_csv,
 )
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_effect
 from oed_sysid.text import expressions
 

@@ -7,17 +7,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from oed_sysid import (
-    Dataset,
-    Experiment,
-    Force,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    State,
-    load_problem,
-)
 from oed_sysid.baselines import (
     CovarianceMatrixAdaptation,
     DifferentialEvolution,
@@ -30,19 +19,24 @@ from oed_sysid.baselines import (
     OutputError,
     ParticleSwarm,
     SupportVectorRegression,
-    TotalLeastSquares,
 )
 from oed_sysid.baselines.benchmark import load_scenario
+from oed_sysid.baselines.least_squares import TotalLeastSquares
 from oed_sysid.baselines.online import KalmanStream
-from oed_sysid.data.record import Record
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
+from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Multisine
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.multistart import Multistart
 from oed_sysid.likelihood.noise_levels import credible_levels, noise_floor, white_levels
-from oed_sysid.physics.channels import Channels
+from oed_sysid.physics import Force
+from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_estimator
 
 YAW = Model(

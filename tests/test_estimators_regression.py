@@ -1,8 +1,10 @@
-"""Regressions on the equations of motion: form, derivatives, published error tables."""
+"""Regressions on the equations of motion: batch, online, in the frequency domain."""
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -12,35 +14,32 @@ from test_estimators import YAW as DAMPED_YAW
 
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.auv import exact_errors
-from oed_sysid import (
-    Dataset,
-    Experiment,
-    Force,
-    Input,
-    Model,
-    Output,
-    Parameter,
-    State,
-    load_problem,
+from oed_sysid.baselines import (
+    EquationError,
+    EquationStream,
+    IncrementalLSSVM,
+    LeastSquaresSVM,
+    OnlineRegression,
+    RecursiveLeastSquares,
+    RecursiveLSSVM,
+    SupportVectorRegression,
 )
-from oed_sysid.baselines import EquationError, LeastSquaresSVM, SupportVectorRegression
-from oed_sysid.baselines.equations import (
-    exact_rates,
-    local_cubic,
-    regression_form,
-    rows_of,
-)
-from oed_sysid.baselines.least_squares import (
-    TotalLeastSquares,
-    generalised_tls,
-    is_linear,
-)
+from oed_sysid.baselines.equations import exact_rates, local_cubic, regression_form, rows_of
+from oed_sysid.baselines.fourier import FourierRegression, FourierStream
+from oed_sysid.baselines.least_squares import TotalLeastSquares, generalised_tls
 from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.support_vectors import GaussianKernel, train
-from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.manoeuvres import Doublet
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DataError, ModelError, PrecisionWarning
+from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.physics import Actuator, Memory, Sensor
+from oed_sysid.physics import Actuator, Force, Memory, Sensor
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.testing import check_estimator
 
 AUV = load_problem("auv_diving_plane")
 RECORD = simulate(AUV.model, AUV.experiment("zigzag_5_5"), noise=False)
@@ -158,7 +157,6 @@ def test_nonlinear_parameters_are_named() -> None:
     """K/T in the kinematics is refused, with the way to write it, and accepted as an inertia."""
     with pytest.raises(ModelError, match=r"not linear in K, T.*equation of r.*inertia"):
         regression_form(NOMOTO)
-    assert not is_linear(NOMOTO)
     assert regression_form(NOMOTO.fix("T")).names == ("K",)
     assert regression_form(YAW).names == ("T", "K")
 
@@ -307,3 +305,370 @@ def test_missing_library_says_which_extra_to_install() -> None:
     """An optional library that is absent is reported with the command that installs it."""
     with pytest.raises(ModelError, match=r"pip install 'oed-sysid\[baselines\]'"):
         optional("no_such_library_anywhere", "nothing", wanted_by="A test")
+
+
+TANKER = load_problem("online_ship")
+ZIGZAG = simulate(TANKER.model, TANKER.experiment("zigzag_5_5"), noise=False)
+SCRIPT_ONLINE = paper("online_ship")
+FEATURES, TARGETS = SCRIPT_ONLINE.yaw_rows()
+
+
+def gap(first: np.ndarray, second: np.ndarray) -> float:
+    """Relative difference of two vectors."""
+    return float(np.linalg.norm(first - second) / np.linalg.norm(second))
+
+
+@pytest.mark.parametrize(
+    ("method", "noise", "weight", "limit"),
+    [
+        ("cholesky", 0.0, 3e5, 1e-11),
+        ("cholesky", 0.01, 3e5, 1e-11),
+        ("inverse", 0.0, 3e5, 1e-8),
+        ("inverse", 0.01, 3e5, 1e-8),
+        ("inverse", 0.01, 1e3, 1e-11),
+    ],
+)
+def test_incremental_equals_batch_at_every_step(
+    method: str, noise: float, weight: float, limit: float
+) -> None:
+    """From two samples to two hundred the recursion equals the batch dual solution."""
+    machine = IncrementalLSSVM(C=weight, method=method)
+    assert SCRIPT_ONLINE.recursion_gap(machine, *SCRIPT_ONLINE.yaw_rows(noise)) < limit
+
+
+@pytest.mark.parametrize("weight", [1e3, 3e5])
+def test_primal_recursion_equals_batch_at_every_step(weight: float) -> None:
+    """The recursion in the size of the features is the LS-SVM, from the second sample on."""
+    machine = RecursiveLSSVM(C=weight)
+    machine.start(FEATURES[:1], TARGETS[:1])
+    assert machine.bias == pytest.approx(TARGETS[0])
+    assert SCRIPT_ONLINE.recursion_gap(RecursiveLSSVM(C=weight), FEATURES, TARGETS) < 1e-11
+
+
+@pytest.mark.parametrize(
+    ("machine", "limit"),
+    [
+        (IncrementalLSSVM(C=3e5, window=60), 1e-9),
+        (IncrementalLSSVM(C=3e5, window=60, method="inverse", refresh=10), 1e-5),
+        (RecursiveLSSVM(C=3e5, window=60), 1e-7),
+    ],
+    ids=["cholesky", "inverse", "primal"],
+)
+def test_window_forgets_exactly(machine: IncrementalLSSVM | RecursiveLSSVM, limit: float) -> None:
+    """After any number of slides the machine equals a batch over the last sixty samples."""
+    machine.start(FEATURES[:2], TARGETS[:2])
+    worst = 0.0
+    for k in range(2, len(TARGETS)):
+        machine.update(FEATURES[k], TARGETS[k])
+        if k >= 60:
+            window = slice(k - 59, k + 1)
+            batch = train(FEATURES[window], TARGETS[window], C=3e5)
+            worst = max(worst, gap(machine.coefficients, batch.coefficients))
+    assert machine.n_samples == 60
+    assert worst < limit
+
+
+def test_incremental_learns_any_kernel() -> None:
+    """With an RBF kernel the recursion predicts as the batch does."""
+    x = np.linspace(0, 6, 50)[:, None]
+    kernel = GaussianKernel(0.8)
+    machine = IncrementalLSSVM(C=100.0, kernel=kernel)
+    machine.start(x[:2], np.sin(x[:2, 0]))
+    for row in x[2:]:
+        machine.update(row, np.sin(row[0]))
+    batch = train(x, np.sin(x[:, 0]), C=100.0, kernel=kernel, form="dual")
+    assert machine.predict(x + 0.05) == pytest.approx(batch.predict(x + 0.05), abs=1e-9)
+    with pytest.raises(ModelError, match="linear kernel"):
+        _ = machine.coefficients
+
+
+def test_primal_state_does_not_grow() -> None:
+    """What the recursion keeps has the size of the features, however many samples came."""
+    rng = np.random.default_rng(1)
+    x, y = rng.standard_normal((3000, 6)), rng.standard_normal(3000)
+    machine = RecursiveLSSVM(C=1e3)
+    machine.start(x[:2], y[:2])
+    for row, target in zip(x[2:], y[2:], strict=True):
+        machine.update(row, target)
+    assert machine.n_samples == 3000
+    assert machine.inverse.shape == (7, 7)
+
+
+# Printed by an independent program, per cent, after 60 and after 200 samples.
+INDEPENDENT_ONLINE = {
+    "trapezoid": (
+        [-1.317, -0.831, -1.375, -1.077, 0.637, -0.531],
+        [-0.14, -0.113, -0.197, -0.198, 0.115, -0.119],
+    ),
+    "euler": (
+        [-0.015, -5.843, -24.295, -16.707, 4.483, -9.991],
+        [-16.332, -14.37, -3.563, -3.27, 11.719, -2.728],
+    ),
+}
+
+
+@pytest.mark.parametrize("rule", INDEPENDENT_ONLINE)
+@pytest.mark.parametrize("method", ["recursive", "incremental"])
+def test_error_table_of_the_tanker(rule: str, method: str) -> None:
+    """Errors of the six coefficients equal those of an independent program at both lengths."""
+    fit = OnlineRegression(method=method, C=3e5, rule=rule).fit(TANKER.model, Dataset((ZIGZAG,)))
+    names = ("Y_v", "Y_r", "N_v", "N_r", "Y_delta", "N_delta")
+    early, late = INDEPENDENT_ONLINE[rule]
+    for name, at_60, at_200 in zip(names, early, late, strict=True):
+        truth, track = TANKER.truth[name], fit.extras["history"][name]
+        assert 100 * (track[59] / truth - 1) == pytest.approx(at_60, abs=2e-3)
+        assert 100 * (fit.values[name] / truth - 1) == pytest.approx(at_200, abs=2e-3)
+
+
+def test_stream_gives_the_rows_of_the_batch() -> None:
+    """Samples pushed one by one give the rows that the whole record gives."""
+    stream = EquationStream(TANKER.model, rule="trapezoid")
+    rows = []
+    for k, moment in enumerate(ZIGZAG.times):
+        sample = {"delta": ZIGZAG.input("delta")[k]}
+        sample |= {name: ZIGZAG.output(name)[k] for name in ("v", "r", "psi")}
+        rows += [row for row in stream.push(float(moment), sample) if row.equation == "r"]
+    assert stream.names("r") == ("N_v", "N_r", "N_delta")
+    assert np.array([row.features for row in rows]) == pytest.approx(FEATURES)
+    assert np.array([row.target for row in rows]) == pytest.approx(TARGETS)
+
+
+def test_stream_skips_missing_and_refuses_impossible_samples() -> None:
+    """A missing output gives no row; a missing command or a clock set back is an error."""
+    stream = EquationStream(TANKER.model, rule="euler")
+    whole = {"delta": 0.1, "v": 0.0, "r": 0.0}
+    assert stream.push(0.0, whole) == []
+    assert stream.push(3.0, {"delta": 0.1, "v": np.nan, "r": 0.0}) == []
+    with pytest.raises(ModelError, match="has no delta"):
+        stream.push(6.0, {"v": 0.0, "r": 0.0})
+    with pytest.raises(ModelError, match="not later"):
+        stream.push(3.0, whole)
+
+
+def test_forgetting_equals_weighted_least_squares() -> None:
+    """With forgetting the recursion is least squares with weights that decay."""
+    rng = np.random.default_rng(4)
+    x, y = rng.standard_normal((300, 3)), rng.standard_normal(300)
+    filter_ = RecursiveLeastSquares(np.zeros(3), std=1e4, forgetting=0.97)
+    filter_.start(x, y)
+    root = 0.97 ** (np.arange(300)[::-1] / 2)
+    batch = np.linalg.lstsq(x * root[:, None], y * root, rcond=None)[0]
+    assert filter_.coefficients == pytest.approx(batch, abs=1e-6)
+
+
+def test_forgetting_without_excitation_stays_bounded() -> None:
+    """Zero features for a long time do not blow the covariance up without limit."""
+    filter_ = RecursiveLeastSquares(np.zeros(2), std=1.0, forgetting=0.9, largest_std=100.0)
+    for _ in range(2000):
+        filter_.update(np.zeros(2), 0.0)
+    assert np.trace(filter_.inverse) <= 2 * 100.0**2 * (1 + 1e-9)
+
+
+def test_machines_must_learn_before_they_tell() -> None:
+    """A machine that has seen nothing says what to call."""
+    for machine in (IncrementalLSSVM(), RecursiveLSSVM()):
+        with pytest.raises(ModelError, match="learnt nothing"):
+            _ = machine.bias
+
+
+def test_published_recursion_warns_when_its_digits_are_lost() -> None:
+    """With a weight beyond its digits the inverse warns and errs; Cholesky is silent and right."""
+    first, second = (IncrementalLSSVM(C=1e14, method=way) for way in ("inverse", "cholesky"))
+    batch = train(FEATURES, TARGETS, C=1e14)
+    for machine in (first, second):
+        machine.start(FEATURES[:2], TARGETS[:2])
+        for row, target in zip(FEATURES[2:], TARGETS[2:], strict=True):
+            machine.update(row, target)
+    with pytest.warns(PrecisionWarning, match="lost its digits"):
+        lost = gap(first.coefficients, batch.coefficients)
+    assert first.residual > 1e-3
+    assert lost > 0.01
+    assert second.residual < 1e-3
+    assert gap(second.coefficients, batch.coefficients) < 1e-3
+
+
+def test_published_recursion_is_silent_where_it_is_sound() -> None:
+    """At the published weight the residual is rounding, and nothing is said."""
+    machine = IncrementalLSSVM(C=3e5, method="inverse")
+    machine.start(FEATURES[:2], TARGETS[:2])
+    for row, target in zip(FEATURES[2:], TARGETS[2:], strict=True):
+        machine.update(row, target)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        coefficients = machine.coefficients
+    assert machine.residual < 1e-6
+    assert gap(coefficients, train(FEATURES, TARGETS, C=3e5).coefficients) < 1e-7
+
+
+# Sway and yaw of a ship of 60 m at 6 m/s, per unit of mass and of inertia.
+TRUTH = {
+    "Y_v": -0.09, "Y_r": -2.2, "Y_d": 0.12,
+    "N_v": -0.0012, "N_r": -0.16, "N_d": -0.011,
+}  # fmt: skip
+SAMPLING = 0.5
+
+
+def ship(values: dict[str, float] | None = None) -> Model:
+    """Linear sway and yaw; start values are far off."""
+    values = values or {name: 0.5 * value for name, value in TRUTH.items()}
+    units = {
+        "Y_v": "1/s",
+        "Y_r": "m/s",
+        "Y_d": "m/s^2",
+        "N_v": "1/(m s)",
+        "N_r": "1/s",
+        "N_d": "1/s^2",
+    }
+    free = {name: Parameter(name, value, units[name]) for name, value in values.items()}
+    sway, yaw = ("Y_v", "Y_r", "Y_d"), ("N_v", "N_r", "N_d")
+    return Model(
+        "ship",
+        (State("v", "m/s"), State("r", "rad/s")),
+        (Input("d", "rad"),),
+        (Output("v", "m/s", noise_std=0.02), Output("r", "rad/s", noise_std=0.0005)),
+        axes={"Y": "v", "N": "r"},
+        inertia={("Y", "v"): "1", ("N", "r"): "1"},
+        effects=(
+            Force("sway", {"Y": "Y_v*v + Y_r*r + Y_d*d"}, tuple(free[n] for n in sway)),
+            Force("yaw", {"N": "N_v*v + N_r*r + N_d*d"}, tuple(free[n] for n in yaw)),
+        ),
+        step=0.5,
+    )
+
+
+@cache
+def sailed(seed: int, waves: float = 1.0, noise: float = 1.0, length: float = 600.0) -> Record:
+    """Levels of the rudder in 8 s swell, by Euler's method in steps of a hundredth of a second."""
+    rng = np.random.default_rng(seed)
+    n, fine = int(length / SAMPLING) + 1, 50
+    d = np.repeat(rng.choice([-0.25, -0.1, 0.1, 0.25], n // 40 + 1), 40)[:n]
+    omega = 2 * np.pi / 8.0 * (1 + 0.1 * rng.standard_normal(60))
+    phase = rng.uniform(0, 2 * np.pi, (2, 60))
+    h = SAMPLING / fine
+    t = np.arange(n * fine) * h
+    lift = np.array([0.06, 0.0025]) * waves
+    force = [
+        lift[i] * np.sqrt(2 / 60) * np.cos(np.outer(t, omega) + phase[i]).sum(axis=1)
+        for i in (0, 1)
+    ]
+    v = r = 0.0
+    found = np.empty((n, 2))
+    k = TRUTH
+    for i in range(n):
+        found[i] = v, r
+        for j in range(i * fine, (i + 1) * fine):
+            dv = k["Y_v"] * v + k["Y_r"] * r + k["Y_d"] * d[i] + force[0][j]
+            dr = k["N_v"] * v + k["N_r"] * r + k["N_d"] * d[i] + force[1][j]
+            v, r = v + h * dv, r + h * dr
+    found += noise * np.array([0.02, 0.0005]) * rng.standard_normal(found.shape)
+    model = ship()
+    return Record(f"run {seed}", np.arange(n) * SAMPLING, d[:, None], found, model.channels)
+
+
+def errors_fourier(values: dict[str, float]) -> np.ndarray:
+    """Relative errors of all coefficients."""
+    return np.array([abs(values[name] / value - 1) for name, value in TRUTH.items()])
+
+
+def test_without_noise_the_coefficients_come_out() -> None:
+    """Differences in a band far below the sampling are rates."""
+    fit = FourierRegression().fit(ship(), Dataset((sailed(0, 0.0, 0.0),)))
+    assert errors_fourier(dict(fit.values)).max() < 0.02
+
+
+def test_swell_outside_the_band_does_not_count() -> None:
+    """Half as wrong as regression on differences, and within 8 % in the geometric mean."""
+    runs = [Dataset((sailed(seed),)) for seed in range(4)]
+    means = [
+        float(
+            np.exp(
+                np.mean([np.log(errors_fourier(dict(one.fit(ship(), run).values))) for run in runs])
+            )
+        )
+        for one in (FourierRegression(without=((0.09, 0.16),)), EquationError())
+    ]
+    assert means[0] < 0.08
+    assert means[0] < 0.5 * means[1]
+
+
+def test_errors_are_those_that_are_stated() -> None:
+    """Scores are standard normal in white noise and swell, over seeds and coefficients."""
+    scores = []
+    for seed in range(4):
+        fit = FourierRegression(without=((0.09, 0.16),)).fit(ship(), Dataset((sailed(seed),)))
+        scores += [(fit.values[n] - value) / fit.std_errors[n] for n, value in TRUTH.items()]
+    assert 0.5 < np.sqrt(np.mean(np.square(scores))) < 2.0
+
+
+def test_the_stream_ends_at_the_estimate_of_the_log() -> None:
+    """Sample by sample the same sums, and the same estimates and errors."""
+    record = sailed(1)
+    band = (0.002, 0.08)
+    fit = FourierRegression(band).fit(ship(), Dataset((record,)))
+    stream = FourierStream(ship(), duration=600.0, period=SAMPLING, band=band)
+    for t, d, y in zip(record.times, record.inputs[:, 0], record.outputs, strict=True):
+        stream.push(t, {"d": d, "v": y[0], "r": y[1]})
+    for name, value in stream.values.items():
+        assert value == pytest.approx(fit.values[name], rel=1e-9)
+        share = stream.relative_errors[name] * abs(value)
+        assert share == pytest.approx(fit.std_errors[name], rel=1e-6)
+    assert stream.n_samples == len(record.times)
+
+
+def test_four_runs_tell_more_than_one() -> None:
+    """Runs add up; four have half the errors of one."""
+    stream = FourierStream(ship(), duration=600.0, period=SAMPLING, band=(0.002, 0.08))
+    told = []
+    for seed in (1, 2, 4, 5):
+        record = sailed(seed)
+        for t, d, y in zip(record.times, record.inputs[:, 0], record.outputs, strict=True):
+            stream.push(t, {"d": d, "v": y[0], "r": y[1]})
+        told.append(np.mean(np.log(list(stream.relative_errors.values()))))
+        stream.start()
+    assert told[3] < told[0] + np.log(0.7)
+
+
+def test_half_a_run_claims_no_more_than_it_knows() -> None:
+    """Frequencies of a run that goes on count by how much of it is over."""
+    record = sailed(3)
+    stream = FourierStream(ship(), duration=600.0, period=SAMPLING, band=(0.002, 0.08))
+    for k in range(300):
+        d, y = record.inputs[k, 0], record.outputs[k]
+        stream.push(record.times[k], {"d": d, "v": y[0], "r": y[1]})
+    errors_now, values = stream.relative_errors, stream.values
+    score = [(values[n] / v - 1) / errors_now[n] * abs(v / values[n]) for n, v in TRUTH.items()]
+    assert np.sqrt(np.mean(np.square(score))) < 2.5
+    assert stream.advice(1e-3).startswith("go on")
+    assert stream.advice(100.0).startswith("enough")
+
+
+def test_coherence_says_what_answers() -> None:
+    """A response that the rudder moves is coherent with it, one of noise alone is not."""
+    rng = np.random.default_rng(0)
+    record = sailed(2)
+    stream = FourierStream(ship(), duration=600.0, period=SAMPLING, band=(0.0, 0.05))
+    for t, d, y in zip(record.times, record.inputs[:, 0], record.outputs, strict=True):
+        stream.push(t, {"d": d, "v": 0.02 * rng.standard_normal(), "r": y[1]})
+    found = stream.coherence()
+    assert found["d", "r"] > 0.6
+    assert found["d", "v"] < 0.45
+
+
+def test_it_is_an_estimator() -> None:
+    """The contract of all estimators holds."""
+    record = sailed(0, 0.0, 0.0)
+    orders = Piecewise("d", record.times.tolist(), record.inputs[:, 0].tolist())
+    run = Experiment("levels", orders, duration=600.0, sample_time=SAMPLING)
+    found = check_estimator(
+        FourierRegression(), ship(TRUTH), (run,), rng=np.random.default_rng(0), tolerance=0.01,
+        n_repeats=10,
+    )  # fmt: skip
+    assert found.coverage > 0.85
+
+
+def test_too_narrow_a_band_is_refused() -> None:
+    """More parameters than frequencies are named with what to do."""
+    with pytest.raises(DataError, match=r"frequencies from .* are left"):
+        FourierRegression((0.01, 0.012)).fit(ship(), Dataset((sailed(0),)))
+    with pytest.raises(ModelError, match="length of many samples"):
+        FourierStream(ship(), duration=0.1, period=0.5)

@@ -16,24 +16,20 @@ import pytest
 from test_stiff import DRIVE
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
-from oed_sysid import (
-    Function,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    State,
-    load_problem,
-)
+from oed_sysid import Function
 from oed_sysid.cli import main
 from oed_sysid.errors import ModelError
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import equilibrium, linearise, simulate_inputs
 from oed_sysid.export import export, program_of
 from oed_sysid.export.c_code import self_test
 from oed_sysid.export.program import Example, example
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import actuator_lag, rate_limit, sensor_delay, sensor_lag
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")

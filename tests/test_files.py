@@ -18,11 +18,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
+from oed_sysid import Fit, OedSysidError, new_problem, write_csv
 from oed_sysid.cli.terminal import store
-from oed_sysid.data.dataset import write_csv
-from oed_sysid.errors import FileError, OedSysidError, ProblemError
-from oed_sysid.experiments.problem import new_problem
-from oed_sysid.likelihood.fit import Fit
+from oed_sysid.errors import FileError, ProblemError
 from oed_sysid.results import Page, save_figure
 from oed_sysid.runtime import files
 from oed_sysid.runtime.journal import CellStore

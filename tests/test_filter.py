@@ -1,16 +1,18 @@
-"""The filter with disturbance forces against its NumPy twin, dense covariances and differences."""
+"""The filter and its smoother against dense covariances; noise levels; trials drawn at sea."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy.linalg import expm
 from simple_models import AUV
+from test_design import ship
 from turning_ship import CANDIDATES, SHIP
 
+from oed_sysid import Doublet, Experiment, Limits, Model, NoiseModel, load_problem, simulate
 from oed_sysid.compiled.compile import _compiler
 from oed_sysid.compiled.filtering import (
     COLOUR_TIME,
@@ -26,9 +28,11 @@ from oed_sysid.compiled.filtering import (
     FilterPass,
     filter_kernel,
 )
+from oed_sysid.design import assess_limits
 from oed_sysid.likelihood.filtered import active_components, disturbed_model
+from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.realisation import simulate_at_sea
 from oed_sysid.likelihood.smoother import Path
-from oed_sysid.physics.model import Model
 
 SHIP_FORCES = ("disturbance_force_r", "disturbance_actuator_delta")
 AUV_FORCES = ("disturbance_force_Z", "disturbance_force_M", "disturbance_actuator_ds")
@@ -514,3 +518,324 @@ def test_a_model_that_leaves_the_numbers_is_said_to() -> None:
         assert not found.ok
         assert 0 <= found.failed_at < 200
         assert found.objective == np.inf
+
+
+def _levels(*, own_times: bool) -> Levels:
+    noise = NoiseModel(
+        white=np.array([0.1, 0.2]),
+        colour=np.array([0.0, 0.3]),
+        force=np.array([2.0, 5.0]),
+        colour_time=np.array([1.0, 1.0]),
+        force_time=np.array([1.0, 0.0]),
+        outputs=("u", "q"),
+        places=("force Z", "input ds"),
+    )
+    unit = NoiseModel(
+        noise.white, np.ones(2), np.ones(2), np.ones(2), np.ones(2), noise.outputs, noise.places
+    )
+    return Levels.of(
+        noise,
+        unit,
+        ["disturbance_force_Z", "disturbance_actuator_ds"],
+        white=np.array([True, False]),
+        colour=np.array([False, True]),
+        force=np.array([True, True]),
+        own_times=own_times,
+    )
+
+
+@pytest.mark.parametrize("own_times", [False, True])
+@pytest.mark.parametrize("power", [1.0, -1.0])
+def test_a_step_in_time_alone_keeps_to_the_curve(own_times: bool, power: float) -> None:
+    """A force and a coloured sensor keep what their power says; white input noise stays."""
+    levels = _levels(own_times=own_times)
+    start = levels.vector()
+    step = np.zeros(len(levels))
+    names = list(levels.names)
+    longer = [i for i, name in enumerate(names) if name.endswith("time")]
+    step[longer] = 0.7
+    # The straight part of that curve, d(sigma^2) = a sigma^2 d(ln tau), is part of the step.
+    lasting = [names.index("force Z level"), names.index("colour of q level")]
+    step[lasting] = 0.7 * power * start[lasting]
+    moved = levels.moved(start, step, np.full(len(levels), power))
+    noise, begin = levels.at(moved), levels.noise
+    kept = noise.force[0] ** 2 / noise.force_time[0] ** power
+    assert kept == pytest.approx(begin.force[0] ** 2 / begin.force_time[0] ** power)
+    kept = noise.colour[1] ** 2 / noise.colour_time[1] ** power
+    assert kept == pytest.approx(begin.colour[1] ** 2 / begin.colour_time[1] ** power)
+    # What is white from step to step has no time.
+    assert noise.force[1] == begin.force[1]
+
+
+def test_small_steps_are_straight_to_second_order() -> None:
+    """A step a tenth as long departs from the straight one a hundredth as much."""
+    levels = _levels(own_times=False)
+    start = levels.vector()
+    rng = np.random.default_rng(0)
+    step = rng.normal(size=len(levels)) * np.maximum(np.abs(start), 0.1)
+    power = rng.uniform(-1.0, 1.0, len(levels))
+    away = [
+        float(np.abs(levels.moved(start, size * step, power) - (start + size * step)).max())
+        for size in (1e-2, 1e-3)
+    ]
+    assert away[1] < 0.02 * away[0]
+
+
+def test_what_ends_at_zero_gets_there_in_a_straight_step() -> None:
+    """Where nothing of a level is left, the step stays straight; bounds do the rest."""
+    levels = _levels(own_times=False)
+    start = levels.vector()
+    step = np.zeros(len(levels))
+    step[0] = -1.5 * start[0]
+    moved = levels.moved(start, step, np.ones(len(levels)))
+    assert moved[0] == pytest.approx(-0.5 * start[0])
+
+
+@pytest.mark.parametrize(("slope", "power"), [(1.0, 1.0), (-1.0, -1.0), (9.0, 2.0)])
+def test_levels_follow_their_time_as_the_information_says(slope: float, power: float) -> None:
+    """Of records that tell only ``sigma^2 tau^-a``, the power is ``a``, within its bounds."""
+    levels = _levels(own_times=True)
+    start = levels.vector()
+    names = list(levels.names)
+    level, time = names.index("force Z level"), names.index("force Z time")
+    row = np.zeros(len(levels))
+    row[level], row[time] = 1.0 / start[level], -slope
+    information = np.outer(row, row) + 1e-9 * np.eye(len(levels))
+    found = levels.following(information, start)
+    assert found[level] == pytest.approx(power, rel=1e-6)
+    assert np.count_nonzero(found) == 1
+
+
+TEST = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=8.0), duration=40.0, sample_time=0.5)
+
+
+def noise(force: float, colour: float = 0.0) -> NoiseModel:
+    """Random yaw acceleration of three seconds."""
+    return NoiseModel(
+        np.array([5e-3, 2e-3]), np.array([0.0, colour]), np.array([force]), colour_time=2.0,
+        force_time=3.0, outputs=("psi", "r"), places=("force r",),
+    )  # fmt: skip
+
+
+def test_without_forces_it_is_the_plain_simulation() -> None:
+    """At level zero the record is that of the simulator with the same noise."""
+    found = simulate_at_sea(ship(), TEST, noise(0.0), rng=np.random.default_rng(1))
+    plain = simulate(ship(), TEST, rng=np.random.default_rng(1))
+    np.testing.assert_allclose(found.outputs, plain.outputs, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(found.inputs, plain.inputs, atol=1e-12)
+
+
+def test_yaw_rate_scatters_as_a_first_order_process_through_the_hull() -> None:
+    """With linear damping the variance of the yaw rate is that of theory, within sampling error."""
+    model = ship().with_values({"c": 0.0})
+    quiet = replace(noise(0.01), white=np.array([1e-9, 1e-9]))
+    still = Experiment("still", duration=60.0, sample_time=0.25, constants={"rudder": 0.0})
+    rng = np.random.default_rng(2)
+    ends = [simulate_at_sea(model, still, quiet, rng=rng).output("r")[120:] for _ in range(40)]
+    damping, rate = 0.4, 1 / 3.0
+    expected = 0.01**2 / (damping * (damping + rate))
+    assert np.mean(np.square(ends)) == pytest.approx(expected, rel=0.15)
+
+
+def test_a_force_in_an_axis_meets_a_zigzag_that_reacts() -> None:
+    """Under a pitch moment the closed loop switches elsewhere; commands stay in their range."""
+    problem = load_problem("remus_diving_plane")
+    run = replace(problem.experiment("zigzag_5_5"), duration=40.0)
+    white = np.array([o.noise_std for o in problem.model.outputs])
+    sea = NoiseModel(
+        white, np.zeros(5), np.array([0.3]), force_time=2.0,
+        outputs=problem.model.output_names, places=("force M",),
+    )  # fmt: skip
+    records = [
+        simulate_at_sea(problem.model, run, one, rng=np.random.default_rng(0))
+        for one in (sea, replace(sea, force=np.array([1e-9])))
+    ]
+    assert np.abs(records[0].inputs - records[1].inputs).max() > 0.1
+    assert np.abs(records[0].input("fin_command")).max() == pytest.approx(np.radians(5))
+
+
+def test_a_drifting_sensor_and_a_noisy_command_are_drawn_too() -> None:
+    """A drift is added to its reading alone; a noise of the fin moves the vehicle."""
+    problem = load_problem("remus_diving_plane")
+    run = replace(problem.experiment("zigzag_5_5"), manoeuvre=(), duration=40.0,
+                  constants={"fin_command": 0.05, "thrust": 9.0})  # fmt: skip
+    names = problem.model.output_names
+    quiet = NoiseModel(
+        np.full(5, 1e-12), np.zeros(5), np.array([0.2]), force_time=np.array([5.0]),
+        outputs=names, places=("sensor q",),
+    )  # fmt: skip
+    still = simulate(problem.model, run, noise=False)
+    drawn = [
+        simulate_at_sea(problem.model, run, sea, rng=np.random.default_rng(0))
+        for sea in (quiet, replace(quiet, places=("actuator ds",), force_time=np.zeros(1)))
+    ]
+    drift, wiggle = (record.outputs - still.outputs for record in drawn)
+    here = names.index("q")
+    assert np.abs(np.delete(drift, here, axis=1)).max() < 1e-9
+    assert np.std(drift[:, here]) == pytest.approx(0.2, rel=0.5)
+    step, series = run.sample_time, drift[:, here]
+    assert np.corrcoef(series[1:], series[:-1])[0, 1] == pytest.approx(np.exp(-step / 5), abs=0.05)
+    assert np.std(wiggle[50:, here]) > 1e-3
+
+
+def test_waves_count_in_how_surely_limits_hold() -> None:
+    """A run with a narrow margin keeps its limits in still water and leaves them in waves."""
+    steady = Experiment("doublet", Doublet("rudder", 0.1, pulse_time=8.0), duration=40.0,
+                        sample_time=0.5)  # fmt: skip
+    largest = float(np.abs(simulate(ship(), steady, noise=False).output("psi")).max())
+    limits = Limits(signals={"psi": (-1.1 * largest, 1.1 * largest)})
+    found = [
+        assess_limits(
+            ship(),
+            steady,
+            limits=limits,
+            spread=0.01,
+            vehicles=40,
+            sea=sea,
+            rng=np.random.default_rng(0),
+        )
+        for sea in (None, noise(0.02))
+    ]
+    assert found[0].probability == 1.0
+    assert found[1].probability < 0.8
+    assert sum(found[1].left.values()) == 40 - found[1].n_kept
+    assert "in waves (r 0.02 over 3 s)" in found[1].report()
+
+
+N_TIMES, N_STATES, N_FORCES, N_OUTPUTS = 30, 3, 2, 2
+SAMPLE = 0.2
+FORCE, FORCE_TIME_SMOOTHER = np.array([0.7, 1.3]), np.array([0.9, 2.0])
+WHITE, COLOUR_TIME_SMOOTHER = np.array([0.3, 0.5]), np.array([0.4, 0.9])
+
+
+@dataclass(frozen=True)
+class System:
+    """A random time-varying linear system with gaps in the measurements."""
+
+    transition: np.ndarray
+    gain: np.ndarray
+    output: np.ndarray
+    present: np.ndarray
+    colour: float
+
+    @classmethod
+    def drawn(cls, seed: int, colour: float) -> System:
+        """Draw one."""
+        rng = np.random.default_rng(seed)
+        present = rng.random((N_TIMES, N_OUTPUTS)) > 0.2
+        return cls(
+            0.6 * rng.standard_normal((N_TIMES, N_STATES, N_STATES)),
+            rng.standard_normal((N_TIMES, N_STATES, N_FORCES)),
+            rng.standard_normal((N_TIMES, N_OUTPUTS, N_STATES)),
+            present,
+            colour,
+        )
+
+    def filtered(self, columns: np.ndarray) -> tuple[FilterPass, np.ndarray]:
+        """The textbook filter, one output at a time: what it keeps, innovations of columns."""
+        n_colours = N_OUTPUTS if self.colour else 0
+        size = N_STATES + N_FORCES + n_colours
+        times = np.concatenate([FORCE_TIME_SMOOTHER, COLOUR_TIME_SMOOTHER[:n_colours]])
+        stationary = np.concatenate([FORCE, np.full(n_colours, self.colour)]) ** 2
+        phi = np.exp(-SAMPLE / times)
+        extra = np.arange(N_STATES, size)
+        covariance = np.zeros((size, size))
+        covariance[extra, extra] = stationary
+        gains = np.zeros((N_TIMES, N_OUTPUTS, 2, size))
+        moves = np.zeros((N_TIMES, size + N_FORCES, size))
+        variances, innovations = np.ones((N_TIMES, N_OUTPUTS)), np.zeros_like(columns)
+        state = np.zeros((size, columns.shape[2]))
+        for k in range(N_TIMES):
+            moves[k, size:] = covariance[N_STATES : N_STATES + N_FORCES]
+            for i in np.flatnonzero(self.present[k]):
+                h = np.concatenate([self.output[k, i], np.zeros(N_FORCES), np.zeros(n_colours)])
+                if n_colours:
+                    h[N_STATES + N_FORCES + i] = 1.0
+                along = covariance @ h
+                variances[k, i] = h @ along + WHITE[i] ** 2
+                innovations[k, i] = columns[k, i] - h @ state
+                gain = along / variances[k, i]
+                gains[k, i] = h, gain
+                state = state + np.outer(gain, innovations[k, i])
+                covariance = covariance - np.outer(gain, along)
+            f = np.zeros((size, size))
+            f[:N_STATES, :N_STATES] = self.transition[k]
+            f[:N_STATES, N_STATES : N_STATES + N_FORCES] = self.gain[k]
+            f[extra, extra] = phi
+            moves[k, :size] = f
+            state, covariance = f @ state, f @ covariance @ f.T
+            covariance[extra, extra] += stationary * (1.0 - phi**2)
+        nothing = np.zeros((1, 1))
+        part = FilterPass(
+            nothing, nothing[0], nothing, 0.0, 0.0, innovations[:, :, 0], variances, None, nothing,
+            gains, moves, -1,
+        )  # fmt: skip
+        return part, innovations
+
+    def dense(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Conditional mean and deviation of the forces, from full covariances."""
+        age = SAMPLE * np.abs(np.subtract.outer(np.arange(N_TIMES), np.arange(N_TIMES)))
+        level = np.full(N_OUTPUTS, self.colour)
+        force_cov, noise_cov = (
+            sum(
+                np.kron(np.exp(-age / times[i]), np.diag(size**2 * (np.arange(len(size)) == i)))
+                for i in range(len(size))
+            )
+            for size, times in ((FORCE, FORCE_TIME_SMOOTHER), (level, COLOUR_TIME_SMOOTHER))
+        )
+        to_state = np.zeros((N_TIMES * N_STATES, N_TIMES * N_FORCES))
+        for k in range(N_TIMES - 1):
+            now, then = (slice(i * N_STATES, (i + 1) * N_STATES) for i in (k, k + 1))
+            to_state[then] = self.transition[k] @ to_state[now]
+            to_state[then, k * N_FORCES : (k + 1) * N_FORCES] += self.gain[k]
+        output = np.zeros((N_TIMES * N_OUTPUTS, N_TIMES * N_STATES))
+        for k in range(N_TIMES):
+            rows, states = slice(k * N_OUTPUTS, (k + 1) * N_OUTPUTS), slice(k * N_STATES, None)
+            output[rows, states][:, :N_STATES] = self.output[k]
+        response = output @ to_state
+        noise_cov += np.kron(np.eye(N_TIMES), np.diag(WHITE**2))
+        seen = self.present.ravel()
+        total = (response @ force_cov @ response.T + noise_cov)[np.ix_(seen, seen)]
+        gain = np.linalg.solve(total, (response @ force_cov)[seen]).T
+        forces = gain @ columns.reshape(-1, columns.shape[2])[seen]
+        left = np.diag(force_cov) - np.sum(gain * (force_cov @ response.T)[:, seen], axis=1)
+        return forces.reshape(N_TIMES, N_FORCES, -1), np.sqrt(left).reshape(N_TIMES, N_FORCES)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.4])
+def test_smoother_is_the_conditional_expectation(colour: float) -> None:
+    """Mean and deviation of the disturbances are those of the joint normal distribution."""
+    system = System.drawn(3, colour)
+    columns = np.random.default_rng(4).standard_normal((N_TIMES, N_OUTPUTS, 3))
+    forces, std = system.dense(columns)
+    part, innovations = system.filtered(columns)
+    path = Path.of(part, N_OUTPUTS if colour else 0)
+    np.testing.assert_allclose(path.disturbances(innovations), forces, atol=1e-9)
+    np.testing.assert_allclose(path.std, std, atol=1e-9)
+
+
+def test_missing_samples_do_not_matter() -> None:
+    """What stands in a column where nothing was measured has no influence, NaN included."""
+    system = System.drawn(5, 0.0)
+    part, innovations = system.filtered(np.ones((N_TIMES, N_OUTPUTS, 1)))
+    path = Path.of(part)
+    gaps = np.where(system.present[:, :, None], innovations, np.nan)
+    np.testing.assert_array_equal(path.disturbances(gaps), path.disturbances(innovations))
+
+
+def test_responses_are_those_of_the_filter() -> None:
+    """What is added to the states changes the innovations as the filter of that change does."""
+    system = System.drawn(7, 0.4)
+    rng = np.random.default_rng(8)
+    drive = np.zeros((N_TIMES, N_STATES + N_FORCES + N_OUTPUTS, 2))
+    drive[:, :N_STATES] = rng.standard_normal((N_TIMES, N_STATES, 2))
+    state, columns = np.zeros((N_STATES, 2)), np.zeros((N_TIMES, N_OUTPUTS, 2))
+    for k in range(N_TIMES):
+        columns[k] = -system.output[k] @ state  # measured minus model
+        state = system.transition[k] @ state + drive[k, :N_STATES]
+    part, innovations = system.filtered(columns)
+    expected = innovations / np.sqrt(part.variances)[:, :, None]
+    found = Path.of(part, N_OUTPUTS).responses(drive)
+    np.testing.assert_allclose(
+        found[system.present], expected[system.present], rtol=1e-9, atol=1e-12
+    )

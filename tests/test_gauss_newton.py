@@ -1,12 +1,20 @@
-"""Single steps against a general bounded least-squares solver, and how iterations end."""
+"""Steps, iterates and normal equations against general solvers, IPOPT included."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
+from test_shooting import LAG, diving_data
+from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
+from oed_sysid import Dataset, Model, MultipleShooting, Parameter, Record, Solver, simulate_inputs
+from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.compiled.normal_equations import _eliminate_numpy, eliminate, gather
+from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.gauss_newton import (
     Convergence,
     Descent,
@@ -15,10 +23,13 @@ from oed_sysid.likelihood.gauss_newton import (
     Progress,
     StepControl,
     bounded_step,
+    exact,
+    gathered,
     solve,
 )
-from oed_sysid.likelihood.shooting import Point, Shooting
+from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.unknowns import Limits
+from oed_sysid.likelihood.windows import CONTROL, Windows, climb
 
 FREE = np.full(4, np.inf)
 
@@ -170,3 +181,463 @@ def test_a_share_of_the_cost_ends_a_descent_early() -> None:
     )
     assert whole.run(200) == early.run(200) == "converged"
     assert 0 < early.steps < whole.steps
+
+
+SIGMA = np.array([0.02, 0.02, 0.004, 0.004, 0.03])
+
+
+def diving(n: int = 300) -> Shooting:
+    """Two dives with gaps, of a vehicle whose values are 10 % off and have no priors."""
+    model, times, rng = remus(), 0.1 * np.arange(n), np.random.default_rng(0)
+    records = []
+    for index, period in enumerate((9.0, 14.0)):
+        fin = 0.1 * np.sign(np.sin(2 * np.pi * times / period))
+        run = simulate_inputs(
+            model, times, inputs={"fin_command": fin, "thrust": 9.0}, initial=DIVING_START
+        )
+        outputs = run.outputs + SIGMA * rng.standard_normal(run.outputs.shape)
+        outputs[20:60, 4] = np.nan
+        records.append(Record(f"dive_{index}", times, run.inputs, outputs, model.channels))
+    for p in model.free_parameters:
+        start = replace(p, value=0.9 * p.value, prior_mean=None, prior_std=None)
+        model = model.with_parameter(start)
+    return Shooting(model, Dataset(tuple(records)), SIGMA)
+
+
+def yaw_with_own_gain() -> Shooting:
+    """A model with a parameter of its own in every record, and a prior."""
+    model = yaw_model(
+        K=Parameter("K", 0.08, per_record=True),
+        alpha=Parameter("alpha", 10.0, prior_mean=12.0, prior_std=1.0),
+    )
+    return Shooting(model, yaw_data(3), NOISE)
+
+
+@pytest.mark.parametrize("problem", [diving, yaw_with_own_gain])
+def test_gathered_sums_are_those_of_the_jacobian(problem) -> None:
+    """Cost, defect, normal equations, prediction and node maps agree to rounding."""
+    shooting = problem()
+    point = shooting.start_point()
+    whole, quick = exact(shooting, point), gathered(shooting, point)
+    assert quick.cost == pytest.approx(whole.cost, rel=1e-12)
+    assert quick.defect == pytest.approx(whole.defect, rel=1e-12)
+    assert whole.defect > 1e-3
+    one, other = quick.equations, whole.equations
+    size = np.sqrt(np.diag(other.matrix))
+    assert np.allclose(one.matrix / np.outer(size, size), other.matrix / np.outer(size, size),
+                       rtol=1e-9, atol=1e-9)  # fmt: skip
+    assert np.allclose(one.right / size, other.right / size, rtol=1e-9, atol=1e-9)
+    step = np.linspace(-1.0, 1.0, shooting.layout.n_unknowns) / size
+    assert quick.predicted(step) == pytest.approx(whole.predicted(step), rel=1e-10)
+    for own, its in zip(one.follows, other.follows, strict=True):
+        assert np.allclose(own[0], its[0], rtol=1e-12)
+        assert np.allclose(own[1], its[1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("problem", [diving, yaw_with_own_gain])
+def test_both_ways_end_at_the_same_optimum(problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Estimates and standard errors do not depend on how iterates are evaluated."""
+    shooting = problem()
+    estimator = MultipleShooting(noise=shooting.sigma)
+    quick = estimator.fit(shooting.model, shooting.dataset)
+    monkeypatch.setattr("oed_sysid.likelihood.gauss_newton.gathered", exact)
+    slow = estimator.fit(shooting.model, shooting.dataset)
+    assert quick.status.ok
+    assert np.allclose(quick.estimates, slow.estimates, rtol=1e-8)
+    assert np.allclose(quick.covariance, slow.covariance, rtol=1e-6)
+    assert quick.cost == pytest.approx(slow.cost, rel=1e-12)
+
+
+def test_robust_losses_are_weighed_sample_by_sample() -> None:
+    """With a robust loss the solution is stationary for the weighted residuals."""
+    data = yaw_data(1)
+    outputs = data[0].outputs.copy()
+    outputs[10:14, 0] += 40 * NOISE[0]
+    shooting = Shooting(yaw_model(), Dataset((data[0].with_outputs(outputs),)), NOISE)
+    robust = shooting.with_loss(loss_by_name("huber"))
+    plain, solution = (solve(s, s.start_point()) for s in (shooting, robust))
+    matrix, right = robust.normal_equations(solution.linearisation)
+    assert right @ np.linalg.solve(matrix, right) < 1e-5
+    assert np.abs(solution.point.unknowns[:3] - plain.point.unknowns[:3]).max() > 1e-3
+
+
+def test_explosion_is_said_by_both() -> None:
+    """Where the model diverges neither gives an iterate."""
+    shooting = Shooting(yaw_model().with_values({"alpha": -1e12}), yaw_data(1), NOISE)
+    point = shooting.start_point()
+    assert exact(shooting, point) is None
+    assert gathered(shooting, point) is None
+
+
+def dive(n: int = 120) -> tuple[Model, np.ndarray, np.ndarray, np.ndarray]:
+    """Model, times, inputs and outputs of a dive, some samples missing."""
+    model, times = remus(), 0.1 * np.arange(n)
+    inputs = {"fin_command": 0.1 * np.sign(np.sin(times)), "thrust": 9.0}
+    run = simulate_inputs(model, times, inputs=inputs, initial=DIVING_START)
+    outputs = run.outputs + 0.01 * np.random.default_rng(0).standard_normal(run.outputs.shape)
+    outputs[5:17, 1] = np.nan
+    outputs[30] = np.nan
+    return model, times, run.inputs, outputs
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+@pytest.mark.parametrize("length", [2, 7, 200])
+def test_sums_are_those_of_the_sensitivities(length: int, compiled: bool) -> None:
+    """Each block holds the products of scaled rows and residuals, missing samples left out."""
+    model, times, inputs, outputs = dive(40 if not compiled else 120)
+    kernel = Kernel(model, compiled=compiled)
+    starts = np.arange(0, len(times), length, dtype=np.intc)
+    nodes = np.tile([1.5, 0.0, 0.02, -0.01, 10.0], (len(starts), 1))
+    nodes[:, 1] = 0.01 * np.arange(len(starts))
+    values = 0.8 * model.value_vector
+    blocks = gather(
+        kernel, times, inputs, values, nodes, outputs, SIGMA, starts=starts, linked=True
+    )
+    run = kernel.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
+    for i, first in enumerate(starts):
+        rows = []
+        for k in range(first, min(first + length, len(times))):
+            for j in range(5):
+                if np.isfinite(outputs[k, j]):
+                    residual = outputs[k, j] - run.outputs[k, j]
+                    rows.append(np.append(run.output_sensitivities[k, j], residual) / SIGMA[j])
+        expected = np.array(rows).T @ np.array(rows)
+        assert np.allclose(blocks.gram[i], expected, rtol=1e-10, atol=1e-12 * expected.max())
+    assert np.array_equal(blocks.ends, run.ends)
+    assert np.array_equal(blocks.end_sensitivities, run.end_sensitivities)
+
+
+def test_segments_without_ends_have_the_same_sums() -> None:
+    """Where ends are not wanted the sums stay what they are."""
+    model, times, inputs, outputs = dive()
+    starts = np.arange(0, len(times), 4, dtype=np.intc)
+    nodes = np.nan_to_num(outputs[starts])
+    both = [
+        gather(
+            Kernel(model),
+            times,
+            inputs,
+            model.value_vector,
+            nodes,
+            outputs,
+            SIGMA,
+            starts=starts,
+            linked=linked,
+        )
+        for linked in (True, False)
+    ]
+    assert np.array_equal(both[0].gram, both[1].gram)
+    assert both[1].ends is None
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_explosion_is_said(compiled: bool) -> None:
+    """A trajectory that diverges gives None."""
+    model, record = yaw_model().with_values({"alpha": -1e12}), yaw_data(1)[0]
+    blocks = gather(
+        Kernel(model, compiled=compiled),
+        record.times,
+        record.inputs,
+        model.value_vector,
+        np.array([[0.0, 1.0]]),
+        record.outputs,
+        NOISE,
+        starts=np.zeros(1, dtype=np.intc),
+        linked=False,
+    )
+    assert blocks is None
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_elimination_solves_the_whole_problem(compiled: bool) -> None:
+    """Parameters and start states are those of one dense system of all unknowns."""
+    model = remus()
+    kernel = Kernel(model, compiled=compiled)
+    rng = np.random.default_rng(1)
+    n_segments, n_full, n_free = 6, kernel.n_full, kernel.n_free
+    rows = rng.standard_normal((n_segments, 30, n_full + n_free + 1))
+    gram = rows.transpose(0, 2, 1) @ rows
+    away, weight = rng.standard_normal((n_segments, n_full)), rng.uniform(0.5, 2.0, n_full)
+    found = eliminate(kernel, gram, away, weight, 0.1)
+    size = n_segments * n_full
+    matrix, right = np.zeros((size + n_free, size + n_free)), np.zeros(size + n_free)
+    for i in range(n_segments):
+        own = np.arange(i * n_full, (i + 1) * n_full)
+        columns = np.concatenate([own, size + np.arange(n_free)])
+        block = gram[i].copy()
+        block[range(n_full), range(n_full)] += weight
+        block[range(n_full), range(n_full)] *= 1.1
+        block[:n_full, -1] -= weight * away[i]
+        matrix[np.ix_(columns, columns)] += block[:-1, :-1]
+        right[columns] += block[:-1, -1]
+    expected = np.linalg.solve(matrix, right)
+    step = np.linalg.solve(found.matrix, found.right)
+    assert np.allclose(step, expected[size:], rtol=1e-9)
+    assert np.allclose(found.moves(step).ravel(), expected[:size], rtol=1e-9)
+    # Twice the drop of the quadratic: right-hand side times solution.
+    assert found.gain + found.right @ step == pytest.approx(right @ expected, rel=1e-9)
+
+
+def test_start_states_that_look_alike_do_not_stop_the_step() -> None:
+    """Blocks that are singular give a finite step, and the exact one elsewhere."""
+    column = np.array([1e12, -1e12, 0.5, 1.0])
+    alike = np.outer(column, column)
+    rng = np.random.default_rng(0)
+    rows = rng.standard_normal((6, 4))
+    gram, away, weight = np.stack([alike, rows.T @ rows]), np.zeros((2, 2)), np.full(2, 1e-12)
+    found = _eliminate_numpy(gram, away, weight, 0.0)
+    assert np.isfinite(found.solved).all()
+    block = rows.T @ rows
+    exact = np.linalg.solve(block[:2, :2] + np.diag(weight), block[:2, 2:])
+    np.testing.assert_allclose(found.solved[1], exact, rtol=1e-10)
+
+
+WILD = {"K": -0.4, "T": 30.0, "alpha": -40.0}
+
+
+@pytest.mark.parametrize("n_samples", [2, 5, 20])
+def test_short_intervals_come_close_from_far(n_samples: int) -> None:
+    """Free-node intervals bring wild parameters to the neighbourhood of the truth."""
+    shooting = Shooting(yaw_model().with_values(WILD), yaw_data(), NOISE)
+    unknowns = climb(shooting, shooting.start_unknowns(), n_samples)
+    assert unknowns[0] / unknowns[1] == pytest.approx(TRUE["K"] / TRUE["T"], rel=0.4)
+
+
+def test_truth_stays_near_the_truth() -> None:
+    """Started at the truth, the problem without continuity does not wander off."""
+    shooting = Shooting(yaw_model(), yaw_data(), NOISE)
+    unknowns = climb(shooting, shooting.start_unknowns(), 20)
+    assert unknowns[0] == pytest.approx(TRUE["K"], rel=0.1)
+    assert unknowns[1] == pytest.approx(TRUE["T"], rel=0.2)
+
+
+def test_bounds_and_held_unknowns_are_respected() -> None:
+    """Bounds hold on the way in, too."""
+    model = yaw_model(T=Parameter("T", 30.0, lower=10.0, upper=40.0)).with_values(
+        {"K": -0.4, "alpha": -40.0}
+    )
+    shooting = Shooting(model, yaw_data(), NOISE)
+    unknowns = climb(shooting, shooting.start_unknowns(), 5)
+    assert 10.0 <= unknowns[1] <= 40.0
+
+
+def test_priors_are_respected() -> None:
+    """A tight prior keeps a parameter where it is known to be."""
+    model = yaw_model(alpha=Parameter("alpha", 12.0, prior_mean=30.0, prior_std=1e-3))
+    shooting = Shooting(model, yaw_data(), NOISE)
+    unknowns = climb(shooting, shooting.start_unknowns(), 5)
+    assert unknowns[2] == pytest.approx(30.0, abs=0.01)
+
+
+def test_result_is_a_point_of_the_real_problem() -> None:
+    """The improved point can be linearised and is better than where it began."""
+    shooting = Shooting(yaw_model().with_values(WILD), yaw_data(), NOISE)
+    begin = shooting.start_point()
+    point = shooting.start_point(climb(shooting, begin.unknowns, 5))
+    before, after = shooting.linearise(begin), shooting.linearise(point)
+    assert shooting.cost(after, point.unknowns) < 0.5 * shooting.cost(before, begin.unknowns)
+
+
+def test_explosive_start_is_returned_unchanged() -> None:
+    """Where even short intervals overflow, the start comes back as it was."""
+    shooting = Shooting(yaw_model().with_values({"alpha": -1e12}), yaw_data(), NOISE)
+    begin = shooting.start_unknowns()
+    assert np.isfinite(climb(shooting, begin, 60)).all()
+
+
+@pytest.mark.parametrize("horizon", [2.0, 15.0])
+def test_eliminated_start_states_leave_the_slope_of_the_whole_cost(horizon: float) -> None:
+    """With start states at their best, the slope by a parameter is that of re-fitted costs."""
+    shooting = Shooting(yaw_model().with_values({"K": 0.9 * TRUE["K"]}), yaw_data(), NOISE)
+
+    def best(unknowns: np.ndarray) -> Iterate:
+        held = shooting.holding(np.arange(3), unknowns[:3])
+        problem = Windows.overlapping(held, horizon, begin)
+        point = Point(unknowns, problem.start.nodes)
+        descent = Descent(problem.at(point), Windows.at, Convergence(1e-14), CONTROL)
+        descent.run(50)
+        return descent.now
+
+    begin = shooting.start_unknowns()
+    found = best(begin)
+    for i, step in enumerate(1e-4 * np.abs(begin[:3])):
+        moved = [begin.copy(), begin.copy()]
+        moved[0][i], moved[1][i] = begin[i] + step, begin[i] - step
+        slope = (best(moved[0]).cost - best(moved[1]).cost) / (2 * step)
+        assert -found.equations.right[i] == pytest.approx(slope, rel=1e-4)
+
+
+CONDENSED = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")
+
+
+def difference(fit, other) -> float:  # type: ignore[no-untyped-def]
+    """Largest difference of two fits in standard errors."""
+    return float(np.max(np.abs(fit.estimates - other.estimates) / np.sqrt(np.diag(fit.covariance))))
+
+
+@pytest.mark.parametrize("hessian", ["exact", "gauss-newton"])
+@pytest.mark.parametrize("irregular", [False, True])
+def test_same_optimum_as_gauss_newton(hessian: str, irregular: bool) -> None:
+    """Several records, remainders, gaps and irregular sampling: same estimates and errors."""
+    data = yaw_data(1, irregular=irregular)
+    outputs = data[0].outputs.copy()
+    outputs[30:50] = np.nan
+    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    model = yaw_model(
+        K=Parameter("K", 0.08, per_record=True),
+        alpha=Parameter("alpha", 5.0, prior_mean=12.0, prior_std=2.0),
+    )
+    condensed = CONDENSED.fit(model, data)
+    program = MultipleShooting(
+        noise=NOISE, coloured="never", solver=Solver("ipopt", hessian=hessian)
+    ).fit(model, data)
+    assert program.status.ok
+    assert difference(condensed, program) < 2e-3
+    assert np.allclose(condensed.covariance, program.covariance, rtol=1e-3)
+    assert program.cost == pytest.approx(condensed.cost, abs=1e-5)
+    assert [v["K"] for v in program.local_values] == pytest.approx(
+        [v["K"] for v in condensed.local_values], rel=1e-4
+    )
+
+
+def test_memory_and_substeps() -> None:
+    """A model with actuator memory and several integration steps per sample."""
+    model = remus() + LAG
+    data = diving_data(model, 60)
+    noise = [0.02, 0.02, 0.004, 0.004, 0.03]
+    rough = model.with_values({"Z_uw": -35.0, "E_lag": 0.4, "M_uq": -8.0})
+    fit = MultipleShooting(noise=noise, solver=Solver("ipopt")).fit(rough, data)
+    assert fit.status.ok
+    for name in model.free_names:
+        assert fit.values[name] == pytest.approx(model.values[name], rel=1e-4)
+
+
+@pytest.mark.parametrize("loss", ["huber", "student"])
+def test_robust_losses(loss: str) -> None:
+    """Robust losses have the same optimum in both solvers."""
+    data = yaw_data(2)
+    outputs = data[0].outputs.copy()
+    outputs[::17] += 0.1
+    data = Dataset((data[0].with_outputs(outputs), *data.records[1:]))
+    condensed = MultipleShooting(noise=NOISE, loss=loss, solver=Solver(tolerance=1e-9)).fit(
+        yaw_model(), data
+    )
+    program = MultipleShooting(noise=NOISE, loss=loss, solver=Solver("ipopt", hessian="exact")).fit(
+        yaw_model(), data
+    )
+    assert difference(condensed, program) < 0.02
+    assert program.cost == pytest.approx(condensed.cost, rel=1e-5)
+
+
+def test_bounds() -> None:
+    """An active bound is held exactly."""
+    model = yaw_model(T=Parameter("T", 6.0, lower=0.5, upper=7.5))
+    condensed = CONDENSED.fit(model, yaw_data(3))
+    program = MultipleShooting(noise=NOISE, solver=Solver("ipopt")).fit(model, yaw_data(3))
+    assert program.values["T"] == pytest.approx(7.5, abs=1e-6)
+    assert program.cost == pytest.approx(condensed.cost, abs=1e-4)
+
+
+def test_constraints_among_parameters() -> None:
+    """An equation among parameters is the same as eliminating one of them."""
+    data = yaw_data(4)
+    constrained = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=("alpha == 1.2*T", "K/T > 0.001"))
+    ).fit(yaw_model(), data)
+    assert constrained.status.ok
+    assert constrained.values["alpha"] == pytest.approx(1.2 * constrained.values["T"], rel=1e-6)
+    tied = yaw_model()
+    tied = type(tied)(
+        **{
+            **{f: getattr(tied, f) for f in ("name", "states", "inputs", "outputs", "step")},
+            "kinematics": {"psi": "r", "r": "(K*delta - r - 1.2*T*r**3)/T"},
+            "parameters": (tied.parameter("K"), tied.parameter("T")),
+        }
+    )
+    eliminated = CONDENSED.fit(tied, data)
+    assert constrained.cost == pytest.approx(eliminated.cost, abs=1e-3)
+    assert constrained.values["T"] == pytest.approx(eliminated.values["T"], rel=1e-3)
+
+
+def test_contradictions_are_said() -> None:
+    """Constraints that exclude each other end with a status, not an exception."""
+    fit = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=("K > 0.3", "K < 0.01"))
+    ).fit(yaw_model(), yaw_data(4))
+    assert fit.status.code == "infeasible"
+    assert "Loosen" in fit.status.advice
+
+
+def test_noise_levels_and_progress(capfd: pytest.CaptureFixture[str]) -> None:
+    """Noise is estimated as by the other solver; progress is reported; nothing is printed."""
+    seen: list[Progress] = []
+    data = yaw_data(5)
+    fit = MultipleShooting(noise="estimate", solver=Solver("ipopt"), progress=seen.append).fit(
+        yaw_model(), data
+    )
+    other = MultipleShooting(noise="estimate", disturbances="none").fit(yaw_model(), data)
+    assert np.allclose(fit.sigma, other.sigma, rtol=2e-3)
+    assert len(seen) > 3
+    assert seen[-1].defect < 1e-4
+    assert capfd.readouterr().out == ""
+
+
+def test_limit_of_iterations() -> None:
+    """Too few iterations are reported as such."""
+    fit = MultipleShooting(noise=NOISE, solver=Solver("ipopt", max_iterations=1), start="near").fit(
+        yaw_model().with_values({"K": 0.05}), yaw_data(6)
+    )
+    assert fit.status.code == "iterations"
+
+
+def test_a_path_is_kept_at_every_sample() -> None:
+    """A limit below the largest yaw rate is held everywhere, and named with where it binds."""
+    data = yaw_data(4)
+    free = MultipleShooting(noise=NOISE, solver=Solver("ipopt")).fit(yaw_model(), data)
+    most = max(float(one[:, 1].max()) for one in free.predictions)
+    limit = 0.98 * most
+    kept = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=(f"r <= {limit!r}",))
+    ).fit(yaw_model(), data)
+    assert kept.status.ok
+    assert max(float(one[:, 1].max()) for one in kept.predictions) == pytest.approx(limit, rel=1e-5)
+    assert kept.cost > free.cost
+    assert kept.binding
+    assert all(one.text.startswith("r <= ") and " s of " in one.text for one in kept.binding)
+    # To first order the optimum without the limit lies beyond it by what was cut off.
+    assert kept.binding[0].beyond == pytest.approx(most - limit, rel=0.3)
+
+
+def test_ends_are_kept() -> None:
+    """A start state that is tied has that value; an end keeps its side."""
+    data, tied = yaw_data(4), "start(r) == 0.001"
+    first = MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(tied,)))
+    fit = first.fit(yaw_model(), data)
+    assert fit.status.ok
+    assert [float(one[0, 1]) for one in fit.predictions] == pytest.approx(
+        [0.001] * len(data.records), abs=1e-7
+    )
+    end = min(float(one[-1, 0]) for one in fit.predictions) + 0.002
+    both = MultipleShooting(
+        noise=NOISE, solver=Solver("ipopt", constraints=(tied, f"end(psi) >= {end!r}"))
+    ).fit(yaw_model(), data)
+    assert min(float(one[-1, 0]) for one in both.predictions) == pytest.approx(end, abs=1e-6)
+    assert any(one.text.startswith("end(psi) >= ") for one in both.binding)
+
+
+@pytest.mark.parametrize(
+    ("constraint", "words"),
+    [
+        ("start(r) < end(r)", "mixes start and end"),
+        ("start(K) < 1", "those of an output"),
+        ("K + T", "one comparison"),
+        ("K < gain", "unknown name"),
+        ("1 < 2", "no parameter"),
+    ],
+)
+def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None:
+    """A constraint compares expressions of known parameters."""
+    with pytest.raises(ModelError, match=words):
+        MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(constraint,))).fit(
+            yaw_model(), yaw_data(0)
+        )

@@ -12,13 +12,8 @@ from test_shooting import diving_data
 from vehicles import remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model, yaw_record
 
-from oed_sysid.data.dataset import Dataset
+from oed_sysid import Dataset, Force, Model, MultipleShooting, Parameter, Solver
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.estimator import Solver
-from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 START = {"K": 0.08, "T": 12.0, "alpha": 6.0}
 ESTIMATOR = MultipleShooting(noise=NOISE, coloured="never", disturbances="none")

@@ -23,7 +23,7 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import actuator_offset, sensor_bias
 from oed_sysid.prediction.speed_polar import SailingNames, speed_polar
 from oed_sysid.prediction.structures import Structure, average_structures, ladder, peak_input
-from oed_sysid.prediction.turning_circle import QUANTITIES, turning_circle
+from oed_sysid.prediction.turning_circle import turning_circle
 from oed_sysid.results import plot_polar
 
 
@@ -528,22 +528,6 @@ def test_imperfect_sensors_do_not_bend_the_track_and_actuators_do() -> None:
         assert biased.value("advance", side) == pytest.approx(plain.value("advance", side))
     ratio = offset.value("steady_diameter", "port") / offset.value("steady_diameter", "starboard")
     assert ratio == pytest.approx(0.22 / 0.18, rel=1e-3)
-
-
-def test_report_and_plain_data(fit_turning) -> None:
-    """Words have metres and lengths; the dictionary survives JSON."""
-    circle = turning_circle(fit_turning, speed=2.0, rudder=0.3, length=10.0, n_draws=20)
-    text = circle.report()
-    for words in ("17.2 deg", "starboard [L]"):
-        assert words in text
-    half = 1.96 * circle.std("advance", "starboard")
-    advance = circle.value("advance", "starboard")
-    decimals = 1 - math.floor(math.log10(half))  # two digits of the uncertainty
-    assert f"{advance:.{decimals}f} ± {half:.2g}" in text
-    data = json.loads(json.dumps(circle.to_dict()))
-    assert set(data["sides"]["port"]) == set(QUANTITIES)
-    assert "[L]" not in turning_circle(NOMOTO, speed=2.0).report()
-    assert math.isnan(turning_circle(NOMOTO, speed=2.0).std("advance", "port"))
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.published import paper
-from oed_sysid import load_problem
-from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid import load_problem, simulate, simulate_inputs
 
 PROBLEM = load_problem("auv_diving_plane")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)

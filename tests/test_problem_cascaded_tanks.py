@@ -7,9 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, Problem, load_problem
-from oed_sysid.evidence.compare import compare
-from oed_sysid.evidence.improve import improve
+from oed_sysid import Dataset, Problem, compare, improve, load_problem
 from oed_sysid.text.expressions import to_numpy
 
 pytestmark = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import MultipleShooting, improve, load_problem
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid import MultipleShooting, improve, load_problem, simulate_inputs
 
 PROBLEM = load_problem("catamaran")
 

@@ -8,9 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, MultipleShooting, load_problem
+from oed_sysid import Dataset, MultipleShooting, load_problem, simulate, simulate_inputs
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from problems.esso_osaka.records import VALIDATION, read, windows
 
 PROBLEM = load_problem("esso_osaka")

@@ -7,11 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, MultipleShooting, load_problem
+from oed_sysid import Dataset, MultipleShooting, load_problem, simulate_inputs, turning_circle
 from oed_sysid.baselines import IncrementalLSSVM
 from oed_sysid.data import third_party
-from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.prediction.turning_circle import turning_circle
 from oed_sysid.testing import check_effect
 
 HEADING = load_problem("kvlcc2")

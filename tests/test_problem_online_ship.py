@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import Dataset, load_problem
+from oed_sysid import Dataset, load_problem, simulate
 from oed_sysid.baselines import EquationStream, OnlineRegression, RecursiveLSSVM
-from oed_sysid.experiments.simulation import simulate
 
 PROBLEM = load_problem("online_ship")
 RECORD = simulate(PROBLEM.model, PROBLEM.experiment("zigzag_5_5"), noise=False)

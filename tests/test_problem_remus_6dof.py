@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from oed_sysid import MultipleShooting, improve, load_problem
-from oed_sysid.experiments.simulation import simulate
+from oed_sysid import MultipleShooting, improve, load_problem, simulate
 from oed_sysid.text import expressions
 
 PROBLEM = load_problem("remus_6dof")

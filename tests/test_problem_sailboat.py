@@ -10,9 +10,8 @@ import pytest
 
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_errors
-from oed_sysid import load_problem
+from oed_sysid import load_problem, simulate_inputs
 from oed_sysid.baselines import EquationError
-from oed_sysid.experiments.simulation import simulate_inputs
 
 PROBLEM = load_problem("sailboat")
 SCRIPT = paper("sailboat")

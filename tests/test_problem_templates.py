@@ -8,19 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import (
-    DOptimal,
-    MultipleShooting,
-    design_experiment,
-    improve,
-    load_problem,
-    new_problem,
-)
 from oed_sysid.cli import DONE, main
-from oed_sysid.design import Search, Trial
+from oed_sysid.design import DOptimal, Search, Trial, design_experiment
 from oed_sysid.errors import ProblemError
+from oed_sysid.evidence.improve import improve
+from oed_sysid.experiments.problem import load_problem, new_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.experiments.starter import TEMPLATES
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 
 # One command of each to design, the others held, and a start.
 DESIGNED: dict[str, tuple[str, dict[str, float], dict[str, float]]] = {

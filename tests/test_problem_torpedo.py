@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from benchmarks.documents.published import paper
-from oed_sysid import load_problem
+from oed_sysid import load_problem, simulate, simulate_inputs
 from oed_sysid.baselines import DifferentialSwarm
-from oed_sysid.experiments.simulation import simulate, simulate_inputs
 
 PROBLEM = load_problem("torpedo")
 EXPERIMENT = PROBLEM.experiment("pitching")

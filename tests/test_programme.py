@@ -17,16 +17,15 @@ from oed_sysid.design import (
     Knowledge,
     Programme,
     ProgrammeSearch,
+    Setting,
     candidate_runs,
     design_programme,
 )
 from oed_sysid.design.allocation import Library, Selection, select, weights
-from oed_sysid.design.criteria import Setting
 from oed_sysid.design.vehicles import draw_models
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.information import information_of
-from oed_sysid.information.noise import noise_of
+from oed_sysid.information import information_of, noise_of
 from oed_sysid.likelihood.information import Information
 
 PATTERN = Experiment("pattern", duration=40.0, sample_time=0.5, constants={})

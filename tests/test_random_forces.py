@@ -1,4 +1,4 @@
-"""Disturbance forces: whether they act, how strongly, and what they leave of the parameters."""
+"""Disturbance forces, unknown inputs, noisier sensors, fits a short time ahead."""
 
 from __future__ import annotations
 
@@ -6,13 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from turning_ship import GAIN, NOISE, SAMPLE, SHIP, TIME, dataset, record
+from golden_files import restored
+from scipy.integrate import solve_ivp
+from turning_ship import CUBIC, GAIN, NOISE, SAMPLE, SHIP, TIME, dataset, record
 
-from oed_sysid import Dataset, Fit, MultipleShooting, Parameter, Record, Sensor
+from oed_sysid import UnknownForce, UnknownInput
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.evidence.study import Study
+from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
-from oed_sysid.physics.channels import Output, State
+from oed_sysid.likelihood.shooting import Shooting
+from oed_sysid.likelihood.windows import Windows
+from oed_sysid.physics import Sensor
+from oed_sysid.physics.bodies import rigid_body
+from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 FORCE, FORCE_TIME = 0.02, 1.0
 WHITE = MultipleShooting(disturbances="none", coloured="never")
@@ -140,15 +155,8 @@ def test_forces_of_an_earlier_fit_are_not_taken_along_where_none_act(disturbed: 
 
 
 def test_a_disturbed_fit_survives_its_file(disturbed: Fit, tmp_path) -> None:  # type: ignore[no-untyped-def]
-    """Saved and loaded, it has the same noise, likelihood and predictions."""
-    path = tmp_path / "fit.json"
-    disturbed.save(path)
-    again = Fit.load(path)
-    assert again.noise is not None
-    assert disturbed.noise is not None
-    assert again.noise.to_dict() == disturbed.noise.to_dict()
-    assert again.log_likelihood == pytest.approx(disturbed.log_likelihood, rel=1e-9)
-    other = dataset(9)
+    """Saved and loaded, it predicts as before."""
+    other, again = dataset(9), restored(disturbed, tmp_path)
     assert again.predict(other).rms == pytest.approx(disturbed.predict(other).rms, rel=1e-9)
 
 
@@ -287,3 +295,310 @@ def test_levels_are_found_on_average(colour: float) -> None:
     assert np.sqrt(np.mean(np.square(force))) == pytest.approx(
         FORCE, rel=0.1 if colour == 0 else 0.3
     )
+
+
+TRUE = {"K": 0.3, "T": 4.0, "a": 1.5}
+NOISE_INPUTS = np.array([0.002, 0.003])
+BOAT = Model(
+    "boat",
+    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
+    (Input("rudder", "rad"), Input("trim", "rad")),
+    (Output("r", "rad/s"), Output("psi", "rad")),
+    {"r": "(K*(rudder + trim) - r - a*r*abs(r))/T", "psi": "r"},
+    parameters=(
+        Parameter("K", 0.2, "1/s"),
+        Parameter("T", 3.0, "s", lower=0.3),
+        Parameter("a", 0.5, "s"),
+    ),
+    step=0.1,
+)
+SERIES = {"duration": 80.0, "spacing": 8.0, "scale": 0.1}
+
+
+def hidden(times: np.ndarray, phase: float) -> np.ndarray:
+    """A trim that nobody logged, rad."""
+    return 0.08 * np.sin(2 * np.pi * times / 50 + phase) + 0.05
+
+
+@pytest.fixture(scope="module")
+def data() -> Dataset:
+    """Two records with different origins of time, the trim logged as zero."""
+    rng = np.random.default_rng(0)
+    records = []
+    for phase, origin in ((0.0, 0.0), (1.0, 500.0)):
+        times = origin + np.arange(0.0, 80.0, 0.2)
+        rudder = np.repeat(rng.choice([-0.2, 0.0, 0.2], 40), 10)
+        inputs = {"rudder": rudder, "trim": hidden(times - origin, phase)}
+        run = simulate_inputs(BOAT.with_values(TRUE), times, inputs=inputs)
+        measured = run.outputs + NOISE_INPUTS * rng.standard_normal(run.outputs.shape)
+        logged = np.column_stack([rudder, np.zeros(times.size)])
+        records.append(Record(f"run_{phase:.0f}", times, logged, measured, BOAT.channels))
+    return Dataset(tuple(records))
+
+
+def fitted(model: Model, data: Dataset) -> Fit:
+    """A fit with known noise and no disturbance forces."""
+    return MultipleShooting(noise=NOISE_INPUTS, disturbances="none").fit(model, data)
+
+
+def test_series_and_parameters_are_recovered(data: Dataset) -> None:
+    """The unlogged trim comes back within a tenth of its swing, and the parameters are right."""
+    fit = fitted(BOAT + UnknownInput("trim", "rad", **SERIES), data)
+    assert fit.status.ok
+    for name, true in TRUE.items():
+        assert abs(fit.values[name] - true) < 3.5 * fit.std_errors[name]
+    assert fit.std_errors["K"] < 0.015
+    series = unknown_series(fit, "unknown_input_trim")
+    for run, phase, (times, values) in zip(data, (0.0, 1.0), series, strict=True):
+        truth = hidden(run.times - run.times[0], phase)
+        away = np.interp(run.times, times, values) - truth
+        assert np.sqrt(np.mean(away**2)) < 0.1 * np.std(truth)
+
+
+def test_without_the_series_the_parameters_are_wrong(data: Dataset) -> None:
+    """The same fit without it misses by far more than it states, or does not end well."""
+    fit = fitted(BOAT, data)
+    misses = [abs(fit.values[n] - true) / fit.std_errors[n] for n, true in TRUE.items()]
+    assert not fit.status.ok or max(misses) > 10
+
+
+def test_force_and_input_say_the_same(data: Dataset) -> None:
+    """A series in the equation of r is the series of the trim times K/T."""
+    by_input = fitted(BOAT + UnknownInput("trim", "rad", **SERIES), data)
+    series = SERIES | {"scale": 0.1 * 0.3 / 4.0}
+    by_force = fitted(BOAT + UnknownForce("r", "rad/s^2", **series), data)
+    assert by_force.values["K"] == pytest.approx(by_input.values["K"], rel=0.01)
+    (_, one), _ = unknown_series(by_force, "unknown_force_r")
+    (_, other), _ = unknown_series(by_input, "unknown_input_trim")
+    gain = by_input.values["K"] / by_input.values["T"]
+    np.testing.assert_allclose(one, gain * other, atol=0.05 * gain * 0.1)
+
+
+def test_prior_holds_what_the_record_does_not_say(data: Dataset) -> None:
+    """Nodes behind the end of a record stay where the last one was."""
+    longer = SERIES | {"duration": 160.0}
+    fit = fitted(BOAT + UnknownInput("trim", "rad", **longer), data)
+    (_, values), _ = unknown_series(fit, "unknown_input_trim")
+    np.testing.assert_allclose(values[12:], values[11], atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [({"spacing": 0.0}, "spacing 0.0"), ({"scale": -1.0}, "scale"), ({"spacing": 0.1}, "nodes")],
+)
+def test_impossible_series_are_refused(change: dict, words: str) -> None:
+    """Times and levels are positive, and nodes few."""
+    with pytest.raises(ModelError, match=words):
+        UnknownInput("trim", "rad", **(SERIES | change))
+
+
+def test_unknown_names_are_refused(data: Dataset) -> None:
+    """A fit without such an effect says which it has."""
+    fit = fitted(BOAT + UnknownInput("trim", "rad", **SERIES), data)
+    with pytest.raises(DataError, match="unknown_input_trim"):
+        unknown_series(fit, "unknown_input_rudder")
+
+
+TRUE_SENSORS = {
+    "X_u": -20.0, "X_absuu": -90.0, "Z_w": -30.0, "Z_absww": -160.0, "N_r": -8.0, "N_absrr": -30.0,
+}  # fmt: skip
+DECLARED = {"u": 0.02, "w": 0.02, "r": 0.005, "psi": 0.02, "z": 0.05}
+ARM = 0.25  # m
+BODY = rigid_body(
+    ("surge", "heave", "yaw"),
+    mass=120.0,
+    inertia=12.0,
+    added_mass={"X_udot": -40.0, "Z_wdot": -90.0, "N_rdot": -8.0},
+    weight=1177.2,
+    buoyancy=1179.2,
+    position=("z",),
+)
+CRAFT = BODY.model(
+    "three thrusters",
+    inputs=(Input("T_port", "N"), Input("T_starboard", "N"), Input("T_down", "N")),
+    effects=(
+        BODY.hull(
+            {
+                "X_u": -25.0,
+                "X_absuu": -80.0,
+                "Z_w": -25.0,
+                "Z_absww": -140.0,
+                "N_r": -7.0,
+                "N_absrr": -25.0,
+            }
+        ),
+        BODY.thruster("port", "T_port", at=(0, -ARM, 0)),
+        BODY.thruster("starboard", "T_starboard", at=(0, ARM, 0)),
+        BODY.thruster("down", "T_down", direction=(0, 0, 1)),
+    ),
+    noise=DECLARED,
+    step=0.1,
+)
+
+
+def runs(seed: int, louder: float) -> Dataset:
+    """Records by SciPy of a craft that lacks nothing; its sensors are ``noisier`` than declared."""
+    rng = np.random.default_rng(seed)
+    found = []
+    for index in range(3):
+        times = np.arange(0.0, 90.0, 0.1)
+        level, swing = np.array([25.0, 25.0, 8.0]), np.array([20.0, 20.0, 24.0])
+        thrust = np.repeat(level + swing * rng.choice([-1, 0, 1], (30, 3)), 30, axis=0)
+
+        def rates(t: float, x: np.ndarray, thrust: np.ndarray = thrust) -> list[float]:
+            u, w, r, _, _ = x
+            port, starboard, down = thrust[min(int(t / 0.1 + 1e-9), len(thrust) - 1)]
+            surge = (
+                port + starboard + TRUE_SENSORS["X_u"] * u + TRUE_SENSORS["X_absuu"] * abs(u) * u
+            )
+            heave = down - 2.0 + TRUE_SENSORS["Z_w"] * w + TRUE_SENSORS["Z_absww"] * abs(w) * w
+            yaw = (
+                ARM * (port - starboard)
+                + TRUE_SENSORS["N_r"] * r
+                + TRUE_SENSORS["N_absrr"] * abs(r) * r
+            )
+            return [surge / 160.0, heave / 210.0, yaw / 20.0, r, w]
+
+        start = [0.3, 0.0, 0.0, 0.3, 5.0]
+        run = solve_ivp(rates, (0, 89.9), start, t_eval=times, max_step=0.1, rtol=1e-6).y.T
+        seen = run + louder * np.array(list(DECLARED.values())) * rng.standard_normal(run.shape)
+        seen[np.arange(len(times)) % 2 > 0, :2] = np.nan  # speeds come half as often
+        seen[np.arange(len(times)) % 5 > 0, 4] = np.nan
+        found.append(Record(f"run {index}", times, thrust, seen, CRAFT.channels))
+    return Dataset(tuple(found))
+
+
+@pytest.mark.parametrize("seed", [0, 3])
+def test_noise_declared_three_times_too_small_is_found(seed: int) -> None:
+    """No force that follows every wiggle, no parameter that follows the force."""
+    _, best = Study.begin(CRAFT, runs(seed, 3.0), None, (), known_noise=False)
+    for name, value in TRUE_SENSORS.items():
+        assert best.values[name] == pytest.approx(value, rel=0.25)
+    loud = 3.0 * np.array(list(DECLARED.values()))
+    np.testing.assert_allclose(best.noise.white, loud, rtol=0.1)
+
+
+@pytest.fixture(scope="module")
+def zigzags() -> Dataset:
+    """Four records of a linear ship with declared noise."""
+    rng = np.random.default_rng(4)
+    return Dataset(tuple(record(f"run_{i}", rng) for i in range(4)))
+
+
+@pytest.mark.parametrize("horizon", [0.2, 1.0, 7.3, 20.0, 1e4])
+def test_every_transition_is_counted_once(zigzags: Dataset, horizon: float) -> None:
+    """Windows overlap by one sample, so that their steps add up to those of the records."""
+    problem = Windows.overlapping(Shooting(SHIP, zigzags, np.array([0.01, 0.004])), horizon)
+    seen = {index: np.zeros(run.n_samples - 1, dtype=int) for index, run in enumerate(zigzags)}
+    for part in problem.windows:
+        stops = [*part.starts[1:], zigzags[part.record].n_samples]
+        for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
+            if counted:
+                seen[part.record][start : stop - 1] += 1
+    for counts in seen.values():
+        assert (counts == 1).all()
+
+
+def test_the_longest_horizon_is_the_whole_record(zigzags: Dataset) -> None:
+    """With one window a record, values are those of the estimator without a horizon."""
+    whole = MultipleShooting(disturbances="none").fit(SHIP, zigzags)
+    long = MultipleShooting(disturbances="none", horizon=1e4).fit(SHIP, zigzags)
+    for name, value in whole.values.items():
+        assert long.values[name] == pytest.approx(value, rel=1e-5)
+    assert (long.horizon, long.n_windows) == (1e4, 4)
+    assert long.normalised_rms == pytest.approx(whole.normalised_rms, rel=1e-4)
+
+
+def test_intervals_hold_at_ten_seconds() -> None:
+    """White noise: values of fifteen data sets stay within what their errors say."""
+    z = []
+    for seed in range(15):
+        rng = np.random.default_rng([7, seed])
+        data = Dataset(tuple(record(f"run_{i}", rng) for i in range(3)))
+        fit = MultipleShooting(disturbances="none", horizon=10.0).fit(SHIP, data)
+        assert fit.status.ok
+        z += [(fit.values[n] - t) / fit.std_errors[n] for n, t in (("K", GAIN), ("T", TIME))]
+    assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+def test_a_short_horizon_costs_precision_where_the_structure_is_right(zigzags: Dataset) -> None:
+    """Noise in the states is all that a one-step fit sees."""
+    errors = [
+        MultipleShooting(disturbances="none", horizon=h).fit(SHIP, zigzags).std_errors["T"]
+        for h in (0.2, 5.0, 60.0)
+    ]
+    assert errors[0] > 2 * errors[1] > 2 * errors[2]
+
+
+def test_missing_structure_shows_at_long_horizons() -> None:
+    """Without the cubic damping of the data the misfit grows with the horizon, with it it stays."""
+    rng = np.random.default_rng(2)
+    data = Dataset(tuple(record(f"run_{i}", rng, cubic=-3.0) for i in range(4)))
+    for model, low, high in ((SHIP, 1.1, 30.0), (SHIP + CUBIC, 0.95, 1.05)):
+        short, long = (
+            MultipleShooting(disturbances="none", noise="given", horizon=h).fit(model, data)
+            for h in (2.0, 60.0)
+        )
+        growth = long.normalised_rms / short.normalised_rms
+        assert low < growth < high
+
+
+def test_parameters_of_each_record_are_found() -> None:
+    """A rudder zero per record is one number for all windows of that record."""
+    rng = np.random.default_rng(3)
+    runs = []
+    for i, zero in enumerate((-0.05, 0.0, 0.05)):
+        run = record(f"run_{i}", rng)
+        shifted = run.inputs - zero
+        runs.append(type(run)(run.name, run.times, shifted, run.outputs, run.channels))
+    zero = Parameter("E_zero", 0.0, "rad", prior_mean=0.0, prior_std=0.1, per_record=True)
+    model = Model(
+        "with zero",
+        states=SHIP.states,
+        inputs=SHIP.inputs,
+        outputs=SHIP.outputs,
+        kinematics={"psi": "r", "r": "(K*(delta + E_zero) - r)/T"},
+        actuators={"delta": "rudder"},
+        parameters=(*SHIP.parameters, zero),
+        step=SHIP.step,
+    )
+    fit = MultipleShooting(disturbances="none", horizon=10.0).fit(model, Dataset(tuple(runs)))
+    found = [local["E_zero"] for local in fit.local_values]
+    assert found == pytest.approx([-0.05, 0.0, 0.05], abs=0.01)
+    assert fit.values["K"] == pytest.approx(GAIN, rel=0.03)
+
+
+def test_noise_levels_are_estimated_where_asked(zigzags: Dataset) -> None:
+    """Levels from the windows' residuals, start states counted."""
+    fit = MultipleShooting(disturbances="none", noise="estimate", horizon=10.0).fit(SHIP, zigzags)
+    assert fit.sigma == pytest.approx([0.01, 0.004], rel=0.1)
+
+
+def test_settings_that_have_no_place_are_refused(zigzags: Dataset) -> None:
+    """Disturbance forces, robust losses, known starts and too short horizons are named."""
+    with pytest.raises(ModelError, match="whole records"):
+        MultipleShooting(horizon=10.0, disturbances="all")
+    with pytest.raises(ModelError, match="intervals"):
+        MultipleShooting(horizon=10.0, loss="huber")
+    with pytest.raises(ModelError, match="above zero"):
+        MultipleShooting(horizon=0.0)
+    with pytest.raises(DataError, match="a step of the records"):
+        MultipleShooting(horizon=0.05).fit(SHIP, zigzags)
+    with pytest.raises(ModelError, match="start_states"):
+        MultipleShooting(horizon=5.0).fit(SHIP, zigzags, start_states={"r": 0.0})
+
+
+def test_a_fit_ahead_is_judged_by_its_windows(zigzags: Dataset) -> None:
+    """Its trajectories do not hang on the step, though whole runs of a wrong model drift away."""
+    wrong = SHIP.with_values({"K": 0.9 * GAIN}).fix("K")
+    fit = MultipleShooting(disturbances="none", horizon=1.0).fit(wrong, zigzags)
+    assert fit.status.ok
+    assert "integration" not in {concern.kind for concern in fit.concerns}
+    assert fit.nominal == {"T": wrong.values["T"]}
+    whole = kernel(fit.model)
+    errors = []
+    for run, own in zip(zigzags, fit.initial_states, strict=True):
+        values = fit.model.value_vector
+        z0, _ = whole.start(own, run.inputs[0], values, run.times[0])
+        errors.append(run.outputs - whole.run(run.times, run.inputs, values, z0).outputs)
+    assert np.sqrt(np.mean((np.vstack(errors) / fit.sigma) ** 2)) > 3 * fit.normalised_rms

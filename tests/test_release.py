@@ -13,11 +13,11 @@ import zipfile
 from pathlib import Path
 
 import pytest
+import yaml
 
 import oed_sysid.testing
 from benchmarks.lowest import constraints, lowest
-from oed_sysid import __version__
-from oed_sysid.experiments.problem import list_problems
+from oed_sysid import __version__, list_problems
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -48,6 +48,39 @@ def test_citation_has_what_the_format_demands() -> None:
     keys = re.findall(r"^([a-z-]+):", text, re.MULTILINE)
     assert {"cff-version", "message", "title", "authors"} <= set(keys)
     assert "cff-version: 1.2.0" in text
+
+
+def test_conda_recipe_asks_for_what_the_package_needs() -> None:
+    """Version, oldest Python and oldest libraries of the recipe are those of pyproject.toml."""
+    recipe = yaml.safe_load((ROOT / "conda" / "recipe.yaml").read_text(encoding="utf-8"))
+    assert recipe["context"]["version"] == __version__
+    asked = {one.replace(" ", "").replace("matplotlib-base", "matplotlib")
+             for one in recipe["requirements"]["run"]}  # fmt: skip
+    assert asked == {*PROJECT["dependencies"], f"python{PROJECT['requires-python']}"}
+
+
+def test_workflows_run_what_exists() -> None:
+    """Three systems and every admitted Python are tested; targets of make and files are there."""
+    folder = ROOT / ".github" / "workflows"
+    flows = {path.stem: yaml.safe_load(path.read_text(encoding="utf-8"))
+             for path in folder.iterdir()}  # fmt: skip
+    matrix = flows["test"]["jobs"]["systems"]["strategy"]["matrix"]
+    assert {one.partition("-")[0] for one in matrix["os"]} == {"ubuntu", "windows", "macos"}
+    assert f">={matrix['python'][0]}" == PROJECT["requires-python"]
+    steps = [step.get("run", "") for flow in flows.values() for job in flow["jobs"].values()
+             for step in job["steps"]]  # fmt: skip
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    assert {word for step in steps for word in re.findall(r"make ([a-z-]+)", step)} <= targets
+    assert ".ci/run" in steps
+
+
+def test_paper_cites_what_its_list_holds() -> None:
+    """Each citation is in the bibliography and each entry is cited; links lead to files."""
+    text = (ROOT / "paper" / "paper.md").read_text(encoding="utf-8")
+    entries = re.findall(r"^@\w+\{(\w+),", (ROOT / "paper" / "paper.bib").read_text(), re.MULTILINE)
+    assert set(re.findall(r"@(\w+)", text)) == set(entries)
+    for link in re.findall(r"\]\((\.\./[\w./]+\.md)\)", text):
+        assert (ROOT / "paper" / link).is_file(), link
 
 
 def test_contributing_promises_checks_that_exist() -> None:

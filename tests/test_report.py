@@ -8,33 +8,48 @@ import subprocess
 import sys
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import matplotlib as mpl
 import matplotlib.pyplot
+import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from matplotlib.axes import Axes
+from PIL import Image
+from test_design import ship
+from test_sensitivity import oscillator, roll_test
+
+from oed_sysid import results as report
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.design import Levels, Search, Trial, design_experiment
+from oed_sysid.errors import DataError
+from oed_sysid.evidence.compare import Comparison, compare
+from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
+from oed_sysid.experiments.problem import load_problem, new_problem
+from oed_sysid.experiments.simulation import simulate
+from oed_sysid.information import rank_parameters
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.multistart import profile
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.results import (
+    LiveParameters,
+    figure_design,
+    figure_record,
+    plot_accuracy,
+    plot_history,
+    plot_sensitivity,
+)
+from oed_sysid.runtime.display import rounded
 
 mpl.use("Agg")
 
-from oed_sysid import (
-    Dataset,
-    Experiment,
-    Fit,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    State,
-)
-from oed_sysid import (
-    results as report,
-)
-from oed_sysid.errors import DataError
-from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
-from oed_sysid.experiments.simulation import simulate
-from oed_sysid.likelihood.multistart import profile
 
 SHIP = Model(
     "ferry",
@@ -300,7 +315,7 @@ def test_report_is_one_file_that_fetches_nothing(fit: Fit, tmp_path) -> None:
     assert picture is not None
     assert b"<svg" in base64.b64decode(picture[1])
     for name, value in fit.values.items():
-        assert f"<td>{name}</td><td>{value:.6g}</td>" in text
+        assert f"<td>{name}</td><td>{rounded(value, fit.std_errors[name])}</td>" in text
 
 
 def test_report_escapes_what_the_user_wrote(fit: Fit) -> None:
@@ -356,3 +371,268 @@ def test_unmeasured_output_is_a_dash_in_every_rendering(data: Dataset) -> None:
     for said in (document.text(), document.latex(), page[page.index("<main>") :]):
         assert not re.search(r"\bnan\b|[0-9]e\+0[2-5]\b", re.sub(r'src="[^"]*"', "", said))
         assert "–" in said
+
+
+def test_sensitivity_plot_has_a_row_for_each_parameter() -> None:
+    """Rows are the parameters, best on top, at their errors."""
+    ranking = rank_parameters(oscillator(), roll_test())
+    ax = plot_sensitivity(ranking)
+    assert len(ax.get_yticklabels()) == len(ranking.rows)
+    dots = [line.get_xdata()[0] for line in ax.lines if line.get_label() == "estimated together"]
+    np.testing.assert_allclose(dots, [min(r.error, dots[i]) for i, r in
+                                      enumerate(ranking.rows)])  # fmt: skip
+    assert dots[0] == pytest.approx(ranking.rows[0].error)
+
+
+def test_design_figure_draws_commands_limits_and_errors(tmp_path: Path) -> None:
+    """The figure can be written, and the accuracy shown is the design's."""
+    limits = Limits(inputs={"rudder": (-0.35, 0.35)}, signals={"psi": (-0.6, 0.6)})
+    design = design_experiment(
+        ship(),
+        Trial(limits=limits, duration=30.0, sample_time=0.5),
+        rng=np.random.default_rng(0),
+        search=Search(family=Levels(8), n_starts=1, n_candidates=5, n_steps=3, n_workers=1),
+    )
+    figure = figure_design(design)
+    figure.savefig(tmp_path / "design.png")
+    assert (tmp_path / "design.png").stat().st_size > 10_000
+    (ours,) = [line for line in plot_accuracy(design).lines if line.get_label() == "designed"]
+    np.testing.assert_allclose(np.sort(ours.get_xdata()), np.sort(design.relative_errors))
+
+
+mpl.use("Agg")
+
+
+HIDDEN = "yaw_quadratic_damping"
+
+
+@pytest.fixture(name="story", scope="module")
+def _story(tmp_path_factory) -> tuple[Improvement, Comparison, Dataset]:
+    """The starter problem improved, compared on its circle, with its training records."""
+    problem = load_problem(new_problem(tmp_path_factory.mktemp("report") / "my_ship"))
+    train, test = problem.data().split(test=["turning_circle"])
+    found = improve(problem.model, train, test, candidates=problem.effects, known_noise=True)
+    fits = {
+        "nominal": MultipleShooting().fit(problem.model, train),
+        "improved": MultipleShooting().fit(found.model, train),
+    }
+    return found, compare(fits, test), train
+
+
+def test_ranking_plot_shows_gains_in_order(story) -> None:
+    """The bars are the gains after refits, the hidden effect's is the longest and on top."""
+    ranking = story[0].ranking
+    ax = report.plot_ranking(ranking)
+    names = [text.get_text() for text in ax.get_yticklabels()]
+    assert names[0] == HIDDEN.replace("_", " ")
+    widths = sorted((bar.get_width() for bar in ax.patches), reverse=True)
+    gains = sorted((max(refit.gain, 0.0) for refit in ranking.refits), reverse=True)
+    np.testing.assert_allclose(widths, gains)
+
+
+def test_located_plot_shows_the_gains(story) -> None:
+    """One bar per place, as long as it is behind the best; the last is no disturbance at all."""
+    located = story[0].location
+    ax = report.plot_located(located, n_shown=3)
+    widths = [bar.get_width() for group in ax.containers for bar in group]
+    gains = [located.gains[place.name] for place in located.places[:3]]
+    best = max(*located.gains.values(), 0.0)
+    np.testing.assert_allclose(widths, [*(best - np.array(gains)), best])
+    assert min(widths) == 0.0
+    assert report.finding(ax) == located.verdict
+
+
+def test_error_plot_falls_to_one(story) -> None:
+    """The errors on the validation records are drawn from the nominal model to the last step."""
+    found = story[0]
+    ax = report.plot_error_fall(found)
+    (line,) = [one for one in ax.get_lines() if one.get_label() == "validation records"]
+    expected = [found.base_error["test"], *(step.test_error for step in found.steps)]
+    np.testing.assert_allclose(line.get_ydata(), expected)
+    assert ax.get_xticklabels()[0].get_text() == "nominal"
+
+
+def test_residual_force_plot_has_its_band(story) -> None:
+    """The band around the residual force is 1.96 standard errors wide on either side."""
+    located = story[0].location
+    ax = report.plot_residual_force(located, located.force_names[0], record=1)
+    series = located.forces[1]
+    (band,) = ax.collections
+    top = band.get_paths()[0].vertices[:, 1].max()
+    assert top == pytest.approx((series.values + 1.96 * series.std)[:, 0].max(), rel=1e-6)
+    with pytest.raises(DataError, match=re.escape(located.force_names[0])):
+        report.plot_residual_force(located, "no such equation")
+
+
+def test_force_against_yaw_rate_shows_the_missing_damping(story) -> None:
+    """Against the yaw rate the slice means bend as a damping that a line cannot replace."""
+    found, _, train = story
+    ax = report.plot_force_against(found.location, found.location.force_names[0], train, "r")
+    means = ax.containers[0].lines[0]
+    x, y = np.asarray(means.get_xdata()), np.asarray(means.get_ydata())
+    # r|r| less the straight line that the free time constant absorbs: odd, and bent.
+    outer, inner = np.abs(x) > 0.7 * np.abs(x).max(), np.abs(x) < 0.6 * np.abs(x).max()
+    assert np.mean((np.sign(x) * y)[outer]) < np.mean((np.sign(x) * y)[inner])
+    assert ax.get_xlabel() == "yaw rate $r$ [deg/s]"
+    logged = np.degrees(np.concatenate([record.output("r") for record in train]))
+    assert x.min() >= np.nanmin(logged)
+    assert x.max() > 0.5 * np.nanmax(logged)
+
+
+def test_force_figure_draws_every_record_and_varying_signal(story) -> None:
+    """Two training records over time, and three signals that vary."""
+    found, _, train = story
+    figure = report.figure_force(found.location, found.location.force_names[0], train)
+    drawn = [ax for ax in figure.get_axes() if ax.axison]
+    assert len(drawn) == 2 + 3
+
+
+def test_comparison_plot_shows_ratio_and_spread(story) -> None:
+    """Each bar is an output's error over its noise."""
+    comparison = story[1]
+    ax = report.plot_comparison(comparison)
+    heights = [bar.get_height() for bar in ax.patches]
+    expected = [one.relative for part in comparison.models for one in part.outputs]
+    np.testing.assert_allclose(heights, expected)
+
+
+def test_prediction_plot_shows_the_uncertain_band(story) -> None:
+    """The band of a prediction is wider than the noise: parameters are uncertain."""
+    prediction = story[1].models[1].prediction
+    ax = report.plot_prediction(prediction, "psi")
+    (band,) = ax.collections
+    top = band.get_paths()[0].vertices[:, 1].max()
+    expected = (prediction.outputs[0] + 1.96 * prediction.std[0])[:, 0].max()
+    assert top == pytest.approx(np.degrees(expected), rel=1e-6)
+    assert expected > (prediction.outputs[0] + 1.96 * prediction.sigma)[:, 0].max()
+    errors = report.plot_prediction_error(prediction, "psi").get_lines()[-1].get_ydata()
+    np.testing.assert_allclose(errors, prediction.residuals[0][:, 0] / prediction.sigma[0])
+
+
+def test_report_tells_the_story(story) -> None:
+    """Verdict, numbers, evidence and equations of the improved model are on the page."""
+    found, comparison, train = story
+    page = report.improvement_page(found, comparison, train=train, title="My ship")
+    titles = [section.title for section in page.sections]
+    parts = dict(zip(titles, page.sections, strict=True))
+    told = parts["What to believe, and what to do next at sea"].paragraphs
+    assert all(any(line.strip(" -") in p for p in told) for line in found.advice)
+    assert [row[1] for row in parts["Errors"].tables[0].rows][:2] == ["training", "validation"]
+    assert {"What is missing", "Where the nominal model fails", "Candidates"} < set(titles)
+    assert HIDDEN in page.answer
+    assert page.verdict[-1].startswith("Verdict")
+    html = page.html()
+    assert "<h1>My ship</h1>" in html
+    assert "E_yaw r |r|" in html
+    assert not re.search(r'(src|href)="(?!data:|#)', html)
+
+
+class Clock:
+    """A wall clock that stands where it is set."""
+
+    def __init__(self) -> None:
+        self.now = 0.0
+
+    def __call__(self) -> float:
+        """Return the time, s."""
+        return self.now
+
+
+def fed(n: int, **settings: object) -> LiveParameters:
+    """A plot after ``n`` samples of a K that settles at 2."""
+    live = LiveParameters(["K"], units={"K": "1/s"}, **settings)  # type: ignore[arg-type]
+    for k in range(1, n + 1):
+        live.update(float(k), {"K": 2.0 + 1.0 / k}, {"K": 1.0 / k})
+    return live
+
+
+def test_band_is_196_standard_errors() -> None:
+    """The band reaches 1.96 standard errors to either side of the estimate."""
+    times = np.arange(3.0)
+    ax = plot_history(times, np.full(3, 5.0), np.full(3, 2.0), name="Z_w", unit="kg/s")
+    corners = ax.collections[0].get_paths()[0].vertices
+    assert corners[:, 1].min() == pytest.approx(5.0 - 3.92)
+    assert corners[:, 1].max() == pytest.approx(5.0 + 3.92)
+    assert "Z_{w}" in ax.get_ylabel()
+    assert "kg/s" in ax.get_ylabel()
+    plt.close(ax.figure)
+
+
+def test_drawing_is_throttled_by_the_clock() -> None:
+    """A thousand updates within ten seconds draw ten times at one per second."""
+    clock = Clock()
+    live = LiveParameters(["K"], every=1.0, clock=clock)
+    for k in range(1000):
+        clock.now = k / 100.0
+        live.update(float(k), {"K": 1.0})
+    assert live.n_drawings == 10
+    assert live.n_samples == 1000
+
+
+def test_curve_shows_all_samples_once_drawn() -> None:
+    """After a last drawing the curve holds every sample, the skipped ones too."""
+    live = fed(50, every=1e9)
+    assert len(live.figure.axes[0].lines[0].get_xdata()) == 1
+    live.draw()
+    line = live.figure.axes[0].lines[0]
+    assert np.allclose(line.get_ydata(), 2.0 + 1.0 / np.arange(1, 51))
+
+
+def test_file_is_kept_up_to_date(tmp_path: Path) -> None:
+    """Without a screen the picture is on disk after every drawing."""
+    file = tmp_path / "live.png"
+    fed(3, file=file, every=0.0)
+    with Image.open(file) as picture:
+        assert picture.format == "PNG"
+        assert picture.width > 400
+
+
+def test_animation_has_the_frames(tmp_path: Path) -> None:
+    """The GIF has as many different pictures as were asked for."""
+    path = tmp_path / "live.gif"
+    fed(20, every=1e9).animate(path, frames=5)
+    with Image.open(path) as picture:
+        assert picture.n_frames == 5
+
+
+def test_early_wild_estimates_do_not_set_the_scale() -> None:
+    """The axis shows the later half, so that the first samples do not flatten it."""
+    live = LiveParameters(["K"], every=1e9)
+    for k in range(40):
+        live.update(float(k), {"K": 1e6 if k < 3 else 2.0}, {"K": 0.1})
+    live.draw()
+    low, high = live.figure.axes[0].get_ylim()
+    assert 1.0 < low < 2.0 < high < 3.0
+
+
+@pytest.mark.parametrize(
+    ("call", "words"),
+    [
+        (lambda live: live.update(0.0, {"K": 1.0}), "not later"),
+        (lambda live: live.update(9.0, {"T": 1.0}), "no parameter 'T'"),
+        (lambda _: LiveParameters([]), "at least one"),
+        (lambda _: LiveParameters(["K"]).animate("x.gif"), "nothing to animate"),
+    ],
+)
+def test_mistakes_are_named(call, words: str) -> None:  # type: ignore[no-untyped-def]
+    """Wrong order, wrong names and nothing to show are said, not drawn."""
+    live = fed(3, every=1e9)
+    with pytest.raises(DataError, match=words):
+        call(live)
+
+
+def test_record_is_drawn_in_degrees_without_what_was_not_measured() -> None:
+    """Every signal has an axis, angles are in degrees, a missing output has none."""
+    problem = load_problem("remus_diving_plane")
+    record = problem.data()[0]
+    outputs = np.array(record.outputs)
+    outputs[:, 1] = np.nan
+    bare = Record(
+        "run", record.times, record.inputs, outputs, record.channels, missing_outputs=("w",)
+    )
+    shown = [ax for ax in figure_record(bare).axes if ax.get_visible()]
+    assert len(shown) == len(problem.model.inputs) + len(problem.model.outputs) - 1
+    pitch = next(ax for ax in shown if "pitch angle" in ax.get_ylabel())
+    assert "[deg]" in pitch.get_ylabel()
+    np.testing.assert_allclose(pitch.lines[0].get_ydata(), np.degrees(record.output("theta")))
+    assert sum("time" in ax.get_xlabel() for ax in shown) == 2

@@ -18,10 +18,9 @@ from benchmarks.scoreboard import (
     tanks,
 )
 from benchmarks.scoreboard.row import Row, attempted, columns
-from oed_sysid import Record, load_problem
+from oed_sysid import Record, load_problem, simulate_inputs
 from oed_sysid.data.third_party import data_folder
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.simulation import simulate_inputs
 from problems.esso_osaka.records import HEADER, load
 
 MEASURED = pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")

@@ -1,28 +1,39 @@
-"""Seas: found where waves act and nowhere else, declared, reported, kept and drawn."""
+"""Seas and waves: found where they act and nowhere else, declared, reported, kept and drawn."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from golden_files import restored
+from scipy.signal import lfilter
 
-from oed_sysid import (
-    Dataset,
-    Fit,
-    Input,
-    Model,
-    MultipleShooting,
-    NoiseModel,
-    Output,
-    Parameter,
-    Record,
-    Sea,
-    State,
-)
+from benchmarks.random_forces.scenarios import SCENARIOS
+from benchmarks.random_forces.simulator import simulate, true_values
+from benchmarks.random_forces.trial import _model, believed, dataset
+from oed_sysid import Sea
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
+from oed_sysid.evidence.rank import Ranking, rank
+from oed_sysid.evidence.rank import threshold as threshold_forces
+from oed_sysid.evidence.score import lines
+from oed_sysid.evidence.study import Study
+from oed_sysid.experiments.problem import load_problem
+from oed_sysid.experiments.simulation import simulate as simulate_forces
+from oed_sysid.likelihood import random_forces
+from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
+from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
+from oed_sysid.physics import wave_force
+from oed_sysid.physics.channels import Channels, Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 TRUE = {"K": 0.1, "T": 8.0}
 WHITE = np.array([5e-3, 2e-3])
@@ -117,9 +128,7 @@ def test_a_sea_is_reported_and_survives_a_file(at_sea: Fit, tmp_path: Path) -> N
     (sea,) = at_sea.noise.seas
     assert plain["period"] == sea.period
     assert plain["significant"]["force r"] == pytest.approx(2 * float(sea.level[0]))
-    at_sea.save(tmp_path / "fit.json")
-    again = Fit.load(tmp_path / "fit.json")
-    assert again.noise.seas == at_sea.noise.seas
+    assert restored(at_sea, tmp_path).noise.seas == at_sea.noise.seas
     assert Sea.from_dict(plain) == sea
 
 
@@ -215,3 +224,174 @@ def test_threshold_is_the_tail_of_signed_normals() -> None:
     draws = np.maximum(np.random.default_rng(0).standard_normal((400_000, 3)), 0.0)
     share = np.mean(np.sum(draws**2, axis=1) > threshold(3, 1))
     assert share == pytest.approx(0.005, rel=0.15)
+
+
+def narrow(rng: np.random.Generator, n: int, period: float) -> np.ndarray:
+    """Unit white noise through a lightly damped resonance of a period in samples, unit variance."""
+    pole = 0.985 * np.exp(2j * np.pi / period)
+    wave = lfilter([1.0], [1.0, -2.0 * pole.real, abs(pole) ** 2], rng.standard_normal(n + 800))
+    return np.asarray(wave[800:] / wave[800:].std())
+
+
+def fits(name: str, numbers: range) -> Iterator[tuple[Fit, np.ndarray]]:
+    """Fits of data sets of the benchmark, and their true parameters."""
+    scenario = SCENARIOS[name]
+    model = _model(scenario.vehicle).with_values(believed(scenario))
+    for drawn in simulate(scenario, 0, numbers):
+        fit = MultipleShooting().fit(model, dataset(scenario, model, drawn.runs))
+        truth = true_values(scenario, 0, drawn.number)
+        yield fit, np.array([truth[name] for name in fit.names])
+
+
+@pytest.mark.parametrize("lengths", [(200, 200, 200), (601,), (300, 900)])
+def test_chance_of_a_peak_holds_in_white_noise(lengths: tuple[int, ...]) -> None:
+    """In 600 trials chances below 5 % come in less than 5 %, and below half in some."""
+    rng = np.random.default_rng(len(lengths))
+    chances = np.array(
+        [spectral_peak([rng.standard_normal(n) for n in lengths], 0.1).chance for _ in range(600)]
+    )
+    assert np.mean(chances < 0.05) < 0.05 + 2 * np.sqrt(0.05 * 0.95 / 600)
+    assert np.mean(chances < 0.5) > 0.05
+
+
+@pytest.mark.parametrize("period", [8.0, 30.0, 60.0])
+def test_period_of_a_hidden_wave_is_found(period: float) -> None:
+    """A wave of a third of the noise, with gaps: median period within a tenth."""
+    rng = np.random.default_rng(3)
+    found = []
+    for _ in range(20):
+        series = [rng.standard_normal(600) + 0.35 * narrow(rng, 600, period) for _ in range(3)]
+        for one in series:
+            one[rng.random(600) < 0.1] = np.nan
+        found.append(spectral_peak(series, 0.5))
+    assert np.mean([peak.chance < 1e-2 for peak in found]) > 0.8
+    assert np.median([peak.period for peak in found]) == pytest.approx(0.5 * period, rel=0.1)
+
+
+def test_a_slow_sensor_is_searched_in_its_own_samples() -> None:
+    """Every fifth row is measured: the period is in seconds all the same."""
+    rng = np.random.default_rng(5)
+    times = 0.1 * np.arange(3000)
+    wave = np.cos(2 * np.pi * times / 6.0)
+    series = np.full((3000, 1), np.nan)
+    series[::5, 0] = rng.standard_normal(600) + wave[::5]
+    channels = Channels((Input("u", "1"),), (Output("y", "1"),))
+    record = Record("a", times, np.zeros((3000, 1)), series, channels)
+    (peak,) = clear_peaks([series], [record], ["y"])
+    assert peak.output == "y"
+    assert peak.period == pytest.approx(6.0, rel=0.03)
+
+
+def test_a_swell_that_is_no_sea_is_named_and_its_errors_are_wider(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Where first-order forces stand for a swell: named, period found, errors nearer the truth."""
+    monkeypatch.setattr(random_forces, "with_sea", lambda found, *_, **__: found)
+    ours, bound, named, periods = [], [], [], []
+    for fit, truth in fits("swell_6", range(12)):
+        away = fit.estimates - truth
+        ours.append(away / np.array([fit.std_errors[name] for name in fit.names]))
+        bound.append(away / fit.information.std_errors)
+        swings = [concern.size for concern in fit.concerns if concern.kind == "swing"]
+        named.append(bool(swings))
+        periods += swings
+        assert np.all(np.diag(fit.covariance) >= (1 - 1e-9) * np.diag(fit.information.covariance))
+        assert fit.coloured == bool(swings)
+    assert np.mean(named) >= 0.5
+    assert np.median(periods) == pytest.approx(6.0, rel=0.2)
+    assert np.sqrt(np.mean(np.square(ours))) < 0.95 * np.sqrt(np.mean(np.square(bound)))
+
+
+def test_forces_without_a_period_are_not_named() -> None:
+    """First-order Gauss-Markov forces: no swing, and errors are the bound's."""
+    for fit, _ in fits("medium", range(4)):
+        assert not [concern for concern in fit.concerns if concern.kind == "swing"]
+        assert np.array_equal(fit.covariance, fit.information.covariance)
+
+
+AUV = load_problem("remus_diving_plane")
+SHIP_FORCES = load_problem("kvlcc2", variant="mmg")
+# Sizes of a wave in each equation, N and N m, that move the vehicle by some noise levels.
+SIZES = {"X": 0.4, "Z": 1.0, "M": 0.3}, {"X": 6.0, "Y": 12.0, "N": 20.0}
+
+
+def ranked(problem: object, sizes: dict[str, float], axis: str, omega: float) -> Ranking:
+    """Waves as candidates in every equation of a vehicle that one acts on, 400 s long."""
+    model: Model = problem.model  # type: ignore[attr-defined]
+    runs = [replace(e, duration=400.0) for e in list(problem.experiments.values())[:2]]  # type: ignore[attr-defined]
+    waves = {a: wave_force(f"wave_{a}", a, frequency=0.6, scale=s) for a, s in sizes.items()}
+    truth = model
+    if axis:
+        present = {f"E_wave_{axis}_cos": sizes[axis], f"omega_wave_{axis}": omega}
+        truth = model + waves[axis].with_values(present)
+    records = []
+    for index, run in enumerate(runs):
+        seen = simulate_forces(truth, run, noise=True, rng=np.random.default_rng([3, index]))
+        records.append(
+            Record(f"run_{index}", seen.times, seen.inputs, seen.outputs, model.channels)
+        )
+    study, fit = Study.begin(
+        model, Dataset(records), None, tuple(waves.values()), known_noise=True, disturbances="none"
+    )
+    return rank(study, fit, study.candidates)
+
+
+OMEGAS = 0.713, 0.476  # between the grid's frequencies
+CASES = [
+    (vehicle, own, axis)
+    for vehicle, own in zip((AUV, SHIP_FORCES), SIZES, strict=True)
+    for axis in own
+]
+
+
+@pytest.mark.parametrize(
+    ("problem", "sizes", "axis", "omega"),
+    [
+        pytest.param(*case, omega, marks=() if (i + j) % 2 else pytest.mark.slow)
+        for i, case in enumerate(CASES)
+        for j, omega in enumerate(OMEGAS)
+    ],
+)
+def test_wave_is_named_where_it_acts(
+    problem: object, sizes: dict[str, float], axis: str, omega: float
+) -> None:
+    """The right equation is first, alone in its group, and the frequency right."""
+    found = ranked(problem, sizes, axis, omega)
+    best = found.refits[0]
+    assert best.name == f"wave_{axis}"
+    assert best.gain > found.needed(best)
+    assert [one.name for one in found.group()] == [f"wave_{axis}"]
+    assert best.fit.values[f"omega_wave_{axis}"] == pytest.approx(omega, abs=0.004)
+    # The score alone is most of the refit's gain: its frequency was not missed.
+    assert best.score.statistic > 0.5 * best.gain
+
+
+@pytest.mark.parametrize(("problem", "sizes"), [(AUV, SIZES[0]), (SHIP_FORCES, SIZES[1])])
+def test_no_wave_is_found_where_there_is_none(problem: object, sizes: dict[str, float]) -> None:
+    """The best of many frequencies gains by chance; what a claim needs counts them."""
+    found = ranked(problem, sizes, "", 0.0)
+    assert all(one.gain < found.needed(one) for one in found.refits)
+    for score in found.scores:
+        assert score.trials == pytest.approx(0.48 * 400.0 / (2 * np.pi), rel=0.01)
+        assert found.needed_by(score) > threshold_forces(len(sizes), score.freedom)
+
+
+def test_chance_of_the_best_frequency() -> None:
+    """In white noise the best line passes what a claim needs no oftener than it should."""
+    t = np.arange(0.0, 600.0, 1.0)
+    trials = 0.5 * 600.0 / (2 * np.pi)
+    strict, loose, count = 0, 0, 200
+    for seed in range(count):
+        noise = np.random.default_rng([9, seed]).standard_normal((len(t), 1))
+        (omega, *_) = lines([t], [noise], 0.4, 0.9)
+        power = 2.0 * abs(np.exp(-1j * omega * t) @ noise[:, 0]) ** 2 / len(t)
+        strict += power > threshold_forces(1, 3, 0.05, trials=trials)
+        loose += power > threshold_forces(1, 3, 0.05)
+    assert strict <= 0.05 * count
+    assert loose > 0.3 * count
+
+
+def test_lines_are_none_where_a_record_is_short() -> None:
+    """A record shorter than a swing tells no frequency."""
+    t = np.arange(0.0, 4.0, 0.5)
+    assert len(lines([t], [np.ones((len(t), 1))], 0.4, 0.6)) == 0

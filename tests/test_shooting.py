@@ -9,15 +9,10 @@ import pytest
 from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Actuator, Dataset, Memory, Model, Output, Parameter, Record, simulate_inputs
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.gauss_newton import exact
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.physics import Actuator, Memory
-from oed_sysid.physics.channels import Output
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 LAG = Actuator(
     "fin_lag",

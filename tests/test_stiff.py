@@ -1,4 +1,4 @@
-"""Implicit steps for stiff models, compiled and interpreted."""
+"""Implicit steps for stiff models, and trajectories that depend on the integration step."""
 
 from __future__ import annotations
 
@@ -8,20 +8,16 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from oed_sysid import (
-    Dataset,
-    Input,
-    Model,
-    MultipleShooting,
-    Output,
-    Parameter,
-    Record,
-    Solver,
-    State,
-)
 from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.estimator import Solver
+from oed_sysid.likelihood.judgement import step_change
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import actuator_lag, sensor_lag
+from oed_sysid.physics.channels import Input, Output, State
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 
 # Robertson's kinetics: rates apart by nine decades.
 ROBERTSON = Model(
@@ -195,7 +191,7 @@ def test_a_stiff_model_is_fitted(disturbances: str | tuple[str, ...]) -> None:
 
 
 def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
-    """Another integrator is other code; explicit expressions and unknown names are refused."""
+    """Another integrator is other code, for both solvers; unknown names are refused."""
     explicit = replace(DRIVE, integrator="explicit")
     assert explicit.structure_key() != DRIVE.structure_key()
     with pytest.raises(ModelError, match="explicit, or implicit"):
@@ -204,11 +200,67 @@ def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
     inputs = drive_inputs(times)
     outputs = run(DRIVE, times, inputs, np.array([0.1, 0.0])).outputs
     data = Dataset((Record("run", times, inputs, outputs, DRIVE.channels),))
-    with pytest.raises(ModelError, match="only explicit steps"):
-        MultipleShooting(noise="given", solver=Solver("ipopt")).fit(DRIVE, data)
+    fits = [
+        MultipleShooting(noise="given", disturbances="none", solver=Solver(name)).fit(DRIVE, data)
+        for name in ("ipopt", "gauss-newton")
+    ]
+    assert fits[0].values == pytest.approx(fits[1].values, rel=1e-4)
     # Fast, yet not unstable with this step: the trajectory hangs on it.
     slow = explicit.with_values({"tau": 0.045, "s": 0.0})
     fit = MultipleShooting(noise="given", disturbances="none", solver=Solver(max_iterations=1)).fit(
         slow, data
     )
     assert "integrator='implicit'" in fit.status.advice
+
+
+def relay(force: str) -> Model:
+    """A mass on a force that switches with its position, in steps that are coarse for a jump."""
+    return Model(
+        "relay",
+        (State("x", "m"), State("u", "m/s")),
+        (Input("push", "N"),),
+        (Output("x", "m", noise_std=1e-3), Output("u", "m/s", noise_std=1e-3)),
+        {"x": "u", "u": f"push - stiffness*{force} - 0.1*u"},
+        parameters=(Parameter("stiffness", 1.0, "N", lower=0.0),),
+        step=0.1,
+    )
+
+
+def shaken(model: Model, n: int = 200) -> Dataset:
+    """Noise-free motion by steps so fine that they are taken for the truth."""
+    fine = 200
+    times = 0.1 * np.arange(n)
+    state, states = np.array([0.3, 0.0]), []
+    jumps = "sign" in model.equations()
+    for _ in times:
+        states.append(state.copy())
+        for _ in range(fine):
+            pull = np.sign(state[0]) if jumps else np.tanh(state[0])
+            rate = np.array([state[1], -pull - 0.1 * state[1]])
+            state = state + rate * 0.1 / fine
+    record = Record("shaken", times, np.zeros((n, 1)), np.array(states), model.channels)
+    return Dataset((record,))
+
+
+@pytest.mark.parametrize(("force", "hangs"), [("sign(x)", True), ("tanh(x)", False)])
+def test_a_jumping_force_is_noticed(force: str, hangs: bool) -> None:
+    """A relay changes with the step by more than the noise, a smooth spring does not."""
+    model = relay(force)
+    data = shaken(model)
+    fit = MultipleShooting(disturbances="none", solver=Solver(max_iterations=5)).fit(model, data)
+    size, output, record = step_change(fit)
+    assert (size > 0.5) == hangs
+    if hangs:
+        assert output in model.output_names
+        assert record == "shaken"
+
+
+def test_the_status_says_so() -> None:
+    """A fit that fails on the stairs of a relay names the output, the record and the step."""
+    model = relay("sign(x)")
+    fit = MultipleShooting(solver=Solver(max_iterations=3)).fit(
+        model.with_values({"stiffness": 1.3}), shaken(model)
+    )
+    assert not fit.status.ok
+    assert "integration step" in fit.status.advice
+    assert "'shaken'" in fit.status.advice

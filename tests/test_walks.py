@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 from walk_logs import WRITERS, Trial
 
-from oed_sysid import load_problem, new_problem, read_csv
+from oed_sysid import Fit, load_problem, new_problem, read_csv
 from oed_sysid.cli import DONE, main
 from oed_sysid.data.mapping import parse
 from oed_sysid.experiments.starter import TEMPLATES
-from oed_sysid.likelihood.fit import Fit
 
 WALKS = Path(__file__).resolve().parent.parent / "docs" / "walks"
 PAGES = sorted(path.stem for path in WALKS.glob("*.md"))

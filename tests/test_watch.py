@@ -14,11 +14,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Input, Output, Record, load_problem, simulate
+from oed_sysid import Channels, Input, Output, Record, load_problem, simulate
 from oed_sysid.cli import main
 from oed_sysid.data.live import Place, samples
 from oed_sysid.errors import DataError
-from oed_sysid.physics.channels import Channels
 
 HEADING = Channels((Input("d", "rad"),), (Output("psi", "rad"), Output("r", "rad/s")))
 

@@ -6,8 +6,7 @@ from functools import cache
 
 import numpy as np
 
-from oed_sysid import Force, Input, Model, Output, Parameter, State, improve
-from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid import Dataset, Force, Input, Model, Output, Parameter, Record, State, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect, actuator_lag, actuator_offset, sensor_bias
 

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from oed_sysid.physics import Force, hull_derivatives, linear_damping, metacentric_moment
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid import Force, Input, Model, Output, Parameter, State
+from oed_sysid.physics import hull_derivatives, linear_damping, metacentric_moment
 
 DIVING_START = {"u": 1.5, "z": 10.0}
 DIVING_INPUTS = {"fin_command": (-0.2, 0.2), "thrust": (7.0, 11.0)}

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State
 
 TRUE = {"K": 0.12, "T": 8.0, "alpha": 12.0}
 NOISE = np.array([0.004, 0.0015])

@@ -69,17 +69,10 @@ def true_structure(
     if not effects:  # the nominal structure is the true one
         error = found.base_error
         return Truth(0.0, {}, threshold(len(problem.effects), 1), error["train"], error["test"])
-    known = [effect for effect in problem.effects if effect not in effects]
     unknown = any(name in UNKNOWN_TERMS for name in case.effects)
     candidates = effects if unknown else [*problem.effects]
     study, base = Study.begin(problem.model, train, test, candidates, known_noise=False)
-    amplitudes: dict[str, float] = {}
-    for effect in effects:
-        amplitudes.update(_true_values(effect, case))
-    fits: dict[str, FilteredSolution] = {}
-    for left_out in ("", *(case.effects if len(case.effects) > 1 else ())):
-        kept = [effect for effect in effects if effect.name != left_out]
-        fits[left_out] = _best_fit(study, base, kept, amplitudes, case.derivatives)
+    fits = _fits(study, base, effects, case)
     full = fits[""]
     freedom = max(len(e.amplitude_names) + len(e.shape_names) for e in effects)
     gains = {name: fits.get(name, base).objective - full.objective for name in case.effects}
@@ -91,10 +84,24 @@ def true_structure(
     return Truth(
         gain=base.objective - full.objective,
         gains=gains,
-        needed=threshold(len(known) + len(effects), freedom),
+        needed=threshold(len({effect.name for effect in (*problem.effects, *effects)}), freedom),
         train_error=train_error,
         test_error=test_error,
     )
+
+
+def _fits(
+    study: Study, base: FilteredSolution, effects: Sequence[Effect], case: Case
+) -> dict[str, FilteredSolution]:
+    """Fits of the true structure, whole and without each of several effects."""
+    sizes: dict[str, float] = {}
+    for effect in effects:
+        sizes |= _true_values(effect, case)
+    found = {}
+    for left_out in ("", *(case.effects if len(effects) > 1 else ())):
+        kept = [effect for effect in effects if effect.name != left_out]
+        found[left_out] = _best_fit(study, base, kept, sizes, case.derivatives)
+    return found
 
 
 def _effect(problem: Problem, name: str) -> Effect:

@@ -21,6 +21,7 @@ DIFFICULT = ("large", "large_calm", "unstable", "weak", "weak_small")
 LARGEST_RATIO = 1.1
 FLAGGED = 95.0  # per cent of runs
 WITHIN = 0.2  # of a level or a time
+STARTS = ("fit", "first")  # what a prediction starts from
 
 
 def share(values: np.ndarray) -> tuple[float, float]:
@@ -52,42 +53,13 @@ def measure(
     """
     names = list(VEHICLES[scenario.vehicle].believed)
     error, z = _errors(outcomes, names)
-    inside = np.abs(z) <= QUANTILE
-    coverage, coverage_error = share(inside)
-    flagged = np.array([bool(o.concerns) or o.status != "converged" for o in outcomes])
     found: dict[str, Any] = {
         "scenario": scenario.name,
         "title": scenario.title,
         "sets": len(outcomes),
-        "coverage": coverage,
-        "coverage_error": coverage_error,
-        "z": float(np.sqrt(np.mean(np.minimum(np.abs(z), LARGEST) ** 2))),
-        "by_parameter": {
-            name: {
-                "coverage": float(100 * inside[:, i].mean()),
-                "relative_rms": float(100 * np.sqrt(np.mean(error[:, i] ** 2))),
-            }
-            for i, name in enumerate(names)
-        },
-        "flagged": float(100 * flagged.mean()),
-        "concerns": dict(Counter(kind for o in outcomes for kind in set(o.concerns))),
-        "status": dict(Counter(o.status for o in outcomes)),
-        "seconds": float(np.median([o.seconds for o in outcomes])),
-        "by_output": {
-            output: float(100 * np.mean([o.by_output[output] for o in outcomes if o.by_output]))
-            for output in next((o.by_output for o in outcomes if o.by_output), {})
-        },
-        "misfit": float(np.median([o.misfit for o in outcomes])),
-        "local": float(np.sqrt(np.mean(np.square([o.local for o in outcomes])))),
-        "prediction": {
-            kind: share(np.array([o.covered[kind] for o in outcomes if kind in o.covered]))
-            for kind in ("fit", "first")
-            if any(kind in o.covered for o in outcomes)
-        },
-        "bias": {
-            name: float(np.mean(np.clip(z[:, i], -LARGEST, LARGEST)))
-            for i, name in enumerate(names)
-        },
+        **_estimated(names, error, z),
+        **_told_by(outcomes),
+        "prediction": _bands(outcomes),
         "sea": _sea(scenario, outcomes),
         "forces": _forces(scenario, [o.force for o in outcomes if o.force is not None]),
     }
@@ -96,6 +68,46 @@ def measure(
         found["reference"] = _against(scenario, outcomes, both, error, known)
     found["missed"] = missed(scenario, found)
     return found
+
+
+def _estimated(names: Sequence[str], error: np.ndarray, z: np.ndarray) -> dict[str, Any]:
+    """Coverage, errors over standard errors and bias, of all parameters and of each."""
+    inside = np.abs(z) <= QUANTILE
+    coverage, coverage_error = share(inside)
+    sizes = 100 * np.stack([inside.mean(axis=0), np.sqrt(np.mean(error**2, axis=0))], axis=1)
+    bias = np.mean(np.clip(z, -LARGEST, LARGEST), axis=0)
+    parts = [{"coverage": float(held), "relative_rms": float(rms)} for held, rms in sizes]
+    return {
+        "coverage": coverage,
+        "coverage_error": coverage_error,
+        "z": float(np.sqrt(np.mean(np.minimum(np.abs(z), LARGEST) ** 2))),
+        "by_parameter": dict(zip(names, parts, strict=True)),
+        "bias": dict(zip(names, map(float, bias), strict=True)),
+    }
+
+
+def _told_by(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """What the fits say of themselves, what they took, and how their bands hold by output."""
+    flagged = [bool(o.concerns) or o.status != "converged" for o in outcomes]
+    banded = [o.by_output for o in outcomes if o.by_output]
+    return {
+        "flagged": float(100 * np.mean(flagged)),
+        "concerns": dict(Counter(kind for o in outcomes for kind in set(o.concerns))),
+        "status": dict(Counter(o.status for o in outcomes)),
+        "seconds": float(np.median([o.seconds for o in outcomes])),
+        "by_output": {
+            output: float(100 * np.mean([one[output] for one in banded]))
+            for output in (banded[0] if banded else ())
+        },
+        "misfit": float(np.median([o.misfit for o in outcomes])),
+        "local": float(np.sqrt(np.mean(np.square([o.local for o in outcomes])))),
+    }
+
+
+def _bands(outcomes: Sequence[Outcome]) -> dict[str, tuple[float, float]]:
+    """Share of new samples that prediction bands hold, by what a prediction starts from."""
+    told = {kind: [o.covered[kind] for o in outcomes if kind in o.covered] for kind in STARTS}
+    return {kind: share(np.array(shares)) for kind, shares in told.items() if shares}
 
 
 def missed(scenario: Scenario, found: Mapping[str, Any]) -> list[str]:
@@ -240,10 +252,7 @@ def _cells(r: Mapping[str, Any]) -> tuple[object, ...]:
     if known:
         ratio = f"{known['error_ratio']:.2f}"
         own = f"{_pair(known['coverage'], known['coverage_error'])}, {known['z']:.2f}"
-    bands = (
-        _pair(*r["prediction"][kind]) if kind in r["prediction"] else "–"
-        for kind in ("fit", "first")
-    )
+    bands = (_pair(*r["prediction"][kind]) if kind in r["prediction"] else "–" for kind in STARTS)
     coverage = _pair(r["coverage"], r["coverage_error"])
     return (
         f"{r['scenario']}: {r['title']}", r["sets"], coverage, f"{r['z']:.2f}", ratio,

@@ -16,7 +16,7 @@ to their levels.
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -198,9 +198,6 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
         noise[: column.n, :, i] = column.noise
     values = {name: np.array([c.truth[name] for c in columns]) for name in vehicle.believed}
     values |= {name: np.array([c.local[name] for c in columns]) for name in vehicle.local}
-    amplitude, switch = np.radians([[c.manoeuvre.amplitude, c.manoeuvre.switch] for c in columns]).T
-    lead = np.array([c.manoeuvre.lead for c in columns])
-    hold = np.array([c.manoeuvre.hold for c in columns])
     thrust = np.array([c.manoeuvre.thrust for c in columns])
     state = np.zeros((len(vehicle.states), width))
     state[0] = vehicle.cruise
@@ -209,18 +206,10 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
         state[4] = FIRST_DEPTH
     clean = np.empty((n, *state.shape))
     inputs = np.empty((n, len(vehicle.inputs), width))
-    relay = np.ones(width)
+    command = _pilot(vehicle, [column.manoeuvre for column in columns])
     for k in range(n):
         clean[k] = state
-        seen = state + noise[k]
-        angle = seen[vehicle.steered] + lead * seen[vehicle.rate_output]
-        relay = np.where(angle > switch, 1.0, np.where(angle < -switch, -1.0, relay))
-        elapsed = k * vehicle.sample_time - vehicle.begin + 1e-9
-        by_clock = np.where(np.floor(elapsed / hold) % 2 == 0, 1.0, -1.0)
-        relay = np.where(hold < np.inf, by_clock, relay)
-        going = elapsed >= 0.0
-        # A bow-down fin lowers theta, a positive rudder raises psi.
-        inputs[k] = np.stack([vehicle.sense * relay * amplitude * going, thrust])[: inputs.shape[1]]
+        inputs[k] = np.stack([command(k, state + noise[k]), thrust])[: inputs.shape[1]]
         if k + 1 == n:
             break
         for sub in range(k * vehicle.substeps, (k + 1) * vehicle.substeps):
@@ -232,25 +221,48 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
                 return vehicle.rate(x, inputs[k], pushes[stage], values)
 
             state = runge_kutta(rate, state, h)
-    sigma = np.array(vehicle.noise_std)
-    runs = []
-    for i, column in enumerate(columns):
-        part = slice(0, column.n)
-        logged = inputs[part, :, i].copy()
-        outputs = clean[part, :, i] + column.noise + sigma * column.spike
-        if scenario.dropped:
-            column.absent[1:][np.any(np.diff(logged, axis=0) != 0.0, axis=1)] = False
-        logged[:, 0] += column.fin_noise
-        runs.append(
-            Run(
-                column.manoeuvre.name,
-                np.arange(column.n) * vehicle.sample_time,
-                logged,
-                np.where(column.absent, np.nan, outputs),
-                clean[part, :, i],
-                column.force[:: vehicle.substeps],
-                column.spike != 0,
-                column.local,
-            )
-        )
-    return runs
+    return [
+        _run(scenario, c, inputs[: c.n, :, i], clean[: c.n, :, i]) for i, c in enumerate(columns)
+    ]
+
+
+def _pilot(
+    vehicle: Vehicle, manoeuvres: Sequence[Manoeuvre]
+) -> Callable[[int, np.ndarray], np.ndarray]:
+    """Fin or rudder of all records, from sample and measured state: relays, or by the clock."""
+    amplitude, switch = np.radians([[m.amplitude, m.switch] for m in manoeuvres]).T
+    lead = np.array([m.lead for m in manoeuvres])
+    hold = np.array([m.hold for m in manoeuvres])
+    relay = np.ones(len(manoeuvres))
+
+    def command(k: int, seen: np.ndarray) -> np.ndarray:
+        nonlocal relay
+        angle = seen[vehicle.steered] + lead * seen[vehicle.rate_output]
+        relay = np.where(angle > switch, 1.0, np.where(angle < -switch, -1.0, relay))
+        elapsed = k * vehicle.sample_time - vehicle.begin + 1e-9
+        by_clock = np.where(np.floor(elapsed / hold) % 2 == 0, 1.0, -1.0)
+        relay = np.where(hold < np.inf, by_clock, relay)
+        # A bow-down fin lowers theta, a positive rudder raises psi.
+        return vehicle.sense * relay * amplitude * (elapsed >= 0.0)
+
+    return command
+
+
+def _run(scenario: Scenario, column: _Column, inputs: np.ndarray, clean: np.ndarray) -> Run:
+    """One record as it is logged."""
+    vehicle = VEHICLES[scenario.vehicle]
+    logged = inputs.copy()
+    outputs = clean + column.noise + np.array(vehicle.noise_std) * column.spike
+    if scenario.dropped:
+        column.absent[1:][np.any(np.diff(logged, axis=0) != 0.0, axis=1)] = False
+    logged[:, 0] += column.fin_noise
+    return Run(
+        column.manoeuvre.name,
+        np.arange(column.n) * vehicle.sample_time,
+        logged,
+        np.where(column.absent, np.nan, outputs),
+        clean,
+        column.force[:: vehicle.substeps],
+        column.spike != 0,
+        column.local,
+    )

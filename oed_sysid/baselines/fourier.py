@@ -33,7 +33,7 @@ from __future__ import annotations
 
 import time as clock
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,7 +44,7 @@ from oed_sysid.baselines.equations import (
     rows_from,
     states_of,
 )
-from oed_sysid.baselines.online import read_sample, streamed_form
+from oed_sysid.baselines.online import Samples, streamed_form
 from oed_sysid.baselines.regression import Regression, fit_from_values, prior_rows, weighed
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
@@ -344,7 +344,6 @@ class FourierStream:
     period: float
     band: Band | None = None
     without: Sequence[Band] = ()
-    n_samples: int = field(default=0, init=False)
 
     def __post_init__(self) -> None:
         if not (self.duration > self.period > 0):
@@ -356,7 +355,7 @@ class FourierStream:
         self.frequencies = frequencies_of(
             self.form, self.duration, self.period, self.band, self.without
         )
-        self._before = Moments.none(self.form)
+        self._before, self._run = Moments.none(self.form), Samples(self.model)
         self._begin()
 
     def _begin(self) -> None:
@@ -365,7 +364,12 @@ class FourierStream:
         self._signals = np.zeros((len(self.frequencies), n_signals), complex)
         self._last: tuple[float, np.ndarray, np.ndarray] | None = None
         self._solved: tuple[np.ndarray, np.ndarray] | None = None
-        self._start = 0.0
+        self._start, self._run.last = 0.0, None
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples taken, of all runs."""
+        return self._run.count
 
     def start(self) -> None:
         """Begin a new run; what earlier ones told is kept."""
@@ -382,10 +386,7 @@ class FourierStream:
         sample : mapping of str to float
             Commands and measured outputs by name, SI units; a missing output is NaN.
         """
-        inputs, outputs = read_sample(
-            self.model, time, sample, after=self._last[0] if self._last else None,
-            anew="Call start() for a new run.",
-        )  # fmt: skip
+        inputs, outputs = self._run.read(time, sample)
         if self._last is None:
             self._start = time
         else:
@@ -400,7 +401,6 @@ class FourierStream:
             turned = np.exp(-2j * np.pi * self.frequencies * (0.5 * (before + time) - self._start))
             self._signals += np.outer(turned, np.nan_to_num(change))
         self._last, self._solved = (time, inputs, outputs), None
-        self.n_samples += 1
 
     def _moments(self) -> Moments:
         """Of all runs; frequencies of one that goes on count by how much of it is over."""
@@ -418,21 +418,16 @@ class FourierStream:
     @property
     def values(self) -> dict[str, float]:
         """Estimates by name."""
-        return {name: value for name, (value, _) in self._known().items()}
+        return dict(zip(self.model.free_names, self.estimate()[0].tolist(), strict=True))
 
     @property
     def relative_errors(self) -> dict[str, float]:
-        """Standard errors as shares of the estimates; infinite where nothing is known."""
-        return {name: error for name, (_, error) in self._known().items()}
-
-    def _known(self) -> dict[str, tuple[float, float]]:
-        """Estimate and relative standard error of each parameter."""
+        """Standard errors over the sizes of the estimates, by name; inf where nothing is known."""
         estimates, covariance = self.estimate()
         with np.errstate(divide="ignore", invalid="ignore"):
             shares = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / np.abs(estimates)
-        shares = np.where(np.isfinite(shares), shares, np.inf)
-        pairs = zip(estimates.tolist(), shares.tolist(), strict=True)
-        return dict(zip(self.model.free_names, pairs, strict=True))
+        shares = np.nan_to_num(shares, nan=np.inf, posinf=np.inf)
+        return dict(zip(self.model.free_names, shares.tolist(), strict=True))
 
     def coherence(self) -> dict[tuple[str, str], float]:
         """Coherence of every response with every input over the band, weighed by its power."""
@@ -508,7 +503,7 @@ class FourierStream:
         errors = self.relative_errors
         worst = max(errors, key=lambda name: errors[name])
         if errors[worst] <= goal:
-            return f"enough: every parameter is within {goal:.0%} ({worst} {errors[worst]:.1%})"
+            return f"enough: every parameter is within {goal:.0%} ({worst} {share(errors[worst])})"
         elapsed = self._spectra.length
         if not np.isfinite(errors[worst]):
             return f"go on: nothing is known of {worst} yet"

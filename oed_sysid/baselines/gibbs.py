@@ -110,66 +110,6 @@ R_HAT_LIMIT = 1.01
 WIDE = 1e3
 
 
-@dataclass(frozen=True, eq=False)
-class LinearPosterior:
-    """Closed-form posterior of a linear regression with a conjugate prior.
-
-    Attributes
-    ----------
-    mean : ndarray (n,)
-    covariance : ndarray (n, n)
-        Of the coefficients, noise integrated out (a Student distribution).
-    shape, rate : float
-        Of the inverse gamma distribution of the noise variance.
-    """
-
-    mean: np.ndarray
-    covariance: np.ndarray
-    shape: float
-    rate: float
-
-    @property
-    def variance(self) -> float:
-        """Mean of the noise variance."""
-        return self.rate / (self.shape - 1)
-
-
-def conjugate_posterior(
-    features: np.ndarray,
-    targets: np.ndarray,
-    *,
-    precision: np.ndarray,
-    mean: np.ndarray | None = None,
-    shape: float = 1e-3,
-    rate: float = 1e-3,
-) -> LinearPosterior:
-    r"""Posterior for :math:`c|s^2 \sim N(m_0, s^2\Lambda_0^{-1})`, :math:`s^2 \sim IG(a_0, b_0)`.
-
-    Parameters
-    ----------
-    features : ndarray (n_samples, n)
-    targets : ndarray (n_samples,)
-    precision : ndarray (n,)
-        Diagonal of :math:`\Lambda_0`.
-    mean : ndarray (n,), optional
-        :math:`m_0`, zero by default.
-    shape, rate : float
-        :math:`a_0, b_0`.
-
-    References
-    ----------
-    Gelman et al. (2013), Bayesian data analysis, 3rd ed., sec. 14.2-14.8.
-    """
-    mean0 = np.zeros(features.shape[1]) if mean is None else mean
-    inner = features.T @ features + np.diag(precision)
-    centre = np.linalg.solve(inner, features.T @ targets + precision * mean0)
-    errors = targets - features @ centre
-    new_shape = shape + 0.5 * len(targets)
-    new_rate = rate + 0.5 * float(errors @ errors + precision @ (centre - mean0) ** 2)
-    covariance = np.linalg.inv(inner) * new_rate / (new_shape - 1)
-    return LinearPosterior(centre, covariance, new_shape, new_rate)
-
-
 def sample_posterior(
     features: np.ndarray,
     targets: np.ndarray,
@@ -177,7 +117,6 @@ def sample_posterior(
     precision: np.ndarray,
     rng: np.random.Generator,
     mean: np.ndarray | None = None,
-    conjugate: bool = False,
     shape: float = 1e-3,
     rate: float = 1e-3,
     draw: str = "joint",
@@ -202,14 +141,10 @@ def sample_posterior(
         Columns of like size.
     targets : ndarray (n_samples,)
     precision : ndarray (n,)
-        Prior precision of each coefficient; in units of ``1/s^2`` if
-        ``conjugate``.
+        Prior precision of each coefficient.
     rng : numpy.random.Generator
     mean : ndarray (n,), optional
         Prior mean, zero by default.
-    conjugate : bool
-        Prior of :func:`conjugate_posterior`; otherwise it does not depend on
-        the noise.
     shape, rate : float
         Of the prior of the variance.
     draw : str
@@ -228,7 +163,7 @@ def sample_posterior(
     mean0 = np.zeros(n) if mean is None else np.asarray(mean, dtype=float)
     gram, moment = features.T @ features, features.T @ targets
     energy = float(targets @ targets)
-    a = shape + 0.5 * (len(targets) + (n if conjugate else 0))
+    a = shape + 0.5 * len(targets)
     centre = np.linalg.lstsq(features, targets, rcond=None)[0]
     start = float(np.mean((targets - features @ centre) ** 2)) + 1e-12 * energy / len(targets)
     spread = np.sqrt(start / np.maximum(np.diag(gram), 1e-300))
@@ -237,26 +172,22 @@ def sample_posterior(
     kept = np.empty((n_chains, n_draws, n))
     variances = np.empty((n_chains, n_draws))
     for index in range(burn_in + n_draws):
-        weight = 1.0 / variance if conjugate else np.ones(n_chains)
-        prior = precision * weight[:, None]  # (n_chains, n)
         if draw == "coordinate":
             for j in range(n):
-                pi = gram[j, j] / variance + prior[:, j]
+                pi = gram[j, j] / variance + precision[j]
                 others = c @ gram[j] - c[:, j] * gram[j, j]
-                mu = ((moment[j] - others) / variance + prior[:, j] * mean0[j]) / pi
+                mu = ((moment[j] - others) / variance + precision[j] * mean0[j]) / pi
                 c[:, j] = mu + rng.standard_normal(n_chains) / np.sqrt(pi)
         else:
             # All chains at once: mean of the normal distribution, and a draw about it.
-            inner = gram / variance[:, None, None] + prior[:, :, None] * np.eye(n)
-            right = moment / variance[:, None] + prior * mean0
+            inner = gram / variance[:, None, None] + np.diag(precision)
+            right = moment / variance[:, None] + precision * mean0
             upper = np.linalg.cholesky(inner).transpose(0, 2, 1)
             unit = rng.standard_normal((n_chains, n))
             c = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
             c = c + np.linalg.solve(upper, unit[:, :, None])[:, :, 0]
         sse = energy - 2 * c @ moment + np.einsum("ci,ij,cj->c", c, gram, c)
         sse = np.maximum(sse, 1e-14 * energy)
-        if conjugate:
-            sse = sse + ((c - mean0) ** 2) @ precision
         variance = (rate + 0.5 * sse) / rng.gamma(a, size=n_chains)
         if index >= burn_in:
             kept[:, index - burn_in] = c

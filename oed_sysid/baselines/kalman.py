@@ -21,7 +21,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.start_guess import check_channels, measured_states
+from oed_sysid.likelihood.start_guess import check_channels, measured_columns, measured_states
 from oed_sysid.physics.model import Model
 
 KINDS = ("extended", "unscented")
@@ -130,15 +130,17 @@ class JointKalmanFilter:
         check_channels(model, dataset)
         self.check(model)
         filter_ = JointFilter(self, model, assumed_levels(model, dataset))
-        values, prior = filter_.first_values()
         for _ in range(self.passes):
-            covariance = prior
-            if np.isfinite(values).all():
-                filter_.restart()
+            filter_.restart()
             for record in dataset:
-                values, covariance = filter_.run(record, values, covariance)
-        status = consistency(filter_.innovation**2, filter_.count)
-        if not np.isfinite(values).all():
+                filter_.run(record)
+            if not filter_.is_finite:
+                break
+        (values, covariance), status = (
+            filter_.parameters,
+            consistency(filter_.innovation**2, filter_.count),
+        )
+        if not filter_.is_finite:
             values = np.array([p.value for p in model.free_parameters])
             covariance, status = np.diag(np.full(len(values), np.inf)), DIVERGED
         tracks, spreads = np.array(filter_.track), np.array(filter_.spreads)
@@ -230,10 +232,13 @@ class JointFilter:
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
         self.mean, self.spread = np.empty(0), np.empty((0, 0))
+        self._last: tuple[float, np.ndarray] | None = None
+        self._known = self._first_values()
         self.restart()
 
     def restart(self) -> None:
-        """Forget the track of an earlier pass."""
+        """Begin another pass: with the present values, as uncertain as the first ones were."""
+        self._known, self._last = (self.parameters[0], self._first_values()[1]), None
         self.track: list[np.ndarray] = []
         self.spreads: list[np.ndarray] = []
         self._squares, self.count = 0.0, 0
@@ -243,7 +248,7 @@ class JointFilter:
         """Root mean square innovation in units of its stated deviation."""
         return float(np.sqrt(self._squares / max(self.count, 1)))
 
-    def first_values(self) -> tuple[np.ndarray, np.ndarray]:
+    def _first_values(self) -> tuple[np.ndarray, np.ndarray]:
         """Start values of the parameters and their covariance."""
         free, given = self.model.free_parameters, self.settings.parameter_std
         stds = [given.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
@@ -253,36 +258,62 @@ class JointFilter:
     @property
     def parameters(self) -> tuple[np.ndarray, np.ndarray]:
         """Parameters and their covariance, in their own units."""
+        if self._last is None:
+            return self._known
         block = self.spread[self.n_z :, self.n_z :] * self.unit[:, None] * self.unit
         return self.mean[self.n_z :] * self.unit, block
 
-    def run(
-        self, record: Record, values: np.ndarray, covariance: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Filter one record; return the parameters and their covariance after it."""
-        if not np.isfinite(values).all():
-            return values, covariance
+    @property
+    def is_finite(self) -> bool:
+        """Whether the filter has not diverged."""
+        return bool(np.isfinite(self.parameters[0]).all() and np.isfinite(self.mean).all())
+
+    def start(self) -> None:
+        """Begin a new run: states anew from its first sample, parameters as known by now."""
+        self._known, self._last = self.parameters, None
+
+    def run(self, record: Record) -> None:
+        """Filter one record."""
+        if not self.is_finite:
+            return
+        self.start()
         measured = {i: series[0] for i, series in measured_states(self.model, record).items()}
-        self.begin(record.times[0], record.inputs[0], measured, values, covariance)
-        for k in range(len(record.times)):
-            window = slice(max(k - 1, 0), max(k - 1, 0) + 2)
-            self.learn(record.times[window], record.inputs[window], record.outputs[k], first=k == 0)
-            if not np.isfinite(self.mean).all():
+        for sample in zip(record.times, record.inputs, record.outputs, strict=True):
+            self.take(*sample, measured)
+            if not self.is_finite:
                 break
             values, covariance = self.parameters
             self.track.append(values)
             self.spreads.append(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
-        return self.parameters
 
-    def begin(
+    def take(
         self,
         time: float,
         inputs: np.ndarray,
-        measured: Mapping[int, float],
-        values: np.ndarray,
-        covariance: np.ndarray,
+        outputs: np.ndarray,
+        measured: Mapping[int, float] | None = None,
     ) -> None:
+        """Learn the next sample; the first of a run begins it, at the states measured then."""
+        first = self._last is None
+        if first:
+            seen = {
+                state: outputs[column]
+                for state, column in measured_columns(self.model).items()
+                if np.isfinite(outputs[column])
+            }
+            self._begin(time, inputs, seen if measured is None else measured)
+        before, held = self._last or (time, inputs)
+        self._last = time, inputs
+        # The first sample is at the earlier of two times, where the mean is already.
+        times = np.array([before, time + self.model.step * first])
+        predict = self._extended if self.settings.kind == "extended" else self._unscented
+        with np.errstate(all="ignore"):
+            predicted, cross, expected = predict(times, np.array([held, inputs]), int(not first))
+            self._correct(outputs - predicted, cross, expected)
+
+    def _begin(self, time: float, inputs: np.ndarray, measured: Mapping[int, float]) -> None:
         """Mean and covariance before the first measurement of a run."""
+        values, covariance = self._known
         model, n_own, n_free = self.model, self.kernel.n_own, len(values)
         own = np.zeros(n_own)
         std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
@@ -297,18 +328,6 @@ class JointFilter:
         spread = shape @ block_diag(np.diag(std**2), covariance) @ shape.T
         self.mean = np.concatenate([z, values]) / self.scale
         self.spread = spread / self.scale[:, None] / self.scale
-
-    def learn(
-        self, times: np.ndarray, inputs: np.ndarray, outputs: np.ndarray, *, first: bool
-    ) -> None:
-        """Go to the later of two times and learn the sample there.
-
-        The first sample of a run is at the earlier one, where the mean is already.
-        """
-        predict = self._extended if self.settings.kind == "extended" else self._unscented
-        with np.errstate(all="ignore"):
-            predicted, cross, expected = predict(times, inputs, 0 if first else 1)
-            self._correct(outputs - predicted, cross, expected)
 
     def _all(self, values: np.ndarray) -> np.ndarray:
         """All parameter values, the free ones within their bounds."""

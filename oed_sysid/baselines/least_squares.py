@@ -14,7 +14,6 @@ from oed_sysid.baselines.equations import (
     Rows,
     check_choice,
     check_rule,
-    regression_form,
     rows_of,
 )
 from oed_sysid.baselines.regression import (
@@ -108,27 +107,6 @@ class EquationError(RegressionEstimator):
 
     def _solve(self, rows: Rows) -> Regression:
         return solve_rows(rows, coloured=self.coloured)
-
-
-def is_linear(model: Model) -> bool:
-    """Whether :class:`EquationError` can be used on a model at all.
-
-    Examples
-    --------
-    >>> from oed_sysid.physics.channels import Output, State
-    >>> from oed_sysid.physics.parameters import Parameter
-    >>> lag = Model(
-    ...     "lag", (State("x", "m"),), (), (Output("x", "m"),), {"x": "-x/T"},
-    ...     parameters=(Parameter("T", 1.0, "s"),),
-    ... )
-    >>> is_linear(lag)
-    False
-    """
-    try:
-        regression_form(model)
-    except ModelError:
-        return False
-    return True
 
 
 # Perturbed copies of the data that measure how noise enters the columns.

@@ -18,7 +18,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import cho_solve, solve_triangular
 
 from oed_sysid.baselines.equations import (
     SPANS,
@@ -47,7 +47,6 @@ from oed_sysid.baselines.support_vectors import (
 )
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.likelihood.noise_levels import given_levels
-from oed_sysid.likelihood.start_guess import measured_columns
 from oed_sysid.physics.model import Model
 
 
@@ -99,35 +98,54 @@ def check_window(window: int | None) -> None:
         raise ModelError(f"window is {window}. Keep at least two samples.")
 
 
-def learn(
-    values: np.ndarray, inverse: np.ndarray, row: np.ndarray, target: float, forgetting: float = 1.0
-) -> None:
-    r"""Add one row to least squares, in place: values ``(n,)`` and inverse normal matrix.
+class SquareRootMachine(OnlineMachine):
+    r"""Linear least squares whose state is a triangular factor, whatever was learnt.
 
-    .. math:: k = \frac{Sz}{\lambda + z^TSz},\quad
-              \theta \leftarrow \theta + k\,(y - z^T\theta),\quad S \leftarrow S - k\,(z^TS)
+    Of the rows :math:`(z, y)` learnt so far only ``R`` and ``d`` are kept, with
+    :math:`\lVert R\theta - d\rVert^2` equal to their sum of squares but for a constant; a sample
+    adds a row, and one orthogonal transformation makes the stack triangular again:
+
+    .. math::
+        Q^T\begin{bmatrix}\sqrt\lambda R & \sqrt\lambda d\\ z^T & y\end{bmatrix} =
+        \begin{bmatrix}R' & d'\\ 0 & e\end{bmatrix} .
+
+    Bierman (1977), Factorization methods for discrete sequential estimation, sec. II.2 and V.
     """
-    gain = inverse @ row
-    share = 1.0 / (forgetting + row @ gain)
-    values += gain * ((target - row @ values) * share)
-    # Exactly symmetric, or rounding errors grow.
-    inverse -= share * np.outer(gain, gain)
+
+    forgetting = 1.0
+    _factor: np.ndarray
+    n_samples: int
+
+    def _learn(self, row: np.ndarray, target: float) -> None:
+        """Add one row ``(n,)``; what was known before counts less by the factor of forgetting."""
+        rows = np.vstack([np.sqrt(self.forgetting) * self._factor, np.append(row, target)])
+        self._factor = np.asarray(np.linalg.qr(rows, mode="r"))[: row.size]
+        self.n_samples += 1
+
+    def _solved(self) -> np.ndarray:
+        """Values ``(n,)`` of least squares."""
+        return solve_triangular(self._factor[:, :-1], self._factor[:, -1])
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Inverse of the normal matrix ``(n, n)``.
+
+        Times the variance of the errors it is the covariance of the estimates.
+        """
+        self.linear()
+        root = solve_triangular(self._factor[:, :-1], np.eye(len(self._factor)))
+        return root @ root.T
 
 
-class RecursiveLSSVM(OnlineMachine):
+class RecursiveLSSVM(SquareRootMachine):
     r"""The linear LS-SVM, bias included, as an exact recursion of flat cost.
 
     The primal normal matrix of :math:`z = (x, 1)`,
     :math:`A_t = \sum zz^T + \mathrm{diag}(I/C, 0)`, changes by one outer product
-    per sample, and so does its inverse ``S``:
-
-    .. math:: k = \frac{Sz}{1 + z^TSz},\quad
-              \theta \leftarrow \theta + k\,(y - z^T\theta),\quad S \leftarrow S - k\,(z^TS).
-
-    It starts after the first sample, where the bias row gets its first one.
-    With a ``window`` the matrix itself is kept, the sample that leaves is
-    subtracted from it, and the system is solved when asked for: subtracting
-    from the inverse loses digits at every step.
+    per sample, and its factor (:class:`SquareRootMachine`) by one row. It begins as
+    the square root of :math:`\mathrm{diag}(I/C, 0)`: the bias is known from the first
+    sample on. With a ``window`` the samples are kept, and the factor is made
+    anew of those when asked for: taking a row out of a factor loses digits.
 
     Parameters
     ----------
@@ -164,67 +182,31 @@ class RecursiveLSSVM(OnlineMachine):
 
     def forget(self) -> None:
         """Forget all samples."""
-        self._inverse: np.ndarray | None = None
-        self._normal: np.ndarray | None = None
-        self._moment = self._values = np.empty(0)
-        self._kept: deque[tuple[np.ndarray, float]] = deque()
+        self._factor = np.empty((0, 0))
+        self._kept: deque[tuple[np.ndarray, float]] = deque(maxlen=self.window)
         self.n_samples = 0
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
-        z = np.append(np.asarray(features, dtype=float), 1.0)
-        self.n_samples += 1
+        row = np.append(np.asarray(features, dtype=float), 1.0)
         if self.window is not None:
-            self._slide(z, target, self.window)
-        elif self._inverse is None:
-            # No slope yet: A = zz' + diag(I/C, 0) has this inverse, and the bias is the target.
-            x, slopes = z[:-1], self.C * np.eye(z.size - 1)
-            corner = 1.0 + self.C * (x @ x)
-            self._inverse = np.block([[slopes, -self.C * x[:, None]], [-self.C * x, corner]])
-            self._values = np.append(np.zeros(x.size), target)
-        else:
-            learn(self._values, self._inverse, z, target)
-
-    def _slide(self, z: np.ndarray, target: float, window: int) -> None:
-        """Add one sample to the normal equations and take the oldest away."""
-        if self._normal is None:
-            self._normal = np.diag(np.append(np.full(z.size - 1, 1.0 / self.C), 0.0))
-            self._moment = np.zeros(z.size)
-        self._normal += np.outer(z, z)
-        self._moment += z * target
-        self._kept.append((z, target))
-        if len(self._kept) > window:
-            old, old_target = self._kept.popleft()
-            self._normal -= np.outer(old, old)
-            self._moment -= old * old_target
-            self.n_samples -= 1
+            self._kept.append((row, target))
+            self.n_samples = 0
+        if not self.n_samples:
+            self._factor = np.diag([*np.full(row.size - 1, self.C**-0.5), 0.0])
+            self._factor = np.column_stack([self._factor, np.zeros(row.size)])
+        for known in self._kept if self.window is not None else ((row, target),):
+            self._learn(*known)
 
     def linear(self) -> tuple[np.ndarray, float]:
         """Coefficients and bias, at the cost of one solution."""
-        if self._normal is not None:
-            scale = 1.0 / np.sqrt(np.diag(self._normal))
-            scaled = self._normal * scale[:, None] * scale
-            values = scale * np.linalg.solve(scaled, scale * self._moment)
-        elif self._inverse is not None:
-            values = self._values
-        else:
+        if not self.n_samples:
             raise ModelError("The machine has learnt nothing yet. Call start or update.")
-        return values[:-1].copy(), float(values[-1])
-
-    @property
-    def inverse(self) -> np.ndarray:
-        """Inverse of the normal matrix of ``[features, 1]``.
-
-        Times the variance of the errors it is the covariance of the estimates.
-        """
-        self.linear()
-        if self._normal is not None:
-            return np.linalg.inv(self._normal)
-        assert self._inverse is not None
-        return self._inverse.copy()
+        values = self._solved()
+        return values[:-1], float(values[-1])
 
 
-class RecursiveLeastSquares(OnlineMachine):
+class RecursiveLeastSquares(SquareRootMachine):
     r"""Least squares with exponential forgetting, for parameters that drift.
 
     A sample that is ``n`` samples old counts :math:`\lambda^n`.
@@ -265,31 +247,22 @@ class RecursiveLeastSquares(OnlineMachine):
     ) -> None:
         if not 0 < forgetting <= 1:
             raise ModelError(f"forgetting is {forgetting}. Give a factor above 0, at most 1.")
-        self._values = np.array(values, dtype=float).ravel()
-        spread = np.broadcast_to(np.asarray(std, dtype=float), self._values.shape)
-        self._inverse = np.diag(spread**2)
+        start = np.array(values, dtype=float).ravel()
+        known = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), start.shape)
+        self._factor = np.column_stack([np.diag(known), known * start])
         self.forgetting, self.largest_std = forgetting, largest_std
         self.n_samples = 0
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
-        x = np.asarray(features, dtype=float)
-        learn(self._values, self._inverse, x, target, self.forgetting)
+        self._learn(np.asarray(features, dtype=float), float(target))
         if self.forgetting < 1:
-            self._inverse /= self.forgetting
-            excess = np.trace(self._inverse) / (len(x) * self.largest_std**2)
-            if excess > 1:
-                self._inverse /= excess
-        self.n_samples += 1
+            excess = np.trace(self.inverse) / (len(self._factor) * self.largest_std**2)
+            self._factor *= np.sqrt(max(excess, 1.0))
 
     def linear(self) -> tuple[np.ndarray, float]:
         """Present values; there is no constant but one among the features."""
-        return self._values.copy(), 0.0
-
-    @property
-    def inverse(self) -> np.ndarray:
-        """Times the variance of errors, the covariance of the estimates."""
-        return self._inverse.copy()
+        return self._solved(), 0.0
 
 
 # Relative residual of the dual system above which the solution is announced as lost. Rounding
@@ -371,40 +344,36 @@ class IncrementalLSSVM(OnlineMachine):
 
     def forget(self) -> None:
         """Forget all samples."""
-        self._n = self._dropped = 0
-        self._features = self._matrix = np.empty((0, 0))
-        self._targets = np.empty(0)
+        self._dropped, self._targets = 0, np.empty(0)
+        self._features: np.ndarray = np.empty((0, 0))
+        self._matrix: np.ndarray = np.empty((0, 0))
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
-        row = np.asarray(features, dtype=float).ravel()
-        if self._n == 0:
-            self._features = np.empty((0, len(row)))
-        self._reserve()
-        border = self.kernel(self._features[: self._n], row[None])[:, 0]
-        corner = float(self.kernel(row[None], row[None])[0, 0]) + 1.0 / self.C
-        n = self._n
+        row, matrix, n = np.asarray(features, dtype=float).reshape(1, -1), self._matrix, len(self)
+        known = self._features.reshape(n, row.size)
+        border = self.kernel(known, row)
+        corner = self.kernel(row, row) + 1.0 / self.C
         if self.method == "inverse":
-            inverse = self._matrix[:n, :n]
-            g = inverse @ border
-            s = corner - border @ g
-            inverse += np.outer(g, g) / s
-            self._matrix[n, :n] = self._matrix[:n, n] = -g / s
-            self._matrix[n, n] = 1.0 / s
+            g = matrix @ border
+            s = corner - border.T @ g
+            self._matrix = np.block([[matrix + g @ g.T / s, -g / s], [-g.T / s, 1.0 / s]])
         else:
-            lower = solve_triangular(self._matrix[:n, :n], border, lower=True, check_finite=False)
+            lower = solve_triangular(matrix, border, lower=True, check_finite=False)
             # The last diagonal cannot fall below the ridge, whatever rounding says.
-            self._matrix[n, :n] = lower
-            self._matrix[n, n] = np.sqrt(max(corner - lower @ lower, 1.0 / self.C))
-        self._features[n], self._targets[n] = row, float(target)
-        self._n = n + 1
-        if self.window is not None and self._n > self.window:
+            last = np.sqrt(np.maximum(corner - lower.T @ lower, 1.0 / self.C))
+            self._matrix = np.block([[matrix, np.zeros((n, 1))], [lower.T, last]])
+        self._features, self._targets = np.vstack([known, row]), np.append(self._targets, target)
+        if self.window is not None and n + 1 > self.window:
             self._drop_oldest()
+
+    def __len__(self) -> int:
+        return len(self._targets)
 
     @property
     def n_samples(self) -> int:
         """Number of samples kept."""
-        return self._n
+        return len(self)
 
     @property
     def bias(self) -> float:
@@ -421,13 +390,12 @@ class IncrementalLSSVM(OnlineMachine):
         multipliers, bias = self.solution()
         if not isinstance(self.kernel, LinearKernel):
             raise ModelError("Only the linear kernel has coefficients. Use predict.")
-        return self._features[: self._n].T @ multipliers, bias
+        return self._features.T @ multipliers, bias
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Values ``(n,)`` at features ``(n, n_features)``."""
         multipliers, bias = self.solution()
-        support = self._features[: self._n]
-        return self.kernel(np.atleast_2d(features), support) @ multipliers + bias
+        return self.kernel(np.atleast_2d(features), self._features) @ multipliers + bias
 
     @property
     def residual(self) -> float:
@@ -446,7 +414,7 @@ class IncrementalLSSVM(OnlineMachine):
             if not left < LOST:
                 self._warned = True
                 warnings.warn(
-                    f"The recursion of the inverse has lost its digits after {self._n} samples: "
+                    f"The recursion of the inverse has lost its digits after {len(self)} samples: "
                     f"its equations are met to {left:.1g} of the targets. Coefficients are not to "
                     "be believed. Use method='cholesky', RecursiveLSSVM, a smaller C or smaller "
                     "units.",
@@ -456,51 +424,34 @@ class IncrementalLSSVM(OnlineMachine):
         return multipliers, bias
 
     def _residual(self, multipliers: np.ndarray, bias: float) -> float:
-        support, targets = self._features[: self._n], self._targets[: self._n]
-        again = self.kernel(support, support) @ multipliers
-        left = np.abs(again + multipliers / self.C + bias - targets).max()
-        size = np.abs(targets).max()
-        return float(left / size) if size > 0 else float(left)
+        again = self.kernel(self._features, self._features) @ multipliers
+        left = np.abs(again + multipliers / self.C + bias - self._targets).max()
+        return float(left / (np.abs(self._targets).max() or 1.0))
 
     def _solve(self) -> tuple[np.ndarray, float]:
-        if not self._n:
+        if not len(self):
             raise ModelError("The machine has learnt nothing yet. Call start or update.")
-        targets = self._targets[: self._n]
-        columns = np.column_stack([targets, np.ones(self._n)])
-        matrix = self._matrix[: self._n, : self._n]
+        columns = np.column_stack([self._targets, np.ones(len(self))])
         if self.method == "inverse":
-            solved = matrix @ columns
+            solved = self._matrix @ columns
         else:
-            half = solve_triangular(matrix, columns, lower=True, check_finite=False)
-            solved = solve_triangular(matrix.T, half, lower=False, check_finite=False)
+            solved = cho_solve((self._matrix, True), columns, check_finite=False)
         bias = float(solved[:, 0].sum() / solved[:, 1].sum()) if self.bias_wanted else 0.0
         return solved[:, 0] - bias * solved[:, 1], bias
 
-    def _reserve(self) -> None:
-        """Double the room when it is full, so that a step copies nothing on average."""
-        if self._n == len(self._targets):
-            more = max(16, self._n)
-            self._matrix = np.pad(self._matrix, (0, more))
-            self._features = np.pad(self._features, ((0, more), (0, 0)))
-            self._targets = np.pad(self._targets, (0, more))
-
     def _drop_oldest(self) -> None:
-        n = self._n
-        old = self._matrix[:n, :n]
-        if self.method == "inverse":
-            kept = old[1:, 1:] - np.outer(old[1:, 0], old[0, 1:]) / old[0, 0]
-        else:
+        old = self._matrix
+        self._features, self._targets = self._features[1:], self._targets[1:]
+        self._dropped += 1
+        if self.method == "cholesky":
             # Lower factor of what is left plus the oldest column's square.
             upper = np.asarray(np.linalg.qr(np.vstack([old[1:, 1:].T, old[1:, 0]]), mode="r"))
-            kept = (upper * np.where(np.diag(upper) < 0, -1.0, 1.0)[:, None]).T
-        self._features[: n - 1] = self._features[1:n]
-        self._targets[: n - 1] = self._targets[1:n]
-        self._n = n - 1
-        self._dropped += 1
-        if self.method == "inverse" and self._dropped % self.refresh == 0:
-            support = self._features[: n - 1]
-            kept = np.linalg.inv(self.kernel(support, support) + np.eye(n - 1) / self.C)
-        self._matrix[: n - 1, : n - 1] = kept
+            self._matrix = (upper * np.where(np.diag(upper) < 0, -1.0, 1.0)[:, None]).T
+        elif self._dropped % self.refresh:
+            self._matrix = old[1:, 1:] - np.outer(old[1:, 0], old[0, 1:]) / old[0, 0]
+        else:
+            again = self.kernel(self._features, self._features) + np.eye(len(self)) / self.C
+            self._matrix = np.linalg.inv(again)
 
 
 METHODS = ("recursive", "incremental", "forgetting")
@@ -603,44 +554,49 @@ class OnlineRegression(RegressionEstimator):
         )
 
 
-def read_sample(
-    model: Model,
-    time: float,
-    sample: Mapping[str, float],
-    *,
-    after: float | None,
-    anew: str,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Inputs and outputs of a sample, in the model's order; a missing output is NaN.
+class Samples:
+    """Samples of a run as they come, each later than the one before.
 
     Parameters
     ----------
     model : Model
-    time : float
-        Time of the sample, s.
-    sample : mapping of str to float
-        Commands and measured outputs by name.
-    after : float or None
-        Time of the sample before, s.
+        Whose inputs and outputs they are.
     anew : str
         What to do for a new run, for the message.
-
-    Raises
-    ------
-    ModelError
-        If an input is missing, or the sample is not later than the one before.
     """
-    missing = [name for name in model.input_names if name not in sample]
-    if missing:
-        raise ModelError(
-            f"The sample at t = {time:g} s has no {', '.join(missing)}. Every input is needed."
-        )
-    if after is not None and not time > after:
-        raise ModelError(
-            f"The sample at t = {time:g} s is not later than the one before, at {after:g} s. {anew}"
-        )
-    inputs = np.array([sample[name] for name in model.input_names], dtype=float)
-    return inputs, np.array([sample.get(name, np.nan) for name in model.output_names])
+
+    def __init__(self, model: Model, anew: str = "Call start() for a new run.") -> None:
+        self.model, self.anew = model, anew
+        self.last: float | None = None
+        self.count = 0
+
+    def read(self, time: float, sample: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs and outputs of a sample, in the model's order; a missing output is NaN.
+
+        Parameters
+        ----------
+        time : float
+            Time of the sample, s.
+        sample : mapping of str to float
+            Commands and measured outputs by name.
+
+        Raises
+        ------
+        ModelError
+            If an input is missing, or the sample is not later than the one before.
+        """
+        if missing := [name for name in self.model.input_names if name not in sample]:
+            raise ModelError(
+                f"The sample at t = {time:g} s has no {', '.join(missing)}. Every input is needed."
+            )
+        if self.last is not None and not time > self.last:
+            raise ModelError(
+                f"The sample at t = {time:g} s is not later than the one before, at "
+                f"{self.last:g} s. {self.anew}"
+            )
+        self.last, self.count = time, self.count + 1
+        inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
+        return inputs, np.array([sample.get(name, np.nan) for name in self.model.output_names])
 
 
 def streamed_form(model: Model) -> RegressionForm:
@@ -708,7 +664,10 @@ class EquationStream:
         if rule not in SPANS:
             raise ModelError(f"rule is {rule!r}. A stream knows {', '.join(SPANS)}.")
         self.model, self.rule = model, rule
-        self.form = streamed_form(model)
+        self.form, self._run = (
+            streamed_form(model),
+            Samples(model, "Start a new stream for a new run."),
+        )
         # Positions of the free parameters that each equation holds.
         found = self.form.anywhere(8).transpose(1, 0, 2)
         self._owners = tuple(np.flatnonzero(block.any(axis=0)) for block in found)
@@ -734,14 +693,7 @@ class EquationStream:
         sample : mapping of str to float
             Measured outputs and commands by name; a missing output is NaN.
         """
-        now, measured = read_sample(
-            self.model,
-            time,
-            sample,
-            after=self._samples[-1][0] if self._samples else None,
-            anew="Start a new stream for a new run.",
-        )
-        self._samples.append((time, now, measured))
+        self._samples.append((time, *self._run.read(time, sample)))
         if len(self._samples) <= SPANS[self.rule]:
             return []
         times, inputs, outputs = (np.array(part) for part in zip(*self._samples, strict=True))
@@ -786,8 +738,7 @@ class KalmanStream:
     """
 
     def __init__(self, model: Model, settings: JointKalmanFilter | None = None) -> None:
-        self.model = model
-        self._settings = settings or JointKalmanFilter()
+        self.model, settings = model, settings or JointKalmanFilter()
         levels = given_levels(model.outputs)
         if not np.isfinite(levels).all():
             unknown = [o.name for o, s in zip(model.outputs, levels, strict=True) if np.isnan(s)]
@@ -795,16 +746,18 @@ class KalmanStream:
                 f"The noise of {', '.join(unknown)} is not known, and a stream cannot wait to see "
                 "it. Give Output(noise_std=...)."
             )
-        self._settings.check(model)
-        self._filter = JointFilter(self._settings, model, levels)
-        self._parameters, self._covariance = self._filter.first_values()
-        self._last: tuple[float, np.ndarray] | None = None
-        self.n_samples = 0
+        settings.check(model)
+        self._filter, self._run = JointFilter(settings, model, levels), Samples(model)
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples learnt."""
+        return self._run.count
 
     def start(self) -> None:
         """Begin a new run: states anew from its first sample, parameters as known by now."""
-        self._parameters, self._covariance = self._known()
-        self._last = None
+        self._filter.start()
+        self._run.last = None
 
     def update(self, time: float, sample: Mapping[str, float]) -> None:
         """Learn one sample.
@@ -816,41 +769,16 @@ class KalmanStream:
         sample : mapping of str to float
             Commands and measured outputs by name; an output may be missing.
         """
-        inputs, outputs = read_sample(
-            self.model,
-            time,
-            sample,
-            after=None if self._last is None else self._last[0],
-            anew="Call start() for a new run.",
-        )
-        if self._last is None:
-            seen = {
-                state: outputs[column]
-                for state, column in measured_columns(self.model).items()
-                if np.isfinite(outputs[column])
-            }
-            self._filter.begin(time, inputs, seen, self._parameters, self._covariance)
-            times, commands = np.array([time, time + 1.0]), np.array([inputs, inputs])
-        else:
-            times = np.array([self._last[0], time])
-            commands = np.array([self._last[1], inputs])
-        self._filter.learn(times, commands, outputs, first=self._last is None)
-        self._last = (time, inputs)
-        self.n_samples += 1
+        self._filter.take(time, *self._run.read(time, sample))
 
     @property
     def values(self) -> dict[str, float]:
         """Parameters as known by now."""
-        values = self._known()[0]
+        values = self._filter.parameters[0]
         return dict(zip(self.model.free_names, map(float, values), strict=True))
 
     @property
     def std_errors(self) -> dict[str, float]:
         """Their standard errors."""
-        stds = np.sqrt(np.maximum(np.diag(self._known()[1]), 0.0))
+        stds = np.sqrt(np.maximum(np.diag(self._filter.parameters[1]), 0.0))
         return dict(zip(self.model.free_names, map(float, stds), strict=True))
-
-    def _known(self) -> tuple[np.ndarray, np.ndarray]:
-        if self._last is None:
-            return self._parameters, self._covariance
-        return self._filter.parameters

@@ -96,6 +96,7 @@ def new(
     template: str = "generic",
     log: Path | None = None,
     inputs: list[str] | None = None,
+    json_file: Path | None = None,
 ) -> None:
     """Write a starter folder for a vehicle of your own.
 
@@ -105,6 +106,7 @@ def new(
     answer(f"Written: {made}")
     folder_word = shlex.quote(str(made))
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
+    store({"folder": str(made)}, json_file)
 
 
 def simulate(
@@ -115,6 +117,7 @@ def simulate(
     seed: int = 0,
     no_noise: bool = False,
     truth: bool = False,
+    json_file: Path | None = None,
     picture: Path | None = None,
 ) -> None:
     """Simulate experiments of a problem and write what would be logged as CSV.
@@ -139,6 +142,8 @@ def simulate(
             show.share((number + 1) / len(wanted))
     for one, file in zip(wanted, files, strict=True):
         answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
+    facts = {"files": list(map(str, files)), "seed": seed, "noise": not no_noise, "truth": truth}
+    store(facts, json_file, records=map(oed_sysid.Dataset, zip(records)))
     draw(Figure("figure_record", records[0], ""), picture)
     if picture is not None and len(records) > 1:
         note(f"The picture shows {records[0].name}; choose another with --experiment.")
@@ -263,6 +268,7 @@ def report(
     saved: Path,
     out: Path = Path("report.html"),
     validate: list[str] | None = None,
+    json_file: Path | None = None,
     picture: Path | None = None,
 ) -> None:
     """Write the report on a saved fit, with its predictions of validation records.
@@ -284,6 +290,7 @@ def report(
                 f"{saved} holds no model, so it predicts nothing. Repeat the fit with --save FILE, "
                 "or leave out --validate and --picture."
             )
+        store(content, json_file)
         return
     kept = oed_sysid.Fit.load(saved)
     made = read_result(saved, "fit")[1]
@@ -295,6 +302,8 @@ def report(
     document = kept.document(comparison)
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")
+    facts = kept.to_dict() | ({"validation": comparison.to_dict()} if comparison else {})
+    store(facts, json_file)
     own = Figure("figure_fit", kept, "")
     draw(own if comparison is None else predicted([comparison.best]), picture)
 
@@ -304,6 +313,7 @@ def export(
     kind: str,
     out: Path = Path("model"),
     at: list[str] | None = None,
+    json_file: Path | None = None,
 ) -> None:
     """Write a fitted model for another program, with the covariance of its parameters.
 
@@ -320,6 +330,7 @@ def export(
         say(str(file))
     if not result.status.ok:
         note(f"The fit ended as {result.status}")
+    store({"model": result.model.name, "kind": kind, "files": list(map(str, files))}, json_file)
 
 
 def watch(

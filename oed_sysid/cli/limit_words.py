@@ -6,7 +6,7 @@ Words that people use stand for the model's channels; angles are in degrees.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import degrees, inf, isfinite, radians
 
@@ -22,12 +22,13 @@ SIGNALS = {
     "distance": "x", "advance": "x", "transfer": "y",
     "pitch-rate": "q", "roll-rate": "p", "yaw-rate": "r",
 }  # fmt: skip
-# A control surface answers to these words if its name or description holds one of its group.
-SURFACES = (
-    {"fin", "fins", "plane", "planes", "stern plane", "sternplane", "elevator", "hydroplane"},
-    {"rudder", "helm"},
-    {"thrust", "propeller", "revolutions"},
-)
+# A control surface answers to these words if its name or description holds one of its group; the
+# word that is shown stands first.
+SURFACES = {
+    "fin": ("fin", "fins", "plane", "planes", "sternplane", "elevator", "hydroplane"),
+    "rudder": ("rudder", "helm"),
+    "thrust": ("thrust", "propeller", "revolutions"),
+}
 ANGLES = ("rad", "rad/s")
 _FORM = re.compile(r"(?:(max|min):)?([A-Za-z_][\w-]*)=(.+)")
 _NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?(?:/s)?(?:m|m/s|N)?")
@@ -91,13 +92,16 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
     """
     offered: Offered = []
     taken: set[str] = set()
-    names = sorted(set().union(*SURFACES))
+    meant = _meaning(model)
+    trade = sorted(word for group in SURFACES.values() for word in group)
     for channel in _channels(model).values():
-        is_input = isinstance(channel, Input)
-        words = _words(model, channel, names if is_input else SIGNALS)
-        words = tuple(word for word in words if is_input or word not in taken)
-        if words:
-            offered += _offers(channel, words, limits)
+        is_input, name = isinstance(channel, Input), channel.name
+        # Words that mean this channel and no other, those of the trade first.
+        words = [w for w in (trade if is_input else SIGNALS) if meant.get(w) == [channel]]
+        words.sort(key=lambda word: (word not in SURFACES, len(word)))
+        words = [*dict.fromkeys([*words, name, name.replace("_", "-"), name.lower()])]
+        if words := [word for word in words if is_input or word not in taken]:
+            offered += _offers(channel, tuple(words), limits)
         if is_input:
             taken |= {*words, *(f"{word}-rate" for word in words), "rate"}
     if model.inputs:
@@ -135,20 +139,16 @@ def _channels(model: Model) -> dict[str, Input | State | Output]:
     return {one.name: one for one in [*every, *model.inputs]}
 
 
-def _words(model: Model, channel: Input | State | Output, common: Iterable[str]) -> tuple[str, ...]:
-    """Words that mean this channel and no other, those of the trade first."""
-    found = []
-    for word in common:
-        if " " in word:
-            continue
-        try:
-            if _channel(model, word).name == channel.name:
-                found.append(word)
-        except DesignError:  # means several, or none
-            continue
-    found.sort(key=lambda word: (word not in ("fin", "rudder", "thrust"), len(word)))
-    name = channel.name
-    return tuple(dict.fromkeys([*found, name, name.replace("_", "-"), name.lower()]))
+def _meaning(model: Model) -> dict[str, list[Input | State | Output]]:
+    """What each word may mean: its name, before a common word, before part of a description."""
+    channels, found = _channels(model), dict[str, list[Input | State | Output]]()
+    for one in model.inputs:
+        own = f"{one.name} {one.label}".lower().replace("_", " ")
+        groups = (words for words in SURFACES.values() if any(word in own for word in words))
+        for word in set(own.split()).union(*groups):
+            found.setdefault(word, []).append(one)
+    found |= {word: [channels[name]] for word, name in SIGNALS.items() if name in channels}
+    return found | {name.lower(): [one] for name, one in channels.items()}
 
 
 def _now(channel: Input | State | Output, now: tuple[float, float] | None) -> str:
@@ -192,7 +192,10 @@ def _rate(model: Model, limits: Limits, word: str, side: str, text: str) -> tupl
     else:
         found = _channel(model, word.removesuffix("-rate"))
         if not isinstance(found, Input):
-            raise DesignError(f"The rate of {found.name!r} cannot be limited; {_possible(model)}")
+            raise DesignError(
+                f"The rate of {found.name!r} cannot be limited; only inputs have one: "
+                f"{', '.join(f'--max-{i.name}-rate' for i in model.inputs)}."
+            )
         moved = [found]
     rates = {i.name: _value(i, text) for i in moved}
     return replace(limits, rates={**limits.rates, **rates}), f"{word} is of {', '.join(rates)}"
@@ -208,41 +211,21 @@ def _value(channel: Input | State | Output, text: str) -> float:
 
 
 def _channel(model: Model, word: str) -> Input | State | Output:
-    """Channel that a word means: its name, a common word, or part of its description."""
-    word = word.lower()
-    channels = _channels(model)
-    by_name = {name.lower(): channel for name, channel in channels.items()}
-    if named := by_name.get(word.replace("-", "_")):
-        return named
-    if SIGNALS.get(word) in channels:
-        return channels[SIGNALS[word]]
-    found = [i for i in model.inputs if _answers(i, word)]
+    """Channel that a word means."""
+    meant, word = _meaning(model), word.lower()
+    found = meant.get(word.replace("-", "_")) or meant.get(word, [])
     if len(found) == 1:
         return found[0]
-    if len(found) > 1:
+    if found:
         raise DesignError(
             f"{word!r} may mean {' or '.join(i.name for i in found)}. Say which: "
             f"--max-{found[0].name}."
         )
-    raise DesignError(f"Model {model.name!r} has no {word!r} to limit; {_possible(model)}")
-
-
-def _answers(channel: Input, word: str) -> bool:
-    own = f"{channel.name} {channel.label}".lower().replace("_", " ")
-    parts = set(own.split())
-    return word in parts or any(
-        word in group and any(name in own for name in group) for group in SURFACES
-    )
-
-
-def _possible(model: Model) -> str:
-    """What can be limited, in words."""
-    inputs = [f"--max-{i.name}" for i in model.inputs]
-    surfaces = [min(group & {"fin", "rudder", "thrust"}) for group in SURFACES
-                if any(_answers(i, word) for i in model.inputs for word in group)]  # fmt: skip
+    inputs = [i.name for i in model.inputs] + [main for main in SURFACES if main in meant]
     names = {*model.state_names, *model.output_names}
-    words = [word for word, name in SIGNALS.items() if name in names]
-    return (
-        f"possible are {', '.join([*inputs, *(f'--max-{s}' for s in surfaces)])}, --max-rate, and "
-        f"--max- or --min- with {', '.join([*words, *sorted(names)])}."
+    words = [common for common, name in SIGNALS.items() if name in names]
+    raise DesignError(
+        f"Model {model.name!r} has no {word!r} to limit; possible are "
+        f"{', '.join(f'--max-{one}' for one in inputs)}, --max-rate, and --max- or --min- with "
+        f"{', '.join([*words, *sorted(names)])}."
     )

@@ -9,11 +9,9 @@ cost (:class:`Allowed`). Each makes the objects of :mod:`oed_sysid.design` that 
 from __future__ import annotations
 
 import re
-import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -370,7 +368,7 @@ def improve(study: Study, show: Shown, *, max_effects: int = 4, no_terms: bool =
     result = oed_sysid.improve(
         problem.model, train, study.test, candidates=problem.effects,
         known_noise=study.known_noise, disturbances=study.acting, max_effects=max_effects,
-        terms=not no_terms, progress=Rounds(max_effects, show).tell, journal=show.journal,
+        terms=not no_terms, progress=partial(_round, show, max_effects), journal=show.journal,
     )  # fmt: skip
     fits = {NOMINAL: result.base_fit} | ({IMPROVED: result.fit} if result.steps else {})
     show.say("predicting")
@@ -581,36 +579,11 @@ def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
     return NO_RESULT if any(one.grave or not one.status.ok for one in fits) else DONE
 
 
-class Rounds:
-    """How long a search goes on at most: every round adds one effect.
-
-    Parameters
-    ----------
-    n_most : int
-        Rounds at most.
-    show : Shown, optional
-        Who is told.
-    """
-
-    def __init__(self, n_most: int, show: Shown | None = None) -> None:
-        self._n_most, self._show = n_most, show
-        self._began: list[float] = []
-
-    def left(self, round: int, now: float) -> float | None:
-        """Return the seconds left at most when a round begins; None before the second."""
-        if round == len(self._began) + 1:
-            self._began.append(now)
-        longest = max((b - a for a, b in pairwise(self._began)), default=None)
-        return None if longest is None else longest * (self._n_most - round + 1)
-
-    def tell(self, what: str) -> None:
-        """Tell what is being done, and how long it takes at most."""
-        assert self._show is not None
-        self._show.say(what)
-        if named := re.search(r"round (\d+)", what):
-            left = self.left(int(named[1]), time.monotonic())
-            if left is not None:
-                self._show.left(left, at_most=True)
+def _round(show: Shown, n_most: int, what: str) -> None:
+    """Tell what is being done, and how long a search of so many rounds takes at most."""
+    show.say(what)
+    if named := re.search(r"round (\d+)", what):
+        show.share((int(named[1]) - 1) / n_most, at_most=True)
 
 
 # Starts of a design that are finished, in up to twice the rounds of the others.

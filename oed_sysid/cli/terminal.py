@@ -128,7 +128,7 @@ def alarming(text: str) -> str:
 def note(text: str) -> None:
     """Print something worth knowing that is not the result."""
     if not quiet():
-        print(text, file=sys.stderr)
+        put(text, sys.stderr)
 
 
 def quiet() -> bool:

@@ -177,13 +177,16 @@ def _intact(library: Path) -> bool:
         return False
 
 
+@lru_cache
+def _announce(what: str, folder: Path) -> None:
+    """Say once in a process what takes the seconds, however many of its libraries there are."""
+    print(f"oed_sysid: compiling {what} (once; kept in {folder})", file=sys.stderr)
+
+
 def _compile(
     write: Callable[[], str], what: str, compiler: str, flags: tuple[str, ...], library: Path
 ) -> None:
-    print(
-        f"oed_sysid: compiling {what} (once; kept in {library.parent})",
-        file=sys.stderr,
-    )
+    _announce(what, library.parent)
     with tempfile.TemporaryDirectory(dir=library.parent) as folder:
         code = Path(folder) / "kernel.c"
         built = Path(folder) / "kernel.so"

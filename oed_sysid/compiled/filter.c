@@ -2,8 +2,10 @@
  *
  * Included after trajectory.c, compiled with SELECT. Of the full state, na components are
  * uncertain ("uncertain"); behind them stand nq disturbances, each held over a step and acting
- * through a parameter of the model, ncol coloured sensor errors, and the second states of those
- * disturbances that are narrow-band (see memory_of). With
+ * through a parameter of the model, ncol coloured sensor errors, and the further states of those
+ * disturbances that are narrow-band: nr random components in all, whose transitions phi the caller
+ * gives for every length of a step. In the basis of these the stationary covariance D is diagonal,
+ * so that their fresh noise is D - phi D phi'. With
  *
  *   x- = F(x+), P- = F P F' + Q;  S = h'P h + r, g = P h, x+ = x- + g e/S, P+ = P - g g'/S
  *
@@ -44,39 +46,9 @@ static inline void add_products(double *restrict gram, const double *restrict ro
 /* Most disturbances that act through one parameter of the model. */
 #define PROCESSES 4
 
-/* Transition f of one disturbance over a time, and its derivatives by the logarithms of its time and
- * of its damping, each {own by own, own by second, second by second, second by own}.
- *
- * First order (turn 0): f = {exp(-length/time)}. Second order, of a period and a damping z, with
- * w = 2 pi/period, a' = w b, b' = -w a - 2 z w b + white noise: its own state, which acts, is the
- * displacement a (turn 1) or the velocity b (turn -1), the second state the other of the two. Both
- * have the same stationary variance and are uncorrelated. */
-static inline void memory_of(double length, double time, double z, int turn, double f[4],
-                             double by_time[4], double by_damping[4])
-{
-    for (int i = 0; i < 4; ++i) f[i] = by_time[i] = by_damping[i] = 0.0;
-    if (turn == 0) {
-        f[0] = exp(-length / time);
-        by_time[0] = f[0] * length / time;
-        return;
-    }
-    const double angle = 6.283185307179586477 * length / time, root = sqrt(1.0 - z * z);
-    const double c = cos(angle * root), s = sin(angle * root) / root, e = exp(-z * angle);
-    const double dc = angle * z * s, ds = (s - angle * c) * z / (root * root);
-    f[0] = e * (c + turn * z * s);
-    f[1] = e * turn * s;
-    f[2] = e * (c - turn * z * s);
-    f[3] = -f[1];
-    const double own = z * (turn - 1), second = -z * (turn + 1); /* diagonal of the rates over w */
-    by_time[0] = -angle * (own * f[0] + turn * f[3]);
-    by_time[1] = -angle * (own * f[1] + turn * f[2]);
-    by_time[2] = -angle * (second * f[2] - turn * f[1]);
-    by_time[3] = -angle * (second * f[3] - turn * f[0]);
-    by_damping[0] = z * (-angle * f[0] + e * (dc + turn * (s + z * ds)));
-    by_damping[1] = z * (-angle * f[1] + e * turn * ds);
-    by_damping[2] = z * (-angle * f[2] + e * (dc - turn * (s + z * ds)));
-    by_damping[3] = -by_damping[1];
-}
+/* States of one disturbance, at most, and random components in all. */
+#define STATES 4
+#define RANDOM (STATES * PROCESSES * NF + NY)
 
 /* A row of measurement derivatives is mostly zero: its other entries, n of them. */
 typedef struct {
@@ -108,16 +80,13 @@ static inline void keep_entry(sparse_t *h, int index, double value)
     h->value[h->n++] = value;
 }
 
-/* The transition F = [A G; 0 phi] of a step: the entries of [A G] that are not zero, by rows;
- * columns have rows more, of what is certain and only passes derivatives on. A component from na on
- * is left with phi of itself and psi of another one, which is -1 where there is none. */
+/* The transition F = [A G; 0 phi] of a step: its entries that are not zero, by rows; columns have
+ * rows more, of what is certain and only passes derivatives on. */
 typedef struct {
-    int na, size, more;
-    const int *first; /* na + more + 1 places in index and value */
+    int size, rows;   /* of the covariance, and of all with those more */
+    const int *first; /* rows + 1 places in index and value */
     const int *index;
     const double *value;
-    const double *phi, *psi; /* of all size components, those from na on in use */
-    const int *other;
 } transition_t;
 
 /* target <- F source, rows of a width known when compiled. */
@@ -126,25 +95,15 @@ static inline __attribute__((always_inline)) void moved(double *restrict target,
                                                         const double *restrict source,
                                                         const int width)
 {
-    for (int l = 0; l < f->na + f->more; ++l) {
-        const int i = l < f->na ? l : f->size + l - f->na;
+    for (int i = 0; i < f->rows; ++i) {
         four_t sum[width / 4];
         for (int j = 0; j < width / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-        for (int r = f->first[l]; r < f->first[l + 1]; ++r) {
+        for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
             const double value = f->value[r];
             const double *row = source + (size_t)f->index[r] * width;
             for (int j = 0; j < width / 4; ++j) sum[j] += value * *(const four_t *)(row + 4 * j);
         }
         for (int j = 0; j < width / 4; ++j) *(four_t *)(target + (size_t)i * width + 4 * j) = sum[j];
-    }
-    for (int i = f->na; i < f->size; ++i) {
-        double *restrict row = target + (size_t)i * width;
-        for (int j = 0; j < width; j += 4)
-            *(four_t *)(row + j) = f->phi[i] * *(const four_t *)(source + (size_t)i * width + j);
-        if (f->other[i] < 0) continue;
-        const double *from = source + (size_t)f->other[i] * width;
-        for (int j = 0; j < width; j += 4)
-            *(four_t *)(row + j) += f->psi[i] * *(const four_t *)(from + j);
     }
 }
 
@@ -242,17 +201,12 @@ static inline __attribute__((always_inline)) void lanes_moved(double *restrict t
                                                               const double *restrict source,
                                                               const int column, const int lanes)
 {
-    const int coupled = i < f->na;
-    const int own[2] = {i, coupled ? i : f->other[i]};
-    const double left[2] = {coupled ? 0.0 : f->phi[i], coupled ? 0.0 : f->psi[i]};
-    const int *index = coupled ? f->index + f->first[i] : own;
-    const double *value = coupled ? f->value + f->first[i] : left;
-    const int count = coupled ? f->first[i + 1] - f->first[i] : 1 + (own[1] >= 0);
     four_t sum[lanes / 4];
     for (int j = 0; j < lanes / 4; ++j) sum[j] = (four_t){0.0, 0.0, 0.0, 0.0};
-    for (int r = 0; r < count; ++r) {
-        const double *from = source + (size_t)(column < 0 ? index[r] : PAIR(index[r], column)) * lanes;
-        for (int j = 0; j < lanes / 4; ++j) sum[j] += value[r] * *(const four_t *)(from + 4 * j);
+    for (int r = f->first[i]; r < f->first[i + 1]; ++r) {
+        const int at = f->index[r];
+        const double *from = source + (size_t)(column < 0 ? at : PAIR(at, column)) * lanes;
+        for (int j = 0; j < lanes / 4; ++j) sum[j] += f->value[r] * *(const four_t *)(from + 4 * j);
     }
     for (int j = 0; j < lanes / 4; ++j) *(four_t *)(target + 4 * j) = sum[j];
 }
@@ -364,74 +318,114 @@ static ONCE void keep_move(double *target, const transition_t *f, int step, doub
         memcpy(target + (size_t)i * size, turned + (size_t)i * stride, sizeof(double) * size);
 }
 
-/* Four numbers of memory_of into the rows of a component and of its second state, if any. */
-static inline void keep_memory(double *own, double *by_other, int i, int second, const double f[4])
+/* The rows of phi (nr x nr) behind `count` entries of the na rows above; how many there are then. */
+static inline int keep_memory(int *first, int *index, double *value, int count, const double *phi,
+                              int na, int nr)
 {
-    own[i] = f[0];
-    by_other[i] = f[1];
-    if (second < 0) return;
-    own[second] = f[2];
-    by_other[second] = f[3];
-}
-
-/* Lane l of dP += I - phi phi', the fresh noise of a unit variance at component i. */
-static inline void add_fresh_lane(double *dP, int l, int lanes, const transition_t *f, int i)
-{
-    const double *phi = f->phi, *psi = f->psi;
-    const int o = f->other[i];
-    dP[(size_t)PAIR(i, i) * lanes + l] += 1.0 - phi[i] * phi[i] - psi[i] * psi[i];
-    if (o < 0) return;
-    dP[(size_t)PAIR(o, o) * lanes + l] += 1.0 - phi[o] * phi[o] - psi[o] * psi[o];
-    dP[(size_t)PAIR(i, o) * lanes + l] -= phi[i] * psi[o] + psi[i] * phi[o];
-}
-
-/* Lane l of the tangents, for the changes a, b of phi, psi of a disturbance and its second state:
- * dm += dF m and dP += dF P F' + F P dF' - variance (dphi phi' + phi dphi'), the covariance still
- * being the one before the step; columns is scratch of two strides. */
-static void add_changed_memory(double *dP, double *dm, int l, int lanes, const transition_t *f,
-                               int first, const double *a, const double *b, double variance,
-                               const double *P, const double *mean, double *columns, int stride)
-{
-    const double *phi = f->phi, *psi = f->psi;
-    const int second = f->other[first], rows[2] = {first, second}, count = 1 + (second >= 0);
-    for (int r = 0; r < count; ++r) { /* columns of F P */
-        double *column = columns + (size_t)r * stride;
-        const double *of = P + (size_t)rows[r] * stride;
-        for (int i = 0; i < f->na; ++i) {
-            column[i] = 0.0;
-            for (int e = f->first[i]; e < f->first[i + 1]; ++e) column[i] += f->value[e] * of[f->index[e]];
+    for (int i = 0; i < nr; ++i) {
+        first[na + i] = count;
+        for (int j = 0; j < nr; ++j) {
+            if (phi[(size_t)i * nr + j] == 0.0) continue;
+            index[count] = na + j;
+            value[count++] = phi[(size_t)i * nr + j];
         }
-        for (int i = f->na; i < f->size; ++i)
-            column[i] = phi[i] * of[i] + (f->other[i] < 0 ? 0.0 : psi[i] * of[f->other[i]]);
     }
-    for (int r = 0; r < count; ++r) {
-        const int j = rows[r], o = f->other[j];
-        const double *own = columns + (size_t)r * stride, *its = columns + (size_t)(1 - r) * stride;
-        dm[(size_t)j * lanes + l] += a[j] * mean[j] + (o < 0 ? 0.0 : b[j] * mean[o]);
+    first[na + nr] = count;
+    return count;
+}
+
+/* The states of one process among the nr random components. */
+typedef struct {
+    int n, at[STATES];
+} states_t;
+
+static inline states_t states_of(const int *owner, int nr, int process)
+{
+    states_t found = {0};
+    for (int i = 0; i < nr; ++i)
+        if (owner[i] == process) found.at[found.n++] = i;
+    return found;
+}
+
+/* Sum of a b' over the columns of one process. */
+static inline double shared(const double *a, const double *b, const states_t *of)
+{
+    double sum = 0.0;
+    for (int c = 0; c < of->n; ++c) sum += a[of->at[c]] * b[of->at[c]];
+    return sum;
+}
+
+/* Lane l of dP += I - phi phi', the fresh noise of a process of unit variance. */
+static inline void add_fresh_lane(double *dP, int l, int lanes, const double *phi, int na, int nr,
+                                  const states_t *of)
+{
+    for (int r = 0; r < of->n; ++r)
+        for (int c = 0; c <= r; ++c) {
+            const int i = of->at[r], j = of->at[c];
+            const double left = shared(phi + (size_t)i * nr, phi + (size_t)j * nr, of);
+            dP[(size_t)PAIR(na + i, na + j) * lanes + l] += (i == j) - left;
+        }
+}
+
+/* Lane l of the tangents, for a change of phi in the rows of one process:
+ * dm += dF m and dP += dF P F' + F P dF' - variance (dphi phi' + phi dphi'), the covariance still
+ * being the one before the step; columns is scratch of STATES strides. */
+static void add_changed_memory(double *dP, double *dm, int l, int lanes, const transition_t *f, int na,
+                               int nr, const states_t *of, const double *phi, const double *change,
+                               double variance, const double *P, const double *mean, double *columns,
+                               int stride)
+{
+    for (int c = 0; c < of->n; ++c) { /* columns of F P */
+        double *column = columns + (size_t)c * stride;
+        const double *from = P + (size_t)(na + of->at[c]) * stride;
         for (int i = 0; i < f->size; ++i) {
-            const double moved = a[j] * own[i] + (o < 0 ? 0.0 : b[j] * its[i]);
+            column[i] = 0.0;
+            for (int e = f->first[i]; e < f->first[i + 1]; ++e) column[i] += f->value[e] * from[f->index[e]];
+        }
+    }
+    for (int r = 0; r < of->n; ++r) {
+        const int i = na + of->at[r];
+        const double *by = change + (size_t)of->at[r] * nr;
+        dm[(size_t)i * lanes + l] += shared(by, mean + na, of);
+        for (int j = 0; j < f->size; ++j) {
+            double moved = 0.0;
+            for (int c = 0; c < of->n; ++c) moved += by[of->at[c]] * columns[(size_t)c * stride + j];
             dP[(size_t)PAIR(i, j) * lanes + l] += (i == j ? 2.0 : 1.0) * moved;
         }
-        dP[(size_t)PAIR(j, j) * lanes + l] -= 2.0 * variance * (phi[j] * a[j] + psi[j] * b[j]);
-        if (o >= 0) /* each of the two rows gives one half of what stands between them */
-            dP[(size_t)PAIR(j, o) * lanes + l] -= variance * (a[j] * psi[o] + b[j] * phi[o]);
+        for (int c = 0; c < of->n; ++c) { /* each of two rows gives one half of what stands between */
+            const int j = na + of->at[c];
+            const double fresh = variance * shared(by, phi + (size_t)of->at[c] * nr, of);
+            dP[(size_t)PAIR(i, j) * lanes + l] -= (i == j ? 2.0 : 1.0) * fresh;
+        }
     }
 }
 
-/* Component of which a level is the variance, or -1. */
-static inline int level_at(int kind, int index, int na, int n_first, int m)
+/* Process of which a level is the variance, or -1: disturbances of first order come first, then
+ * those of seas, then colours. */
+static inline int level_at(int kind, int index, int n_first, int nq)
 {
-    if (kind == FORCE_VARIANCE) return na + index;
-    if (kind == SEA_VARIANCE) return na + n_first + index;
-    return kind == COLOUR_VARIANCE ? m + index : -1;
+    if (kind == FORCE_VARIANCE) return index;
+    if (kind == SEA_VARIANCE) return n_first + index;
+    return kind == COLOUR_VARIANCE ? nq + index : -1;
+}
+
+/* mean <- phi mean of the random components. */
+static inline void remember(double *mean, const double *phi, int nr, double *scratch)
+{
+    for (int i = 0; i < nr; ++i) {
+        scratch[i] = 0.0;
+        for (int j = 0; j < nr; ++j) scratch[i] += phi[(size_t)i * nr + j] * mean[j];
+    }
+    memcpy(mean, scratch, sizeof(double) * nr);
 }
 
 /* Doubles of scratch that kernel_filter needs. */
-size_t kernel_filter_work(int na, int more, int nq, int ncol, int nsecond, int nx, int nl)
+size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
 {
-    const size_t n = na + nq + ncol + nsecond, stride = round4((int)n), wide = round4(nx + nl + 1);
+    const size_t n = na + nr, stride = round4((int)n), wide = round4(nx + nl + 1);
     return n * stride * 3 + 2 * (n + more) * round4(nx) + (n * (n + 1) + 4 * n + NY) * round4(nl) +
-           11 * stride + (size_t)na * (na + nq) + (size_t)(na + more) * (na + nq + more) +
+           (3 + STATES) * stride + (size_t)na * (na + nq) + (size_t)(na + more) * (na + nq + more) +
+           (size_t)2 * STATES * nr + (size_t)nr * nr +
            NY * (stride + 2 * wide) + (round4(nl) + 1) * wide + wide * wide + 64;
 }
 
@@ -444,9 +438,12 @@ size_t kernel_filter_work(int na, int more, int nq, int ncol, int nsecond, int n
  * from c_parameter, disturbances from c_disturbance; columns (NF) maps
  * each free parameter to its place in these rows or to -1; x0 (na + more x nx) start of X;
  * nq, q_index (nq) positions of the disturbances in p, q_column (nq) their columns there, of which
- * there are nd; q_variance, q_time (nq), the period where q_turn (nq) is not 0, q_damping (nq), and
- * q_sea (nq), number of the sea of which it is a part, or -1: seas come last;
- * white (NY) variances; ncol, c_output (ncol), c_variance, c_time (ncol);
+ * there are nd; q_sea (nq), number of the sea of which it is a part, or -1: seas come last;
+ * white (NY) variances; ncol, c_output (ncol);
+ * nr random components: disturbances, colours, then further states of disturbances; owner (nr) the
+ * process of each, variance (nr); which (n - 1) of the lengths of a step is that after each sample,
+ * memory (n_lengths x 3 x nr x nr) the transitions, their derivatives by the logarithms of all times
+ * and periods, and of all dampings;
  * measured (n x NY), NaN where missing; nl, l_kind, l_index (nl), -1 for the time of all.
  * Results, each but gram may be NULL: gram ((nx + nl + 1)^2) the sum of [de e]'[de e]/S; level
  * (nl + nl^2) half gradient sum q(1 - e^2/S)/2 and sum q q'/2 of the levels, q = d log S;
@@ -460,20 +457,16 @@ size_t kernel_filter_work(int na, int more, int nq, int ncol, int nsecond, int n
 int kernel_filter(int n, const double *times, const double *inputs, const double *p0, double h_max,
                   double h_sub, const double *z0, int na, int more, const int *uncertain, int nx, int np,
                   int c_parameter, int c_disturbance, const int *columns, const double *x0, int nq, int nd, const int *q_index,
-                  const int *q_column, const double *q_variance, const double *q_time,
-                  const double *q_damping, const int *q_turn, const int *q_sea, const double *white,
-                  int ncol, const int *c_output, const double *c_variance, const double *c_time,
-                  const double *measured, int nl, const int *l_kind, const int *l_index,
+                  const int *q_column, const int *q_sea, const double *white, int ncol,
+                  const int *c_output, int nr, const int *owner, const double *variance,
+                  const int *which, const double *memory, const double *measured, int nl, const int *l_kind, const int *l_index,
                   double *gram_out, double *level_out, double *e_out, double *s_out,
                   double *rows_out, double *path_out, double *gains_out, double *moves_out, double *total,
                   double *work)
 {
-    int n_first = 0, n_second = 0; /* disturbances of first order, and second states of the others */
-    for (int j = 0; j < nq; ++j) {
-        n_first += q_sea[j] < 0;
-        n_second += q_turn[j] != 0;
-    }
-    const int m = na + nq, tail = m + ncol, size = tail + n_second;
+    int n_first = 0; /* disturbances of first order */
+    for (int j = 0; j < nq; ++j) n_first += q_sea[j] < 0;
+    const int m = na + nq, tail = m + ncol, size = na + nr;
     const int stride = round4(size), sx = round4(nx);
     const int width = nx + nl + 1, wide = round4(width), lanes = round4(nl);
     const size_t block_moves = (size_t)(size + nq) * size;
@@ -484,50 +477,38 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
     double *white_lanes = line + (size_t)size * lanes;
     double *X = white_lanes + (size_t)NY * lanes, *Xnext = X + (size_t)(size + more) * sx;
     double *delta = Xnext + (size_t)(size + more) * sx, *mean = delta + stride;
-    double *phi = mean + stride, *psi = phi + stride, *column = psi + stride;
-    /* Derivatives of phi and psi by time, then by damping; columns of one disturbance. */
-    double *by_time = column + 2 * stride, *by_damping = by_time + 2 * stride;
-    double *entries = by_damping + 2 * stride, *passed = entries + (size_t)na * m;
-    double *gains = passed + (size_t)(na + more) * (m + more), *rows = gains + (size_t)NY * stride;
+    double *column = mean + stride, *fresh = column + STATES * stride;
+    double *entries = fresh + (size_t)nr * nr, *passed = entries + (size_t)na * m + STATES * nr;
+    double *gains = passed + (size_t)(na + more) * (m + more) + STATES * nr;
+    double *rows = gains + (size_t)NY * stride;
     double *rowsq = rows + (size_t)NY * wide, *slope = rowsq + (size_t)NY * wide;
     double *information = slope + wide, *gram = information + (size_t)lanes * wide;
-    int place[MAX1(NZ * (NZ + PROCESSES * NF))], first_of[NZ + 1], sensors_remember = 0;
-    int passed_place[MAX1(NZ * (NZ + PROCESSES * NF))], first_passed[NZ + 1];
-    int other[NZ + 2 * PROCESSES * NF + NY + 1];
+    int place[NZ * (NZ + PROCESSES * NF) + STATES * RANDOM + 1], first_of[NZ + RANDOM + 1];
+    int passed_place[NZ * (NZ + PROCESSES * NF) + STATES * RANDOM + 1];
+    int first_passed[NZ + RANDOM + 1], sensors_remember = 0, last = -1;
+    const double *phi = memory;
     const int c_passing = c_disturbance + nd;
     scalar_t scalars[MAX1(NY)];
-    const transition_t step_of = {na, size, 0, first_of, place, entries, phi, psi, other};
-    const transition_t columns_of = {na, size, more, first_passed, passed_place, passed, phi, psi, other};
+    const transition_t step_of = {size, size, first_of, place, entries};
+    const transition_t columns_of = {size, size + more, first_passed, passed_place, passed};
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     SCRATCH row_t s[MAX1(NZ)], sy[MAX1(NY)];
-    double sum_log = 0.0, sum_square = 0.0, product_s = 1.0, last_length = -1.0;
+    double sum_log = 0.0, sum_square = 0.0, product_s = 1.0;
     active_width(c_passing + more);
     column_of = columns;
     memset(work, 0, sizeof(double) * (size_t)(gram - work));
     memset(gram, 0, sizeof(double) * (size_t)wide * wide);
     memcpy(z, z0, sizeof(double) * NZ);
     memcpy(p, p0, sizeof(double) * NP);
-    for (int i = 0; i < size; ++i) other[i] = -1;
-    for (int j = 0, second = tail; j < nq; ++j)
-        if (q_turn[j] != 0) {
-            other[na + j] = second;
-            other[second++] = na + j;
-        }
     let_act(p, nq, q_index, mean + na);
     for (int i = 0; i < na + more; ++i)
         for (int j = 0; j < nx; ++j)
             X[(size_t)(i < na ? i : size + i - na) * sx + j] = x0[(size_t)i * nx + j];
-    for (int j = 0; j < nq; ++j) {
-        P[(size_t)(na + j) * (stride + 1)] = q_variance[j];
-        if (other[na + j] >= 0) P[(size_t)other[na + j] * (stride + 1)] = q_variance[j];
-    }
-    for (int j = 0; j < ncol; ++j) P[(size_t)(m + j) * (stride + 1)] = c_variance[j];
+    for (int i = 0; i < nr; ++i) P[(size_t)(na + i) * (stride + 1)] = variance[i];
     for (int l = 0; l < nl; ++l) {
-        const int at = level_at(l_kind[l], l_index[l], na, n_first, m);
-        if (at >= 0) {
-            dP[(size_t)PAIR(at, at) * lanes + l] = 1.0;
-            if (other[at] >= 0) dP[(size_t)PAIR(other[at], other[at]) * lanes + l] = 1.0;
-        }
+        const int at = level_at(l_kind[l], l_index[l], n_first, nq);
+        for (int i = 0; i < nr; ++i)
+            if (owner[i] == at) dP[(size_t)PAIR(na + i, na + i) * lanes + l] = 1.0;
         if (l_kind[l] == WHITE_VARIANCE) white_lanes[(size_t)l_index[l] * lanes + l] = 1.0;
     }
     for (int i = 0; i < na; ++i) sensors_remember |= uncertain[i] >= NX + NA;
@@ -639,6 +620,17 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         if (k + 1 >= n) break;
         /* Towards the next sample, in steps over which the disturbances are held. */
         const int steps = parts_of_interval(times + k, h_sub);
+        if (which[k] != last) {
+            last = which[k];
+            phi = memory + (size_t)last * 3 * nr * nr;
+            for (int i = 0; i < nr; ++i)
+                for (int j = 0; j < nr; ++j) {
+                    double *to = fresh + (size_t)i * nr + j;
+                    *to = i == j ? variance[i] : 0.0;
+                    for (int c = 0; c < nr; ++c)
+                        *to -= phi[(size_t)i * nr + c] * variance[c] * phi[(size_t)j * nr + c];
+                }
+        }
         for (int step = 0; step < steps; ++step) {
             double inner_times[2], inner_inputs[2 * MAX1(NU)];
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
@@ -666,20 +658,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                     entries[count_entries++] = value;
                 }
             }
-            first_of[na] = count_entries;
-            const double length = inner_times[1] - inner_times[0];
-            if (fabs(length - last_length) > 1e-12 * length) {
-                last_length = length;
-                for (int i = na; i < tail; ++i) {
-                    const int of_force = i < m, j = i - na, second = other[i];
-                    double f[4], t[4], d[4];
-                    memory_of(length, of_force ? q_time[j] : c_time[i - m],
-                              of_force ? q_damping[j] : 0.0, of_force ? q_turn[j] : 0, f, t, d);
-                    keep_memory(phi, psi, i, second, f);
-                    keep_memory(by_time, by_time + stride, i, second, t);
-                    keep_memory(by_damping, by_damping + stride, i, second, d);
-                }
-            }
+            keep_memory(first_of, place, entries, count_entries, phi, na, nr);
             if (moves_out)
                 keep_move(moves_out + (size_t)k * block_moves, &step_of, step, product, turned);
             if (nx > 0) {
@@ -687,7 +666,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 int n_passed = 0;
                 for (int i = 0; i < na + more; ++i) {
                     const double *row = s[uncertain[i]];
-                    first_passed[i] = n_passed;
+                    if (i == na) n_passed = keep_memory(first_passed, passed_place, passed, n_passed, phi, na, nr);
+                    first_passed[i < na ? i : size + i - na] = n_passed;
                     for (int l = 0; l < m + more; ++l) {
                         const double value = l < na  ? row[l]
                                              : l < m ? row[c_disturbance + q_column[l - na]]
@@ -697,7 +677,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                         passed[n_passed++] = value;
                     }
                 }
-                first_passed[na + more] = n_passed;
+                if (more == 0) n_passed = keep_memory(first_passed, passed_place, passed, n_passed, phi, na, nr);
+                first_passed[size + more] = n_passed;
                 move_rows(Xnext, &columns_of, X, sx);
                 for (int i = 0; i < na + more; ++i)
                     for (int j = 0; j < np; ++j)
@@ -718,35 +699,28 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             }
             for (int l = 0; l < nl; ++l) {
                 const int kind = l_kind[l], index = l_index[l];
-                const int at = level_at(kind, index, na, n_first, m);
-                if (at >= 0) add_fresh_lane(dP, l, lanes, &step_of, at);
-                for (int j = na; j < tail; ++j) {
+                const int at = level_at(kind, index, n_first, nq);
+                if (at >= 0) {
+                    const states_t of = states_of(owner, nr, at);
+                    add_fresh_lane(dP, l, lanes, phi, na, nr, &of);
+                }
+                for (int j = 0; j < nq + ncol; ++j) {
                     /* One time, or with index -1 that of all; period and damping those of a sea. */
-                    int hit = j < m ? kind == FORCE_TIME && q_sea[j - na] < 0 : kind == COLOUR_TIME;
-                    hit = hit && (index < 0 || index == (j < m ? j - na : j - m));
-                    hit |= j < m && (kind == SEA_PERIOD || kind == SEA_DAMPING) && q_sea[j - na] == index;
+                    int hit = j < nq ? kind == FORCE_TIME && q_sea[j] < 0 : kind == COLOUR_TIME;
+                    hit = hit && (index < 0 || index == (j < nq ? j : j - nq));
+                    hit |= j < nq && (kind == SEA_PERIOD || kind == SEA_DAMPING) && q_sea[j] == index;
                     if (!hit) continue;
-                    const double *change = kind == SEA_DAMPING ? by_damping : by_time;
-                    const double variance = j < m ? q_variance[j - na] : c_variance[j - m];
-                    add_changed_memory(dP, dm, l, lanes, &step_of, j, change, change + stride,
-                                       variance, P, mean, column, stride);
+                    const double *change = phi + (size_t)(kind == SEA_DAMPING ? 2 : 1) * nr * nr;
+                    const states_t of = states_of(owner, nr, j);
+                    add_changed_memory(dP, dm, l, lanes, &step_of, na, nr, &of, phi, change,
+                                       variance[j], P, mean, column, stride);
                 }
             }
             sandwich(P, &step_of, product, turned, stride);
-            for (int i = na; i < tail; ++i) {
-                const double variance = i < m ? q_variance[i - na] : c_variance[i - m];
-                const double own = mean[i];
-                const int o = other[i];
-                P[(size_t)i * (stride + 1)] += variance * (1.0 - phi[i] * phi[i] - psi[i] * psi[i]);
-                mean[i] *= phi[i];
-                if (o < 0) continue;
-                const double both = variance * (phi[i] * psi[o] + psi[i] * phi[o]);
-                P[(size_t)o * (stride + 1)] += variance * (1.0 - phi[o] * phi[o] - psi[o] * psi[o]);
-                P[(size_t)i * stride + o] -= both;
-                P[(size_t)o * stride + i] -= both;
-                mean[i] += psi[i] * mean[o];
-                mean[o] = phi[o] * mean[o] + psi[o] * own;
-            }
+            for (int i = 0; i < nr; ++i)
+                for (int j = 0; j < nr; ++j)
+                    P[(size_t)(na + i) * stride + na + j] += fresh[(size_t)i * nr + j];
+            remember(mean + na, phi, nr, column);
         }
         let_act(p, nq, q_index, mean + na);
     }
@@ -774,13 +748,11 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
  */
 int kernel_replay(int n, const double *times, const double *inputs, const double *p0, double h_max,
                   double h_sub, const double *z0, int na, const int *uncertain, int nq,
-                  const int *q_index, const double *q_time, const double *q_damping,
-                  const int *q_turn, int ncol, const int *c_output, const double *c_time, const double *measured, const double *gains, double *e_out,
+                  const int *q_index, int ncol, const int *c_output, int nr, const int *which,
+                  const double *memory, const double *measured, const double *gains, double *e_out,
                   double *mean, double *delta)
 {
-    int n_second = 0;
-    for (int j = 0; j < nq; ++j) n_second += q_turn[j] != 0;
-    const int m = na + nq, tail = m + ncol, size = tail + n_second;
+    const int m = na + nq, size = na + nr;
     double z[MAX1(NZ)], seen[MAX1(NZ)], y[MAX1(NY)], p[MAX1(NP)];
     memcpy(z, z0, sizeof(double) * NZ);
     memcpy(p, p0, sizeof(double) * NP);
@@ -818,18 +790,7 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
             let_act(p, nq, q_index, mean + na);
             if (NS > 0 && step == 0) sample_step(z, NULL, input, p, times[k], since, y, NULL, 0);
             advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, 0);
-            const double length = inner_times[1] - inner_times[0];
-            for (int j = 0, second = tail; j < nq; ++j) {
-                double f[4], t[4], d[4], *own = mean + na + j, *its = mean + second;
-                memory_of(length, q_time[j], q_damping[j], q_turn[j], f, t, d);
-                const double before = *own;
-                *own *= f[0];
-                if (q_turn[j] == 0) continue;
-                *own += f[1] * *its;
-                *its = f[2] * *its + f[3] * before;
-                ++second;
-            }
-            for (int j = 0; j < ncol; ++j) mean[m + j] *= exp(-length / c_time[j]);
+            remember(mean + na, memory + (size_t)which[k] * 3 * nr * nr, nr, delta);
         }
         let_act(p, nq, q_index, mean + na);
     }

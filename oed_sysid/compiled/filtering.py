@@ -6,28 +6,32 @@ r"""One pass of the extended Kalman filter along a record, with every derivative
     x^+ = x^- + P^- h\, e / S, \quad P^+ = P^- - P^- h h' P^- / S
 
 one output at a time. ``x`` stacks the uncertain states of the model, disturbances that are
-Gauss-Markov processes of first or second order (each acts through a parameter of the model, held
-over a step), coloured errors of sensors, and the second states of disturbances
+Gauss-Markov processes of first, second or fourth order (each acts through a parameter of the
+model, held over a step), coloured errors of sensors, and the further states of disturbances
 (below). Columns ``X`` are derivatives of ``x`` by start states and
 parameters along the filtered path at frozen gain; levels of the noise carry exact tangents of mean
 and covariance (Jazwinski 1970, *Stochastic processes and filtering theory*, sections 7.3 and 8.3;
 Åström 1980, *Maximum likelihood and prediction error methods*, Automatica 16).
 
-A disturbance is one state of first order, or two of second: with :math:`\omega = 2\pi/T`
+A disturbance is one state of first order; two of second, with :math:`\omega = 2\pi/T`
 
 .. math::
     \dot a = \omega b, \qquad
-    \dot b = -\omega a - 2 \zeta \omega b + \sqrt{4 \zeta \omega}\, n(t)
+    \dot b = -\omega a - 2 \zeta \omega b + \sqrt{4 \zeta \omega}\, n(t) ,
 
-whose stationary covariance is the unit matrix, times the variance of the disturbance. What acts is
-the velocity :math:`b` (no power at frequency zero) or the displacement :math:`a`. Exactly, over a
-time :math:`h`, with :math:`\omega_d = \omega \sqrt{1 - \zeta^2}`, :math:`c = \cos \omega_d h` and
-:math:`s = \sin(\omega_d h) / \sqrt{1 - \zeta^2}`,
+of which acts the velocity :math:`b` (no power at frequency zero) or the displacement :math:`a`; or
+four, the velocity of a second such pair that the first one drives,
 
-.. math::
-    \Phi = e^{-\zeta \omega h}
-    \begin{pmatrix} c + \zeta s & s \\ -s & c - \zeta s \end{pmatrix}, \qquad
-    Q = \sigma^2 (I - \Phi \Phi')
+.. math:: S(\omega) \propto \frac{\omega^4}
+    {\left[(\omega_1^2 - \omega^2)^2 + (2 \zeta_1 \omega_1 \omega)^2\right]
+    \left[(\omega_2^2 - \omega^2)^2 + (2 \zeta_2 \omega_2 \omega)^2\right]}
+
+(Spanos 1983, *ARMA algorithms for ocean wave modeling*, J. Energy Resour. Technol. 105), steep
+below its peak and with a tail above, as the spectra of a sea. In a basis
+:math:`\dot x = \omega A x + B n` whose stationary covariance is the unit matrix, what acts its
+first component, over a time :math:`h`
+
+.. math:: \Phi = e^{A \omega h}, \qquad Q = \sigma^2 (I - \Phi \Phi')
 
 so that the variance enters force noise alone, period and damping :math:`\Phi` alone.
 
@@ -40,13 +44,15 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
+from scipy.linalg import solve_continuous_lyapunov
 
 from oed_sysid.compiled.compile import call, doubles, load
 from oed_sysid.compiled.interpreter import Commands, chained, interpreted
-from oed_sysid.compiled.kernels import Kernel
+from oed_sysid.compiled.kernels import Kernel, Run
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.model import Model
 
@@ -56,6 +62,13 @@ FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range
 SEA_VARIANCE, SEA_PERIOD, SEA_DAMPING = range(5, 8)
 # Most disturbances that act through one parameter, as in ``filter.c``.
 MOST_PROCESSES = 4
+# Number of a disturbance of fourth order among those of a sea.
+FOURTH = 2
+# Frequencies of its two pairs over that of the peak, and the damping of the second: nearest, in
+# the divergence of Whittle, to JONSWAP spectra of peakedness 1 to 7.
+FIRST_PAIR, SECOND_PAIR, SECOND_DAMPING = 0.97, 1.67, 0.42
+# Change of the logarithm of a damping over which its derivative is taken.
+APART = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,11 +90,12 @@ class Disturbed:
     colour_variance, colour_time : ndarray (n_coloured,)
         Their variances, and correlation times in s.
     damping : ndarray (n_disturbances,), optional
-        Of those of second order.
+        Of those of a sea.
     turn : ndarray of int (n_disturbances,), optional
-        0 for first order, 1 where the displacement acts, -1 where the velocity does.
+        0 for first order, 1 where the displacement acts, -1 where the velocity does, or
+        :data:`FOURTH`.
     sea : ndarray of int (n_disturbances,), optional
-        Which of those of second order share period and damping; -1 for first order.
+        Which of those of a sea share period and damping; -1 for first order.
     """
 
     disturbances: tuple[str, ...]
@@ -107,80 +121,114 @@ class Disturbed:
 
     @property
     def n_second(self) -> int:
-        """Number of second states, which come last of all."""
-        return int(np.sum(self.turn != 0))
+        """Number of further states of disturbances, which come last of all."""
+        return int(np.sum(self._further))
 
-    def memory(self, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Transition of disturbances, colours and second states over a time.
+    @property
+    def _further(self) -> np.ndarray:
+        return np.where(self.turn == 0, 0, np.where(self.turn == FOURTH, 3, 1))
+
+    @property
+    def owner(self) -> np.ndarray:
+        """Process of every disturbance, colour and further state, ``(n,)``."""
+        count = np.arange(len(self.variance) + len(self.coloured))
+        further = np.repeat(np.arange(len(self.variance)), self._further)
+        return np.concatenate([count, further]).astype(np.intc)
+
+    @property
+    def stationary(self) -> np.ndarray:
+        """Variances of disturbances, colours and further states, ``(n,)``."""
+        return np.concatenate([self.variance, self.colour_variance])[self.owner]
+
+    def memory(self, lengths: np.ndarray) -> np.ndarray:
+        """Transitions of disturbances, colours and further states over some times.
 
         Parameters
         ----------
-        length : float
+        lengths : ndarray (n_lengths,)
             s.
 
         Returns
         -------
-        transition, by_time, by_damping : ndarray (n, n)
-            And its derivatives by the logarithms of all times and periods, and of all dampings.
+        ndarray (n_lengths, 3, n, n)
+            And their derivatives by the logarithms of all times and periods, and of all dampings.
         """
-        n_first = len(self.variance) + len(self.coloured)
-        size = n_first + self.n_second
-        found = np.zeros((3, size, size))
+        owner, own = self.owner, len(self.variance) + len(self.coloured)
+        found = np.zeros((len(lengths), 3, len(owner), len(owner)))
+        # Numbers a hair above zero: a process without memory has a time of zero.
         times = np.maximum(np.concatenate([self.time, self.colour_time]), 1e-9)
-        second = n_first
-        for j, time in enumerate(times):
-            turn = self.turn[j] if j < len(self.turn) else 0
-            if turn == 0:
-                left = np.exp(-length / time)
-                found[:2, j, j] = left, left * length / time
-                continue
-            block = np.ix_((j, second), (j, second))
-            for kind, part in enumerate(narrow_band(length, time, float(self.damping[j]), turn)):
-                found[kind][block] = part
-            second += 1
-        return found[0], found[1], found[2]
-
-    @property
-    def stationary(self) -> np.ndarray:
-        """Variances of disturbances, colours and second states, ``(n,)``."""
-        return np.concatenate([self.variance, self.colour_variance, self.variance[self.turn != 0]])
+        each = np.arange(own)
+        found[:, 0, each, each] = left = np.exp(-lengths[:, None] / times)
+        found[:, 1, each, each] = left * lengths[:, None] / times
+        for j in np.flatnonzero(self.turn):
+            where = np.flatnonzero(owner == j)
+            found[:, :, where[:, None], where] = narrow_band(
+                lengths, times[j], float(self.damping[j]), int(self.turn[j])
+            )
+        return found
 
 
-def narrow_band(
-    length: float, period: float, damping: float, turn: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Transition of what acts and of the second state, and its derivatives.
+def rates(turn: int, damping: float) -> np.ndarray:
+    """The matrix ``A`` above for a unit frequency, ``(n_states, n_states)``."""
+    z = damping
+    if turn != FOURTH:
+        return np.array([[z * (turn - 1), turn], [-turn, -z * (turn + 1)]])
+    # Velocity and displacement of the driven pair, then of the one that drives.
+    w, v = SECOND_PAIR, FIRST_PAIR
+    a = np.array(
+        [
+            [-2 * SECOND_DAMPING * w, -w, w, 0],
+            [w, 0, 0, 0],
+            [0, 0, -2 * z * v, -v],
+            [0, 0, v, 0],
+        ]
+    )
+    drive = np.diag([0.0, 0.0, 1.0, 0.0])
+    root = np.linalg.cholesky(solve_continuous_lyapunov(a, -drive))
+    return np.linalg.solve(root, a @ root)
+
+
+@lru_cache(maxsize=256)
+def _modes(turn: int, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eigenvalues of these rates, their vectors and the inverse."""
+    values, vectors = np.linalg.eig(rates(turn, damping).astype(complex))
+    return values, vectors, np.linalg.inv(vectors)
+
+
+def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -> np.ndarray:
+    """Transitions of the states of a sea, what acts first, and their derivatives.
 
     Parameters
     ----------
-    length, period : float
+    lengths : ndarray (n_lengths,)
+        s.
+    period : float
         s.
     damping : float
         Below one.
     turn : int
-        1 where the displacement acts, -1 where the velocity does.
+        1 where the displacement acts, -1 where the velocity does, :data:`FOURTH`.
 
     Returns
     -------
-    transition, by_period, by_damping : ndarray (2, 2)
-        The latter by the logarithms.
+    ndarray (n_lengths, 3, n_states, n_states)
+        The latter by the logarithms of period and damping.
 
     Examples
     --------
-    >>> phi, _, _ = narrow_band(8.0, 8.0, 0.1, -1)
+    >>> phi = narrow_band(np.array([8.0]), 8.0, 0.1, -1)[0, 0]
     >>> float(np.linalg.det(phi).round(4)), float(np.exp(-4 * np.pi * 0.1).round(4))
     (0.2846, 0.2846)
     """
-    z, angle, root = damping, 2 * np.pi * length / period, np.sqrt(1 - damping**2)
-    c, s, e = np.cos(angle * root), np.sin(angle * root) / root, np.exp(-damping * angle)
-    by_c, by_s = angle * z * s, z / root**2 * (s - angle * c)
-    mirror = np.array([[1.0, 0.0], [0.0, -1.0]])
-    cross = np.array([[0.0, 1.0], [-1.0, 0.0]])
-    unit = np.eye(2)
-    phi = e * (c * unit + turn * s * (z * mirror + cross))
-    rates = -z * unit + turn * (z * mirror + cross)
-    by_damping = e * (by_c * unit + turn * (by_s * (z * mirror + cross) + s * mirror))
-    return phi, -angle * rates @ phi, z * (by_damping - angle * phi)
+    angles = 2 * np.pi * np.asarray(lengths, dtype=float)[:, None] / period
+
+    def over(damping: float, *, by_period: bool = False) -> np.ndarray:
+        values, vectors, inverse = _modes(turn, damping)
+        powers = np.exp(values * angles) * (-values * angles if by_period else 1.0)
+        return np.asarray((vectors * powers[:, None, :] @ inverse).real)
+
+    by_damping = (over(damping * np.exp(APART)) - over(damping * np.exp(-APART))) / (2 * APART)
+    return np.stack([over(damping), over(damping, by_period=True), by_damping], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -275,7 +323,8 @@ class InterpretedFilter:
         self.coloured = slice(self.m, self.m + len(noise.coloured))
         self.size = self.coloured.stop + noise.n_second
         self.extra = slice(self.na, self.size)
-        self.tail = noise.stationary
+        self.tail, self.owner = noise.stationary, noise.owner
+        self.memory: dict[float, np.ndarray] = {}
         self.mean = np.zeros(self.size)
 
     def replay(
@@ -299,7 +348,7 @@ class InterpretedFilter:
             self._correct(delta)
             for step, steps, length in self._parts(record[0], k):
                 self._advance(record, k, (step, steps), None)
-                self.mean[self.extra] = self.noise.memory(length)[0] @ self.mean[self.extra]
+                self.mean[self.extra] = self._over(length)[0] @ self.mean[self.extra]
         return -1
 
     def filter(
@@ -344,29 +393,32 @@ class InterpretedFilter:
         steps = max(1, int(np.ceil(interval / self.longest_step - 1e-6)))
         return [(step, steps, interval / steps) for step in range(steps)]
 
+    def _over(self, length: float) -> np.ndarray:
+        """Transition over a time, and its derivatives, ``(3, n, n)``."""
+        key = round(float(length), 12)
+        if key not in self.memory:
+            self.memory[key] = self.noise.memory(np.array([key]))[0]
+        return self.memory[key]
+
     def _unit(self, kind: int, index: int) -> np.ndarray:
         """Stationary covariance of a disturbance or colour of unit variance, with all of these."""
         noise = self.noise
         if kind == COLOUR_VARIANCE:
-            index += self.m - self.na
+            index += len(noise.variance)
         elif kind == SEA_VARIANCE:
             index += int(np.sum(noise.sea < 0))
-        own = np.zeros(self.size - self.na)
-        own[index] = 1.0
-        if index < self.m - self.na:
-            own[self.coloured.stop - self.na :] = own[: self.m - self.na][noise.turn != 0]
-        return np.diag(own)
+        return np.diag((self.owner == index).astype(float))
 
     def _lasting(self, kind: int, index: int) -> np.ndarray:
-        """Disturbances, colours and second states of which a level is the time or damping."""
+        """Disturbances, colours and further states of which a level is the time or damping."""
         noise = self.noise
-        force, colour = np.arange(self.m - self.na), np.arange(len(noise.coloured))
+        force, colour = np.arange(len(noise.variance)), np.arange(len(noise.coloured))
         if kind == FORCE_TIME:
             hit = (noise.sea < 0) & ((index < 0) | (force == index))
         else:
             hit = (noise.sea == index) & (kind in (SEA_PERIOD, SEA_DAMPING))
         own = (kind == COLOUR_TIME) & ((index < 0) | (colour == index))
-        return np.concatenate([hit, own, hit[noise.turn != 0]])
+        return np.concatenate([hit, own])[self.owner]
 
     def _let_act(self) -> None:
         """Disturbances into the parameters through which they act."""
@@ -454,7 +506,7 @@ class InterpretedFilter:
             record, k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices))
         )
         assert s is not None
-        phi, by_time, by_damping = self.noise.memory(length)
+        phi, by_time, by_damping = self._over(length)
         f = np.zeros((self.size, self.size))
         f[:na, :na] = s[np.ix_(self.kept, self.kept)]
         f[:na, na:m] = s[np.ix_(self.kept, self.random)]
@@ -531,6 +583,19 @@ class FilterKernel:
     ) -> tuple[np.ndarray, np.ndarray]:
         """Full state at the first sample and its derivatives; see :meth:`Kernel.start`."""
         return self.plain.start(own, inputs, values, time)
+
+    def part(self, model: Model, own: np.ndarray | None) -> Kernel | None:
+        """Trajectories of a smaller model by the same library; None where nothing is compiled.
+
+        Parameters
+        ----------
+        model : Model
+            Without some effects, whose absence is their default.
+        own : ndarray of int (n_full,) or None
+            Components of the full state that it has; None for all.
+        """
+        own = np.arange(self.n_full) if own is None else own
+        return None if self._library is None else _Part(self, self._library, model, own)
 
     def simulate(
         self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, own: np.ndarray
@@ -648,20 +713,17 @@ class FilterKernel:
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
-        # Numbers a hair above zero: a process without memory has a time of zero.
-        q_time, c_time = np.maximum(noise.time, 1e-9), np.maximum(noise.colour_time, 1e-9)
-        x0, q_variance, q_time, white, c_variance, c_time = doubles(
-            first, noise.variance, q_time, noise.white, noise.colour_variance, c_time
-        )
-        sizes = (n_random, len(coloured), noise.n_second, first.shape[1], len(levels))
+        which, memory = _lengths(times, longest_step, noise)
+        x0, white, variance, memory = doubles(first, noise.white, noise.stationary, memory)
+        owner = noise.owner
+        sizes = (n_random, len(owner), first.shape[1], len(levels))
         work = np.empty(self._library.kernel_filter_work(n_active, len(passing), *sizes))
         h_max = float(self.model.step)
         failed = call(
             self._library.kernel_filter, n, times, inputs, values, h_max, longest_step,
             z0, n_active, len(passing), kept, first.shape[1], len(chosen), parameter, disturbance,
-            columns, x0, n_random, len(random), positions, acting, q_variance, q_time,
-            noise.damping, noise.turn, noise.sea, white, len(coloured), coloured, c_variance,
-            c_time, measured,
+            columns, x0, n_random, len(random), positions, acting, noise.sea, white,
+            len(coloured), coloured, len(owner), owner, variance, which, memory, measured,
             len(levels), kinds, indices, found.gram, level, found.innovations,
             found.variances, found.rows, found.path, found.gains, found.moves, total, work,
         )  # fmt: skip
@@ -713,15 +775,14 @@ class FilterKernel:
         kept = np.ascontiguousarray(kept, dtype=np.intc)
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
-        q_time, c_time, gains = doubles(
-            np.maximum(noise.time, 1e-9), np.maximum(noise.colour_time, 1e-9), gains
-        )
+        which, memory = _lengths(times, longest_step, noise)
+        memory, gains = doubles(memory, gains)
         mean, delta = np.empty((2, gains.shape[-1]))
         h_max = float(self.model.step)
         failed = call(
             self._library.kernel_replay, n, times, inputs, values, h_max, longest_step,
-            z0, len(kept), kept, len(positions), positions, q_time, noise.damping, noise.turn,
-            len(coloured), coloured, c_time, measured, gains, innovations, mean, delta,
+            z0, len(kept), kept, len(positions), positions, len(coloured), coloured,
+            len(noise.owner), which, memory, measured, gains, innovations, mean, delta,
         )  # fmt: skip
         return innovations, failed < 0
 
@@ -731,6 +792,83 @@ class FilterKernel:
                 raise ModelError(
                     f"More than {MOST_PROCESSES} processes act on {name!r}. Take fewer seas."
                 )
+
+
+class _Part(Kernel):
+    """A model that is run as part of a larger one: a study compiles no other."""
+
+    def __init__(
+        self, wide: FilterKernel, library: ctypes.CDLL, model: Model, own: np.ndarray
+    ) -> None:
+        super().__init__(model, compiled=False)
+        self._wide, self._select, self._own = wide, library.kernel_select, own
+        names, free = wide.model.parameter_names, wide.model.free_names
+        self._places = [names.index(name) for name in model.parameter_names]
+        self._free = np.array([free.index(name) for name in model.free_names], dtype=int)
+        self._values = wide.model.value_vector
+        # Where a command stands still an absent memory would take its derivatives: begun aside,
+        # it does not.
+        memories = wide.n_full - sum(len(e.memory) for e in wide.model.effects)
+        self._aside = np.setdiff1d(np.arange(memories, wide.n_full), own)
+
+    def _widened(self, values: np.ndarray) -> np.ndarray:
+        found = self._values.copy()
+        found[self._places] = values
+        return found
+
+    def start(
+        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
+    ) -> tuple[np.ndarray, np.ndarray]:
+        z, dz = self._wide.start(own, inputs, self._widened(values), time)
+        columns = [*range(self.n_own), *(self.n_own + self._free)]
+        return z[self._own], dz[np.ix_(self._own, columns)]
+
+    def run(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        nodes: np.ndarray,
+        *,
+        starts: np.ndarray | None = None,
+        carry: bool = False,
+        sensitivities: bool = False,
+        n_columns: int | None = None,
+    ) -> Run:
+        wide, values, nodes = self._wide, self._widened(values), np.atleast_2d(nodes)
+        first, _ = wide.start(nodes[0, : self.n_own], inputs[0], values, times[0])
+        first[self._aside] += 1.0
+        z = np.tile(first, (len(nodes), 1))
+        z[:, self._own] = nodes
+        columns = np.full(max(wide.plain.n_free, 1), -1, dtype=np.intc)
+        columns[self._free] = wide.n_full + np.arange(self.n_free)
+        width = wide.n_full + self.n_free if sensitivities else 0
+        call(self._select, width, columns)
+        found = wide.plain.run(
+            times, inputs, values, z, starts=starts, carry=carry, n_columns=width or None
+        )
+        kept = [*self._own, *range(wide.n_full, width)]
+        by_start, by_end = found.output_sensitivities, found.end_sensitivities
+        if by_start is None or by_end is None:
+            return replace(found, states=found.states[:, self._own], ends=found.ends[:, self._own])
+        return Run(
+            found.outputs,
+            found.states[:, self._own],
+            by_start[:, :, kept],
+            found.ends[:, self._own],
+            by_end[:, self._own][:, :, kept],
+            found.failed_at,
+        )
+
+
+def _lengths(
+    times: np.ndarray, longest_step: float, noise: Disturbed
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which length disturbances are held for after each sample, and transitions over all these."""
+    intervals = np.diff(times)
+    steps = np.maximum(1.0, np.ceil(intervals / longest_step - 1e-6))
+    lengths, which = np.unique((intervals / steps).round(12), return_inverse=True)
+    return which.astype(np.intc), noise.memory(lengths)
 
 
 def _usual_step(times: np.ndarray) -> float:

@@ -40,8 +40,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import casadi as ca
+import numpy as np
 
-from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.structure import is_sampled
@@ -103,12 +103,10 @@ class Graph:
 
         Sensor memory is left to :attr:`sample`.
         """
-        if self.model.integrator != "explicit":
-            raise ModelError(
-                f"Model {self.model.name!r} has integrator {self.model.integrator!r}, and only "
-                "explicit steps are expressions. Use solver='gauss-newton', or the explicit one."
-            )
         z, start, end, p, t, h = self._step_symbols()
+        if self.model.integrator == "implicit":
+            moved = self._stages(z, start, end, p, t, h)
+            return ca.Function("advance", [z, start, end, p, t, h], [moved])
         x, memory, sensor = self._split(z)
         if any(self.linear_inputs):
             middle = (start + end) / 2
@@ -125,6 +123,43 @@ class Graph:
         x_next = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         z_next = ca.vertcat(x_next, memory_next, sensor)
         return ca.Function("advance", [z, start, end, p, t, h], [z_next], {"cse": True})
+
+    def _stages(self, z: ca.SX, start: ca.SX, end: ca.SX, p: ca.SX, t: ca.SX, h: ca.SX) -> ca.SX:
+        """State after an implicit step."""
+        x, memory, sensor = self._split(z)
+        stage, slopes = self._stage(), list[ca.SX]()
+        change = ca.SX([float(one) for one in self.linear_inputs]) * (end - start)
+        for weights, fraction in zip(STAGES, FRACTIONS, strict=True):
+            base = x + sum(h * a * k for a, k in zip(weights, slopes, strict=False))
+            d, _ = self.actuate(memory, start + fraction * change, p, t, h)
+            reached = stage(base, d, p, t + fraction * h, h)
+            slopes.append((reached - base) / (h * GAMMA))
+        _, following = self.actuate(memory, start + change / 2, p, t, h)
+        return ca.vertcat(reached, following, sensor)
+
+    def _stage(self) -> ca.Function:
+        """Solution of one stage ``(base, signals, p, t, h) -> x``; NaN where there is none."""
+        y, base = ca.SX.sym("y", self.n_states), ca.SX.sym("base", self.n_states)
+        d, p = (ca.SX.sym(name, self.rates.size1_in(i)) for name, i in (("d", 1), ("p", 2)))
+        t, h = ca.SX.sym("t"), ca.SX.sym("h")
+        # In units of each state's size, so that one tolerance serves all of them.
+        size = ca.fmax(
+            ca.fmax(ca.fabs(base), ca.fabs(h * GAMMA * self.rates(base, d, p, t))),
+            NEWTON_FLOOR / NEWTON_STEP,
+        )
+        miss = y - (base + h * GAMMA * self.rates(y * size, d, p, t)) / size
+        known = ca.vertcat(base, d, p, t, h)
+        options = {"abstolStep": NEWTON_STEP, "max_iter": NEWTON_MOST, "line_search": False}
+        problem = {"x": y, "p": known, "g": miss}
+        solve = ca.rootfinder("solve", "newton", problem, options | {"error_on_fail": False})
+        # What the solver takes for converged is one step of Newton's method away from it.
+        last = ca.Function("last", [y, known], [ca.solve(ca.jacobian(miss, y), miss)])
+        reached = solve(base / size, known)
+        step = last(reached, known)
+        arrived = ca.mmax(ca.fabs(step)) <= NEWTON_STEP
+        return ca.Function(
+            "stage", [base, d, p, t, h], [ca.if_else(arrived, (reached - step) * size, np.nan)]
+        )
 
     @cached_property
     def sample(self) -> ca.Function:

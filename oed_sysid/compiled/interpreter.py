@@ -8,17 +8,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed_sysid.compiled.graph import (
-    FRACTIONS,
-    GAMMA,
-    NEWTON_FLOOR,
-    NEWTON_MOST,
-    NEWTON_STEP,
-    STAGES,
-    Graph,
-    build,
-    differentiated,
-)
+from oed_sysid.compiled.graph import Graph, build, differentiated
 from oed_sysid.physics.model import Model
 
 # Times and inputs of a record.
@@ -45,12 +35,7 @@ class Interpreted:
 
             return call
 
-        if graph.model.integrator == "explicit":
-            self._advance = dense(graph.advance, (0, 3), 3)
-        else:
-            self._advance = self._implicit
-            self._actuate = dense(graph.actuate, (0, 2), 2)
-            self._rates = dense(graph.rates, (0, 1, 2), 2)
+        self._advance = dense(graph.advance, (0, 3), 3)
         self._sample = dense(graph.sample, (0, 2), 2)
         self._start = dense(graph.start, (0, 2), 2)
 
@@ -94,82 +79,6 @@ class Interpreted:
             )
             s = None if s is None else chained(dz, s)
         return z, s
-
-    def _implicit(
-        self,
-        z: np.ndarray,
-        start: np.ndarray,
-        end: np.ndarray,
-        values: np.ndarray,
-        t: float,
-        h: float,
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """One implicit step and its derivatives ``[d/dz, d/dp]``; see :mod:`.graph`."""
-        graph = self.graph
-        nx, n_full, n_free = graph.n_states, graph.n_full, len(graph.free_indices)
-        linear = np.array(graph.linear_inputs, dtype=bool)
-        memory = slice(nx, nx + graph.n_actuator_memory)
-
-        def actuated(fraction: float) -> list[np.ndarray]:
-            held = np.where(linear, start + fraction * (np.asarray(end) - start), start)
-            return self._actuate(z[memory], held, values, t, h)
-
-        def widened(block: np.ndarray) -> np.ndarray:
-            """Columns by actuator memory and parameters as columns by state and parameters."""
-            wide = np.zeros((len(block), n_full + n_free))
-            wide[:, memory] = block[:, : memory.stop - nx]
-            wide[:, n_full:] = block[:, memory.stop - nx :]
-            return wide
-
-        slopes: list[np.ndarray] = []
-        by_unknowns: list[np.ndarray] = []
-        x, s = z[:nx], np.eye(nx, n_full + n_free)
-        for weights, fraction in zip(STAGES, FRACTIONS, strict=True):
-            base, s_base = z[:nx].copy(), np.eye(nx, n_full + n_free)
-            for weight, slope, by in zip(weights, slopes, by_unknowns, strict=False):
-                base, s_base = base + h * weight * slope, s_base + h * weight * by
-            d, _, dd, _ = actuated(fraction)
-            x, matrix, by_d, by_p = self._stage(x, base, d, values, t + fraction * h, h)
-            right = s_base + h * GAMMA * (by_d @ widened(dd))
-            right[:, n_full:] += h * GAMMA * by_p
-            s = np.linalg.solve(matrix, right) if np.isfinite(x).all() else np.full_like(s, np.nan)
-            slopes.append((x - base) / (h * GAMMA))
-            by_unknowns.append((s - s_base) / (h * GAMMA))
-        _, after, _, d_after = actuated(0.5)
-        moved = np.concatenate([x, after, z[memory.stop :]])
-        total = np.eye(n_full, n_full + n_free)
-        total[:nx], total[memory] = s, widened(d_after)
-        return moved, total
-
-    def _stage(
-        self,
-        x: np.ndarray,
-        base: np.ndarray,
-        d: np.ndarray,
-        values: np.ndarray,
-        t: float,
-        h: float,
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Solution of a stage, ``I - h gamma f_x`` there, and its other derivatives."""
-        identity, arrived = np.eye(len(x)), False
-        columns = np.cumsum([len(x), len(d)])
-        for _ in range(NEWTON_MOST):
-            rate, by_all = self._rates(x, d, values, t)
-            by_x, by_d, by_p = np.hsplit(by_all, columns)
-            move = h * GAMMA * rate
-            matrix = identity - h * GAMMA * by_x
-            if arrived:
-                return x, matrix, by_d, by_p
-            if not np.isfinite(matrix).all():
-                break
-            try:
-                step = np.linalg.solve(matrix, base + move - x)
-            except np.linalg.LinAlgError:
-                break
-            size = np.maximum(np.maximum(np.abs(x), np.abs(base)), np.abs(move))
-            x = x + step
-            arrived = bool(np.all(np.abs(step) <= NEWTON_STEP * size + NEWTON_FLOOR))
-        return np.full_like(x, np.nan), matrix, by_d, by_p
 
     def run(
         self,

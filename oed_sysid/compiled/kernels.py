@@ -155,6 +155,7 @@ class Kernel:
         starts: np.ndarray | None = None,
         carry: bool = False,
         sensitivities: bool = False,
+        n_columns: int | None = None,
     ) -> Run:
         """Integrate one record, in one or several segments.
 
@@ -176,6 +177,8 @@ class Kernel:
             Continue from the end of the previous segment.
         sensitivities : bool
             Also return derivatives.
+        n_columns : int, optional
+            Return derivatives in so many columns, which the caller has chosen in the library.
         """
         times, inputs, values, nodes = doubles(times, inputs, values, nodes)
         inputs, nodes = inputs.reshape(len(times), self.n_inputs), nodes.reshape(-1, self.n_full)
@@ -191,9 +194,10 @@ class Kernel:
         z = np.full((n, self.n_full), np.nan)
         ends = np.full((n_segments, self.n_full), np.nan)
         dy = dends = None
-        if sensitivities:
-            dy = np.empty((n, self.n_outputs, self.n_columns))
-            dends = np.empty((n_segments, self.n_full, self.n_columns))
+        if sensitivities or n_columns:
+            shape = self.n_full, n_columns or self.n_columns
+            dy = np.empty((n, self.n_outputs, shape[1]))
+            dends = np.empty((n_segments, *shape))
         if self._library is None:
             failed = interpreted(self.model).run(
                 times, inputs, values, nodes, starts, carry, (z, y, dy, ends, dends)

@@ -40,15 +40,16 @@ typedef double row_t[WIDTH] __attribute__((aligned(32)));
 
 /* Columns in use: chosen at run time, rounded up to whole vectors, or all. */
 #ifdef SELECT
-static _Thread_local int active;
+static _Thread_local int active, chosen;
 static _Thread_local const int *column_of;
 #define ACTIVE active
-#define active_width(n) (active = ((n) + 3) & ~3)
+#define COLUMNS chosen
+#define active_width(n) (chosen = (n), active = ((n) + 3) & ~3)
 #define PARAMETER(row, index, value) \
     if (column_of[index] >= 0) target[row][column_of[index]] += value;
 #else
 #define ACTIVE WIDTH
-#define active_width(n)
+#define COLUMNS NC
 #define PARAMETER(row, index, value) target[row][NZ + index] += value;
 #endif
 
@@ -84,7 +85,8 @@ static inline void add_scaled(double *restrict target, double factor, const doub
 /* Rows without their padding. */
 static inline void copy_rows(double *target, const row_t *rows, int n)
 {
-    for (int i = 0; i < n; ++i) memcpy(target + (size_t)i * NC, rows[i], sizeof(double) * NC);
+    const int count = COLUMNS;
+    for (int i = 0; i < n; ++i) memcpy(target + (size_t)i * count, rows[i], sizeof(double) * count);
 }
 
 static void inputs_between(const double *start, const double *end, double fraction, double *result)
@@ -412,13 +414,24 @@ void kernel_start(const double *own, const double *input, const double *p, doubl
     start_jac(arg, res, iw, w, 0);
 }
 
+#ifdef SELECT
+/* Columns of the runs of this thread: those of all start states, then of each parameter the one
+ * that is stated, or none where that is negative. */
+void kernel_select(int width, const int *columns)
+{
+    active_width(width);
+    column_of = columns;
+}
+#endif
+
 /* Run segments of one record.
  *
  * times (n), inputs (n x NU), p (NP), starts (n_segments: index of the first
  * sample of each), nodes (n_segments x NZ; with carry only the first is read
  * and each segment starts where the last one ended).
  * Any result may be NULL: z (n x NZ, before the measurement), y (n x NY),
- * dy (n x NY x NC), ends (n_segments x NZ), dends (n_segments x NZ x NC).
+ * dy (n x NY x columns), ends (n_segments x NZ), dends (n_segments x NZ x columns), all NC columns
+ * or those of kernel_select.
  * Returns -1, or the first sample at which the state is no longer finite.
  */
 int kernel_run(int n, const double *times, const double *inputs, const double *p, double h_max,
@@ -447,13 +460,13 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
             if (y_out || dy_out || NS > 0) {
                 sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
                 if (y_out) memcpy(y_out + (size_t)k * NY, y, sizeof(double) * NY);
-                if (dy_out) copy_rows(dy_out + (size_t)k * NY * NC, (const row_t *)sy, NY);
+                if (dy_out) copy_rows(dy_out + (size_t)k * NY * COLUMNS, (const row_t *)sy, NY);
             }
             if (k + 1 >= n) break;
             advance_interval(z, s, times, input, p, h_max, k, with_sensitivities);
         }
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) copy_rows(dends + (size_t)segment * NZ * NC, (const row_t *)s, NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
     }
     return -1;
 }
@@ -520,7 +533,7 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
         double *block = gram + (size_t)segment * NG * NG;
         for (int a = 0; a < NG; ++a) memcpy(block + a * NG, sum[a], sizeof(double) * NG);
         if (ends) memcpy(ends + (size_t)segment * NZ, z, sizeof(double) * NZ);
-        if (dends) copy_rows(dends + (size_t)segment * NZ * NC, (const row_t *)s, NZ);
+        if (dends) copy_rows(dends + (size_t)segment * NZ * COLUMNS, (const row_t *)s, NZ);
     }
     return -1;
 }

@@ -177,20 +177,6 @@ def fetch(path: str) -> Path:
     return _fetch(describe(path), data_folder())
 
 
-def fetch_all(prefix: str) -> tuple[Path, ...]:
-    """Return the local paths of all files that begin with a prefix.
-
-    Raises
-    ------
-    DataError
-        If there is none, or one cannot be had.
-    """
-    paths = registered(prefix)
-    if not paths:
-        describe(prefix)
-    return tuple(fetch(path) for path in paths)
-
-
 def _fetch(file: DataFile, folder: Path) -> Path:
     place = folder / file.path
     if place.is_file():

@@ -11,7 +11,8 @@ with 0 before and 1 after, each at its own optimum; what the training records sa
 is the prior of the validation records (:mod:`oed_sysid.evidence.study`). It is claimed where
 
 1. :math:`T > \chi^{2,-1}_k(1 - \alpha / m)`, with :math:`k` freedoms and :math:`m` candidates left
-   (Bonferroni; a periodic force counts the frequencies that the records tell apart);
+   (Bonferroni; a periodic force counts the frequencies that the records tell apart), both terms
+   counted per independent innovation where no process noise is admitted;
 2. the error of the model on its own over whole validation records is finite and does not rise;
 3. no amplitude ends at a bound beyond which the training records are likelier by more than the
    same threshold, everything estimated again without that bound: else the effect stands for another
@@ -31,8 +32,10 @@ import numpy as np
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.misfit import WHITE_LEVEL
 from oed_sysid.evidence.study import Prediction, Study, total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.information import whiteness
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.display import as_dict
@@ -85,6 +88,8 @@ class Claim:
         Amplitudes that end at a bound.
     beyond : float
         What the training statistic would rise by without these bounds.
+    independent : float
+        Share of the samples that count as independent; both terms are multiplied by it.
     models : tuple of (float, Prediction)
         What both terms are made of, before and after: minus twice the log-likelihood of the
         training records, and the :class:`~oed_sysid.evidence.study.Prediction` of the validation
@@ -100,6 +105,7 @@ class Claim:
     allowed: float = RISE
     bounds: tuple[str, ...] = ()
     beyond: float = 0.0
+    independent: float = 1.0
     models: tuple[tuple[float, Prediction | None], ...] = ()
 
     @property
@@ -142,8 +148,9 @@ class Claim:
         return f"stands, {at}" if self.bounds else "stands"
 
     to_dict = as_dict(
-        "name", "training", "validation", "statistic", "needed", "before", "after", "decision"
-    )
+        "name", "training", "validation", "statistic", "needed", "before", "after", "decision",
+        "independent",
+    )  # fmt: skip
 
 
 def claim(
@@ -166,19 +173,39 @@ def claim(
         Threshold.
     """
     name = " + ".join(effect.name for effect in effects)
-    training = before.objective - after.objective
+    share = independent_share(study, before)
+    training = share * (before.objective - after.objective)
     fits = (before, after)
     if study.validation is None:
         terms = tuple((fit.objective, None) for fit in fits)
-        found = Claim(name, training, np.nan, needed, models=terms)
+        found = Claim(name, training, np.nan, needed, independent=share, models=terms)
     else:
-        validation = difference(study.validate(before), study.validate(after))
+        validation = share * difference(study.validate(before), study.validate(after))
         old, new = (own_error(study, fit, study.validation) for fit in fits)
         models = tuple((fit.objective, study.predict(fit)) for fit in fits)
         allowed = allowed_rise(after)
-        found = Claim(name, training, validation, needed, old, new, allowed, models=models)
+        found = Claim(
+            name, training, validation, needed, old, new, allowed, independent=share, models=models
+        )
     bounds = at_bounds(after, effects) if found.excess > 0.0 else ()
     return replace(found, bounds=bounds, beyond=_beyond(study, after, bounds)) if bounds else found
+
+
+def independent_share(study: Study, before: FilteredSolution) -> float:
+    """Share of a fit's innovations that count as independent.
+
+    One where process noise is admitted, which models what is correlated, or where the innovations
+    are white. Without it what is missing besides stays in them, and every sample would count for
+    many (Bartlett 1946; :func:`~oed_sysid.likelihood.information.effective_sample_size`).
+    """
+    if study.setting.drifting or study.train.only_tests:
+        return 1.0
+    passes = before.problem.passes(before.point.unknowns, columns=False)
+    series = [part.innovations / np.sqrt(part.variances) for part in passes]
+    tests = [whiteness(own) for one in series for own in one.T if np.isfinite(own).any()]
+    if all(test.p_value > WHITE_LEVEL for test in tests):
+        return 1.0
+    return sum(one.effective_samples for one in tests) / sum(one.n_samples for one in tests)
 
 
 def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float:
@@ -232,12 +259,14 @@ def allowed_rise(fit: FilteredSolution) -> float:
     return RISE_DISTURBED if fit.noise.has_forces else RISE
 
 
-def rises(study: Study, before: FilteredSolution, after: FilteredSolution) -> bool:
+def rises(
+    study: Study, before: FilteredSolution, after: FilteredSolution, allowed: float | None = None
+) -> bool:
     """Whether the error of whole validation runs rises or is infinite; never without any."""
     if study.validation is None:
         return False
     old, new = (own_error(study, fit, study.validation) for fit in (before, after))
-    return not new <= allowed_rise(after) * old
+    return not new <= (allowed or allowed_rise(after)) * old
 
 
 def own_error(study: Study, found: FilteredSolution, dataset: Dataset) -> float:

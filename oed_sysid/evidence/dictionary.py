@@ -149,7 +149,7 @@ def _coefficient_unit(term: Term, model: Model, units: Mapping[str, str]) -> str
         unit = next(state.unit for state in model.states if state.name == term.equation)
         force = dimension(unit) / dimension("s")
     # Radians are dropped, as in the units of derivatives.
-    return "" if factor is None else str(Dimension((force / factor).exponents))
+    return "" if factor is None else str((force / factor).plain)
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,7 +17,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check
-from oed_sysid.evidence.claim import claim, own_error
+from oed_sysid.evidence.claim import own_error
 from oed_sysid.evidence.compare import SUSPECT_NOISE
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -32,11 +32,10 @@ from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
 from oed_sysid.evidence.search import (
+    BOUGHT,
     Standing,
-    asked_again,
-    on_all_samples,
+    eliminated,
     overgrown,
-    rebuilt,
     searched,
     with_term,
 )
@@ -190,9 +189,15 @@ class _Run:
         state, first, last = searched(state, self.max_effects, self.tell, self.keep, self.notes)
         if self.all_samples is not None and state.added:
             self.tell("asking all samples")
-            asking = partial(on_all_samples, state, self.all_samples)
-            state, notes = self.keep.once("all samples", asking)
-            self.notes.extend(notes)
+            full = replace(study, train=self.all_samples, validation=None)
+            asking = partial(eliminated, state, full, state.fit.noise)
+            thinned, state = state, self.keep.once("all samples", asking)
+            self.notes.extend(
+                f"{one.effect.name} was seen in the thinned records and is not in all samples: it "
+                "is no claim."
+                for one in thinned.added
+                if one not in state.added
+            )
         end = _Ended(state, base, first, last, self._left(state), None)
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
@@ -218,28 +223,20 @@ class _Run:
         """
         calm = Standing(study, (), base, (base,))
         calm, first, last = searched(calm, self.max_effects, self.tell, self.keep, self.notes)
+        found, present = end.state.study, end.state.fit
+        noise = found.quiet(found.loosened(present.noise))
+        calm = eliminated(calm, found, noise, BOUGHT)
         if not calm.added:
             return end
-        study, present = end.state.study, end.state.fit
-        noise = study.quiet(study.loosened(present.noise))
-        fit = study.estimate(
-            calm.effects, calm.fit.values, calm.fit, noise=noise, max_iterations=25
-        )
-        if fit is None:
+        records = study.train if study.validation is None else study.validation
+        here, there = own_error(found, present, records), own_error(study, calm.fit, records)
+        if not BOUGHT * there < here:
             return end
-        more = sum(calm.needed(effect) for effect in calm.effects)
-        more -= sum(end.state.needed(effect) for effect in end.state.effects)
-        decided = claim(study, present, fit, calm.effects, more)
-        decisions = (*end.state.decisions, decided)
-        if not decided.stands:
-            return replace(end, state=replace(end.state, decisions=decisions))
         self.notes.append(
-            "Disturbance forces had grown over what is missing: it was searched for without them, "
-            "and is likelier with them, too."
+            "Process noise had grown over what is missing: whole runs of what was found without it "
+            f"are {here / there:.2g} times better."
         )
-        path = (*calm.path[:-1], fit)
-        state = replace(calm, study=study, fit=fit, path=path, decisions=decisions)
-        state = asked_again(rebuilt(state))
+        state = replace(calm, decisions=(*end.state.decisions, *calm.decisions))
         return _Ended(state, base, first, last, self._left(state), None)
 
 

@@ -32,6 +32,7 @@ from oed_sysid.runtime.display import (
     as_dict,
     as_html,
     as_text,
+    interval,
 )
 
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
@@ -634,7 +635,7 @@ def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
         return f"{name} = {value}{unit}, at its bound"
     if not _is_told(row, parameter):
         return f"{name} about {value}{unit}"
-    return f"{name} = {value} +/- {TWO_SIDED_95 * row['std_error']:.2g}{unit} (95 %)"
+    return f"{name} = {interval(row['value'], TWO_SIDED_95 * row['std_error'])}{unit} (95 %)"
 
 
 def _sizes(step: Any) -> Iterable[str]:

@@ -14,7 +14,6 @@ from functools import partial
 
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.claim import (
     GROUP_WIDTH,
@@ -28,13 +27,11 @@ from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.projection import eliminate
+from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.runtime.journal import Journal
 
-# Information of an effect about itself, in thresholds, from which no fit without it is made.
-SURE = 4.0
 # Error of whole runs, over that of a fit without disturbance forces, that they should not cost.
 BOUGHT = 2.0
 # Twice the log-likelihood within which two fits are the same: arithmetic.
@@ -229,29 +226,69 @@ def overgrown(study: Study, fit: FilteredSolution) -> bool:
 
 def asked_again(state: Standing) -> Standing:
     """Drop what costs less than its threshold to leave out; exchange what another does better."""
-    while len(state.added) > 1:
-        spare = [(one, fit) for one in state.added if (fit := _spared(state, one)) is not None]
-        if not spare:
-            break
-        least, without = min(spare, key=lambda pair: pair[1].objective)
-        state = rebuilt(state.dropping(least, without))
+    state = eliminated(state)
     for old in state.added[:-1]:
         if old in state.added:
             state = _exchanged(state, old)
     return state
 
 
-def _spared(state: Standing, one: Added) -> FilteredSolution | None:
-    """The fit without an effect where it may go; None where it is needed."""
-    study, needed = state.study, state.needed(one.effect)
-    if _cost(state.fit, one.effect) > SURE * needed:
+def eliminated(
+    state: Standing,
+    judge: Study | None = None,
+    noise: NoiseModel | None = None,
+    rise: float | None = None,
+) -> Standing:
+    """Backward elimination: what costs less than its threshold goes, the least likely first.
+
+    Parameters
+    ----------
+    state : Standing
+        Its last effect stays: it was claimed just now.
+    judge : Study, optional
+        Where the cost is asked, in place of the state's own study: all samples of records that were
+        thinned, process noise beside effects that were found without. There every effect may go.
+    noise : NoiseModel, optional
+        To begin with there.
+    rise : float, optional
+        Ratio of whole-run errors, of the state's own study, by which an effect is needed.
+    """
+    if not state.added:
+        return state
+    there = state
+    if judge is not None:
+        fit = judge.estimate(
+            state.effects, state.fit.values, state.fit, noise=noise, max_iterations=25
+        )
+        if fit is None:
+            return state
+        there = replace(state, study=judge, fit=fit)
+    begun = state
+    while len(state.added) > int(judge is None):
+        spare = [(one, *fits) for one in state.added if (fits := _spared(state, there, one, rise))]
+        if not spare:
+            break
+        one, fit, judged = min(spare, key=lambda found: found[1].objective)
+        state, there = state.dropping(one, fit), there.dropping(one, judged)
+    return state if state is begun else rebuilt(state)
+
+
+def _spared(
+    state: Standing, there: Standing, one: Added, rise: float | None
+) -> tuple[FilteredSolution, FilteredSolution] | None:
+    """The fits without an effect, here and where the cost is asked; None where it is needed."""
+    needed = state.needed(one.effect)
+    judged = _without(there, one)
+    if judged is None:
         return None
-    without = _without(state, one)
-    if without is None:
+    judged = there.study.settle(judged)
+    if claim(there.study, judged, there.fit, [one.effect], needed).excess >= 0.0:
         return None
-    without = study.settle(without)
-    kept = claim(study, without, state.fit, [one.effect], needed)
-    return without if kept.excess < 0.0 and not rises(study, state.fit, without) else None
+    fit: FilteredSolution | None = judged
+    if there is not state:
+        fit = _without(state, one)
+        fit = fit and state.study.settle(fit)
+    return None if fit is None or rises(state.study, state.fit, fit, rise) else (fit, judged)
 
 
 def _exchanged(state: Standing, old: Added) -> Standing:
@@ -285,18 +322,6 @@ def _without(state: Standing, one: Added) -> FilteredSolution | None:
     return state.study.estimate(effects, values, state.fit, max_iterations=25)
 
 
-def _cost(fit: FilteredSolution, effect: Effect) -> float:
-    """What leaving an effect out would cost in twice the log-likelihood, by its information."""
-    known = {name: i for i, name in enumerate(fit.problem.layout.shared)}
-    own = np.array([known[name] for name in effect.amplitude_names if name in known], dtype=int)
-    if len(own) < len(effect.amplitude_names):  # one for each record: not told so quickly
-        return 0.0
-    matrix = fit.matrix + np.diag(fit.problem.limits.prior_weight)
-    size = fit.point.unknowns[own]
-    rest = np.setdiff1d(np.arange(len(matrix)), own)
-    return float(size @ eliminate(matrix, own, rest) @ size)
-
-
 def rebuilt(state: Standing) -> Standing:
     """The same with the fits of all steps made again, each with its own and earlier effects."""
     study, path = state.study, [state.path[0]]
@@ -316,31 +341,6 @@ def rebuilt(state: Standing) -> Standing:
     if state.added:
         path.append(state.fit)
     return replace(state, path=tuple(path))
-
-
-def on_all_samples(state: Standing, whole: Dataset) -> tuple[Standing, list[str]]:
-    """Drop what only the thinned records show: means of a command between samples are not it."""
-    notes: list[str] = []
-    full = replace(state.study, train=whole, validation=None)
-    for one in reversed(state.added):
-        values = dict(state.fit.values) | dict.fromkeys(one.effect.amplitude_names, 0.0)
-        effects, fit = [other.effect for other in state.others(one)], state.fit
-        needed = state.needed(one.effect)
-        if not one.effect.memory and _cost(fit, one.effect) > SURE * needed:
-            continue
-        less = full.estimate(effects, values, fit, max_iterations=12)
-        more = full.estimate([*effects, one.effect], fit.values, fit, max_iterations=12)
-        if less is None or more is None or claim(full, less, more, [one.effect], needed).excess > 0:
-            continue
-        without = state.study.estimate(effects, less.values, fit, max_iterations=25)
-        if without is None or rises(state.study, fit, without):
-            continue
-        state = rebuilt(state.dropping(one, state.study.settle(without)))
-        notes.append(
-            f"{one.effect.name} was seen in the thinned records and is not in all samples: it is "
-            "no claim."
-        )
-    return state, notes
 
 
 def with_term(
@@ -399,7 +399,7 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
     assert proposals.best is not None
     effect, study = proposals.best.effect, state.study
     start = state.path[count]
-    wide = study.with_candidates([effect])
+    wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
     kept = state.added[:count]
     found = wide.estimate(
         [*(one.effect for one in kept), effect],
@@ -412,18 +412,7 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
         return None
     decided = Claim(effect.name, start.objective - found.objective, np.nan, proposals.needed)
     term = Added(effect, decided, (effect.name,))
-    option = replace(state, study=wide, added=(*kept, term), fit=found)
-    while len(option.added) > 1:
-        judged = [(one, _without(option, one)) for one in option.added[:-1]]
-        spare = [
-            (one, fit)
-            for one, fit in judged
-            if fit is not None and fit.objective - option.fit.objective < state.needed(one.effect)
-        ]
-        if not spare:
-            break
-        option = option.dropping(*min(spare, key=lambda pair: pair[1].objective))
-    return option
+    return eliminated(replace(state, study=wide, added=(*kept, term), fit=found))
 
 
 def searched(

@@ -209,10 +209,12 @@ class Study:
             )
         return study, best
 
-    def with_candidates(self, effects: Sequence[Effect]) -> Study:
-        """The same study with more candidates, compiled anew."""
+    def with_candidates(
+        self, effects: Sequence[Effect], kernel: FilterKernel | None = None
+    ) -> Study:
+        """The same study with more candidates, compiled anew unless a kernel holds them."""
         joined, skipped = fitting_candidates(self.base, (*self.candidates, *effects))
-        kernel = _kernel(self.base, joined, self.setting)
+        kernel = kernel or _kernel(self.base, joined, self.setting)
         return replace(self, candidates=joined, skipped=skipped, kernel=kernel)
 
     # -- fits ------------------------------------------------------------------------
@@ -435,7 +437,9 @@ class Study:
         """Whole runs of the model on its own, start states and values of each record fitted."""
         model = self.model(self.effects_of(found), found.values)
         sigma = found.noise.sensors
-        return _once("runs", self, found, dataset, lambda: whole_runs(model, dataset, sigma))
+        runner = self.kernel.part(model, found.problem.own)
+        work = partial(whole_runs, model, dataset, sigma, runner=runner)
+        return _once("runs", self, found, dataset, work)
 
     def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.

@@ -466,7 +466,7 @@ def commanded(model: Model) -> dict[str, str]:
 
 def _unit_of(found: Dimension) -> str:
     """A dimension as text, radians dropped as in the units of derivatives."""
-    return str(Dimension(found.exponents))
+    return str(found.plain)
 
 
 def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:

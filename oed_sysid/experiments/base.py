@@ -157,27 +157,11 @@ RULES: Mapping[str, Rule] = {
 
 
 class Controller(ABC):
-    """The running side of a manoeuvre: gives one command per sample.
-
-    A controller that can tell what it will command as long as nothing happens lets a simulation go
-    many samples ahead at once; the commands are the same.
-    """
+    """The running side of a manoeuvre: gives one command per sample."""
 
     @abstractmethod
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         """Return the command at ``time`` [s]; called with increasing times."""
-
-    def foreseen(self, times: FloatArray) -> FloatArray | None:
-        """Commands ``(n_times,)`` at later times while it does not react; None if unknown."""
-        return None
-
-    def undisturbed(self, times: FloatArray, signals: Mapping[str, FloatArray]) -> int:
-        """Return at how many of the first samples the command is sure to be as foreseen."""
-        return 0
-
-    def skip(self, times: FloatArray) -> None:
-        """Go on past samples at which the command was as foreseen."""
-        return
 
 
 @dataclass(frozen=True)
@@ -366,12 +350,6 @@ class _Playback(Controller):
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         return float(self._waveform(np.array([time], dtype=float))[0])
-
-    def foreseen(self, times: FloatArray) -> FloatArray | None:
-        return self._waveform(times)
-
-    def undisturbed(self, times: FloatArray, signals: Mapping[str, FloatArray]) -> int:
-        return len(times)
 
 
 def command_all(

@@ -29,19 +29,29 @@ from oed_sysid.data.record import closest
 from oed_sysid.errors import OedSysidError, ProblemError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.physics import Effect
-from oed_sysid.physics.channels import Channels
+from oed_sysid.physics.channels import Channels, settle
 from oed_sysid.physics.model import Model
+from oed_sysid.physics.structure import Line, effect_lines, lines
 from oed_sysid.text import expressions, notation
-from oed_sysid.text.dimensions import Deduction, Form
-from oed_sysid.text.units import dimension
+from oed_sysid.text.dimensions import Deduction
+from oed_sysid.text.units import Dimension, dimension
 
 DEFAULT = "default"
-_SECOND = Form(dimension("s"))
+_SECOND = dimension("s")
 _NAME = re.compile(r"[A-Za-z]\w*")
 
 
 # What a description says where no candidate effects are named.
 USUAL = "none named: usual ones are made from the records"
+
+
+_KINDS: Mapping[str, Any] = {
+    **{"name": str, "title": str, "description": str, "model": Model, "limits": Limits},
+    **{"effects": [Effect], "references": [str], "experiments": {str: Experiment}},
+    **{"models": {str: Model}, "published": {str: object}},
+    "truth": (Mapping | None, "a mapping from names to numbers"),
+    "records": (Callable | None, "a function without arguments that returns the Dataset"),
+}
 
 
 @dataclass(frozen=True)
@@ -122,11 +132,7 @@ class Problem:
             )
         kept: dict[str, object] = {
             "title": self.title or self.name.replace("_", " "),
-            "effects": tuple(self.effects),
-            "references": tuple(self.references),
-            "experiments": dict(self.experiments),
             "models": {DEFAULT: self.model, **others},
-            "others": dict(self.others),
         }
         for name, value in kept.items():
             object.__setattr__(self, name, value)
@@ -156,47 +162,13 @@ class Problem:
 
     def _check_kinds(self) -> None:
         """Refuse parts of another kind before anything is asked of them."""
-
-        def check(what: str, value: object, kind: Any, words: str) -> None:
-            if not isinstance(value, kind):
-                raise ProblemError(
-                    f"Problem {self.name!r:.60}: {what} is a {type(value).__name__}, expected "
-                    f"{words}."
-                )
-
-        for what in ("name", "title", "description"):
-            check(what, getattr(self, what), str, "text")
-        check("model", self.model, Model, "a Model")
-        for what, part, words in (
-            ("effects", Effect, "an Effect, such as Force(...)"),
-            ("references", str, "text"),
-        ):
-            value = getattr(self, what)
-            check(what, value, (tuple, list), f"a tuple; one alone is ({what[:-1]},)")
-            for one in value:
-                check(f"one of its {what}", one, part, words)
-        for what, kind in (
-            ("experiments", Experiment),
-            ("models", Model),
-            ("others", Problem),
-            ("published", object),
-        ):
-            entries = getattr(self, what)
-            check(what, entries, Mapping, "a mapping from names")
-            for key, value in entries.items():
-                check(f"a name in {what}", key, str, "text")
-                check(f"{what}[{key!r}]", value, kind, f"a {kind.__name__}")
-        check("limits", self.limits, Limits, "Limits(...)")
-        if self.records is not None:
-            words = "a function without arguments that returns the Dataset"
-            check("records", self.records, Callable, words)
-        truth = {} if self.truth is None else self.truth
-        check("truth", truth, Mapping, "a mapping from names to numbers")
-        for key, value in truth.items():
+        owner = f"Problem {self.name!r:.60}"
+        settle(self, owner, {**_KINDS, "others": {str: Problem}}, ProblemError)
+        for key, value in (self.truth or {}).items():
             number = isinstance(value, int | float) and not isinstance(value, bool)
             if not number or not math.isfinite(value):
                 raise ProblemError(
-                    f"Problem {self.name!r}: the truth of {key!r} is {value!r:.40}. Give a number."
+                    f"{owner}: the truth of {key!r} is {value!r:.40}. Give a number."
                 )
 
     def _check_effects(self) -> None:
@@ -401,12 +373,12 @@ class _Units:
     def __init__(self, model: Model) -> None:
         self.model = model
         self.units = Deduction()
-        self.masses: dict[str, Form | None] = {}
-        self.known: dict[str, Form | None] = {"t": _SECOND, "h": _SECOND}
-        self.known |= {state.name: Form(dimension(state.unit)) for state in model.states}
-        self.known |= {channel.name: Form(dimension(channel.unit)) for channel in model.inputs}
+        self.masses: dict[str, Dimension | None] = {}
+        self.known: dict[str, Dimension | None] = {"t": _SECOND, "h": _SECOND}
+        self.known |= {state.name: dimension(state.unit) for state in model.states}
+        self.known |= {channel.name: dimension(channel.unit) for channel in model.inputs}
         self.known |= {p.name: _stated(p.unit) for p in model.all_parameters}
-        self.outputs = {output.name: Form(dimension(output.unit)) for output in model.outputs}
+        self.outputs = {output.name: dimension(output.unit) for output in model.outputs}
         self.faults = tuple(self._faults())
 
     def copy(self) -> _Units:
@@ -427,53 +399,33 @@ class _Units:
 
     def _faults(self) -> Iterator[str]:
         """Yield what is wrong in a model and its effects."""
-        model, known = self.model, self.known
-        for effect in model.effects:
-            known |= {state.name: _stated(state.unit) for state in effect.states}
-        for name, text in (*model.actuator_signals.items(), *model.signals.items()):
-            known[name] = yield from self._derived(f"signal {name!r}", text)
-        for axis, state in model.inertia:
-            text = model.inertia[axis, state]
-            force, rate = self._force(axis), self._rate(state)
-            needed = None if force is None or rate is None else force / rate
-            yield from self._derived(f"inertia {(axis, state)}", text, needed)
-        for name, text in model.kinematics.items():
-            yield from self._derived(f"rate of {name!r}", text, self._rate(name))
-        for output in model.outputs:
-            needed = self.outputs[output.name]
-            yield from self._derived(f"output {output.name!r}", output.source, needed)
-        for effect in model.effects:
+        for effect in self.model.effects:
+            self.known |= {state.name: _stated(state.unit) for state in effect.states}
+        for line in lines(self.model):
+            yield from self._line(line, line.where)
+        for effect in self.model.effects:
             yield from self.of_effect(effect)
 
     def of_effect(self, effect: Effect) -> Iterator[str]:
         """Yield what is wrong in one effect."""
         outer = dict(self.known)
-        known = self.known
-        known |= {p.name: _stated(p.unit) for p in effect.parameters}
-        known |= {state.name: _stated(state.unit) for state in effect.states}
-        where = f"effect {effect.name!r}"
+        self.known |= {p.name: _stated(p.unit) for p in effect.parameters}
+        self.known |= {state.name: _stated(state.unit) for state in effect.states}
         if effect.stage == "sensor":
-            known |= self.outputs
-        for memory in effect.memory:
-            known[memory.name] = yield from self._derived(where, memory.initial)
-        for name, text in effect.definitions.items():
-            known[name] = yield from self._derived(where, text)
-        for key, text in effect.terms.items():
-            yield from self._derived(f"{where}, {key}", text, self._needed(effect, key))
-        for memory in effect.memory:
-            yield from self._derived(where, memory.update, known[memory.name])
-        for state in effect.states:
-            yield from self._derived(
-                f"{where}, rate of {state.name!r}", state.rate, self._rate(state.name)
-            )
-            yield from self._derived(
-                f"{where}, start of {state.name!r}", state.initial, known[state.name]
-            )
+            self.known |= self.outputs
+        for line in effect_lines(self.model, effect):
+            yield from self._line(line, f"effect {effect.name!r}{line.where}", effect)
         self.known = outer
 
+    def _line(self, line: Line, where: str, effect: Effect | None = None) -> Iterator[str]:
+        """Yield what is wrong in one text, and keep the dimension of what it defines."""
+        found = yield from self._derived(where, line.text, self._needed(line, effect))
+        if line.role == "value":
+            self.known[line.key] = found
+
     def _derived(
-        self, where: str, text: str, needed: Form | None = None
-    ) -> Generator[str, None, Form | None]:
+        self, where: str, text: str, needed: Dimension | None = None
+    ) -> Generator[str, None, Dimension | None]:
         """Yield a fault if there is one, and return the dimension."""
         try:
             found = self.units.form(text, self.known, where=where)
@@ -487,25 +439,35 @@ class _Units:
             )
         return found
 
-    def _rate(self, name: str) -> Form | None:
+    def _rate(self, name: str) -> Dimension | None:
         own = self.known.get(name)
         return None if own is None else own / _SECOND
 
-    def _needed(self, effect: Effect, key: str | tuple[str, str]) -> Form | None:
-        """Dimension of a term of an effect."""
-        if effect.stage == "sensor":
-            return self.outputs.get(str(key))
-        if effect.stage in ("actuator", "environment"):
-            return self.known.get(str(key))
+    def _needed(self, line: Line, effect: Effect | None) -> Dimension | None:
+        """Dimension that a text has to have; None where nothing says one."""
+        key, stage = line.key, "" if effect is None else effect.stage
+        match line.role:
+            case "output":
+                return self.outputs.get(key)
+            case "rate":
+                return self._rate(key)
+            case "update" | "start":
+                return self.known.get(key)
+            case "term" if stage == "sensor":
+                return self.outputs.get(key)
+            case "term" if stage in ("actuator", "environment"):
+                return self.known.get(key)
+            case "value":
+                return None
         axis, state = key if isinstance(key, tuple) else (key, self.model.axes.get(key))
         if state is None:
             return self._rate(axis)
         force, rate = self._force(axis), self._rate(state)
-        if effect.stage == "force" or force is None or rate is None:
+        if stage == "force" or force is None or rate is None:
             return force
         return force / rate
 
-    def _force(self, axis: str) -> Form | None:
+    def _force(self, axis: str) -> Dimension | None:
         """Dimension of an axis: inertia times acceleration, or by the name of the axis."""
         state = self.model.axes[axis]
         rate = self._rate(state)
@@ -525,14 +487,14 @@ class _Units:
         return _usual_force(axis) if mass is None else mass * rate
 
 
-def _usual_force(axis: str) -> Form | None:
+def _usual_force(axis: str) -> Dimension | None:
     """Force or moment, by the name of the axis."""
-    return Form(dimension("N" if axis in "XYZ" else "N m")) if axis in notation.AXES else None
+    return dimension("N" if axis in "XYZ" else "N m") if axis in notation.AXES else None
 
 
-def _stated(unit: str) -> Form | None:
+def _stated(unit: str) -> Dimension | None:
     """Dimension of a stated unit; an empty one is unknown."""
-    return Form(dimension(unit)) if unit else None
+    return dimension(unit) if unit else None
 
 
 def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:

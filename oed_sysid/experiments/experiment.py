@@ -12,6 +12,7 @@ import numpy as np
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.base import ROUNDING
 from oed_sysid.experiments.manoeuvres import Combined, Excitation, Manoeuvre
+from oed_sysid.physics.channels import settle
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
@@ -51,12 +52,8 @@ class Limits:
     signals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        for kind in ("inputs", "signals", "rates"):
-            if not isinstance(getattr(self, kind), Mapping):
-                raise DesignError(
-                    f"Limits of {kind} are a {type(getattr(self, kind)).__name__}, expected a "
-                    "mapping such as {'fin': (-0.3, 0.3)}."
-                )
+        kinds = {key: {str: object} for key in ("inputs", "signals", "rates")}
+        settle(self, "Limits", kinds, DesignError)
         for kind in ("inputs", "signals"):
             ranges = {n: _range(kind, n, r) for n, r in getattr(self, kind).items()}
             object.__setattr__(self, kind, ranges)
@@ -199,7 +196,7 @@ class Experiment:
         start = {name: np.array([value]) for name, value in self.initial.items()}
         self.check_limits(
             *self.limits.violations(self.times[:1], start),
-            *self.limits.violations(self.times, self._known_commands()),
+            *self.limits.violations(self.times, self.known_commands()),
         )
 
     def check_limits(self, *broken: str) -> None:
@@ -287,7 +284,7 @@ class Experiment:
         DesignError
             If an input gets no value, or a manoeuvre reacts to signals.
         """
-        known = self._known_commands()
+        known = self.known_commands()
         wanted = tuple(names)
         if self.reacts:
             raise DesignError(
@@ -301,7 +298,8 @@ class Experiment:
             [np.broadcast_to(known[name], n_times) for name in wanted] or [np.empty((n_times, 0))]
         )
 
-    def _known_commands(self) -> dict[str, np.ndarray]:
+    def known_commands(self) -> dict[str, np.ndarray]:
+        """Commands ``(n_times,)`` of the inputs that do not react, by name."""
         times = self.times
         known = {name: np.full(len(times), value) for name, value in self.constants.items()}
         known |= {m.input: m.commands(times) for m in self.manoeuvres if not m.feedback}

@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 from collections import abc
 from collections.abc import Mapping
-from copy import copy
 from dataclasses import KW_ONLY, dataclass, field
 from itertools import accumulate
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
@@ -20,7 +19,6 @@ from oed_sysid.errors import ModelError
 from oed_sysid.experiments.base import (
     Controller,
     Excitation,
-    FloatArray,
     Manoeuvre,
     Numbers,
     Rule,
@@ -74,19 +72,6 @@ class SlopeLimit:
             self._command += min(max(self._order - self._command, -reach), reach)
         self._order, self._time = order, time
         return self._command
-
-    def foreseen(self, order: float, times: FloatArray) -> FloatArray:
-        """Commands ``(n_times,)`` at later times [s] while one order stands; nothing is kept."""
-        if self._rate is None:
-            return np.full(len(times), float(order))
-        # By the same steps, so that the same numbers come out.
-        ahead = copy(self)
-        return np.array([ahead.follow(order, time) for time in times.tolist()], dtype=float)
-
-    def skip(self, order: float, times: FloatArray) -> None:
-        """Go on past later times [s] at which one order stood."""
-        for time in times.tolist():
-            self.follow(order, time)
 
 
 class _Reversing(Stepwise):
@@ -282,7 +267,8 @@ class _Swings(Controller):
         self._amplitudes, self._switches, self._lead, self._keep_gain = settings.swings
         self._limit = SlopeLimit(settings.rate, initial=settings.neutral)
         self._reference = settings.reference
-        self._reversals = 0
+        self._reversals = -1
+        self._reverse()
         self._kept: float | None = None
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
@@ -298,32 +284,12 @@ class _Swings(Controller):
             kept = seen[self._settings.feedback[-1]]
             self._kept = kept if math.isfinite(kept) else None
         if self._reference is not None and self._swing(seen) >= self._switch:
-            self._reversals += 1
+            self._reverse()
         return self._limit.follow(self._order, time)
 
-    def foreseen(self, times: FloatArray) -> FloatArray | None:
-        return self._limit.foreseen(self._standing(times), times)
-
-    def skip(self, times: FloatArray) -> None:
-        self._limit.skip(self._standing(times), times)
-
-    def _standing(self, times: FloatArray) -> float:
-        """The order at these times while nothing is reached."""
-        before = len(times) and times[0] < self._settings.start
-        return self._settings.neutral if before else self._order
-
-    def undisturbed(self, times: FloatArray, signals: Mapping[str, FloatArray]) -> int:
-        early = int(np.searchsorted(times, self._settings.start))
-        if early:
-            return early
-        if self._reference is None or (self._keep_gain and self._kept is None):
-            return 0
-        reached = self._swing(signals) >= self._switch
-        return int(np.argmax(reached)) if reached.any() else len(times)
-
-    def _swing(self, seen: Mapping[str, Any]) -> Any:
-        """How far the feedback has gone to the side of the order, rad; a number or an array."""
-        deviation = seen[self._signal] - self._reference
+    def _swing(self, seen: Mapping[str, float]) -> float:
+        """How far the feedback has gone to the side of the order, rad."""
+        deviation = seen[self._signal] - (self._reference or 0.0)
         names = self._settings.feedback
         if self._lead:
             deviation = deviation + self._lead * seen[names[1]]
@@ -331,20 +297,16 @@ class _Swings(Controller):
             # The keeper may shift the reference by half a switch, so that every swing still ends.
             most = 0.5 * self._switch
             shift = self._keep_gain * (seen[names[-1]] - self._kept)
-            deviation = deviation - np.clip(shift, -most, most)
+            deviation = deviation - min(max(shift, -most), most)
         return self._settings.sign * self._side * deviation
 
-    @property
-    def _switch(self) -> float:
-        return _item(self._switches, self._reversals)
-
-    @property
-    def _order(self) -> float:
-        return self._settings.neutral + self._side * _item(self._amplitudes, self._reversals)
-
-    @property
-    def _side(self) -> int:
-        return self._settings.first if self._reversals % 2 == 0 else -self._settings.first
+    def _reverse(self) -> None:
+        """Begin the next swing; the last amplitude and the last switch go on."""
+        self._reversals += 1
+        self._side = self._settings.first * (-1) ** self._reversals
+        self._switch = self._switches[min(self._reversals, len(self._switches) - 1)]
+        size = self._amplitudes[min(self._reversals, len(self._amplitudes) - 1)]
+        self._order = self._settings.neutral + self._side * size
 
 
 def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> float:
@@ -355,10 +317,6 @@ def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> floa
             f"({', '.join(signals) or 'none'}). Measure it, or set feedback to one of them."
         )
     return float(signals[name])
-
-
-def _item(values: tuple[float, ...], index: int) -> float:
-    return values[min(index, len(values) - 1)]
 
 
 def _degrees(values: float | Numbers) -> str:

@@ -17,7 +17,6 @@ there. The commands are the same to the last bit.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +24,9 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.data.dataset import Record
 from oed_sysid.errors import SimulationError
+from oed_sysid.experiments.base import ROUNDING
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import Constant, Controller, command_all
+from oed_sysid.experiments.manoeuvres import command_all
 from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
 from oed_sysid.experiments.trajectory import (
     Trajectory,
@@ -179,54 +179,58 @@ class _Loop:
     """A run of controllers and vehicle, window by window."""
 
     def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
-        excitation, held = experiment.excitation, experiment.constants
-        self.controllers = {name: Constant(name, held[name]).controller() for name in held}
-        self.controllers |= excitation.controllers() if excitation else {}
-        self.times, self.names = experiment.times, model.input_names
+        reacting = [one for one in experiment.manoeuvres if one.feedback]
+        self.controllers = {one.input: one.controller() for one in reacting}
+        self.times, names = experiment.times, model.input_names
+        self.columns = [names.index(name) for name in self.controllers]
         self.values, self.runner = model.value_vector, kernel(model)
         self.own = start_array(model, experiment.initial)
         self.signals = _Signals(model, experiment, noise)
-        self.constants = experiment.constants
+        # Before the first decision the commanded inputs are at rest.
+        self.rest = np.array([experiment.constants.get(name, 0.0) for name in names])
         self.linear = any(channel.interpolation == "linear" for channel in model.inputs)
-        self.inputs = np.empty((len(self.times), len(self.names)))
+        self.inputs = np.zeros((len(self.times), len(names)))
+        for name, commands in experiment.known_commands().items():
+            self.inputs[:, names.index(name)] = commands
 
     def run(self) -> np.ndarray:
         """Commands ``(n_times, n_inputs)`` of the whole run."""
         times, inputs = self.times, self.inputs
-        z = self._begin()
-        k, ahead = 1, _FIRST_AHEAD
+        z, _ = self.runner.start(self.own, self.rest, self.values, times[0])
+        first = self.runner.run(times[:2], np.stack([self.rest, self.rest]), self.values, z)
+        inputs[0, self.columns] = self._decide(0, first, 0)
+        z, _ = self.runner.start(self.own, inputs[0], self.values, times[0])
+        k, ahead, slope = 1, _FIRST_AHEAD, np.zeros(len(self.columns))
         while k < len(times):
-            # Ahead with the commands foreseen, as far as they last: most manoeuvres hold for
-            # seconds.
+            # Ahead as if no command reacted but went on as it does: most hold for seconds.
             n = min(ahead, len(times) - k)
-            plan = _foreseen(self.controllers, self.names, times[k : k + n])
-            commands = np.empty((n + 1, len(self.names)))
-            commands[0] = inputs[k - 1]
-            commands[1:] = inputs[k - 1] if plan is None else plan
+            going = inputs[k - 1, self.columns] + np.outer(np.arange(1, n + 1), slope)
+            inputs[k : k + n, self.columns] = going
+            going = going.tolist()
+            commands = inputs[k - 1 : k + n].copy()
             window = self.runner.run(times[k - 1 : k + n], commands, self.values, z)
             sees = self._measured(times[k - 1 : k + n], commands, window)
-            sure = 0 if plan is None else self._go_on(k, plan, window, sees, n)
-            row, moved, failed = self._react(k, sure, plan, commands, window, sees)
-            if failed:
-                return inputs  # simulate_inputs will fail at the same place, with words
+            for row in range(1, n + 1):
+                now = k + row - 1
+                if 0 <= window.failed_at <= row:
+                    inputs[now:] = inputs[now - 1]
+                    return inputs  # simulate_inputs will fail at the same place, with words
+                decided = self._decide(now, sees, row)
+                inputs[now, self.columns] = decided
+                if moved := any(
+                    abs(one - other) > ROUNDING * (1 + abs(other))
+                    for one, other in zip(decided, going[row - 1], strict=True)
+                ):
+                    break
             k += row
+            slope = inputs[k - 1, self.columns] - inputs[k - 2, self.columns]
             z = window.states[row]
             if moved and self.linear:
                 two = slice(k - 2, k)
                 last = self.runner.run(times[two], inputs[two], self.values, window.states[row - 1])
                 z = last.states[1]
-            ahead = _FIRST_AHEAD if row < n or moved else min(2 * ahead, _MOST_AHEAD)
+            ahead = _FIRST_AHEAD if moved else min(2 * ahead, _MOST_AHEAD)
         return inputs
-
-    def _begin(self) -> np.ndarray:
-        """Take the first decision and return the state after it."""
-        # Before the first decision the commanded inputs are at rest.
-        before = np.array([self.constants.get(name, 0.0) for name in self.names])
-        z, _ = self.runner.start(self.own, before, self.values, self.times[0])
-        window = self.runner.run(self.times[:2], np.stack([before, before]), self.values, z)
-        self.inputs[0] = self._decide(0, window, 0)
-        z, _ = self.runner.start(self.own, self.inputs[0], self.values, self.times[0])
-        return z
 
     def _measured(self, times: np.ndarray, commands: np.ndarray, window: Run) -> Run:
         """What the manoeuvres see in a window."""
@@ -235,42 +239,10 @@ class _Loop:
             return window
         return _seen(self.runner, times, commands, self.values, window)
 
-    def _go_on(self, k: int, plan: np.ndarray, window: Run, sees: Run, n: int) -> int:
-        """Go past the samples at which all commands are as foreseen; return how many."""
-        seen = self.signals.between(k, sees, slice(1, n + 1))
-        times = self.times[k : k + n]
-        sure = min(n, *(c.undisturbed(times, seen) for c in self.controllers.values()))
-        if 0 <= window.failed_at <= sure:
-            sure = max(window.failed_at - 1, 0)
-        for controller in self.controllers.values():
-            controller.skip(times[:sure])
-        self.inputs[k : k + sure] = plan[:sure]
-        return sure
-
-    def _react(
-        self, k: int, sure: int, plan: np.ndarray | None, commands: np.ndarray, window: Run,
-        sees: Run,
-    ) -> tuple[int, bool, bool]:  # fmt: skip
-        """Decide at the samples after the sure ones: last row, whether it moved, or failed."""
-        row, moved = sure, False
-        for row in range(sure + 1, len(commands)):
-            now = k + row - 1
-            if 0 <= window.failed_at <= row:
-                self.inputs[now:] = self.inputs[now - 1]
-                return row, moved, True
-            self.inputs[now] = self._decide(now, sees, row)
-            moved = not np.array_equal(self.inputs[now], commands[row])
-            # Beyond it the window knows other commands than these.
-            if moved or plan is not None:
-                break
-        return row, moved, False
-
     def _decide(self, sample: int, window: Run, row: int) -> list[float]:
-        """Commands of all inputs at one sample, on what is seen in a row of a window."""
-        found = self.signals.between(sample, window, slice(row, row + 1))
-        seen = {name: float(values[0]) for name, values in found.items()}
-        commands = command_all(self.controllers, float(self.times[sample]), seen)
-        return [commands[name] for name in self.names]
+        """Commands of the inputs that react, on what is seen in a row of a window."""
+        seen = self.signals.at(sample, window, row)
+        return list(command_all(self.controllers, float(self.times[sample]), seen).values())
 
 
 def _seen(
@@ -294,19 +266,6 @@ def _seen(
     return replace(window, states=states, outputs=outputs)
 
 
-def _foreseen(
-    controllers: Mapping[str, Controller], names: tuple[str, ...], times: np.ndarray
-) -> np.ndarray | None:
-    """Commands ``(n_times, n_inputs)`` while nothing reacts; None if one cannot tell."""
-    plan = np.empty((len(times), len(names)))
-    for column, name in enumerate(names):
-        found = controllers[name].foreseen(times)
-        if found is None:
-            return None
-        plan[:, column] = found
-    return plan
-
-
 class _Signals:
     """What the manoeuvres see: the signals they react to, measured or true."""
 
@@ -327,12 +286,10 @@ class _Signals:
         """Whether all are states, which a command of the same sample does not touch."""
         return not self._outputs
 
-    def between(self, sample: int, window: Run, rows: slice) -> dict[str, np.ndarray]:
-        """Signals ``(n,)`` from one sample on, found in some rows of a short run."""
-        seen = {name: window.states[rows, i] for name, i in self._states.items()}
+    def at(self, sample: int, window: Run, row: int) -> dict[str, float]:
+        """Signals at one sample, found in a row of a short run."""
+        seen = {name: float(window.states[row, i]) for name, i in self._states.items()}
         for name, index in self._outputs.items():
-            seen[name] = window.outputs[rows, index]
-            if self._noise is not None:
-                last = sample + len(seen[name])
-                seen[name] = seen[name] + self._noise[sample:last, index]
+            error = 0.0 if self._noise is None else self._noise[sample, index]
+            seen[name] = float(window.outputs[row, index] + error)
         return seen

@@ -140,8 +140,7 @@ def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:
     """
     graph = build(program.model)
     functions = [graph.rates, graph.actuate, graph.observe, graph.start]
-    if not program.implicit:
-        functions += [graph.advance, graph.sample]
+    functions += [graph.advance, graph.sample]
     files = []
     for function in functions:
         file = folder / f"{function.name()}.casadi"

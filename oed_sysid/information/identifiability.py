@@ -16,7 +16,7 @@ from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.response import Play, respond
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text
+from oed_sysid.runtime.display import Report, Section, Table, as_dict, as_text, share
 from oed_sysid.text import notation
 
 # Brun et al. call subsets between 10 and 15 critical.
@@ -174,10 +174,10 @@ class Subset:
             (
                 place.name,
                 words[place.advice],
-                f"{place.error:.2%}" if np.isfinite(place.error) else "none",
-                f"{place.assumed:.0%}",
-                f"{place.bias:.2%} of {place.biased}" if place.bias > 0 else "none",
-                f"{1.0 - place.imitated:.2%}" if place.imitated > 0 else "all",
+                share(place.error) if np.isfinite(place.error) else "none",
+                share(place.assumed),
+                f"{share(place.bias)} of {place.biased}" if place.bias > 0 else "none",
+                share(1.0 - place.imitated) if place.imitated > 0 else "all",
             )
             for place in self.places
         ]
@@ -393,7 +393,7 @@ def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
     if place.advice == "prior":
         text += (
             f" Fixed at a value {place.assumed:.0%} wrong it would move {place.biased} by "
-            f"{place.bias:.0%}; free, its error is {place.error:.1%}."
+            f"{share(place.bias)}; free, its error is {share(place.error)}."
         )
     for partner, _ in place.partners:
         one, other = _symbols(place.name), _symbols(partner)

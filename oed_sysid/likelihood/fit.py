@@ -44,6 +44,9 @@ from oed_sysid.runtime.display import (
     as_html,
     as_text,
     counted,
+    digits,
+    interval,
+    rounded,
     share,
 )
 from oed_sysid.text.units import shown_unit
@@ -395,16 +398,11 @@ class Fit(Estimate):
         rows = []
         for name in self.names:
             parameter, (low, high) = self.model.parameter(name), self.interval(name)
-            prior = "" if parameter.prior_mean is None else f"{parameter.prior_mean:.4g}"
-            if parameter.prior_spread is not None:
-                prior += f" ± {TWO_SIDED_95 * parameter.prior_spread:.2g}"
-            interval = f"{low:.4g} to {high:.4g}"
-            if not np.isfinite(high - low):
-                interval = "unbounded"
-            elif high > low:  # two digits of its width
-                count = int(np.log10(max(abs(low), abs(high)) / (high - low)).clip(0)) + 3
-                interval = f"{low:.{count}g} to {high:.{count}g}"
-            rows.append((name, interval, prior, parameter.unit))
+            mean, spread = parameter.prior_mean, parameter.prior_spread
+            prior = "" if mean is None else interval(mean, TWO_SIDED_95 * (spread or 0.0))
+            ends = (rounded(end, 0.5 * (high - low)) for end in (low, high))
+            said = " to ".join(ends) if np.isfinite(high - low) else "unbounded"
+            rows.append((name, said, prior, parameter.unit))
         table = Table(("parameter", "95 % interval", "prior ± (95 %)", "unit"), rows)
         return [Section("Intervals", tables=(table,), only="page")] if rows else []
 
@@ -491,7 +489,7 @@ class Fit(Estimate):
             rows.append(
                 (
                     name,
-                    f"{value:.6g}",
+                    rounded(value, errors[name]),
                     f"{errors[name]:.2g}",
                     *((f"{scattered[name]:.2g}",) if differ else ()),
                     f"{relative:.2g}",
@@ -519,7 +517,7 @@ class Fit(Estimate):
             words = [
                 f"{name} {value:.4g} held"
                 if std == 0.0
-                else f"{name} {value:.4g} +/- {TWO_SIDED_95 * std:.2g}"
+                else f"{name} {interval(value, TWO_SIDED_95 * std)}"
                 for name, (value, std) in known.items()
             ]
             if words:
@@ -574,22 +572,22 @@ class Fit(Estimate):
         sea = self.noise.seas[number]
         label = f"sea {number + 1}" if len(self.noise.seas) > 1 else "sea"
 
-        def told(name: str, size: float, digits: str) -> str:
+        def told(name: str, size: float, count: int = 3) -> str:
             known = self.noise_std.get(name)
-            value = f"{size:{digits}}"
-            return value if known is None else f"{value} +/- {TWO_SIDED_95 * known * size:.2g}"
+            half = np.nan if known is None else TWO_SIDED_95 * known * size
+            return digits(size, count) if known is None else interval(size, half)
 
         period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
         words = (
             "Disturbance forces have a period, as waves give them (or motion that the model "
-            f"lacks): {told(f'{label} period', period, '.3g')} s, "
-            f"{told(f'{label} bandwidth', width, '.2g')} % wide (95 %)"
+            f"lacks): {told(f'{label} period', period)} s, "
+            f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
         )
         words += "." if sea.shape == "velocity" else ", with a tail at low frequencies."
         rows = [
             (
                 place,
-                told(f"sea {place} level", level, ".3g") if level > 0 else "absent",
+                told(f"sea {place} level", level) if level > 0 else "absent",
                 units.get(place, ""),
             )
             for place, level in sea.significant.items()
@@ -601,8 +599,9 @@ class Fit(Estimate):
         if level <= 0:
             return name, "absent", "", "", unit
         known = self.noise_std.get(f"{name} level")
-        spread = "" if known is None else f"+/- {TWO_SIDED_95 * known * level:.2g}"
-        return name, f"{level:.3g}", spread, f"{time:.2g}", unit
+        half = np.nan if known is None else TWO_SIDED_95 * known * level
+        spread = "" if known is None else f"± {digits(half)}"
+        return name, rounded(level, half), spread, digits(time), unit
 
     def _remarks(self) -> list[str]:
         """What else to know before the values are used, one sentence each."""

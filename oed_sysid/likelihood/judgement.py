@@ -825,14 +825,14 @@ CHECKS = (
     ),
     Check(
         "delay", _delay, f"{CLEAR:g} standard errors; see departures.clear_delay",
-        "The residuals look as if {signal} {verb} {seconds:.3g} +/- {error:.2g} s {late} "
+        "The residuals look as if {signal} {verb} {seconds:.3g} ± {error:.2g} s {late} "
         "(expected none). Compare the clocks of "
         "the log, and shift {signal}, or add a delay or lag to the model.",
     ),
     Check(
         "actuator_start", _starts, f"{CLEAR:g} standard errors; see departures.clear_starts",
         "In {record!r}{others} {effect} did not begin at the first command of "
-        "{signal}, but {value:.2g} +/- {error:.2g} {unit} beside it, and "
+        "{signal}, but {value:.2g} ± {error:.2g} {unit} beside it, and "
         "parameters bend to that. Let the start of each record be estimated: "
         "unknown_start(effect, std) of oed_sysid.physics, or begin records later.",
     ),

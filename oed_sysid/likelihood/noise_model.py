@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import Disturbed
+from oed_sysid.compiled.filtering import FOURTH, Disturbed
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 
-SHAPES = {"velocity": -1, "displacement": 1}
+SHAPES = {"jonswap": FOURTH, "velocity": -1, "displacement": 1}
 # Steps of a period over which the force of a sea is held at most: a wave held that long loses 1 %
 # of its amplitude (sinc(1/12)); half as many steps lose 4 %, twice as many 0.3 % and cost twice.
 STEPS_OF_PERIOD = 12
@@ -44,15 +44,16 @@ class Sea:
     Attributes
     ----------
     period : float, optional
-        Of an undamped wave, s.
+        Of an undamped wave, or of the peak, s.
     bandwidth : float, optional
         Width of the spectrum at half its power over its middle: twice the damping ratio.
     levels : mapping of str to float, optional
         Standard deviation of the force by place, ``{"force Z": 0.3}`` or short ``{"Z": 0.3}``, in
         the unit of the place.
     shape : str, optional
-        ``"velocity"``, whose spectrum vanishes at frequency zero, or ``"displacement"``, which
-        has a tail there.
+        ``"velocity"``, whose spectrum vanishes at frequency zero, ``"displacement"``, which has a
+        tail there, or ``"jonswap"``, which is steep below its peak and has a tail above, as the
+        spectrum of that name. An estimation takes the likeliest.
 
     Examples
     --------

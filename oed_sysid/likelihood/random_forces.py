@@ -16,7 +16,7 @@ first order projected out. Its largest value over a grid of periods is held agai
 *Constrained statistical inference*, ch. 3), each period a test of its own.
 
 Where it is beyond, resonators are estimated *instead* of the forces, first at the period of the
-test, then with everything together; both shapes race, and the sea stays where it is clearly
+test, then with everything together; three shapes race, and the sea stays where it is clearly
 likelier. Forces of first order on top are asked last, because a wrong shape lets them in.
 """
 
@@ -218,12 +218,12 @@ def _begun(
     if start.noise is not None:
         return _Begun(problem, point, problem.objective(point.unknowns))
     others = point.unknowns[: problem.layout.levels.start]
-    first, decade = _likeliest_level(problem, others, setting, begin)
+    first, decades = _likeliest_level(problem, others, setting, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
     found = _Begun(problem.with_levels(levels), Point(others, ()), np.inf).solved(HELD_STEPS)
     if found is None:
         return first
-    later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decade)
+    later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decades)
     return min(first, later, key=lambda one: one.objective)
 
 
@@ -232,39 +232,46 @@ def _likeliest_level(
     others: np.ndarray,
     setting: Setting,
     begin: NoiseModel,
-    near: int | None = None,
-) -> tuple[_Begun, int]:
-    """Point with the likeliest decade of levels at given other unknowns, and the decade.
+    near: tuple[int, ...] | None = None,
+) -> tuple[_Begun, tuple[int, ...]]:
+    """Point with the likeliest decade of each level at given other unknowns, and the decades.
 
     The objective is flat where the levels do nothing yet, falls, and rises where they are too
-    large: strides find the valley, single decades its floor, which is ``near`` where that is known.
+    large: strides find the valley of all together, then each goes its own way by single decades,
+    because where values are far off nothing tells the proportions that the levels begin with.
+    ``near`` are decades where they are known.
     """
-    free = ~np.isin(begin.places, setting.known)
-    tried: dict[int, _Begun] = {}
+    free = np.flatnonzero(~np.isin(begin.places, setting.known))
+    tried: dict[tuple[int, ...], _Begun] = {}
 
-    def attempt(decade: int) -> float:
-        if decade < 0:
-            return np.inf
-        if decade not in tried:
-            force = np.where(free, 10.0**decade * begin.force, begin.force)
+    def attempt(decades: tuple[int, ...]) -> float:
+        if decades not in tried:
+            force = begin.force.copy()
+            force[free] *= 10.0 ** np.array(decades)
             levels = problem.levels.vector(replace(begin, force=force))
             unknowns = np.concatenate([others, levels])
-            tried[decade] = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
-        return tried[decade].objective
+            tried[decades] = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
+        return tried[decades].objective
 
-    least, best = np.inf, 0
-    for decade in range(0, DECADES + 1, STRIDE) if near is None else (near,):
-        found = attempt(decade)
-        if found < least - 1.0:
-            least, best = found, decade
-        elif np.isfinite(least) and (not np.isfinite(found) or best > 0):
+    best = (0,) * len(free) if near is None else near
+    for decade in range(0, DECADES + 1, STRIDE) if near is None else ():
+        together = (decade,) * len(free)
+        if attempt(together) < attempt(best) - 1.0:
+            best = together
+        elif np.isfinite(attempt(best)) and (
+            not np.isfinite(attempt(together)) or best != (0,) * len(free)
+        ):
             break
-    for way in (-1, 1):
-        decade = best
-        while attempt(decade + way) < attempt(decade) and decade + way <= DECADES + 1:
-            decade += way
-    likeliest = min(tried, key=lambda decade: tried[decade].objective)
-    return tried[likeliest], likeliest
+    every = np.ones(len(free), dtype=int)
+    moved = True
+    while moved:
+        moved = False
+        for way in (way * one for one in (every, *np.diag(every)) for way in (-1, 1)):
+            after = tuple(map(int, best + way))
+            while max(after, default=0) <= DECADES + 1 and attempt(after) < attempt(best) - 1.0:
+                best, moved = after, True
+                after = tuple(map(int, best + way))
+    return tried[best], best
 
 
 def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseModel:

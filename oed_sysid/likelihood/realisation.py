@@ -92,17 +92,15 @@ def narrow_band_force(
     assert sea.period is not None
     assert sea.bandwidth is not None
     assert sea.shape is not None
-    draws = rng.standard_normal((len(times), 2))
+    lengths, which = np.unique(np.diff(times).round(12), return_inverse=True)
+    moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])[:, 0]
+    unit = np.eye(moves.shape[1])
+    roots = [np.linalg.cholesky(unit - phi @ phi.T) for phi in moves]
+    draws = rng.standard_normal((len(times), len(unit)))
     state = draws[0]
     values = [state[0]]
-    moves: dict[float, tuple[np.ndarray, np.ndarray]] = {}
-    for step, fresh in zip(np.diff(times), draws[1:], strict=True):
-        key = round(float(step), 12)
-        if key not in moves:
-            phi, _, _ = narrow_band(key, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])
-            moves[key] = phi, np.linalg.cholesky(np.eye(2) - phi @ phi.T)
-        phi, root = moves[key]
-        state = phi @ state + root @ fresh
+    for kind, fresh in zip(which, draws[1:], strict=True):
+        state = moves[kind] @ state + roots[kind] @ fresh
         values.append(state[0])
     return level * np.array(values)
 

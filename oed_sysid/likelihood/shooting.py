@@ -155,6 +155,8 @@ class Shooting(Posed):
         Start guesses of states, per record; by default from the measurements.
     known_starts : KnownStarts, optional
         Start states that are held or known with a stated error; by default all are free.
+    runner : Kernel, optional
+        What runs the model; by default its own kernel.
     """
 
     def __init__(
@@ -163,6 +165,7 @@ class Shooting(Posed):
         dataset: Dataset,
         sigma: np.ndarray,
         *,
+        runner: Kernel | None = None,
         interval: float | None = None,
         loss: Loss | None = None,
         initial_states: Sequence[Mapping[str, float]] | None = None,
@@ -170,7 +173,7 @@ class Shooting(Posed):
     ) -> None:
         check_channels(model, dataset)
         super().__init__(model, dataset, model, known_starts)
-        self.kernel: Kernel = kernel(model)
+        self.kernel: Kernel = runner or kernel(model)
         self.sigma = np.asarray(sigma, dtype=float)
         self.loss = loss
         self.starts = tuple(cut(record, interval) for record in self.records)

@@ -33,6 +33,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.experiments.simulation import simulate_batch
@@ -100,6 +101,7 @@ class WholeRun:
         sigma: np.ndarray,
         known: KnownStarts | None = None,
         start: tuple[np.ndarray, Mapping[str, float]] | None = None,
+        runner: Kernel | None = None,
     ) -> WholeRun:
         """The run whose start states and values of the record are fitted to the whole record.
 
@@ -113,8 +115,10 @@ class WholeRun:
         known : KnownStarts, optional
         start : pair of ndarray (n_own,) and mapping, optional
             Start states and parameters of the record to begin with.
+        runner : Kernel, optional
+            What runs the model; by default its own kernel.
         """
-        shooting = Shooting(model, Dataset((record,)), sigma, known_starts=known)
+        shooting = Shooting(model, Dataset((record,)), sigma, known_starts=known, runner=runner)
         point = shooting.start_point()
         shared = np.arange(len(shooting.layout.shared))
         held = shooting.holding(shared, point.unknowns[shared])
@@ -260,11 +264,12 @@ def whole_runs(
     dataset: Dataset,
     sigma: np.ndarray,
     starts: Sequence[tuple[np.ndarray, Mapping[str, float]]] | None = None,
+    runner: Kernel | None = None,
 ) -> tuple[WholeRun, ...]:
     """Whole runs along all records, each with its own start fitted."""
     begun = [None] * len(dataset) if starts is None else starts
     return tuple(
-        WholeRun.fitted(model, record, sigma, start=start)
+        WholeRun.fitted(model, record, sigma, start=start, runner=runner)
         for record, start in zip(dataset, begun, strict=True)
     )
 

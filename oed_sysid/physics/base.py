@@ -13,7 +13,7 @@ from functools import partial
 from typing import Any, ClassVar, Self
 
 from oed_sysid.errors import ModelError
-from oed_sysid.physics.channels import check_kinds, check_signal
+from oed_sysid.physics.channels import check_signal, settle
 from oed_sysid.physics.parameters import Parameter, check_unique, with_parameters
 from oed_sysid.text import callables, expressions
 from oed_sysid.text.callables import Function, Table, argument_names
@@ -93,11 +93,9 @@ class RandomProcess:
     known: bool = False
 
 
-_KINDS: Mapping[str, type] = {
-    "parameters": Parameter,
-    "states": ExtraState,
-    "memory": Memory,
-    "functions": Function,
+_KINDS: Mapping[str, Any] = {
+    **{"name": str, "terms": {object: object}, "parameters": [Parameter]},
+    **{"states": [ExtraState], "memory": [Memory], "functions": [Function]},
 }
 
 
@@ -155,21 +153,12 @@ class Effect:
         if type(self) is Effect:
             raise ModelError("Use one of Actuator, Environment, Force, Inertia or Sensor.")
         where = f"Effect {self.name!r:.60}"
-        if not isinstance(self.name, str) or not isinstance(self.terms, Mapping):
-            raise ModelError(f"{where}: expected a name and a mapping of terms, {{'Z': 'E*w'}}.")
-        for what, kind in _KINDS.items():
-            parts = getattr(self, what)
-            if isinstance(parts, kind):
-                raise ModelError(f"{where}: {what} is one {kind.__name__}; write it as (...,).")
-            object.__setattr__(self, what, tuple(parts))
-            check_kinds(where, what, getattr(self, what), kind)
+        settle(self, where, _KINDS)
         tables = {name: callables.check_table(name, t) for name, t in self.tables.items()}
         object.__setattr__(self, "tables", tables)
         self._check_parts()
-        counts = {name: callables.n_arguments(table) for name, table in tables.items()}
-        counts |= {one.name: callables.n_arguments(one) for one in self.functions}
         for text in self._texts():
-            expressions.check_calls(text, where=where, tables=counts, complete=False)
+            expressions.check_calls(text, where=where, tables=self.callable, complete=False)
 
     def _check_parts(self) -> None:
         """Refuse parts that do not go together, or not with the stage."""
@@ -256,6 +245,11 @@ class Effect:
             needs=needs,
             functions=functions,
         )
+
+    @property
+    def callable(self) -> dict[str, Table | Function]:
+        """Tables and functions of its own, by name."""
+        return {**self.tables, **{function.name: function for function in self.functions}}
 
     def uses(self) -> frozenset[str]:
         """Names that the effect refers to and does not define itself."""

@@ -7,13 +7,14 @@ States, inputs and outputs are declared once, in a model; everything else
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from keyword import iskeyword
+from typing import Any
 
 import numpy as np
 
-from oed_sysid.errors import DataError, ModelError
+from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.text.units import dimension
 
 INTERPOLATIONS = ("hold", "linear")
@@ -32,14 +33,50 @@ def check_signal(kind: str, name: str, unit: str) -> None:
         raise ModelError(f"{kind} {name!r}: {error}") from None
 
 
-def check_kinds(owner: str, what: str, values: Iterable[object], kind: type) -> None:
-    """Raise :class:`ModelError` unless all parts of something are of one kind."""
-    for value in values:
+def settle(
+    part: Any, owner: str, kinds: Mapping[str, Any], error: type[OedSysidError] = ModelError
+) -> None:
+    """Turn fields of something new into tuples and dictionaries, or refuse what they hold.
+
+    Parameters
+    ----------
+    part : object
+        Under construction.
+    owner : str
+        Its name, for messages.
+    kinds : mapping
+        Kind of every field: ``kind`` or ``(kind, words)``, ``[kind]`` for a tuple of it,
+        ``{kind: kind}`` for a mapping.
+    error : type
+        What is raised for a field, or a member, of another kind.
+    """
+
+    def check(what: str, value: object, kind: Any, expected: str = "") -> None:
         if not isinstance(value, kind):
-            raise ModelError(
-                f"{owner}: one of its {what} is a {type(value).__name__}, {value!r:.60}. Expected "
-                f"{kind.__name__}(...)."
+            words = expected or ("text" if kind is str else f"{kind.__name__}(...)")
+            raise error(
+                f"{owner}: {what} is a {type(value).__name__}, {value!r:.60}; expected {words}."
             )
+
+    for what, shape in kinds.items():
+        value = getattr(part, what)
+        if isinstance(shape, list):
+            listed = isinstance(value, Iterable) and not isinstance(value, str | bytes | Mapping)
+            one = f"a tuple; one alone is ({what.removesuffix('s')},)"
+            check(what, value, Iterable if listed else tuple, one)
+            members = tuple(value)
+            for member in members:
+                check(f"one of its {what}", member, shape[0])
+            object.__setattr__(part, what, members)
+        elif isinstance(shape, dict):
+            check(what, value, Mapping, "a mapping, such as {'psi': ...}")
+            ((names, kind),) = shape.items()
+            for key, member in value.items():
+                check(f"a name in {what}", key, names)
+                check(f"{what}[{key!r}]", member, kind)
+            object.__setattr__(part, what, dict(value))
+        else:
+            check(what, value, *(shape if isinstance(shape, tuple) else (shape,)))
 
 
 def check_positive(kind: str, name: str, what: str, value: float | None) -> None:

@@ -7,9 +7,11 @@ expressions and :mod:`oed_sysid.compiled.kernels` into compiled code.
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import casadi as ca
 
@@ -19,7 +21,9 @@ from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.physics.structure import Structure, settle_parts, validate
 from oed_sysid.runtime.display import as_html
-from oed_sysid.text import callables, expressions, notation
+from oed_sysid.text import callables, expressions
+
+_RATE, _NAME = re.compile(r"dot\((\w+)\)"), re.compile(r"\b[^\W\d]\w*")
 
 
 @dataclass(frozen=True)
@@ -244,16 +248,13 @@ class Model(Structure):
 
     def equations(self) -> str:
         """Return the model as readable equations, one per line."""
-        write = expressions.to_text
         lines = []
         for kind, left, right, effect in self._rows():
-            if kind == "axis":
-                left = self._inertia(left, write).replace("_prime_", "'")
-            mark = "'" if kind == "rate" else ""
-            sign = "<-" if kind in ("change", "measured change") else "="
-            measured = "measured " if kind.startswith("measured") else ""
+            sign = "<-" if kind.endswith("change") else "="
             tag = f"   [{effect}]" if effect else ""
-            lines.append(f"{measured}{left}{mark} {sign} {write(right)}{tag}")
+            left = _RATE.sub(r"\1'", expressions.to_text(left))
+            measured = "measured " if kind.startswith("measured") else ""
+            lines.append(f"{measured}{left} {sign} {expressions.to_text(right)}{tag}")
         return "\n".join(lines)
 
     def latex(self) -> str:
@@ -265,64 +266,37 @@ class Model(Structure):
         >>> print(load_problem("nomoto_sparse_heading").model.latex().splitlines()[0])
         T \, \dot{r} &= K \, \delta - r
         """
-        write = expressions.to_latex
-        lines = []
-        for kind, left, right, effect in self._rows():
-            if kind == "axis":
-                left = self._inertia(left, write)
-                for state in self.axes.values():
-                    rate = f"\\dot{{{notation.latex(state)}}}"
-                    left = left.replace(notation.latex(f"{state}_prime_"), rate)
-            else:
-                left = notation.latex(left)
-            if kind == "rate":
-                left = f"\\dot{{{left}}}"
-            if kind.startswith("measured"):
-                left = f"\\text{{measured }}{left}"
-            sign = r"\leftarrow" if kind in ("change", "measured change") else "="
-            tag = f"\\quad\\text{{({effect.replace('_', ' ')})}}" if effect else ""
-            lines.append(f"{left} &{sign} {write(right)}{tag}")
-        return "\n".join(lines)
+        return "\n".join(latex_lines(self))
 
     def _rows(self) -> list[tuple[str, str, str, str]]:
         """Every equation: its kind, left and right side, and the effect that it belongs to."""
         rows: list[tuple[str, str, str, str]] = []
         for signal, text in self.actuator_signals.items():
-            changes = self._changes("actuator", signal)
+            changes = self._changes("change", "actuator", signal)
             if text != signal or changes:
-                rows += [("signal", signal, text, ""), *changes]
+                rows += [("", signal, text, ""), *changes]
         for signal, text in self.signals.items():
-            rows += [("signal", signal, text, ""), *self._changes("environment", signal)]
+            rows += [("", signal, text, ""), *self._changes("change", "environment", signal)]
         for effect in self.effects:
-            rows += [("signal", k, text, effect.name) for k, text in effect.definitions.items()]
-        rows += [("axis", axis, force_text(self, axis), "") for axis in self.axes]
+            rows += [("", key, text, effect.name) for key, text in effect.definitions.items()]
+        rows += [("", _inertia_text(self, axis), _force_text(self, axis), "") for axis in self.axes]
         for state, rate in self.kinematics.items():
-            added = force_text(self, state)
-            rows.append(("rate", state, rate if added == "0" else f"{rate} + {added}", ""))
+            added = _force_text(self, state)
+            rows.append(("", f"dot({state})", rate if added == "0" else f"{rate} + {added}", ""))
         for effect in self.effects:
-            rows += [("rate", s.name, s.rate, effect.name) for s in effect.states]
+            rows += [("", f"dot({s.name})", s.rate, effect.name) for s in effect.states]
         for output in self.outputs:
             rows.append(("measured", output.name, output.source, ""))
-            changes = self._changes("sensor", output.name)
-            rows += [("measured change", signal, text, name) for _, signal, text, name in changes]
+            rows += self._changes("measured change", "sensor", output.name)
         return rows
 
-    def _changes(self, stage: str, signal: str) -> list[tuple[str, str, str, str]]:
+    def _changes(self, kind: str, stage: str, signal: str) -> list[tuple[str, str, str, str]]:
         """What the effects of a stage turn a signal into."""
         return [
-            ("change", signal, effect.terms[signal], effect.name)
+            (kind, signal, effect.terms[signal], effect.name)
             for effect in self.effects
             if effect.stage == stage and signal in effect.terms
         ]
-
-    def _inertia(self, axis: str, write: Callable[[str], str]) -> str:
-        """Left side of the equation of an axis; the rate of w stands as w_prime_."""
-        # A name that text can carry.
-        parts = [
-            f"({' + '.join(texts)})*{velocity}_prime_" if texts else f"{velocity}_prime_"
-            for velocity, texts in inertia_terms(self, axis)
-        ]
-        return write(" + ".join(parts))
 
     # -- identity ------------------------------------------------------------------
 
@@ -351,20 +325,39 @@ class Model(Structure):
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
 
 
-def force_text(model: Model, key: str) -> str:
+def latex_lines(model: Model, values: Mapping[str, float] = MappingProxyType({})) -> list[str]:
+    """Equations as LaTeX, with numbers in the place of the names that ``values`` has."""
+
+    def write(text: str) -> str:
+        return expressions.to_latex(_NAME.sub(lambda m: _number(values, m[0]), text))
+
+    lines = []
+    for kind, left, right, effect in model._rows():
+        measured = r"\text{measured }" if kind.startswith("measured") else ""
+        sign = r"\leftarrow" if kind.endswith("change") else "="
+        tag = f"\\quad\\text{{({effect.replace('_', ' ')})}}" if effect else ""
+        lines.append(f"{measured}{write(left)} &{sign} {write(right)}{tag}")
+    return lines
+
+
+def _number(values: Mapping[str, float], name: str) -> str:
+    return f"({values[name]:.4g})" if name in values else name
+
+
+def _force_text(model: Model, key: str) -> str:
     """Sum of the forces on an axis or a state, as a text."""
     effects = (one for one in model.effects if one.stage == "force" and key in one.terms)
     return " + ".join(f"({effect.terms[key]})" for effect in effects) or "0"
 
 
-def inertia_terms(model: Model, axis: str) -> list[tuple[str, list[str]]]:
-    """Velocities in the equation of an axis, with what their rates are multiplied by."""
+def _inertia_text(model: Model, axis: str) -> str:
+    """Left side of the equation of an axis: what multiplies the rates of velocities."""
     entries = list(model.inertia.items())
     for effect in model.effects:
         entries += effect.terms.items() if effect.stage == "inertia" else ()
     stated = any(row == axis for row, _ in model.inertia)
-    found: list[tuple[str, list[str]]] = [] if stated else [(model.axes[axis], [])]
+    parts = [] if stated else [f"dot({model.axes[axis]})"]
     for velocity in model.axes.values():
         texts = [text for key, text in entries if key == (axis, velocity)]
-        found += [(velocity, texts)] if texts else []
-    return found
+        parts += [f"({' + '.join(texts)})*dot({velocity})"] if texts else []
+    return " + ".join(parts)

@@ -7,7 +7,7 @@ every name in a text resolves.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
@@ -16,7 +16,7 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
-from oed_sysid.physics.channels import Channels, Input, Output, State, check_kinds
+from oed_sysid.physics.channels import Channels, Input, Output, State, settle
 from oed_sysid.physics.parameters import Parameter, check_unique
 from oed_sysid.text import callables, expressions
 from oed_sysid.text.callables import Function, Table
@@ -24,15 +24,13 @@ from oed_sysid.text.callables import Function, Table
 CLOCK = ("t", "h")
 RESERVED = {"t": "time", "h": "step", "pi": "3.14159..."}
 
-_TUPLES: Mapping[str, type] = {
-    "states": State,
-    "inputs": Input,
-    "outputs": Output,
-    "effects": Effect,
-    "parameters": Parameter,
-    "functions": Function,
+_TEXTS = {str: object}  # an expression that is no text is refused where it is read
+_KINDS: Mapping[str, Any] = {
+    **{"name": str, "states": [State], "inputs": [Input], "outputs": [Output]},
+    **{"effects": [Effect], "parameters": [Parameter], "functions": [Function]},
+    **{"kinematics": _TEXTS, "axes": _TEXTS, "actuators": _TEXTS, "signals": _TEXTS},
+    **{"inertia": {object: object}, "tables": {str: object}},
 }
-_MAPPINGS = ("kinematics", "axes", "inertia", "actuators", "signals", "tables")
 
 
 @dataclass(frozen=True)
@@ -85,15 +83,29 @@ class Structure:
         """Ideal actuator signals; the inputs themselves unless stated otherwise."""
         return dict(self.actuators) or {name: name for name in self.input_names}
 
-    @property
+    @cached_property
     def library(self) -> dict[str, Table | Function]:
-        """Tables and functions that the texts of the model and its effects may call."""
+        """Tables and functions that texts may call; one name means one thing."""
         found: dict[str, Table | Function] = {}
         owners: tuple[Structure | Effect, ...] = (self, *self.effects)
         for owner in owners:
-            found |= owner.tables
-            found |= {function.name: function for function in owner.functions}
+            for name, entry in owner.callable.items():
+                if name in expressions.FUNCTIONS:
+                    raise ModelError(
+                        f"{owner.name!r} declares {name!r}, which is a function of every text "
+                        "already. Give it another name."
+                    )
+                if callables.digest(found.setdefault(name, entry)) != callables.digest(entry):
+                    raise ModelError(
+                        f"Model {self.name!r} holds two different tables or functions called "
+                        f"{name!r}. Rename one."
+                    )
         return found
+
+    @property
+    def callable(self) -> dict[str, Table | Function]:
+        """Tables and functions of its own, by name."""
+        return {**self.tables, **{function.name: function for function in self.functions}}
 
     @cached_property
     def all_parameters(self) -> tuple[Parameter, ...]:
@@ -164,26 +176,7 @@ def settle_parts(model: Any) -> None:
         If a part is of another kind, or definitions refer to each other in a circle.
     """
     owner = f"Model {model.name!r:.60}"
-    if not isinstance(model.name, str):
-        raise ModelError(f"{owner}: its name is a {type(model.name).__name__}. Give text.")
-    for what, kind in _TUPLES.items():
-        value = getattr(model, what)
-        if isinstance(value, kind | str | bytes | Mapping) or not hasattr(value, "__iter__"):
-            raise ModelError(
-                f"{owner}: {what} is a {type(value).__name__}, expected a tuple of "
-                f"{kind.__name__}(...). One alone is written ({kind.__name__}(...),)."
-            )
-        parts = tuple(value)
-        check_kinds(owner, what, parts, kind)
-        object.__setattr__(model, what, parts)
-    for what in _MAPPINGS:
-        value = getattr(model, what)
-        if not isinstance(value, Mapping):
-            raise ModelError(
-                f"{owner}: {what} is a {type(value).__name__}, expected a mapping such as "
-                "{'psi': 'r'}."
-            )
-        object.__setattr__(model, what, dict(value))
+    settle(model, owner, _KINDS)
     tables = {name: callables.check_table(name, table) for name, table in model.tables.items()}
     object.__setattr__(model, "tables", tables)
     for key in model.inertia:
@@ -227,30 +220,6 @@ def rates_and_forces(model: Structure) -> set[str]:
         if effect.stage == "force":
             names |= {f"force({key}, {effect.name})" for key in effect.terms}
     return names
-
-
-def _callable(model: Structure) -> dict[str, int]:
-    """Number of arguments of every table and function; the same name means the same thing."""
-    found: dict[str, tuple[str, ...]] = {}
-    counts: dict[str, int] = {}
-    owners: tuple[Structure | Effect, ...] = (model, *model.effects)
-    for owner in owners:
-        entries: list[tuple[str, Table | Function]]
-        entries = [*owner.tables.items(), *((f.name, f) for f in owner.functions)]
-        for name, entry in entries:
-            digest = callables.digest(entry)
-            if name in expressions.FUNCTIONS:
-                raise ModelError(
-                    f"{owner.name!r} declares {name!r}, which is a function of every text already. "
-                    "Give it another name."
-                )
-            if found.setdefault(name, digest) != digest:
-                raise ModelError(
-                    f"Model {model.name!r} holds two different tables or functions called "
-                    f"{name!r}. Rename one."
-                )
-            counts[name] = callables.n_arguments(entry)
-    return counts
 
 
 def validate(model: Structure) -> None:
@@ -326,37 +295,88 @@ def _check_names(model: Structure) -> None:
             raise ModelError(f"The name {name!r} is reserved ({RESERVED[name]}). Rename it.")
 
 
-def _check_texts(model: Structure) -> None:
-    """Every name in a text resolves, in the order of evaluation."""
-    where, tables = f"Model {model.name!r}", _callable(model)
-    parameters = set(model.parameter_names)
-    commands = {*model.input_names, *parameters, *CLOCK}
-    for signal, text in model.actuator_signals.items():
-        expressions.check(text, commands, where=f"{where}, actuator {signal!r}", tables=tables)
-    extra = [state.name for effect in model.effects for state in effect.states]
-    # Forces see actuators' signals, not commands: what reaches them is the actuators' matter.
-    known = {*model.state_names, *extra, *model.actuator_signals, *parameters, *CLOCK}
-    for signal, text in model.signals.items():
-        expressions.check(text, known, where=f"{where}, signal {signal!r}", tables=tables)
-        known.add(signal)
-    for state, text in model.kinematics.items():
-        expressions.check(text, known, where=f"{where}, rate of {state!r}", tables=tables)
+@dataclass(frozen=True)
+class Line:
+    """One text of a model.
+
+    Parameters
+    ----------
+    where : str
+        Its place, for messages.
+    text : str
+        The expression.
+    scope : collection of str
+        Names that it may use.
+    role : str
+        What it is: ``value`` of a name, ``rate`` or ``start`` of a state, ``update`` of a memory,
+        entry of the ``inertia``, ``output``, or ``term`` of an effect.
+    key : str or tuple of str
+        What it belongs to.
+    """
+
+    where: str
+    text: str
+    scope: Collection[str]
+    role: str
+    key: Any
+
+
+def lines(model: Structure) -> Iterator[Line]:
+    """Texts of a model without its effects, in the order of evaluation."""
+    commands = {*model.input_names, *model.parameter_names, *CLOCK}
+    for name, text in model.actuator_signals.items():
+        yield Line(f"actuator {name!r}", text, commands, "value", name)
+    known = _known(model) - set(model.signals)
+    for name, text in model.signals.items():
+        yield Line(f"signal {name!r}", text, known, "value", name)
+        known = known | {name}
     for key, text in model.inertia.items():
-        expressions.check(text, known, where=f"{where}, inertia {key}", tables=tables)
-    # Sensors come last in the chain: only they see accelerations and forces.
+        yield Line(f"inertia {key}", text, known, "inertia", key)
+    for name, text in model.kinematics.items():
+        yield Line(f"rate of {name!r}", text, known, "rate", name)
     seen = known | rates_and_forces(model)
     for output in model.outputs:
-        sensor = f"{where}, output {output.name!r}"
-        expressions.check(output.source, seen, where=sensor, tables=tables)
-    for effect in model.effects:
-        _check_effect(model, effect, seen if effect.stage == "sensor" else known, tables)
+        yield Line(f"output {output.name!r}", output.source, seen, "output", output.name)
 
 
-def _check_effect(
-    model: Structure, effect: Effect, known: set[str], tables: Mapping[str, int]
-) -> None:
-    """Check one effect of a model: its targets exist and its names resolve."""
-    where = f"Effect {effect.name!r} in model {model.name!r}"
+def effect_lines(model: Structure, effect: Effect) -> Iterator[Line]:
+    """Texts of an effect of a model, in the order of evaluation."""
+    commands = {*model.input_names, *model.parameter_names, *CLOCK, *model.actuator_signals}
+    scope = _known(model)
+    if effect.stage == "actuator":
+        scope = commands if is_sampled(model, effect) else scope - set(model.signals)
+    if effect.stage == "sensor":
+        # Sensors come last in the chain: only they see accelerations and forces.
+        scope = scope | rates_and_forces(model) | set(model.output_names)
+    for memory in effect.memory:
+        yield Line("", memory.initial, scope, "value", memory.name)
+    scope = scope | {one.name for one in effect.memory} | {one.name for one in effect.states}
+    for name, text in effect.definitions.items():
+        yield Line("", text, scope, "value", name)
+        scope = scope | {name}
+    for key, text in effect.terms.items():
+        yield Line(f", {key}", text, scope, "term", key)
+    for memory in effect.memory:
+        yield Line("", memory.update, scope, "update", memory.name)
+    for state in effect.states:
+        yield Line(f", rate of {state.name!r}", state.rate, scope, "rate", state.name)
+        begin = {*model.state_names, *commands}
+        yield Line(f", start of {state.name!r}", state.initial, begin, "start", state.name)
+
+
+def _known(model: Structure) -> set[str]:
+    """What equations of motion see: actuators' signals, not commands, which are their matter."""
+    added = [state.name for effect in model.effects for state in effect.states]
+    own = {*model.state_names, *added, *model.actuator_signals, *model.signals}
+    return own | {*model.parameter_names, *CLOCK}
+
+
+def _check_texts(model: Structure) -> None:
+    """Every effect changes what there is, and every name in a text resolves."""
+    library = model.library
+    for line in lines(model):
+        where = f"Model {model.name!r}, {line.where}"
+        expressions.check(line.text, line.scope, where=where, tables=library)
     targets: dict[str, set] = {
         "actuator": set(model.actuator_signals),
         "environment": set(model.signals),
@@ -364,26 +384,13 @@ def _check_effect(
         "inertia": {(axis, state) for axis in model.axes for state in model.axes.values()},
         "sensor": set(model.output_names),
     }
-    for key in effect.terms:
-        if key not in targets[effect.stage]:
-            raise ModelError(
-                f"{where} acts on {key!r}, which no {effect.stage} effect can change here. "
-                f"Choose among: {', '.join(sorted(map(str, targets[effect.stage])))}."
-            )
-    commands = {*model.input_names, *model.parameter_names, *CLOCK, *model.actuator_signals}
-    scope = set(known)
-    if effect.stage == "actuator":
-        scope = commands if is_sampled(model, effect) else known - set(model.signals)
-    if effect.stage == "sensor":
-        scope |= set(model.output_names)
-    scope = scope | {memory.name for memory in effect.memory}
-    scope |= {state.name for state in effect.states}
-    for name, text in effect.definitions.items():
-        expressions.check(text, scope, where=where, tables=tables)
-        scope.add(name)
-    texts = [*effect.terms.values(), *(memory.update for memory in effect.memory)]
-    for text in (*texts, *(state.rate for state in effect.states)):
-        expressions.check(text, scope, where=where, tables=tables)
-    for state in effect.states:
-        start = {*model.state_names, *commands}
-        expressions.check(state.initial, start, where=where, tables=tables)
+    for effect in model.effects:
+        where = f"Effect {effect.name!r} in model {model.name!r}"
+        for key in effect.terms:
+            if key not in targets[effect.stage]:
+                raise ModelError(
+                    f"{where} acts on {key!r}, which no {effect.stage} effect can change here. "
+                    f"Choose among: {', '.join(sorted(map(str, targets[effect.stage])))}."
+                )
+        for line in effect_lines(model, effect):
+            expressions.check(line.text, line.scope, where=where + line.where, tables=library)

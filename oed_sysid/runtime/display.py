@@ -168,7 +168,7 @@ def interval(value: float, half: float) -> str:
     """
     if not (math.isfinite(half) and half > 0.0):
         return rounded(value)
-    return f"{rounded(value, half)} ± {digits(half, 2)}"
+    return f"{rounded(value, half)} ± {rounded(half, half)}"
 
 
 # Numbers as Python writes them and people do not: none at all, and ordinary ones with an exponent.

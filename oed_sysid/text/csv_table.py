@@ -20,10 +20,13 @@ import re
 import tomllib
 import warnings
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import cached_property
+from functools import cache, cached_property
+from importlib import import_module
 from pathlib import Path
+from types import ModuleType
 from typing import BinaryIO
 
 import numpy as np
@@ -710,6 +713,7 @@ def _values(path: Path, column: _Column, cells: Sequence[str], rows: list[int]) 
 
 
 _HEAD, _BLOCK = 1 << 16, 1 << 22  # bytes read for the header, and parsed at once
+_WORTH = 1 << 20  # bytes whose reading takes as long as loading a faster reader
 _BLANK = re.compile(rb"(?<![^,])[ \t\v\f]+(?![^,])")
 _WORDS = re.compile(
     rb"(?i)(?<![^,])[ \t]*(?:%s)[ \t]*(?![^,])"
@@ -816,8 +820,8 @@ class _Lines:
         if np.any(code[ends[:-1, -1]] != ord("\n")) or block.count(b"\n") != len(ends) - 1:
             raise ValueError
         block, seconds = self._cut(block, ends)
-        values = _floats(self._plain(block)).reshape(len(ends), -1)
-        if values.shape[1] != self.kinds.count("n") or np.isnan(values).all(axis=1).any():
+        values = _floats(self._plain(block), self.kinds.count("n"))
+        if len(values) != len(ends) or np.isnan(values).all(axis=1).any():
             raise ValueError
         return values, seconds
 
@@ -848,18 +852,38 @@ class _Lines:
         return np.frombuffer(block, np.uint8)[keep].tobytes(), seconds
 
     def _plain(self, block: bytes) -> bytes:
-        """All numbers with commas between them and decimal points."""
+        """Rows of numbers with commas between them and decimal points."""
         if self.delimiter == b",":
-            return block.replace(b"\n", b",")
-        if b"," not in block:
-            return block.translate(bytes.maketrans(self.delimiter + b"\n", b",,"))
-        if b"." in block:
+            return block
+        if b"," in block and b"." in block:
             raise ValueError
-        return block.translate(bytes.maketrans(b"," + self.delimiter + b"\n", b".,,"))
+        return block.translate(bytes.maketrans(b"," + self.delimiter, b".,"))
 
 
-def _floats(body: bytes) -> np.ndarray:
-    """Numbers between commas; nothing, and the words for nothing, are NaN."""
+@cache
+def _arrow() -> ModuleType | None:
+    """The reader of pyarrow, five times as fast as NumPy's and as exact, where there is one."""
+    try:
+        return import_module("pyarrow.csv")
+    except ImportError:
+        return None
+
+
+def _floats(rows: bytes, width: int) -> np.ndarray:
+    """Numbers of rows ``(n_rows, width)``; nothing, and the words for nothing, are NaN."""
+    if (arrow := _arrow() if len(rows) > _WORTH else None) is not None:
+        names = list(map(str, range(width)))
+        with suppress(ValueError):  # whatever is unusual: NumPy's reader takes it, or refuses it
+            table = arrow.read_csv(
+                io.BytesIO(rows),
+                read_options=arrow.ReadOptions(column_names=names, use_threads=False),
+                parse_options=arrow.ParseOptions(quote_char=False, ignore_empty_lines=False),
+                convert_options=arrow.ConvertOptions(
+                    column_types=dict.fromkeys(names, "float64"), null_values=[""]
+                ),
+            )
+            return np.column_stack([column.to_numpy() for column in table.columns])
+    body = rows.replace(b"\n", b",")
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
     if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
         body = _BLANK.sub(b"", body)
@@ -869,6 +893,6 @@ def _floats(body: bytes) -> np.ndarray:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         try:
-            return np.fromstring(body, sep=" ,")
+            return np.fromstring(body, sep=" ,").reshape(-1, width)
         except (ValueError, DeprecationWarning):
-            return np.fromstring(_WORDS.sub(b"nan", body), sep=" ,")
+            return np.fromstring(_WORDS.sub(b"nan", body), sep=" ,").reshape(-1, width)

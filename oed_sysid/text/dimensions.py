@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
 
@@ -31,30 +31,6 @@ from oed_sysid.text.units import Dimension
 # Of a unit; beyond it a text is a mistake, and exact fractions grow without end.
 LARGEST_POWER = 100
 _SAME = ("abs", "floor", "min", "max", "clip", "where")
-_ONE = Dimension()
-
-
-@dataclass(frozen=True)
-class Form:
-    """A dimension times powers of units that are not known yet, each by its number."""
-
-    dimension: Dimension = _ONE
-    unknown: Mapping[int, Fraction] = field(default_factory=dict)
-
-    def __mul__(self, other: Form) -> Form:
-        powers = dict(self.unknown)
-        for index, power in other.unknown.items():
-            powers[index] = powers.get(index, Fraction(0)) + power
-        return Form(
-            self.dimension * other.dimension, {i: power for i, power in powers.items() if power}
-        )
-
-    def __truediv__(self, other: Form) -> Form:
-        return self * other ** Fraction(-1)
-
-    def __pow__(self, power: float | Fraction) -> Form:
-        exact = Fraction(power).limit_denominator(1000)
-        return Form(self.dimension**exact, {i: n * exact for i, n in self.unknown.items() if exact})
 
 
 @dataclass(frozen=True)
@@ -73,9 +49,9 @@ class Deduction:
     --------
     >>> from oed_sysid.text.units import dimension
     >>> units = Deduction()
-    >>> known = {"U": Form(dimension("m/s")), "v": Form(dimension("m/s"))}
+    >>> known = {"U": Dimension(dimension("m/s")), "v": Dimension(dimension("m/s"))}
     >>> force = units.form("0.5*1025*2500*U*v", known, where="hull")
-    >>> units.equal(force, Form(dimension("N")))
+    >>> units.equal(force, Dimension(dimension("N")))
     True
     >>> units.notes()
     ('hull: 0.5*1025*2500 is read as kg/m.',)
@@ -83,7 +59,7 @@ class Deduction:
 
     def __init__(self) -> None:
         self._numbers: list[_Number] = []
-        self._found: dict[int, Form] = {}
+        self._found: dict[int, Dimension] = {}
 
     def copy(self) -> Deduction:
         """What is known so far, to go on from without a trace."""
@@ -92,8 +68,8 @@ class Deduction:
         return other
 
     def form(
-        self, expression: str, known: Mapping[str, Form | None], *, where: str = ""
-    ) -> Form | None:
+        self, expression: str, known: Mapping[str, Dimension | None], *, where: str = ""
+    ) -> Dimension | None:
         """Dimension of an expression; ``None`` where a name without a unit decides it.
 
         Raises
@@ -105,46 +81,42 @@ class Deduction:
         form = self.reduced(walk.of(walk.tree))
         return None if self._is_open(form) else form
 
-    def equal(self, one: Form, other: Form) -> bool:
+    def equal(self, one: Dimension, other: Dimension) -> bool:
         """Make two dimensions equal; False where no unit of a number makes them so."""
         rest = self.reduced(one / other)
         if not rest.unknown:
-            return rest.dimension.is_dimensionless
+            return rest.is_dimensionless
         # What is no number first, then numbers that look measured, then 1, 2 and 0.5.
         pivot = min(rest.unknown, key=lambda i: (self._numbers[i].plain, bool(self._text(i)), -i))
         power = rest.unknown[pivot]
-        others = Form(rest.dimension, {i: n for i, n in rest.unknown.items() if i != pivot})
-        self._found[pivot] = others ** (-1 / power)
+        self._found[pivot] = (rest / self.number(pivot) ** power) ** (-1 / power)
         return True
 
-    def reduced(self, form: Form) -> Form:
+    def reduced(self, form: Dimension) -> Dimension:
         """The form with every unit that has been found put in."""
         while found := [index for index in form.unknown if index in self._found]:
             for index in found:
-                power = form.unknown[index]
-                rest = {i: n for i, n in form.unknown.items() if i != index}
-                form = Form(form.dimension, rest) * self._found[index] ** power
+                form *= (self._found[index] / self.number(index)) ** form.powers[index]
         return form
 
-    def dimension(self, form: Form) -> Dimension:
+    def dimension(self, form: Dimension) -> Dimension:
         """Dimension of a form if numbers with an open unit have none."""
-        return self.reduced(form).dimension
+        return self.reduced(form).known
 
     def notes(self) -> tuple[str, ...]:
         """Say which numbers were given a unit, each once; radians are not said."""
         units = self.copy()
         for index, number in enumerate(self._numbers):
             if number.plain:  # 1, 2 and 0.5 have no unit where nothing says one
-                units.equal(units.number(index), Form())
+                units.equal(units.number(index), Dimension())
         lines: list[str] = []
         tied: list[set[int]] = []
         for index, number in enumerate(self._numbers):
             form = units.reduced(units.number(index))
-            if not number.text or form.dimension.is_dimensionless:
+            if not number.text or form.known.is_dimensionless:
                 continue
             if not form.unknown:
-                unit = Dimension(form.dimension.exponents)
-                lines.append(f"{number.where}: {number.text} is read as {unit}.")
+                lines.append(f"{number.where}: {number.text} is read as {form.plain}.")
             elif all(map(self._text, form.unknown)):
                 group = {index, *form.unknown}
                 others = [other for other in tied if other & group]
@@ -164,19 +136,19 @@ class Deduction:
         )
         return f"{words} have units that follow from one another; nothing says which."
 
-    def new(self, number: _Number) -> Form:
+    def new(self, number: _Number) -> Dimension:
         """An unknown unit more."""
         self._numbers.append(number)
         return self.number(len(self._numbers) - 1)
 
-    def number(self, index: int) -> Form:
+    def number(self, index: int) -> Dimension:
         """The unit of one number."""
-        return Form(unknown={index: Fraction(1)})
+        return Dimension({index: Fraction(1)})
 
     def _text(self, index: int) -> str:
         return self._numbers[index].text
 
-    def _is_open(self, form: Form) -> bool:
+    def _is_open(self, form: Dimension) -> bool:
         return any(not self._text(index) for index in form.unknown)
 
 
@@ -216,8 +188,7 @@ def dimension_of(expression: str, dimensions: Mapping[str, Dimension | None]) ->
     oed_sysid.errors.ModelError: In 'w + q', m/s meets rad/s. Check the units of the parameters.
     """
     units = Deduction()
-    known = {name: None if unit is None else Form(unit) for name, unit in dimensions.items()}
-    form = units.form(expression, known)
+    form = units.form(expression, dimensions)
     return None if form is None else units.dimension(form)
 
 
@@ -225,7 +196,7 @@ class _Walk:
     """One pass over a syntax tree; the whole expression is kept for messages."""
 
     def __init__(
-        self, units: Deduction, expression: str, known: Mapping[str, Form | None], where: str
+        self, units: Deduction, expression: str, known: Mapping[str, Dimension | None], where: str
     ) -> None:
         self.units = units
         self.expression = expression
@@ -233,17 +204,17 @@ class _Walk:
         self.where = where
         self.tree, self.constant, self.numbers = _parts(expression)
 
-    def of(self, node: ast.expr) -> Form:
+    def of(self, node: ast.expr) -> Dimension:
         if id(node) in self.numbers:
             return self._numbers([node], [])
         match node:
             case ast.Name():
-                form = Form() if node.id in CONSTANTS else self.known.get(node.id)
+                form = Dimension() if node.id in CONSTANTS else self.known.get(node.id)
                 return self.units.new(_Number()) if form is None else form
             case ast.BoolOp():
                 for value in node.values:
                     self.of(value)
-                return Form()
+                return Dimension()
             case ast.UnaryOp():
                 return self.of(node.operand)
             case ast.BinOp(op=ast.Mult() | ast.Div()):
@@ -254,15 +225,15 @@ class _Walk:
                 return self._same([self.of(node.left), self.of(node.right)])
             case ast.Compare():
                 self._same([self.of(node.left), self.of(node.comparators[0])])
-                return Form()
+                return Dimension()
             case ast.Call():
                 return self._call(node)
         return self.units.new(_Number())
 
-    def _numbers(self, above: list[ast.expr], below: list[ast.expr]) -> Form:
+    def _numbers(self, above: list[ast.expr], below: list[ast.expr]) -> Dimension:
         """The joint unit of the bare numbers of a product."""
         if not above and not below:
-            return Form()
+            return Dimension()
         # In w/0.05 the number itself has the unit of w.
         first, second = (above, below) if above else (below, above)
         text = "*".join(map(self._written, first))
@@ -278,7 +249,7 @@ class _Walk:
         is_sum = isinstance(node, ast.BinOp) and isinstance(node.op, ast.Add | ast.Sub)
         return f"({text})" if is_sum else text
 
-    def _product(self, node: ast.BinOp) -> Form:
+    def _product(self, node: ast.BinOp) -> Dimension:
         factors = list(_factors(node))
         numbers = [(factor, power) for factor, power in factors if id(factor) in self.numbers]
         form = self._numbers(
@@ -290,27 +261,26 @@ class _Walk:
                 form = form * self.of(factor) if power > 0 else form / self.of(factor)
         return form
 
-    def _power(self, node: ast.BinOp) -> Form:
+    def _power(self, node: ast.BinOp) -> Dimension:
         base = self.units.reduced(self.of(node.left))
         if id(node.right) not in self.constant:
-            self._same([self.of(node.right), Form()])
-            if not self.units.equal(base, Form()):
+            self._same([self.of(node.right), Dimension()])
+            if not self.units.equal(base, Dimension()):
                 raise ModelError(
-                    f"In {self.expression!r}, {base.dimension} has an exponent that is not a "
-                    "number."
+                    f"In {self.expression!r}, {base.known} has an exponent that is not a number."
                 )
-            return Form()
-        if not base.unknown and base.dimension.is_dimensionless:
+            return Dimension()
+        if base.is_dimensionless:
             return base
         power = float(walk(node.right, {}, NUMERIC))
         if not abs(power) <= LARGEST_POWER:
             raise ModelError(
-                f"In {self.expression!r}, {base.dimension} has the exponent {power:g}: expected "
+                f"In {self.expression!r}, {base.known} has the exponent {power:g}: expected "
                 f"one between -{LARGEST_POWER} and {LARGEST_POWER}."
             )
         return base**power
 
-    def _call(self, node: ast.Call) -> Form:
+    def _call(self, node: ast.Call) -> Dimension:
         name = node.func.id  # type: ignore[attr-defined]
         arguments = [self.of(argument) for argument in node.args]
         if name in _SAME:
@@ -322,10 +292,10 @@ class _Walk:
         elif name not in expressions.FUNCTIONS:
             return self.units.new(_Number())  # a table: neither axis states a unit
         elif name != "sign":
-            self._same([*arguments, Form()])
-        return Form()
+            self._same([*arguments, Dimension()])
+        return Dimension()
 
-    def _same(self, forms: Iterable[Form]) -> Form:
+    def _same(self, forms: Iterable[Dimension]) -> Dimension:
         first, *others = forms
         for other in others:
             if not self.units.equal(first, other):

@@ -34,7 +34,7 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.text import typeset
-from oed_sysid.text.callables import numeric_library, symbolic_library
+from oed_sysid.text.callables import Function, Table, n_arguments, numeric_library, symbolic_library
 
 # -- the grammar of expressions --------------------------------------------------------
 
@@ -333,7 +333,7 @@ def check(
     known: Iterable[str],
     *,
     where: str,
-    tables: Mapping[str, int] = MappingProxyType({}),
+    tables: Mapping[str, Table | Function] = MappingProxyType({}),
 ) -> None:
     """Raise :class:`ModelError` if an expression uses an unknown name or function.
 
@@ -358,7 +358,7 @@ def check_calls(
     expression: str,
     *,
     where: str,
-    tables: Mapping[str, int] = MappingProxyType({}),
+    tables: Mapping[str, Table | Function] = MappingProxyType({}),
     complete: bool = True,
 ) -> None:
     """Raise :class:`ModelError` if an expression calls what is no function, or wrongly.
@@ -372,7 +372,7 @@ def check_calls(
             f"Known functions: {', '.join(FUNCTIONS)}."
         )
     for name, count in calls:
-        expected = tables[name] if name in tables else ARGUMENT_COUNT.get(name, 1)
+        expected = n_arguments(tables[name]) if name in tables else ARGUMENT_COUNT.get(name, 1)
         if count != expected and not (name in MANY and count > expected):
             raise ModelError(
                 f"{where}: {name} in {expression!r} got {count} arguments, expected {expected}."

@@ -235,7 +235,8 @@ def prime_exponents(name: str) -> tuple[int, int]:
     >>> prime_exponents("Y_v"), prime_exponents("N_r"), prime_exponents("Z_wdot")
     ((2, 1), (4, 1), (3, 0))
     """
-    _, metres, seconds, _, _ = parse(name).dimension.exponents
+    powers = parse(name).dimension.powers
+    metres, seconds = powers.get("m", 0), powers.get("s", 0)
     return int(metres + 3 + seconds), int(-seconds)
 
 

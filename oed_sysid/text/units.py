@@ -16,11 +16,14 @@ from __future__ import annotations
 import re
 import tomllib
 import unicodedata
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from functools import lru_cache
+from functools import cached_property, lru_cache
+from itertools import accumulate
 from math import pi
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -49,12 +52,16 @@ _MEANT = {word: unit for unit, words in _TABLE["meant"].items() for word in word
 _BASES = ("kg", "m", "s", "A", "K")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Dimension:
-    """Exponents of kg, m, s, A and K, with the radian remembered beside them.
+    """Powers of kg, m, s, A and K, and of the radian, which does not take part in equality.
 
-    Supports ``*``, ``/``, ``**`` and equality; the radian does not take part
-    in equality.
+    Supports ``*``, ``/``, ``**`` and equality. Unknown units are powers of whole numbers.
+
+    Parameters
+    ----------
+    powers : mapping
+        Exponent of every symbol.
 
     Examples
     --------
@@ -65,57 +72,74 @@ class Dimension:
     'kg^(1/2) m'
     """
 
-    exponents: tuple[Fraction, ...] = (Fraction(0),) * len(_BASES)
-    radian: Fraction = field(default=Fraction(0), compare=False)
+    powers: Mapping[str | int, Fraction] = field(default_factory=dict)
 
     def __mul__(self, other: Dimension) -> Dimension:
-        pairs = zip(self.exponents, other.exponents, strict=True)
-        # Most exponents are zero, and sums of fractions take their time.
-        return Dimension(
-            tuple(a + b if a and b else a or b for a, b in pairs), self.radian + other.radian
-        )
+        found = dict(self.powers)
+        for symbol, n in other.powers.items():
+            found[symbol] = found.get(symbol, 0) + n
+        return Dimension({symbol: n for symbol, n in found.items() if n})
 
     def __truediv__(self, other: Dimension) -> Dimension:
         return self * other**-1
 
     def __pow__(self, power: float | Fraction) -> Dimension:
-        exact = Fraction(power) if isinstance(power, int) else _fraction(power)
-        return Dimension(tuple(a and a * exact for a in self.exponents), self.radian * exact)
+        exact = power if isinstance(power, int) else Fraction(power).limit_denominator(1000)
+        return Dimension({symbol: n * exact for symbol, n in self.powers.items() if exact})
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Dimension) and not (self / other).powers.keys() - {"rad"}
+
+    def __hash__(self) -> int:
+        return hash(frozenset(self.plain.powers.items()))
 
     @property
     def is_dimensionless(self) -> bool:
         """Whether every exponent is zero (angles are dimensionless)."""
-        return not any(self.exponents)
+        return not self.powers.keys() - {"rad"}
+
+    @property
+    def radian(self) -> Fraction:
+        """Exponent of the radian."""
+        return self.powers.get("rad", Fraction(0))
+
+    @property
+    def plain(self) -> Dimension:
+        """The same without radians."""
+        return Dimension({symbol: n for symbol, n in self.powers.items() if symbol != "rad"})
+
+    @property
+    def unknown(self) -> dict[int, Fraction]:
+        """Exponents of unknown units, by number."""
+        return {index: n for index, n in self.powers.items() if isinstance(index, int)}
+
+    @property
+    def known(self) -> Dimension:
+        """The same with unknown units taken as one."""
+        return Dimension({key: n for key, n in self.powers.items() if not isinstance(key, int)})
 
     def __str__(self) -> str:
-        symbols = _NAMED_DIMENSIONS.get(self.exponents)
-        if symbols is None:
-            # Electrical units read best with whichever of V and A needs fewer symbols.
-            symbols = _nonzero(self)
-            with_volt = _nonzero(self * _DIMENSIONS["V"] ** self.exponents[3])
-            if with_volt.get("A", 0) == 0 and len(with_volt) + 1 < len(symbols):
-                symbols = with_volt | {"V": -self.exponents[3]}
+        if (name := _NAMED_DIMENSIONS.get(self.plain)) is not None:
+            return _text({**name, "rad": self.radian})
+        symbols = {base: self.powers[base] for base in _BASES if base in self.powers}
+        # Electrical units read best with whichever of V and A needs fewer symbols.
+        volts = symbols.get("A", Fraction(0))
+        with_volt = (self.plain * _DIMENSIONS["V"] ** volts).powers
+        if volts and "A" not in with_volt and len(with_volt) + 1 < len(symbols):
+            symbols = {base: with_volt[base] for base in _BASES if base in with_volt}
+            symbols["V"] = -volts
         return _text({**symbols, "rad": self.radian})
 
 
-def _fraction(power: float | Fraction) -> Fraction:
-    return Fraction(power).limit_denominator(1000)
-
-
-def _nonzero(value: Dimension) -> dict[str, Fraction]:
-    return {base: n for base, n in zip(_BASES, value.exponents, strict=True) if n}
-
-
 _DIMENSIONS = {
-    symbol: Dimension(tuple(map(Fraction, exponents)), Fraction(radian))
-    for symbol, (*exponents, radian) in _TABLE["dimensions"].items()
+    symbol: Dimension(
+        {base: Fraction(n) for base, n in zip((*_BASES, "rad"), exponents, strict=True) if n}
+    )
+    for symbol, exponents in _TABLE["dimensions"].items()
 }
-_NAMED_DIMENSIONS: dict[tuple[Fraction, ...], dict[str, Fraction]] = {
-    _DIMENSIONS["N"].exponents: {"N": Fraction(1)},
-    _DIMENSIONS["J"].exponents: {"N": Fraction(1), "m": Fraction(1)},
-    _DIMENSIONS["Pa"].exponents: {"Pa": Fraction(1)},
-    _DIMENSIONS["W"].exponents: {"W": Fraction(1)},
-    _DIMENSIONS["V"].exponents: {"V": Fraction(1)},
+_NAMED_DIMENSIONS: dict[Dimension, dict[str, Fraction]] = {
+    _DIMENSIONS["J"]: {"N": Fraction(1), "m": Fraction(1)},
+    **{_DIMENSIONS[name]: {name: Fraction(1)} for name in ("N", "Pa", "W", "V")},
 }
 
 # As a header's suffix these would more often be part of the name than a unit.
@@ -123,16 +147,27 @@ _NOT_A_SUFFIX = frozenset({"", "1", "-", "%", "°", "t", "g", "l"})
 # Beyond these a text is no unit that anyone measures in.
 MOST_CHARACTERS, DEEPEST, LARGEST_EXPONENT = 80, 6, 12
 _NUMBER = r"-?\d+(?:\.\d{1,3})?(?!\d)"
-_TOKEN = re.compile(rf"\s*(\*\*|[*/^()·]|{_NUMBER}|[^\W\d_]+\d*|[%°])")
+_SIGN = r"\s*(?:\*\*|\^)\s*"
+_FACTOR = re.compile(
+    rf"([^\W\d_]+\d*|[%°]|1(?![\d.]))(?:{_SIGN}\((-?\d{{1,3}})/(\d{{1,3}})\)|(?:{_SIGN}|\s*)({_NUMBER}))?"
+)
 
 
 @dataclass(frozen=True)
 class _Unit:
-    """A parsed unit: factor and exponents of SI symbols."""
+    """A parsed unit: factor and powers of SI symbols."""
 
-    factor: float
-    symbols: tuple[tuple[str, Fraction], ...]
+    factor: float = 1.0
+    symbols: Dimension = field(default_factory=Dimension)
     offset: float = 0.0
+
+    @cached_property
+    def dimension(self) -> Dimension:
+        """Powers of the base units."""
+        total = Dimension()
+        for symbol, n in self.symbols.powers.items():
+            total *= _DIMENSIONS[str(symbol)] ** n
+        return total
 
 
 def _parse(unit: str) -> _Unit:
@@ -153,93 +188,54 @@ def _parse_text(unit: str) -> _Unit:
     for spelling, symbol in SPELLINGS.items():
         text = text.replace(spelling, symbol)
     if text in ("", "-"):
-        return _Unit(1.0, ())
+        return _Unit()
     if text in OFFSETS:
         factor, symbol = UNITS[text]
-        return _Unit(factor, ((symbol, Fraction(1)),), OFFSETS[text])
+        return _Unit(factor, _symbols(symbol), OFFSETS[text])
     if re.search(r"\w[%°]|[%°]\w", text):
         raise _unknown(text, unit)  # "deg%": parts of a product have a mark or a space between
-    tokens: list[str] = []
-    position = 0
-    while position < len(text):
-        match = _TOKEN.match(text, position)
-        if match is None:
-            raise _unknown(text[position:], unit)
-        tokens.append(match.group(1))
-        position = match.end()
-    symbols: dict[str, Fraction] = {}
-    factor = _product(tokens, symbols, 1, unit)
-    if tokens:
-        raise _unknown(tokens[0], unit)
-    if not 1e-60 < factor < 1e60 or any(abs(n) > LARGEST_EXPONENT for n in symbols.values()):
+    product = _product(text, unit)
+    factor, symbols = 1.0, Dimension()
+    for name, n in product.powers.items():
+        size, si_unit = UNITS[str(name)]
+        factor *= size ** float(n)
+        symbols *= _symbols(si_unit) ** n
+    if not 1e-60 < factor < 1e60 or any(abs(n) > LARGEST_EXPONENT for n in symbols.powers.values()):
         raise _too_large(unit)
-    return _Unit(factor, tuple((symbol, n) for symbol, n in symbols.items() if n))
+    return _Unit(factor, symbols)
 
 
-def _product(
-    tokens: list[str], symbols: dict[str, Fraction], sign: int, unit: str, depth: int = 0
-) -> float:
-    """Consume ``a b^2/(c d)`` from the tokens; return the factor, collect SI symbols."""
-    factor, direction = 1.0, sign
-    waiting = "("  # an operator after which a unit has to come; the beginning is one
+def _product(text: str, unit: str) -> Dimension:
+    """Powers of the units in ``a b^2/(c d)``, by Python's arithmetic."""
+    found: dict[str, Dimension] = {}
+
+    def factor(match: re.Match[str]) -> str:
+        name, above, below, number = match.groups()
+        exponent = Fraction(int(above), int(below) or 1) if above else Fraction(number or 1)
+        if name not in UNITS and number is None:
+            short = name.rstrip("0123456789")
+            name, exponent = short, exponent * int(name[len(short) :] or 1)
+        if name not in UNITS or name in OFFSETS:
+            raise _unknown(name, unit)
+        if abs(exponent) > LARGEST_EXPONENT:
+            raise _too_large(unit)
+        found[f"x{len(found)}"] = Dimension({} if name == "1" else {name: exponent})
+        return f" x{len(found) - 1} "
+
+    terms = _FACTOR.sub(factor, text).replace("·", "*")
+    if left := re.sub(r"x\d+|[\s*/()]", "", terms):
+        raise _unknown(left[0], unit)
+    if alone := re.search(r"(?:^|[*/(])\s*([*/])|([*/])\s*(?:$|\))", terms):
+        raise _dangling(alone[1] or alone[2], unit)
+    depth = max(accumulate((letter == "(") - (letter == ")") for letter in terms))
     if depth > DEEPEST:
         raise DataError(f"The unit [{unit:.30}] has brackets {depth} deep. Write a short product.")
-    while tokens and tokens[0] != ")":
-        token = tokens.pop(0)
-        if token in ("*", "·", "/"):
-            if waiting:
-                raise _dangling(token, unit)
-            waiting = token
-            direction = -sign if token == "/" else sign
-            continue
-        waiting = ""
-        if token == "(":
-            factor *= _product(tokens, symbols, direction, unit, depth + 1)
-            if not tokens or tokens.pop(0) != ")":
-                raise _unknown("(", unit)
-        else:
-            name, exponent = _factor(token, tokens, unit)
-            size, si_unit = UNITS[name]
-            factor *= size ** float(direction * exponent)
-            for symbol, n in _symbols(si_unit).items():
-                symbols[symbol] = symbols.get(symbol, Fraction(0)) + n * direction * exponent
-        direction = sign
-    if waiting:
-        raise _dangling(waiting, unit)
-    return factor
-
-
-def _factor(token: str, tokens: list[str], unit: str) -> tuple[str, Fraction]:
-    """One unit of a product with its exponent, which may follow or be part of the token."""
-    name, exponent = token, Fraction(1)
-    if token not in UNITS:
-        name = token.rstrip("0123456789")
-        exponent = Fraction(token[len(name) :] or 1)
-    following = tokens[0] if tokens else ""
-    if following in ("^", "**") or re.fullmatch(_NUMBER, following):
-        if token != name:
-            raise _dangling(following, unit)
-        exponent = _exponent(tokens, unit)
-    if name not in UNITS or name in OFFSETS:
-        raise _unknown(name, unit)
-    if abs(exponent) > LARGEST_EXPONENT:
-        raise _too_large(unit)
-    return name, exponent
-
-
-def _exponent(tokens: list[str], unit: str) -> Fraction:
-    """Consume ``^2``, ``-1``, ``^0.5`` or ``^(1/2)``."""
-    mark = tokens.pop(0)
-    if re.fullmatch(r"-?\d+", mark):
-        return Fraction(mark)
-    if mark in ("^", "**"):
-        if tokens and re.fullmatch(_NUMBER, tokens[0]):
-            return Fraction(tokens.pop(0)).limit_denominator(1000)
-        ratio = re.match(r"\((-?\d{1,3})/(\d{1,3})\)", "".join(tokens))
-        if ratio and int(ratio.group(2)):
-            del tokens[:5]
-            return Fraction(int(ratio.group(1)), int(ratio.group(2)))
-    raise _dangling(mark, unit)
+    try:
+        # What stands side by side is a product; nothing but names made here is left in the text.
+        whole = re.sub(r"(?<=[\d)])\s*(?=[x(])", "*", terms.strip())
+        return eval(whole, {"__builtins__": {}}, found)
+    except SyntaxError:
+        raise _unknown("(" if terms.count("(") > terms.count(")") else ")", unit) from None
 
 
 def _dangling(mark: str, unit: str) -> DataError:
@@ -253,12 +249,10 @@ def _too_large(unit: str) -> DataError:
 
 
 @lru_cache(maxsize=256)
-def _symbols(si_unit: str) -> dict[str, Fraction]:
+def _symbols(si_unit: str) -> Dimension:
     if si_unit == "1":
-        return {}
-    if si_unit in _DIMENSIONS:
-        return {si_unit: Fraction(1)}
-    return dict(_parse(si_unit).symbols)
+        return Dimension()
+    return Dimension({si_unit: Fraction(1)}) if si_unit in _DIMENSIONS else _parse(si_unit).symbols
 
 
 def _unknown(part: str, unit: str) -> DataError:
@@ -311,7 +305,7 @@ def foreign(text: str) -> str:
     return f"its {letter!r} is the letter {unicodedata.name(letter, 'without a name')}"
 
 
-def _text(symbols: dict[str, Fraction]) -> str:
+def _text(symbols: Mapping[Any, Fraction]) -> str:
     """Write exponents as ``kg m^2/s^2`` or ``m/(s V)``."""
 
     def power(symbol: str, n: Fraction) -> str:
@@ -348,15 +342,7 @@ def dimension(unit: str) -> Dimension:
     >>> str(dimension("V/s")), str(dimension("kn"))
     ('V/s', 'm/s')
     """
-    return _dimension_of(_parse(unit))
-
-
-@lru_cache(maxsize=1024)
-def _dimension_of(unit: _Unit) -> Dimension:
-    total = Dimension()
-    for symbol, exponent in unit.symbols:
-        total = total * _DIMENSIONS[symbol] ** exponent
-    return total
+    return _parse(unit).dimension
 
 
 def same_dimension(a: str, b: str) -> bool:
@@ -427,7 +413,7 @@ def to_si(values: ArrayLike, unit: str) -> tuple[np.ndarray, str]:
     """
     parsed = _parse(unit)
     converted = np.array(values, dtype=float) * parsed.factor + parsed.offset
-    return np.asarray(converted), _text(dict(parsed.symbols))
+    return np.asarray(converted), _text(parsed.symbols.powers)
 
 
 def shown_unit(unit: str) -> tuple[float, str]:

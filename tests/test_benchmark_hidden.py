@@ -1,0 +1,290 @@
+"""Benchmarks of hidden effects: simulators, cases, limits, and what is counted."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.missing_physics.cases import CONDITIONS, Draw, case, draws
+from benchmarks.missing_physics.measures import as_markdown, measures
+from benchmarks.missing_physics.simulator import PRIORS, TEST, TRAIN, Case, Noise, simulate
+from benchmarks.other_vehicles import run as runner
+from benchmarks.other_vehicles.cases import PATTERN, draw_case, single_effect
+from benchmarks.other_vehicles.cases import draws as draws_vehicles
+from benchmarks.other_vehicles.judge import _at_most, nominal, nominal_model, true_model
+from benchmarks.other_vehicles.measures import as_markdown as as_markdown_vehicles
+from benchmarks.other_vehicles.measures import measures as measures_vehicles
+from benchmarks.other_vehicles.truth import VEHICLES
+from benchmarks.truth import NOISE
+
+SHARED = Path(os.environ.get("OED_SYSID_DATA", "")) / "hidden_effects"
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(
+    not (SHARED / "answers.json").exists(), reason="OED_SYSID_DATA holds no records"
+)
+def test_simulator_reproduces_records_of_another_simulator() -> None:
+    """With the stated truth and the same commands, what is left of 70 records is their noise."""
+    answers = json.loads((SHARED / "answers.json").read_text())
+    cases = [Case(a["case"], a["true_parameters"], a["hidden_effects"]) for a in answers]
+    manoeuvres = (*TRAIN, *TEST)
+    data = np.array(
+        [
+            [
+                np.loadtxt(SHARED / c.name / f"{m.name}.csv", delimiter=",", skiprows=1)
+                for c in cases
+            ]
+            for m in manoeuvres
+        ]
+    )
+    replayed = simulate(cases, manoeuvres, commands=data[..., 1:3])
+    free = simulate(cases, manoeuvres)
+    same = 0
+    for rows, records, own in zip(data, replayed, free, strict=True):
+        size = np.sqrt(np.mean(((rows[..., 3:] - records.clean) / NOISE) ** 2, axis=1))
+        # A fin lag is integrated a little differently there, which shows as a tenth in pitch.
+        assert size.max() < 1.15
+        assert abs(size.mean() - 1.0) < 0.02
+        # The last command acts on nothing.
+        gap = np.abs(own.inputs - rows[..., 1:3])[:, :-1].max(axis=(1, 2))
+        same += int(np.sum(gap < 1e-5))
+    # A relay that sees the same pitch reverses at the same samples, but for ties in rounding.
+    assert same > 0.9 * data.shape[0] * data.shape[1]
+
+
+def test_noise_is_what_was_asked_for_and_differs_between_records() -> None:
+    """Size, colour and independence of sensor noise, over records and cases."""
+    cases = [Case(f"{i}", PRIORS, noise=Noise(colour=0.5), seed=i) for i in range(6)]
+    records = simulate(cases, TRAIN)
+    noise = np.stack([r.outputs - r.clean for r in records]) / NOISE
+    assert np.std(noise) == pytest.approx(1.0, abs=0.02)
+    assert np.mean(noise[:, :, 1:] * noise[:, :, :-1]) == pytest.approx(0.5, abs=0.02)
+    rows = noise.reshape(len(TRAIN) * len(cases), -1)
+    between = np.corrcoef(rows) - np.eye(len(rows))
+    assert np.abs(between).max() < 0.12
+
+
+def test_cases_can_be_drawn_again() -> None:
+    """A case follows from its name alone, and every effect has its turn."""
+    draw = Draw("pair", "white", 17)
+    assert case(draw) == case(draw)
+    assert case(draw) != case(draw, attempt=1)
+    hidden = {name for d in draws("single/white:40") for name in case(d).effects}
+    assert len(hidden) == 40
+    mixed = [draw.key for draw in draws("none/white:4 pair/white:2")]
+    assert mixed[:3] == ["none/white/0", "pair/white/0", "none/white/1"]
+    assert case(Draw("none", "gust_mid", 0)).noise == CONDITIONS["gust_mid"]
+    with pytest.raises(ValueError, match="Unknown kind"):
+        draws("single/green:3")
+
+
+def entry(key: str, hidden: list[str], added: list[str], **changes: object) -> dict:
+    """A finished case."""
+    kind, condition, _ = key.split("/")
+    step = {"evidence": 30.0, "needed": 10.0, "test_gain": 5.0}
+    return {
+        "key": key,
+        "hidden": kind,
+        "condition": condition,
+        "effects": dict.fromkeys(hidden, 1.0),
+        "steps": [{"added": n, "equation": "M", "group": [n], **step} for n in added],
+        "order": added,
+        "rejected": [],
+        "detectable": True,
+        "true_gains": dict.fromkeys(hidden, 25.0),
+        "final_error": {"train": 1.0, "test": 1.0},
+        "true_test_error": 1.0,
+        "processor_seconds": 4.0,
+    } | changes
+
+
+def test_measures_count_what_they_say() -> None:
+    """Rates from cases whose outcome is known by construction."""
+    entries = [
+        entry("single/white/0", ["a"], ["a"]),
+        entry("single/white/1", ["a"], ["b"]),
+        entry("single/white/2", ["b"], [], detectable=False),
+        entry("none/white/0", [], []),
+        entry("none/white/1", [], ["a"]),
+        entry("pair/white/0", ["a", "b"], ["b", "a"]),
+        entry("unknown/white/0", ["unknown_cubic_pitch_damping"], ["term_M_qqq"]),
+        entry("unknown/white/1", ["unknown_cubic_drag"], ["term_M_qqq"]),
+        {"key": "single/white/3", "hidden": "single", "condition": "white", "error": "broken"},
+    ]
+    found = measures(entries)
+    rates = {rate["name"]: rate for rate in found["rates"]}
+    first = rates["single, detectable: right effect first"]
+    assert (first["value"], first["count"]) == (0.5, 2)
+    assert first["low"] < 0.5 < first["high"]
+    assert rates["nothing hidden: false claims"]["value"] == 0.5
+    assert rates["two, both detectable: both found"]["value"] == 1.0
+    assert rates["unknown effect: only the right equation is changed"]["value"] == 0.5
+    assert [failure["case"] for failure in found["failures"]] == ["single/white/1", "none/white/1"]
+    assert found["broken"] == [{"case": "single/white/3", "error": "broken"}]
+    assert "single/white/1" in as_markdown(found)
+
+
+def test_cases_follow_from_their_names() -> None:
+    """Drawn twice a case is the same; values are wrong by 10 to 30 per cent; logs are noisy."""
+    draw = next(d for d in draws_vehicles(["coaster"], 20) if d.condition == "input_noise")
+    first, second = draw_case(draw), draw_case(draw)
+    np.testing.assert_array_equal(first.runs.outputs, second.runs.outputs)
+    assert first.start == second.start
+    wrong = [abs(first.start[k] / first.parameters[k] - 1) for k in first.start]
+    assert min(wrong) >= 0.0999
+    assert max(wrong) <= 0.3001
+    channel = first.vehicle.inputs.index("rudder")
+    error = (first.runs.logged - first.runs.commands)[:, :, channel]
+    assert np.std(error) == pytest.approx(first.vehicle.logged[1], rel=0.1)
+    assert draw_case(replace(draw, number=draw.number + 20)).start != first.start
+    with pytest.raises(ValueError, match="Unknown vehicle"):
+        draws_vehicles(["submarine"], 1)
+
+
+def test_every_vehicle_has_enough_to_hide_and_to_confuse_it_with() -> None:
+    """At least ten hidden effects, 15 to 40 candidates, each effect among them, each its turn."""
+    for name, vehicle in VEHICLES.items():
+        own = nominal(name)
+        assert len(vehicle.hidden) >= 10
+        assert 15 <= len(own.candidates) <= 40
+        for effect, kind in vehicle.hidden.items():
+            assert own.effect(effect).name == effect
+            assert kind.lacking or len(own.values(effect, kind.sizes)) >= 1
+        turns = {single_effect(d) for d in draws_vehicles([name], 40) if d.hidden == "single"}
+        assert turns == set(vehicle.hidden)
+    assert len(PATTERN) == 20
+
+
+def test_a_case_that_lacks_a_part_gets_it_as_a_candidate() -> None:
+    """The nominal model is without the damping, the candidate starts absent, the truth has it."""
+    draw = next(
+        d
+        for d in draws_vehicles(["motor"], 40)
+        if d.hidden == "single" and single_effect(d) == "viscous_damping"
+    )
+    case = draw_case(draw)
+    assert "viscous_damping" not in nominal_model(case).effect_names
+    (candidate,) = [
+        e for e in nominal("motor").effects(case.lacking) if e.name == "viscous_damping"
+    ]
+    assert candidate.parameters[0].value == 0.0
+    assert true_model(case).values["b"] == pytest.approx(case.parameters["b"])
+    assert case.gain("viscous_damping").train > 1000
+
+
+def entry_vehicles(key: str, hidden: list[str], added: list[str], **changes: Any) -> dict[str, Any]:
+    """A finished case."""
+    vehicle, _, kind, condition, declared = key.split("/")
+    return {
+        "key": key,
+        "vehicle": vehicle,
+        "hidden": kind,
+        "condition": condition,
+        "declared": declared == "declared",
+        "effects": hidden,
+        "detectable": True,
+        "true_gains": dict.fromkeys(hidden, 100.0),
+        "steps": [{"added": name, "group": [name], "test_error": 1.0} for name in added],
+        "base_error": {"train": 3.0, "test": 3.0},
+        "final_error": {"train": 1.0, "test": 1.0},
+        "true_validation": 1.0,
+        "found_validation": 1.1,
+        "processor_seconds": 2.0,
+        **changes,
+    }
+
+
+def test_measures_count_what_they_say_vehicles() -> None:
+    """Rates from cases whose outcome is known by construction."""
+    entries = [
+        entry_vehicles("motor/0/none/white/declared", [], []),
+        entry_vehicles("motor/1/none/waves/declared", [], ["a"]),
+        entry_vehicles("motor/2/single/white/declared", ["a"], ["a"]),
+        entry_vehicles("motor/3/single/white/declared", ["a"], ["b", "a"]),
+        entry_vehicles("motor/4/single/white/declared", ["a"], ["c"], same_as={"a": ["c"]}),
+        entry_vehicles(
+            "motor/5/single/white/declared",
+            ["a"],
+            ["b"],
+            steps=[{"added": "b", "group": ["b"], "test_error": "inf"}],
+        ),
+        entry_vehicles("motor/6/single/white/declared", ["a"], [], detectable=False),
+        entry_vehicles("motor/7/pair/white/declared", ["a", "b"], ["a"]),
+    ]
+    broken = entry_vehicles("motor/8/single/waves/undeclared", ["a"], [], error="ValueError: no")
+    for key in ("steps", "final_error", "base_error"):
+        del broken[key]
+    found = measures_vehicles([*entries, broken])
+    rates = {rate["name"]: rate for rate in found["rates"]}
+    assert rates["motor: right effect accepted"]["value"] == pytest.approx(3 / 5)
+    assert rates["motor: right effect accepted"]["count"] == 5
+    assert rates["motor: right effect first"]["value"] == pytest.approx(2 / 5)
+    assert rates["all: no abort"]["value"] == pytest.approx(8 / 9)
+    assert rates["all: nothing hidden: false claims"]["value"] == 0.5
+    assert rates["waves, nothing hidden: false claims"]["value"] == 1.0
+    assert rates["two hidden: both found"]["value"] == 0.0
+    contradiction = rates["claim beside a validation error that rises"]
+    assert contradiction["value"] == pytest.approx(1 / 9)
+    faults = {row["case"].split("/")[1]: row["faults"][0] for row in found["failures"]}
+    assert faults == {
+        "1": "false claim",
+        "3": "wrong effect first",
+        "5": "wrong effect",
+        "7": "one of two missed",
+        "8": "aborted: ValueError: no",
+    }
+    assert "motor/5/single/white/declared" in as_markdown_vehicles(found)
+
+
+def test_a_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Finished cases are not computed again, and a line cut short is computed once more."""
+    asked: list[str] = []
+
+    def judged(draw: Any, *, limit: float) -> dict[str, Any]:
+        asked.append(draw.key)
+        hidden = [] if draw.hidden == "none" else ["a"]
+        return entry_vehicles(draw.key, hidden, hidden)
+
+    monkeypatch.setattr(runner, "judge", judged)
+    store = tmp_path / "out.jsonl"
+    quiet = {"store": store, "tell": lambda text: None}
+    runner.run(["motor"], cases=2, **quiet)
+    lines = store.read_text().splitlines()
+    store.write_text(lines[0] + "\n" + lines[1][:20])
+    found = runner.run(["motor"], cases=3, **quiet)
+    assert len(asked) == 2 + 2
+    assert found["n_cases"] == 3
+    assert all(json.loads(line) for line in [lines[0]])
+
+
+def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
+    """Processor time is limited, and the clock is stopped afterwards."""
+
+    def for_ever() -> None:
+        while True:
+            sum(range(1000))
+
+    with pytest.raises(TimeoutError, match=r"0\.2 s of processor time"), _at_most(0.2):
+        for_ever()
+    with _at_most(0.2):
+        pass
+    began = time.process_time()
+    while time.process_time() - began < 0.3:
+        sum(range(1000))
+
+
+def test_problem_of_the_times_has_its_size() -> None:
+    """Twelve states, twenty-five free parameters and 36,030 samples."""
+    from benchmarks.speed import six_degrees_task
+
+    model, train, _ = six_degrees_task()
+    assert (len(model.state_names), len(model.free_names)) == (12, 25)
+    assert sum(record.outputs.size for record in train) == 36030
