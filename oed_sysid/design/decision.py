@@ -59,6 +59,7 @@ from oed_sysid.design.vehicles import (
 )
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import plays, respond
 from oed_sysid.likelihood.between_records import CHANCE
@@ -637,6 +638,7 @@ class Logbook:
     Attributes
     ----------
     folder : Path
+    model : Model
     problem : str
     variant : str or None
     candidates : tuple of Candidate
@@ -653,15 +655,20 @@ class Logbook:
     proposed : str or None
         The run that is to be done next.
     seed : int
-    model : Model or None
     fit : Fit or None
         Of all records.
+
+    Raises
+    ------
+    DesignError
+        If a goal is about nothing.
     """
 
     folder: Path
+    model: Model = field(repr=False)
     problem: str
     variant: str | None
-    candidates: tuple[Candidate, ...]
+    candidates: Sequence[Candidate]
     goals: Mapping[str, float]
     hours: float | None
     sea: NoiseModel | None
@@ -669,8 +676,10 @@ class Logbook:
     runs: Sequence[str] = ()
     proposed: str | None = None
     seed: int = 0
-    model: Model | None = field(default=None, repr=False)
     fit: Fit | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        goals_of(self.model, self.goals)  # said now, not after the first run
 
     @staticmethod
     def exists(folder: str | Path) -> bool:
@@ -678,37 +687,8 @@ class Logbook:
         return (Path(folder) / NAME).is_file()
 
     @classmethod
-    def begin(
-        cls,
-        folder: str | Path,
-        model: Model,
-        *,
-        problem: str,
-        candidates: Sequence[Candidate],
-        goals: Mapping[str, float],
-        variant: str | None = None,
-        hours: float | None = None,
-        sea: NoiseModel | None = None,
-        seed: int = 0,
-    ) -> Logbook:
-        """Begin a campaign and write its journal.
-
-        Raises
-        ------
-        DesignError
-            If a goal is about nothing.
-        """
-        goals_of(model, goals)  # said now, not after the first run
-        journal = cls(
-            Path(folder), problem, variant, tuple(candidates), dict(goals), hours, sea, seed=seed,
-            model=model,
-        )  # fmt: skip
-        journal.write()
-        return journal
-
-    @classmethod
     def open(cls, folder: str | Path) -> Logbook:
-        """Read a campaign; give it its model with :meth:`of`.
+        """Read a campaign, and the fit of its records if there is one.
 
         Raises
         ------
@@ -724,27 +704,24 @@ class Logbook:
                 for one in data["candidates"]
             )
             data["sea"] = None if data["sea"] is None else _noise(data["sea"])
-            return cls(Path(folder), **data)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise FileError(
                 f"{str(place)!r} is no journal of a campaign ({error}). Begin another one, or "
                 "restore it from a copy."
             ) from None
+        model = load_problem(data["problem"], variant=data["variant"]).model
+        found = cls(Path(folder), model, **data)
+        if not found.records:
+            return found
+        stored = found.folder / _FIT
+        fit = Fit.load(stored) if stored.is_file() else None
+        if fit is None or len(tuple(fit.dataset)) != len(found.records):
+            fit = MultipleShooting().fit(model, found.dataset())
+        return replace(found, fit=fit)
 
-    def of(self, model: Model) -> Logbook:
-        """Return the journal with its model, and the fit of its records if there is one."""
-        stored = self.folder / _FIT
-        fit = None
-        if self.records:
-            if stored.is_file():
-                fit = Fit.load(stored)
-            if fit is None or len(tuple(fit.dataset)) != len(self.records):
-                fit = MultipleShooting().fit(model, self.dataset(model))
-        return replace(self, model=model, fit=fit)
-
-    def dataset(self, model: Model) -> Dataset:
+    def dataset(self) -> Dataset:
         """All records."""
-        return read_csv([self.folder / name for name in self.records], model.channels)
+        return read_csv([self.folder / name for name in self.records], self.model.channels)
 
     @property
     def hours_used(self) -> float:
@@ -765,7 +742,6 @@ class Logbook:
         FileError, DataError
             If it cannot be read; nothing is changed then.
         """
-        model = self._model
         try:
             content = Path(path).read_bytes()
         except OSError as error:
@@ -776,13 +752,13 @@ class Logbook:
                     f"{str(path)!r} is in the journal already, as {name}. Give the next log."
                 )
         name = f"run_{len(self.records) + 1:02d}.csv"
-        read_csv([Path(path)], model.channels)  # what cannot be read is not taken in
+        read_csv([Path(path)], self.model.channels)  # what cannot be read is not taken in
         write_bytes(self.folder / name, content)
         longer = replace(
             self, records=(*self.records, name), runs=(*self.runs, self.proposed or ""),
             proposed=None,
         )  # fmt: skip
-        fit = MultipleShooting().fit(model, longer.dataset(model))
+        fit = MultipleShooting().fit(self.model, longer.dataset())
         fit.save(self.folder / _FIT)
         longer = replace(longer, fit=fit)
         longer.write()
@@ -790,7 +766,6 @@ class Logbook:
 
     def decide(self) -> Decision:
         """Stop, or what to run next."""
-        model = self._model
         if self.fit is not None and not self.fit.status.ok:
             raise DesignError(
                 f"The estimation from {len(self.records)} records did not converge "
@@ -799,9 +774,9 @@ class Logbook:
             )
         fitted = self.fit is not None and not self.fit.noise.is_white
         return decide(
-            self.fit or model,
+            self.fit or self.model,
             self.candidates,
-            goals_of(model, self.goals),
+            goals_of(self.model, self.goals),
             rng=np.random.default_rng(self.seed),
             noise=None if fitted else self.sea,
             hours=None if self.hours is None else self.hours - self.hours_used,
@@ -821,12 +796,6 @@ class Logbook:
         data = {name: getattr(self, name) for name in _KEPT}
         data["sea"] = None if self.sea is None else asdict(self.sea)
         write_text(self.folder / NAME, json.dumps(plain(data), indent=1) + "\n")
-
-    @property
-    def _model(self) -> Model:
-        if self.model is None:
-            raise DesignError("The logbook has no model yet. Give it with Logbook.of(model).")
-        return self.model
 
 
 # What the journal holds of a logbook.
