@@ -212,7 +212,6 @@ def information() -> None:
     """Accuracy of sensitivities and information by several ways, and their times."""
     job = Task.usual()
     model, values, sigma = job.model, job.model.value_vector, noise_of(job.model)
-    told = RunInformation(model)
     seen = np.ones((N_SAMPLES, 5), dtype=bool)
     play = Play("benchmark", job.times, job.inputs, job.start, seen)
     point = np.concatenate([job.start, values[job.free]])
@@ -261,11 +260,9 @@ def information() -> None:
     matrix = reference.T @ reference
     unit = np.sqrt(np.outer(*[np.diag(matrix)] * 2))
 
-    def by_us() -> np.ndarray:
-        return told.factor(play)
-
+    told = RunInformation(model)
     ways: dict[str, Callable[[], np.ndarray]] = {
-        "ours": by_us,
+        "ours": lambda: told.factor(play),
         "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
         "CasADi jacobian": lambda: factor_of(by_casadi()),
     }

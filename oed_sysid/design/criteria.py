@@ -66,10 +66,9 @@ from scipy.optimize import brentq
 from scipy.special import chdtri, chndtr, ndtr
 
 from oed_sysid.errors import DesignError
-from oed_sysid.evidence.claim import GROUP_WIDTH
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import plays, respond
-from oed_sysid.information.shifts import Group, Shifts
+from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Section, Table, as_dict

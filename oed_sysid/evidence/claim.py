@@ -42,8 +42,6 @@ from oed_sysid.runtime.display import as_dict
 
 # Probability that a search over records without missing physics claims something (alpha).
 FALSE_CLAIMS = 0.01
-# Information: twice the logarithm of odds of 20 to 1, within which two statistics are the same.
-GROUP_WIDTH = 6.0
 # Error of whole validation runs, over that before, that is no rise: arithmetic and parameters a
 # little off; and where process noise acts, under which the runs of the better model wander too.
 RISE, RISE_DISTURBED = 1.02, 1.25

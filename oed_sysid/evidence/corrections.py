@@ -18,8 +18,6 @@ from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.model import Model
 
-# An angle that stays below this is scaled about zero, a heading about its mean.
-PITCH_LIKE = 1.6
 # What happened last on the way from the vehicle to the log is undone first.
 ORDER = (
     "blank", "step", "burst", "swap", "sign", "unit", "offset", "frame", "delay", "rate", "bias",
@@ -80,7 +78,8 @@ def _with_inputs(record: Record, corrections: tuple[Correction, ...]) -> Record:
 
 def pivot(series: np.ndarray, unit: str) -> float:
     """Value that a relative error leaves alone: zero, or the mean of a heading."""
-    if unit != "rad" or np.nanmax(np.abs(series)) < PITCH_LIKE:
+    # An angle that stays within a quarter turn is scaled about zero, a heading about its mean.
+    if unit != "rad" or np.nanmax(np.abs(series)) < np.pi / 2:
         return 0.0
     return float(np.nanmean(series))
 

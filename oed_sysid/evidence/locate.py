@@ -20,7 +20,7 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.claim import GROUP_WIDTH, threshold
+from oed_sysid.evidence.claim import threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.residual_forces import (
@@ -30,6 +30,7 @@ from oed_sysid.evidence.residual_forces import (
     agreement,
     let_in,
 )
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered

@@ -18,12 +18,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.evidence.claim import GROUP_WIDTH, threshold
+from oed_sysid.evidence.claim import threshold
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
 from oed_sysid.evidence.rank import ALIKE, N_REFITS, Refit, deepen, refit
 from oed_sysid.evidence.residual_forces import let_in, rows_of, smoothable
 from oed_sysid.evidence.score import ABSORBED, Score
 from oed_sysid.evidence.study import Study
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.smoother import Path

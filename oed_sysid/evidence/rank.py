@@ -15,9 +15,10 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.evidence.claim import GROUP_WIDTH, Claim, at_bounds, threshold
-from oed_sysid.evidence.score import Score, scores, two_sided
+from oed_sysid.evidence.claim import Claim, at_bounds, threshold
+from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
 from oed_sysid.evidence.study import Study
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
@@ -30,8 +31,6 @@ N_REFITS, ASKED, N_PAIRS = 7, 5, 3
 SHARE = 0.1
 # Share of the score statistic that a refit has to reach before no other size is begun from.
 REACHED = 0.3
-# Sizes that a refit begins from, in those of the score's one-step estimate.
-SIZES = (1.0, 0.2, 5.0)
 # Correlation of two signatures, free parameters projected out, above which they are one.
 ALIKE = 0.95
 
@@ -367,7 +366,9 @@ def refit(
     best: FilteredSolution | None = None
     statistic = max(score.statistic for score in scored)
     plain = near is None and all(map(two_sided, effects))
-    sizes = (0.0, *SIZES) if plain else (*SIZES, 0.0)
+    # The one-step estimate itself first, then sizes below and above it.
+    steps = sorted(SIZES, key=lambda size: abs(size - 1.0))
+    sizes = (0.0, *steps) if plain else (*steps, 0.0)
     for size in sizes:
         found = study.estimate(
             (*study.effects_of(fit), *effects),

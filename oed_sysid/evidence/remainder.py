@@ -27,6 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from oed_sysid.evidence.claim import threshold
 from oed_sysid.evidence.residual_forces import Repeated, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
@@ -34,8 +35,9 @@ from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.whole_runs import WholeRuns
 from oed_sysid.runtime.display import as_dict
 
-# Twice the log-likelihood that disturbances may gain before they count as real.
-REMAINDER_LIMIT = 14.0
+# Twice the log-likelihood that disturbances may gain before they count as real: what chance rarely
+# gives of a level and its time at fourteen places.
+REMAINDER_LIMIT = threshold(14, 2)
 # A level on other records that differs by more than this factor is tied to the manoeuvre.
 SAME_LEVEL = 2.0
 

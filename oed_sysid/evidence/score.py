@@ -14,7 +14,8 @@ Over a record of length :math:`T` two frequencies are told apart from about :mat
 that a coarse grid of frequencies misses a wave in a long record: at all frequencies of the grid it
 averages out, in every equation, and an equation that it does not act in may come first by chance. A
 force that swings moves outputs with its frequency, so that the periodogram of the innovations
-:math:`e` in units of their standard deviation (Schuster 1898), summed over records and outputs,
+:math:`e` in units of their standard deviation (Schuster 1898; Lomb and Scargle where
+samples are uneven), summed over records and outputs,
 
 .. math::
     P(\omega) = \sum_i \frac{1}{n_i} \Bigl| \sum_k e_{ik}\, e^{-\mathrm{i}\omega t_{ik}} \Bigr|^2,
@@ -29,6 +30,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from scipy.signal import lombscargle
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.study import Study
@@ -393,8 +395,8 @@ def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
 
 # Frequencies per 2 pi over the longest record; and maxima that are tried.
 PER_CYCLE, N_LINES = 4, 3
-# Most frequencies that are looked at, products with times at once.
-MOST, AT_ONCE = 20_000, 200
+# Most frequencies that are looked at: a second of processor time for a long record.
+MOST = 20_000
 
 
 def lines(
@@ -430,12 +432,9 @@ def lines(
     frequencies = np.linspace(low, high, count)
     power = np.zeros(count)
     for t, part in zip(times, innovations, strict=True):
-        seen = np.isfinite(part)
-        rows = np.where(seen, part, 0.0) / np.sqrt(np.maximum(seen.sum(axis=0), 1))
-        for begin in range(0, count, AT_ONCE):
-            block = slice(begin, begin + AT_ONCE)
-            waves = np.exp(-1j * np.outer(frequencies[block], t))
-            power[block] += (np.abs(waves @ rows) ** 2).sum(axis=1)
+        for series in part.T[np.isfinite(part).sum(axis=0) > 1]:
+            seen = np.isfinite(series)
+            power += lombscargle(t[seen], series[seen], frequencies)
     padded = np.pad(power, 1, constant_values=-np.inf)
     peaks = np.flatnonzero((power >= padded[:-2]) & (power > padded[2:]))
     return frequencies[peaks[np.argsort(-power[peaks], kind="stable")][:N_LINES]]

@@ -16,7 +16,6 @@ import numpy as np
 
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.claim import (
-    GROUP_WIDTH,
     Claim,
     claim,
     own_error,
@@ -26,8 +25,10 @@ from oed_sysid.evidence.claim import (
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.study import Study
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.random_forces import periods, with_sea
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.runtime.journal import Journal
@@ -58,11 +59,13 @@ class Standing:
     fit : FilteredSolution
         With them.
     path : tuple of FilteredSolution
-        Fits on the way, that of the nominal model first.
+        Every fit that was reached, that of the nominal model first.
     decisions : tuple of Claim
         Everything that was asked, in this order.
     replaced, dropped : tuple of str
         Known effects whose place a term took; effects that do not come back.
+    calm : NoiseModel or None
+        Forces of first order whose place a sea took.
     """
 
     study: Study
@@ -72,6 +75,7 @@ class Standing:
     decisions: tuple[Claim, ...] = ()
     replaced: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
+    calm: NoiseModel | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -95,7 +99,8 @@ class Standing:
     def dropping(self, one: Added, fit: FilteredSolution) -> Standing:
         """The same without one effect, which does not come back."""
         gone = (*self.dropped, one.effect.name)
-        return replace(self, added=self.others(one), fit=fit, dropped=gone)
+        path = (*self.path, fit)
+        return replace(self, added=self.others(one), fit=fit, path=path, dropped=gone)
 
 
 def rounds(
@@ -108,7 +113,12 @@ def rounds(
         yield state, ranking
         chosen, decisions = keep.once("choice", partial(choice, state, ranking))
         state = replace(state, decisions=(*state.decisions, *decisions))
+        rival = 0.0 if chosen is None else chosen[1].statistic
+        state, at_sea = keep.once("a sea", partial(with_waves, state, rival))
         yield state, ranking
+        if at_sea:
+            tell("confirmed a sea in the place of disturbance forces of first order")
+            continue
         if chosen is None:
             break
         refit, decided = chosen
@@ -122,6 +132,41 @@ def rounds(
         tell("asking again what was added")
         state = keep.once("asked again", partial(asked_again, state))
         yield state, ranking
+
+
+def with_waves(state: Standing, rival: float) -> tuple[Standing, bool]:
+    """Ask a sea in the place of forces of first order, as any effect; whether it is taken.
+
+    It is where it is claimed and no effect's statistic, ``rival``, is larger.
+    """
+    study, fit, setting = state.study, state.fit, state.study.setting
+    places = [place for place in setting.at_sea if place in fit.noise.places]
+    if state.calm is not None or setting.seas or fit.noise.seas or not places:
+        return state, False
+    found = with_sea(fit, replace(setting, any_sea=True))
+    if not found.noise.seas:
+        return state, False
+    # A level in each place, a period that is the best of many, and a width.
+    needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
+    decided = replace(claim(study, fit, found, (), needed), name="a sea")
+    if decided.stands and decided.statistic <= rival:
+        return state, False  # asked again beside what explains more
+    state = replace(state, decisions=(*state.decisions, decided))
+    if not decided.stands:
+        return state, False
+    return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
+
+
+def calmed(state: Standing) -> Standing:
+    """Forces of first order again, where beside what was added since a sea is not needed."""
+    if state.calm is None or not state.fit.noise.seas:
+        return state
+    study, fit = state.study, state.fit
+    calm = study.estimate(state.effects, fit.values, fit, noise=state.calm, max_iterations=25)
+    needed = threshold(len(state.left) + 1, len(fit.noise.seas[0].places) + 2)
+    if calm is None or claim(study, calm, fit, (), needed).stands:
+        return state
+    return replace(state, fit=calm)
 
 
 def choice(
@@ -189,8 +234,8 @@ def with_refit(
         Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))
         for effect in refit.effects
     ]
-    path = [*state.path, *[fit] * len(added)]
-    return replace(state, added=(*state.added, *added), fit=fit, path=tuple(path))
+    path = (*state.path, fit)
+    return replace(state, added=(*state.added, *added), fit=fit, path=path)
 
 
 def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
@@ -226,7 +271,7 @@ def overgrown(study: Study, fit: FilteredSolution) -> bool:
 
 def asked_again(state: Standing) -> Standing:
     """Drop what costs less than its threshold to leave out; exchange what another does better."""
-    state = eliminated(state)
+    state = eliminated(calmed(state))
     for old in state.added[:-1]:
         if old in state.added:
             state = _exchanged(state, old)
@@ -263,14 +308,13 @@ def eliminated(
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
-    begun = state
     while len(state.added) > int(judge is None):
         spare = [(one, *fits) for one in state.added if (fits := _spared(state, there, one, rise))]
         if not spare:
             break
         one, fit, judged = min(spare, key=lambda found: found[1].objective)
         state, there = state.dropping(one, fit), there.dropping(one, judged)
-    return state if state is begun else rebuilt(state)
+    return state
 
 
 def _spared(
@@ -312,7 +356,7 @@ def _exchanged(state: Standing, old: Added) -> Standing:
         return state
     new = Added(best.effects[0], decided, ranking.claimed_with(best, [decided, kept]))
     asked = (*state.decisions, decided)
-    return rebuilt(replace(state, added=(*others, new), fit=fit, decisions=asked))
+    return replace(state, added=(*others, new), fit=fit, path=(*state.path, fit), decisions=asked)
 
 
 def _without(state: Standing, one: Added) -> FilteredSolution | None:
@@ -322,25 +366,22 @@ def _without(state: Standing, one: Added) -> FilteredSolution | None:
     return state.study.estimate(effects, values, state.fit, max_iterations=25)
 
 
-def rebuilt(state: Standing) -> Standing:
-    """The same with the fits of all steps made again, each with its own and earlier effects."""
-    study, path = state.study, [state.path[0]]
+def every_step(state: Standing) -> tuple[FilteredSolution, ...]:
+    """Fits of the nominal model and of every step, those that were left out made again."""
+    study, fits = state.study, [state.path[0]]
     for count in range(1, len(state.added)):
-        last = path[-1]
-        effects = state.effects[:count]
-        names = [effect.name for effect in effects]
-        fits = [fit for fit in state.path if [e.name for e in study.effects_of(fit)] == names]
-        for values in (state.fit.values, last.values):
+        effects, last = state.effects[:count], fits[-1]
+        names = {effect.name for effect in effects}
+        seen = [fit for fit in state.path if {e.name for e in study.effects_of(fit)} == names]
+        for values in () if seen else (state.fit.values, last.values):
             fit = study.estimate(
                 effects, values, last, max_iterations=25, noise=study.loosened(last.noise)
             )
-            fits += [] if fit is None else [fit]
+            seen += [] if fit is None else [fit]
         # Two optima of nearly the same likelihood: the one that predicts is meant.
-        fits = [fit for fit in fits if not rises(study, last, fit)] or fits
-        path.append(min(fits, key=lambda fit: fit.objective, default=last))
-    if state.added:
-        path.append(state.fit)
-    return replace(state, path=tuple(path))
+        seen = [fit for fit in seen if not rises(study, last, fit)] or seen
+        fits.append(min(seen, key=lambda fit: fit.objective, default=last))
+    return (*fits, *[state.fit][: len(state.added)])
 
 
 def with_term(
@@ -363,7 +404,7 @@ def with_term(
     options: list[tuple[float, Standing, Proposals]] = []
     tied: tuple[str, ...] = ()
     for count in sorted({0, len(state.added)}, reverse=True):
-        proposals = propose(state.study, state.path[count])
+        proposals = propose(state.study, state.fit if count else state.path[0])
         if proposals.best is None:
             continue
         if count == len(state.added):
@@ -391,14 +432,14 @@ def with_term(
         decisions=state.decisions,
         replaced=tuple(one.effect.name for one in gone),
     )
-    return rebuilt(found), proposals, ()
+    return found, proposals, ()
 
 
 def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | None:
     """The best term beside the effects of the first steps, less those not needed any more."""
     assert proposals.best is not None
     effect, study = proposals.best.effect, state.study
-    start = state.path[count]
+    start = state.fit if count else state.path[0]
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
     kept = state.added[:count]
     found = wide.estimate(

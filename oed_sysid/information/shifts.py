@@ -32,6 +32,9 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 
+# Information: twice the logarithm of odds of 20 to 1, within which two statistics are the same.
+GROUP_WIDTH = 6.0
+
 
 @dataclass(frozen=True, eq=False)
 class Group:

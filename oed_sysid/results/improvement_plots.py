@@ -15,10 +15,10 @@ from matplotlib.figure import Figure
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
-from oed_sysid.evidence.claim import GROUP_WIDTH
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.rank import Ranking
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.results import style as draw
 from oed_sysid.runtime.display import TWO_SIDED_95

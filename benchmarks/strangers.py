@@ -1,0 +1,403 @@
+r"""The frozen exam: vehicles, hidden effects and manoeuvres drawn from a seed.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.strangers --seed 20261124 --cases 300
+
+A vehicle of one to six degrees of freedom has a speed each, and where it is moored or stands on
+springs a displacement :math:`\dot x_i = v_i`,
+
+.. math::
+
+    \dot v_i = b_i\,\delta_{j(i)} - d_i v_i - k_i x_i + c_i v_0 v_{i-1} + h_i + w_i,
+
+all but the coupling :math:`c_i` estimated from values 10 to 30 % off. The truth, actuators, sensors
+and what is hidden in them included, is integrated by SciPy; nothing here is told the package but
+the nominal model and its candidates. The seed is new at every release, and no rule is tuned on it:
+rates of older seeds stay in the store.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from benchmarks.harness import RESULTS, Row, Store, command, grouped, run_cases, tabulate
+from benchmarks.other_vehicles.judge import DETECTABLE, _at_most, _broken, read
+from benchmarks.rates import share, summary
+from benchmarks.truth import gauss_markov, runge_kutta
+from oed_sysid import (
+    Dataset,
+    Force,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Record,
+    State,
+    improve,
+)
+from oed_sysid.physics import Effect, forces, signals
+from oed_sysid.runtime.display import TWO_SIDED_95
+
+STORE = RESULTS / "strangers.jsonl"
+# What is hidden, case after case; of an unlisted effect the candidates know nothing.
+PATTERN = (
+    "single", "none", "single", "unlisted", "single", "pair", "single", "none", "single", "single",
+)  # fmt: skip
+# Sizes in typical ones, noise in standard deviations of a signal, samples and records.
+SIZES, NOISE, SAMPLES, RECORDS = (0.1, 100.0), 0.02, 400, 3
+KINDS = (
+    "quadratic", "offset", "friction", "cross", "actuator_lag", "actuator_offset", "deadband",
+    "limit", "bias", "scale", "sensor_lag",
+)  # fmt: skip
+EXCITATIONS = ("steps", "autopilot", "sweep", "sea")
+Sizes = Mapping[tuple[str, int], float]
+
+
+@dataclass(frozen=True, eq=False)
+class Stranger:
+    """A vehicle: its numbers ``(n,)`` each, input of every equation, sample time in s."""
+
+    gain: np.ndarray
+    damping: np.ndarray
+    spring: np.ndarray
+    coupling: np.ndarray
+    lever: np.ndarray
+    sample: float
+    noise: np.ndarray
+
+    @property
+    def times(self) -> np.ndarray:
+        """Times of all samples, s."""
+        return np.arange(SAMPLES) * self.sample
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator) -> Stranger:
+        """Time constants of 1 to 10 s, half of the displacements on springs."""
+        n = int(rng.integers(1, 7))
+        damping = 1.0 / np.exp(rng.uniform(0.0, np.log(10.0), n))
+        spring = damping**2 * rng.uniform(0.5, 3.0, n) * (rng.random(n) < 0.5)
+        lever = np.arange(n) % max(1, (n + 1) // 2)
+        coupling = np.where(np.arange(n) > 0, damping * rng.uniform(-0.5, 0.5, n), 0.0)
+        gain = damping * rng.uniform(0.7, 1.4, n) * rng.choice([-1.0, 1.0], n)
+        sample = 0.1 / float(damping.max())
+        return cls(gain, damping, spring, coupling, lever, sample, np.ones(2 * n))
+
+    def estimated(self) -> dict[str, float]:
+        """What a nominal model estimates, by name."""
+        rows = enumerate(zip(self.gain, self.damping, self.spring, strict=True))
+        return {
+            f"{name}{i}": float(value)
+            for i, row in rows
+            for name, value in zip("bdk", row, strict=True)
+            if value
+        }
+
+    def run(
+        self,
+        excitation: str,
+        seed: int,
+        hidden: Sizes,
+        values: Mapping[str, float],
+        *,
+        exact: bool = True,
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Commands ``(n_times, n_inputs)`` and what sensors without noise show."""
+        rng, n, times = np.random.default_rng(seed), len(self.gain), self.times
+        m = int(self.lever.max()) + 1
+        b, d, k = (np.array([values.get(f"{w}{i}", 0.0) for i in range(n)]) for w in "bdk")
+        levels = np.repeat(rng.uniform(-1.0, 1.0, (9, m)), -(-SAMPLES // 8), axis=0)
+        if excitation == "sweep":
+            rate = np.linspace(0.2, 2.0, SAMPLES) * np.median(self.damping)
+            levels = np.cos(np.cumsum(rate * self.sample)[:, None] + rng.uniform(0, 6.28, m))
+        sea = np.zeros((SAMPLES, n))
+        if excitation == "sea":
+            memory = np.exp(-self.sample * np.median(self.damping))
+            sea = 0.1 * self.damping * gauss_markov(rng.standard_normal((SAMPLES, n)), memory)
+        size = lambda kind, at: hidden.get((kind, at), 0.0)  # noqa: E731
+        state = np.zeros(2 * n + m)  # speeds, displacements, actuators
+        commands, states = np.zeros((SAMPLES, m)), np.zeros((SAMPLES, 2 * n))
+
+        def rates(_: float, z: np.ndarray, command: np.ndarray, push: np.ndarray) -> np.ndarray:
+            v, x = z[:n], z[n : 2 * n]
+            wanted = [_actuated(command[j], partial(size, at=j)) for j in range(m)]
+            lags = [size("actuator_lag", j) for j in range(m)]
+            moved = [z[2 * n + j] if lags[j] else wanted[j] for j in range(m)]
+            dv = b * np.array(moved)[self.lever] - d * v - k * x + push
+            dv = dv + self.coupling * v[0] * np.roll(v, 1)
+            for i in range(n):
+                dv[i] += size("offset", i) - size("friction", i) * np.tanh(v[i] / 0.02)
+                dv[i] += size("quadratic", i) * v[i] * abs(v[i]) + size("cross", i) * v[i - 1]
+            da = [
+                (w - a) / t if t else 0.0 for w, a, t in zip(wanted, z[2 * n :], lags, strict=True)
+            ]
+            return np.concatenate([dv, v, da])
+
+        for row in range(SAMPLES):
+            commands[row] = levels[row]
+            if excitation == "autopilot":
+                commands[row] -= np.sign(b[:m]) * state[:m]
+            if row == 0:
+                state[2 * n :] = [_actuated(commands[0, j], partial(size, at=j)) for j in range(m)]
+            states[row] = state[: 2 * n]
+            if exact:
+                span = (times[row], times[row] + self.sample)
+                state = solve_ivp(
+                    rates, span, state, args=(commands[row], sea[row]), rtol=1e-6, atol=1e-8
+                ).y[:, -1]
+            else:
+                held = partial(_held, rates, commands[row], sea[row])
+                state = runge_kutta(held, state, self.sample)
+            if not np.all(np.abs(state) < 1e3):
+                return commands, np.full((SAMPLES, 2 * n), np.nan)
+        return commands, np.column_stack([self._sensed(y, i, size) for i, y in enumerate(states.T)])
+
+    def _sensed(self, y: np.ndarray, i: int, size) -> np.ndarray:  # type: ignore[no-untyped-def]
+        """One sensor; of a lag the exact answer to a signal that is linear between samples."""
+        lag = size("sensor_lag", i)
+        if lag:
+            seen, h, out = float(y[0]), self.sample, [float(y[0])]
+            for a, z in pairwise(y):
+                slope = (z - a) / h
+                seen = z - slope * lag + (seen - a + slope * lag) * np.exp(-h / lag)
+                out.append(seen)
+            y = np.array(out)
+        return (1.0 + size("scale", i)) * y + size("bias", i)
+
+
+def _held(rates, command, push, z, _):  # type: ignore[no-untyped-def]
+    """Rates while commands are held, as a Runge-Kutta step asks for them."""
+    return rates(0.0, z, command, push)
+
+
+def _actuated(command: float, size) -> float:  # type: ignore[no-untyped-def]
+    """What an actuator does with a command before it lags."""
+    dead, limit = size("deadband"), size("limit")
+    moved = np.sign(command) * max(abs(command) - dead, 0.0) + size("actuator_offset")
+    return float(np.clip(moved, -1.0 / limit, 1.0 / limit) if limit else moved)
+
+
+def candidates(truth: Stranger, level: np.ndarray) -> dict[tuple[str, int], Effect]:
+    """Every effect that may be hidden, at its typical size; ``level`` of every sensor."""
+    found: dict[tuple[str, int], Effect] = {}
+    drive, lag = np.abs(truth.gain) * 0.5, 2.0 * truth.sample
+    for i in range(len(truth.gain)):
+        v, unit = f"v{i}", {"unit": "m/s^2"}
+        power = {"quadratic": (f"{v}*abs({v})", level[i] ** 2), "offset": ("1", 1.0)}
+        power |= {"cross": (f"v{i - 1}", level[i - 1])} if i else {}
+        for kind, (text, size) in power.items():
+            per = {"quadratic": "1/m", "offset": "m/s^2", "cross": "1/s"}[kind]
+            own = Parameter(f"E_{kind}_{v}", 0.0, per, scale=0.1 * drive[i] / size)
+            found[kind, i] = Force(f"{kind}_{v}", {v: f"{own.name}*{text}"}, (own,))
+        found["friction", i] = forces.coulomb_friction(
+            f"friction_{v}", v, v, smooth=0.02, scale=0.1 * drive[i], **unit
+        )
+    for j in range(int(truth.lever.max()) + 1):
+        u = f"u{j}"
+        found["actuator_lag", j] = signals.actuator_lag(f"actuator_lag_{u}", u, scale=lag)
+        found["actuator_offset", j] = signals.actuator_offset(
+            f"actuator_offset_{u}", u, "1", scale=0.05
+        )
+        found["deadband", j] = signals.deadband(f"deadband_{u}", u, "1", scale=0.05)
+        found["limit", j] = signals.unknown_limit(f"limit_{u}", u, "1", scale=1.2)
+    for i, (output, unit) in enumerate(_outputs(truth)):
+        found["bias", i] = signals.sensor_bias(f"bias_{output}", output, unit, scale=0.1 * level[i])
+        found["scale", i] = signals.sensor_scale(f"scale_{output}", output)
+        found["sensor_lag", i] = signals.sensor_lag(f"sensor_lag_{output}", output, scale=lag)
+    return found
+
+
+def _outputs(truth: Stranger) -> list[tuple[str, str]]:
+    n = len(truth.gain)
+    return [(f"v{i}", "m/s") for i in range(n)] + [(f"x{i}", "m") for i in range(n)]
+
+
+def nominal(truth: Stranger, values: Mapping[str, float], noise: np.ndarray) -> Model:
+    """The nominal model at some values of what it estimates."""
+    n = len(truth.gain)
+    rates = {}
+    for i in range(n):
+        spring = f" - k{i}*x{i}" if truth.spring[i] else ""
+        cross = f" + ({truth.coupling[i]!r})*v0*v{i - 1}" if i else ""
+        rates[f"v{i}"] = f"b{i}*u{truth.lever[i]} - d{i}*v{i}{spring}{cross}".replace(
+            "np.float64", ""
+        )
+        rates[f"x{i}"] = f"v{i}"
+    units = {"b": "m/s^2", "d": "1/s", "k": "1/s^2"}
+    return Model(
+        name=f"stranger of {n} degrees of freedom",
+        states=tuple(State(name, unit, scale=0.5) for name, unit in _outputs(truth)),
+        inputs=tuple(Input(f"u{j}", "1") for j in range(int(truth.lever.max()) + 1)),
+        outputs=tuple(
+            Output(name, unit, expression=name, noise_std=float(level))
+            for (name, unit), level in zip(_outputs(truth), noise, strict=True)
+        ),
+        kinematics=rates,
+        parameters=tuple(Parameter(k, v, units[k[0]]) for k, v in values.items()),
+        step=truth.sample,
+    )
+
+
+def shown(
+    truth: Stranger, plan: Sequence[tuple[str, int]], hidden: Sizes, level: np.ndarray
+) -> float:
+    """Least statistic of leaving one effect out, parameters re-estimated to first order."""
+    values = truth.estimated()
+
+    def rows(sizes: Sizes, at: Mapping[str, float]) -> np.ndarray:
+        return np.concatenate(
+            [(truth.run(*one, sizes, at, exact=False)[1] / level).ravel() for one in plan]
+        )  # fmt: skip
+
+    whole = rows(hidden, values)
+    slopes = [(rows(hidden, values | {k: v * 1.001}) - whole) / 1e-3 for k, v in values.items()]
+    basis = np.linalg.qr(np.array(slopes).T)[0]
+    lost = [whole - rows({k: v for k, v in hidden.items() if k != one}, values) for one in hidden]
+    return min(
+        (float(np.sum((one - basis @ (basis.T @ one)) ** 2)) for one in lost), default=np.inf
+    )
+
+
+def judge(seed: int, number: int, limit: float) -> Row:
+    """Draw one case, improve its nominal model, compare with what is hidden."""
+    rng = np.random.default_rng([seed, number])
+    what, excitation = PATTERN[number % len(PATTERN)], EXCITATIONS[int(rng.integers(4))]
+    truth = Stranger.drawn(rng)
+    values = truth.estimated()
+    plan = [(excitation, int(rng.integers(2**31))) for _ in range(RECORDS)]
+    level = np.mean([truth.run(*one, {}, values)[1].std(axis=0) for one in plan], axis=0)
+    listed = candidates(truth, level)
+    kinds = rng.choice([k for k in KINDS if any(k == of for of, _ in listed)], 2, replace=False)
+    chosen = []
+    for kind in kinds[: {"none": 0, "pair": 2}.get(what, 1)]:
+        places = [key for key in listed if key[0] == kind]
+        chosen.append(places[int(rng.integers(len(places)))])
+    sizes = {}
+    for key in chosen:
+        own = listed[key].parameters[0]
+        factor = np.exp(rng.uniform(*np.log(SIZES))) * (rng.choice([-1, 1]) if own.lower < 0 else 1)
+        sizes[key] = float(factor) * own.magnitude * (-1 if key[0] == "quadratic" else 1)
+    while True:  # what diverges, or stops the vehicle, is drawn again at half the size
+        runs = [truth.run(*one, sizes, values) for one in plan]
+        moved = np.mean([y.std(axis=0) for _, y in runs], axis=0) / level
+        if np.all((moved > 0.3) & (moved < 3.0)):
+            break
+        sizes = {key: 0.5 * size for key, size in sizes.items()}
+    noise = NOISE * level
+    wrong = {k: v * (1 + rng.uniform(0.1, 0.3) * rng.choice([-1, 1])) for k, v in values.items()}
+    model = nominal(truth, wrong, noise)
+    records = [
+        Record(f"run_{i}", truth.times, u, y + noise * rng.standard_normal(y.shape), model.channels)
+        for i, (u, y) in enumerate(runs)
+    ]
+    entry: Row = {
+        "key": f"{seed}/{number}", "seed": seed, "what": what, "excitation": excitation,
+        "freedom": len(truth.gain), "effects": [listed[key].name for key in chosen],
+        "sizes": {listed[key].parameters[0].name: size for key, size in sizes.items()},
+        "detectable": shown(truth, plan, sizes, noise) > DETECTABLE,
+    }  # fmt: skip
+    offered = [e for key, e in listed.items() if what != "unlisted" or key[0] != kinds[0]]
+    began = time.process_time()
+    try:
+        with _at_most(limit):
+            found = improve(model, Dataset(records[:-1]), Dataset(records[-1:]), candidates=offered)
+        errors = found.fit.std_errors
+        entry |= read(found) | {
+            "remains": found.remains.kind,
+            "inside": [
+                abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name]
+                for name, size in entry["sizes"].items()
+                if name in errors
+            ],
+        }
+    except Exception as error:  # a case that breaks is a result too
+        entry |= _broken(error)
+    return entry | {"processor_seconds": time.process_time() - began}
+
+
+def accepted(row: Row) -> bool:
+    """Whether all that is hidden and nothing else is claimed, groups taken for one."""
+    steps = row.get("steps", ())
+    left = set(row["effects"])
+    for step in steps:
+        left -= {next(iter(left & set(step["group"])), "")}
+    return not left and len(steps) == len(row["effects"])
+
+
+def true_verdict(row: Row) -> bool:
+    """Whether what is said of the remainder is so."""
+    if row["what"] == "unlisted":
+        return bool(row.get("steps")) or row.get("remains") == "structure missing"
+    right = {"disturbance", "adequate"} if row["excitation"] == "sea" else {"adequate"}
+    return row.get("remains") in right
+
+
+def _rate(rows: Sequence[Row], is_so) -> str:  # type: ignore[no-untyped-def]
+    """Cases of which something is so, and how many there are."""
+    one = share("", is_so, rows)
+    return f"{round(one.value * one.count)} of {one.count}" if one.count else "-"
+
+
+def _shown(rows: Sequence[Row], *what: str) -> list[Row]:
+    return [row for row in rows if row["what"] in what and row["detectable"]]
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Rates by excitation as Markdown."""
+    groups = grouped(rows, lambda row: row["excitation"])
+    columns = {
+        "excitation": lambda name, _: name,
+        "accepted and nothing else": lambda _, g: _rate(_shown(g, "single", "pair"), accepted),
+        "size in its interval": lambda _, g: _rate(
+            [{"in": ok} for row in g if accepted(row) for ok in row.get("inside", ())],
+            lambda one: one["in"],
+        ),
+        "false claims, nothing hidden": lambda _, g: _rate(
+            [row for row in g if row["what"] == "none"], lambda row: row.get("steps")
+        ),
+        "unlisted: said or explained": lambda _, g: _rate(_shown(g, "unlisted"), true_verdict),
+        "verdict true": lambda _, g: _rate(
+            [*_shown(g, "none"), *filter(accepted, _shown(g, "single", "pair"))], true_verdict
+        ),
+        "aborted": lambda _, g: sum("error" in row for row in g),
+    }
+    return "\n".join(tabulate(groups | {"all": list(rows)}, columns))
+
+
+def main(
+    *, seed: int = 20261124, cases: int = 300, jobs: int = 1, store: Path = STORE,
+    limit: float = 300.0, minutes: float = 1e9,
+) -> None:  # fmt: skip
+    """Run cases that are not in the store, and print the table of all of this seed.
+
+    Parameters
+    ----------
+    seed : int
+        date of a release, as 20261124
+    cases : int
+        cases
+    jobs : int
+        processes
+    store : Path
+        store of finished cases
+    limit : float
+        processor seconds for one improvement
+    minutes : float
+        wait for no case after that
+    """
+    rows = run_cases(
+        Store(store), [f"{seed}/{number}" for number in range(cases)],
+        lambda left: (partial(judge, seed, int(str(key).split("/")[1]), limit) for key in left),
+        n_jobs=jobs, deadline=time.time() + 60.0 * minutes, tell=summary,
+    )  # fmt: skip
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    command(main)
