@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
 from golden_files import restored
+from marks import slow
 from scipy import stats
 from turning_ship import CANDIDATES, NOISE, SHIP, dataset
 from turning_ship import CUBIC as DAMPING
@@ -694,7 +695,7 @@ def test_hidden_damping_is_found_and_explains_the_records() -> None:
     [
         (20, 0.0),
         (22, 0.02),
-        *(pytest.param(*more, marks=pytest.mark.slow) for more in ((21, 0.0), (23, 0.02))),
+        *slow((21, 0.0), (23, 0.02)),
     ],
 )
 def test_nothing_is_claimed_where_nothing_is_missing(seed: int, force: float) -> None:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from oed_sysid.baselines.equations import check_choice, check_together
+from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Regression,
@@ -29,6 +29,7 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
 from oed_sysid.information.response import by_unknowns
 from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
 from oed_sysid.likelihood.noise_levels import given_levels
