@@ -287,7 +287,9 @@ def test_expected_information_is_that_of_the_whole_gaussian(
     model = ship(step=0.05)
     noise = sea(model, level, colour=colour)
     if waves:
-        noise = replace(noise, seas=(Sea(period=7.0, bandwidth=0.2, levels={"r": waves}),))
+        noise = replace(
+            noise, seas=(Sea(period=7.0, bandwidth=0.2, levels={"r": waves}, shape="velocity"),)
+        )
     found = information_of(model, TEST, noise=noise, priors=None).matrix
     expected = dense_information(model, noise)
     # Nonlinear damping: the nominal path differs from its start states' only in rounding.
