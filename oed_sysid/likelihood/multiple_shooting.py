@@ -304,7 +304,7 @@ class MultipleShooting:
                     "states of their own. Drop one of the two."
                 )
         if self.solver.method == "ipopt":
-            shooting = shooting.with_intervals(shooting.interval_samples)
+            shooting = shooting.with_every_node()
         return shooting, estimated
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:

@@ -398,10 +398,11 @@ class Shooting(Posed):
             own[columns] = unknowns[self._columns[index]]
         return alone, own
 
-    def with_intervals(self, n_samples: int) -> Shooting:
-        """Return the same problem cut into intervals of ``n_samples`` samples."""
-        starts = (np.arange(0, len(r.times), n_samples, dtype=np.intc) for r in self.records)
-        return self._with(starts=tuple(starts))
+    def with_every_node(self) -> Shooting:
+        """Return the same problem cut at every sample."""
+        return self._with(
+            starts=tuple(np.arange(len(r.times), dtype=np.intc) for r in self.records)
+        )
 
     def with_loss(self, loss: Loss | None) -> Shooting:
         """Return the same problem with another loss."""
