@@ -45,6 +45,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from typing import Any, TypeVar
 
 import numpy as np
@@ -64,7 +65,7 @@ from oed_sysid.likelihood.departures import (
     outputs_of,
     values_of,
 )
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
@@ -369,19 +370,15 @@ def _colours(fit: Estimate) -> Iterator[Found]:
         else "Standard errors are too small; look for what is missing with improve(), or let "
         "disturbance forces in."
     )
-    found = {}
+    what, found = "Innovations" if fit.innovations is not None else "Residuals", []
     for name, tests in fit.whiteness().items():
         n = sum(test.n_samples for test in tests)
-        if not n:
-            continue
         effective = sum(test.effective_samples for test in tests)
-        if effective <= COLOUR_LIMIT * n and _remember(tests, n):
-            found[name] = Found(effective / n, name, facts={
-                "what": "Innovations" if fit.innovations is not None else "Residuals",
-                "n": n, "effective": effective, "todo": todo,
-            })  # fmt: skip
+        if n and effective <= COLOUR_LIMIT * n and _remember(tests, n):
+            facts = {"what": what, "n": n, "effective": effective, "todo": todo}
+            found.append(Found(effective / n, name, facts=facts))
     swinging = {peak.output for peak in _peaks(fit)} if found else set()
-    yield from (one for name, one in found.items() if name not in swinging)
+    yield from (one for one in found if one.signal not in swinging)
 
 
 def _remember(tests: Sequence[Whiteness], n: int) -> bool:
@@ -474,11 +471,10 @@ def _starts(fit: Estimate) -> Iterator[Found]:
     if not clear and fit.innovations is None and fit.names:
         clear = clear_starts(fit)
     units = {channel.name: channel.unit for channel in fit.model.inputs}
-    said = set()
+    first: dict[tuple[str, str], ActuatorStart] = {}
     for one in clear:
-        if (one.effect, one.signal) in said:
-            continue
-        said.add((one.effect, one.signal))
+        first.setdefault((one.effect, one.signal), one)
+    for one in first.values():
         more = len({other.record for other in clear if other.effect == one.effect}) - 1
         factor, shown = shown_unit(units.get(one.signal, ""))
         yield Found(one.size, one.signal, one.record, facts={
@@ -522,6 +518,11 @@ def _other_way(fit: Estimate) -> Iterator[Found]:
 
 def _runaway(fit: Estimate) -> Iterator[Found]:
     """The first value far beyond any scale."""
+    yield from islice(chain(_far_values(fit), _far_outputs(fit)), 1)
+
+
+def _far_values(fit: Estimate) -> Iterator[Found]:
+    """Parameters beyond what can be physical."""
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
         scale = parameter.scale or 0.0
@@ -533,17 +534,30 @@ def _runaway(fit: Estimate) -> Iterator[Found]:
         if not abs(value) <= max(limit, 1.0):
             facts = {"value": value, "unit": f" {parameter.unit}".rstrip()}
             yield Found(abs(value) / (scale or 1.0), name, facts=facts)
-            return
+
+
+def _far_outputs(fit: Estimate) -> Iterator[Found]:
+    """Outputs of the model, or innovations, beyond all that was measured."""
     spread = signal_spread(fit.dataset)
     highest = np.nanmax(np.abs(np.vstack([r.outputs for r in fit.dataset])), axis=0, initial=0.0)
     # An unstable vehicle leaves every scale on its own; what counts is the filter's error.
     parts = fit.predictions if fit.innovations is None else fit.innovations
     tops = np.max([np.max(np.abs(np.nan_to_num(p)), axis=0, initial=0.0) for p in parts], axis=0)
     sizes = tops / np.max([highest, spread, fit.sigma], axis=0)
-    for column in np.flatnonzero(sizes > RUNAWAY)[:1]:
+    for column in np.flatnonzero(sizes > RUNAWAY):
         output = fit.model.outputs[column]
         facts = {"value": tops[column], "unit": f" {output.unit}".rstrip()}
         yield Found(sizes[column], output.name, facts=facts)
+
+
+def _shown_noise(fit: Estimate) -> np.ndarray:
+    """Noise levels ``(n_outputs,)``, estimated ones no larger than what the records show."""
+    if not fit.sigma_estimated.any():
+        return fit.sigma
+    sigma = np.minimum(fit.sigma, white_levels(fit.dataset)[0])
+    # Filtered or exact records: a thousandth of the signal is no visible error.
+    least = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset))
+    return np.where(fit.sigma_estimated, least, fit.sigma)
 
 
 def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
@@ -553,13 +567,7 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     pieces of ``PIECE`` samples begin at the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
-    sigma = fit.sigma
-    if fit.sigma_estimated.any():
-        sigma = np.where(
-            fit.sigma_estimated, np.minimum(sigma, white_levels(fit.dataset)[0]), sigma
-        )
-        # Filtered or exact records: a thousandth of the signal is no visible error.
-        sigma = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset) * fit.sigma_estimated)
+    sigma = _shown_noise(fit)
     worst = (0.0, "", "")
     for index, record in enumerate(fit.dataset):
         values, before = values_of(fit, index), fit.predictions[index]
@@ -748,15 +756,13 @@ def _follows(fit: Estimate) -> Iterator[Found]:
         values = np.array([local[name] for local in fit.local_values])
         if not sizes or not np.ptp(values) > 0:
             continue
-        told = []
-        for signal, size in sizes.items():
-            correlation = float(np.corrcoef(values, size)[0, 1])
-            t = abs(correlation) * np.sqrt((n - 2) / max(1.0 - correlation**2, 1e-12))
-            told.append((2.0 * float(stdtr(n - 2, -t)), signal, correlation))
-        chance, signal, correlation = min(told)
+        told = {signal: float(np.corrcoef(values, size)[0, 1]) for signal, size in sizes.items()}
+        signal = max(told, key=lambda one: abs(told[one]))
+        t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
+        chance = 2.0 * float(stdtr(n - 2, -t))
         if chance * len(sizes) <= FOLLOWS_CHANCE:
             facts = {"follows": signal, "n": n, "chance": 100 * chance}
-            yield Found(correlation, name, facts=facts)
+            yield Found(told[signal], name, facts=facts)
 
 
 # The gravest first.
