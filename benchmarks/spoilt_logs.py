@@ -354,12 +354,12 @@ def judged(craft: Craft, data: Dataset, spoil: Spoil) -> tuple[bool, bool, bool,
     return first, named or other, found.suspect, said[:90]
 
 
-def faults(seeds: range, only: str, write: bool) -> None:
+def faults(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
     """One row for each kind and size; all kinds in the table of the page, where that is asked."""
     total = np.zeros(4, dtype=int)
     kinds: dict[str, dict[int, np.ndarray]] = {}
     began = time.process_time()
-    for craft in CRAFT:
+    for craft in crafts:
         rows: dict[tuple[str, tuple[str, ...], int, int], np.ndarray] = {}
         misses: dict[tuple[str, tuple[str, ...], int, int], str] = {}
         for seed in seeds:
@@ -407,7 +407,7 @@ def _table(kinds: dict[str, dict[int, np.ndarray]], total: np.ndarray) -> list[s
     return markdown(head, rows)
 
 
-def inputs(seeds: range, only: str, write: bool) -> None:
+def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
     """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
     problem = load_problem("remus_diving_plane")
     for kind, change in INPUTS.items():
@@ -441,9 +441,9 @@ INPUTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
 }
 
 
-def clean(seeds: range, only: str, write: bool) -> None:
+def clean(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
     """False alarms on logs without a fault."""
-    for craft in CRAFT:
+    for craft in crafts:
         said: dict[str, list[str]] = {noise: [] for noise in _COLOURS if only in noise}
         for seed in seeds:
             for noise, alarms in said.items():
@@ -464,6 +464,7 @@ def main(
     seeds: int = 2,
     first: int = 1000,
     kind: str = "",
+    vehicle: str = "",
     write: bool = False,
 ) -> None:
     """Run the parts that are asked for.
@@ -478,11 +479,14 @@ def main(
         first seed
     kind : str
         only kinds of fault or noise with this word
+    vehicle : str
+        only the one with this word in its name
     write : bool
         put the table of faults into docs/check.md
     """
+    crafts = [craft for craft in CRAFT if vehicle in craft.name]
     for part in parts:
-        PARTS[known(part, PARTS, "part")](range(first, first + seeds), kind, write)
+        PARTS[known(part, PARTS, "part")](range(first, first + seeds), kind, crafts, write)
 
 
 if __name__ == "__main__":

@@ -384,28 +384,26 @@ def _balances(
     before: Sequence[Trace], after: Sequence[Trace], equations: tuple[Relation, ...]
 ) -> tuple[Balance, ...]:
     """How well each equation holds, as it is and with the findings undone."""
-    pairs: list[tuple[Piece, Piece]] = []
-    for old, new in zip(before, after, strict=True):
-        mended = dict(enumerate(contrasts.contrasts(new, equations, (), {})))
-        for i, piece in enumerate(contrasts.contrasts(old, equations, (), {})):
-            twin = mended.get(i, piece)
-            pairs.append((piece, twin if twin.relation == piece.relation else piece))
-    return tuple(
-        _balance(relation, [pair for pair in pairs if pair[0].relation == i], before[0].units)
-        for i, relation in enumerate(equations)
-    )
+    every = [
+        [piece for t in traces for piece in contrasts.contrasts(t, equations, (), {})]
+        for traces in (before, after)
+    ]
+    result = []
+    for i, relation in enumerate(equations):
+        old, new = ([piece for piece in some if piece.relation == i] for some in every)
+        series = tuple((p.record, p.times, _series(p), _same(p, new)) for p in old)
+        unit = before[0].units.get(relation.target, "")
+        shares = _share(old), _share(new)
+        result.append(Balance(str(relation), *shares, relation.target, unit, series))
+    return tuple(result)
 
 
-def _balance(
-    relation: Relation, pairs: Sequence[tuple[Piece, Piece]], units: Mapping[str, str]
-) -> Balance:
-    """How well one equation holds, before and after."""
-    series = (
-        (a.record, a.times, _series(a), np.interp(a.times, b.times, _series(b))) for a, b in pairs
-    )
-    old, new = (_share([pair[k] for pair in pairs]) for k in (0, 1))
-    unit = units.get(relation.target, "")
-    return Balance(str(relation), old, new, relation.target, unit, tuple(series))
+def _same(piece: Piece, others: Sequence[Piece]) -> np.ndarray:
+    """The contrast of the piece of the same time, ``(n_blocks,)``."""
+    middle = float(np.mean(piece.times))
+    here = (o for o in others if o.record == piece.record and o.times[0] < middle < o.times[-1])
+    twin = next(here, piece)
+    return np.interp(piece.times, twin.times, _series(twin))
 
 
 def _share(pieces: Sequence[Piece]) -> float:

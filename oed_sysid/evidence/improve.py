@@ -196,7 +196,7 @@ class _Run:
                 for one in thinned.added
                 if one not in state.added
             )
-        end = _Ended(state, base, first, last, self._left(state), None)
+        end = _Ended(state, state.path[0], first, last, self._left(state), None)
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
         self.tell("looking for a term that no known effect holds")

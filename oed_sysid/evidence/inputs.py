@@ -40,6 +40,7 @@ from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.contrasts import (
+    MOST_BLOCKS,
     Candidate,
     Dictionary,
     Question,
@@ -205,6 +206,8 @@ def _traces(dataset: Dataset, model: Model, fixes: Sequence[Correction]) -> list
 
 
 def _trace(record: Record, model: Model) -> Iterator[Trace]:
+    """States, inputs and parameters of a record; of a long one its beginning is enough."""
+    record = record.window(-np.inf, record.times[: 6 * MOST_BLOCKS][-1])
     measured = measured_states(model, record)
     whole = measured | {
         k: guess.series
@@ -235,7 +238,7 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
         state for state, text in model.kinematics.items() if names_in(text) & free
     }
     every = (*model.state_names, *model.input_names, *model.free_names)
-    equations = tuple(Nominal(state, every, "the nominal model", True, False, (), {}, run=run)
+    equations = tuple(Nominal(state, every, "the nominal model", True, (), {}, run=run)
                       for state in model.state_names if state in own)  # fmt: skip
     step = float(np.median([t.step for t in traces]))
     length = max(float(t.times[-1] - t.times[0]) for t in traces)
@@ -323,7 +326,8 @@ def between_runs(fit: Fit) -> tuple[Finding, ...]:
     with np.errstate(invalid="ignore", divide="ignore"):
         grown = np.diag(fit.covariance) / np.diag(fit.information.covariance)
     share = np.tile([value or 1.0 for value in values], len(series))
-    less = max(1.0, float(np.nanmean(np.where(np.isfinite(grown), grown, np.nan))))
+    grown = grown[np.isfinite(grown)]
+    less = max(1.0, float(grown.mean()) if grown.size else 1.0)
     system = System.plain(faults, gram * np.outer(share, share) / less, right * share / less)
     about = fit.dataset.channels, (), fit.dataset.names
     return tuple(sized_finding(one, *about) for one in system.found())

@@ -60,8 +60,6 @@ class Relation:
         The right side, for people.
     is_rate : bool
         Whether the left side is the rate of the target, rather than the target itself.
-    declared : bool
-        Whether the model says so; otherwise it follows from standard names.
     steps : tuple of (str, str)
         Definitions to evaluate in order; the last one is the right side.
     constants : mapping
@@ -72,7 +70,6 @@ class Relation:
     signals: tuple[str, ...]
     text: str
     is_rate: bool
-    declared: bool
     steps: tuple[tuple[str, str], ...] = field(repr=False)
     constants: Mapping[str, float] = field(repr=False)
 
@@ -176,7 +173,7 @@ def _declared(
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
     steps = [(name, inner[name]) for name in model.signals if name in inner]
     steps = [*aliases, *steps, (f"{target}_prime_", text)]
-    return Relation(target, signals, text, is_rate, True, tuple(steps), constants)
+    return Relation(target, signals, text, is_rate, tuple(steps), constants)
 
 
 def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
@@ -230,7 +227,7 @@ def _standard(
             if known.issuperset(names):
                 signals = tuple(n for n in names if n in expressions.names(text))
                 step = (f"{target}_prime_", text)
-                yield Relation(target, signals, text, True, False, (step,), {})
+                yield Relation(target, signals, text, True, (step,), {})
                 break
 
 
