@@ -518,10 +518,9 @@ class MultipleShooting:
         try:
             second = minimise(shooting, wide_start(shooting, point))
         except KeyboardInterrupt:
-            second = first and replace(first, reason="interrupted")
-            if second is None:
+            if first is None:
                 raise
-            return second
+            return replace(first, reason="interrupted")
         if self.start == "auto" and first is None and not _explains(shooting, second):
             first = minimise(shooting, point)  # what looked far may be the better side
         return _better(first, second)
