@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.start_guess import (
@@ -238,6 +239,23 @@ class Shooting(Posed):
             starts=None if nodes is None else self.starts[record],
             sensitivities=sensitivities,
         )
+
+    def gathered(
+        self,
+        unknowns: np.ndarray,
+        record: int,
+        nodes: np.ndarray,
+        starts: np.ndarray,
+        *,
+        stop: int | None = None,
+        linked: bool = True,
+    ) -> Blocks | None:
+        """Normal equations of the segments of a record that begin at ``starts``, up to ``stop``."""
+        data, values = self.records[record], self.values(unknowns, record)
+        return gather(
+            self.kernel, data.times[:stop], data.inputs[:stop], values, nodes, data.outputs[:stop],
+            self.sigma, starts=starts, linked=linked,
+        )  # fmt: skip
 
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""
