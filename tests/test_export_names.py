@@ -19,8 +19,7 @@ from yaw_vehicle import NOISE, yaw_data, yaw_model
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, State
 from oed_sysid.errors import ModelError
-from oed_sysid.export import export, program_of
-from oed_sysid.export.program import identifier
+from oed_sysid.export import export, identifier, program_of
 from oed_sysid.text.typeset import safe, safe_unit
 from oed_sysid.text.units import dimension
 
