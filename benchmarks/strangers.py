@@ -311,7 +311,7 @@ def judge(seed: int, number: int, limit: float) -> Row:
         entry |= read(found) | {
             "remains": found.remains.kind,
             "inside": [
-                abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name]
+                bool(abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name])
                 for name, size in entry["sizes"].items()
                 if name in errors
             ],

@@ -359,13 +359,14 @@ def with_term(
     """
     options: list[tuple[float, Standing, Proposals]] = []
     tied: tuple[str, ...] = ()
-    for count in sorted({0, len(state.added)}, reverse=True):
-        proposals = propose(state.study, state.fit if count else state.path[0])
+    nominal = replace(state, added=(), fit=state.path[0])
+    for begun in (state, nominal) if state.added else (state,):
+        proposals = propose(state.study, begun.fit)
         if proposals.best is None:
             continue
-        if count == len(state.added):
+        if begun is state:
             tied = proposals.group[:3]
-        option = _beside(state, count, proposals)
+        option = _beside(begun, proposals)
         if option is not None and len(option.added) <= max_effects + 1:
             cost = sum(state.needed(effect) for effect in option.effects)
             options.append((option.fit.objective + cost, option, proposals))
@@ -391,15 +392,13 @@ def with_term(
     return found, proposals, ()
 
 
-def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | None:
-    """The best term beside the effects of the first steps, less those not needed any more."""
+def _beside(state: Standing, proposals: Proposals) -> Standing | None:
+    """The best term beside the effects of a state, less those not needed any more."""
     assert proposals.best is not None
-    effect, study = proposals.best.effect, state.study
-    start = state.fit if count else state.path[0]
+    effect, study, start = proposals.best.effect, state.study, state.fit
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
-    kept = state.added[:count]
     found = wide.estimate(
-        [*(one.effect for one in kept), effect],
+        [*state.effects, effect],
         proposals.best.refit.fit.values,
         start,
         noise=study.loosened(start.noise),
@@ -409,7 +408,7 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
         return None
     decided = Claim(effect.name, start.objective - found.objective, np.nan, proposals.needed)
     term = Added(effect, decided, (effect.name,))
-    return eliminated(replace(state, study=wide, added=(*kept, term), fit=found))
+    return eliminated(replace(state, study=wide, added=(*state.added, term), fit=found))
 
 
 def searched(
