@@ -264,8 +264,8 @@ def eliminated(
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
-    while len(state.added) > int(judge is None):
-        spare = [(one, *fits) for one in state.added if (fits := _spared(state, there, one, rise))]
+    while asked := state.added[:-1] if judge is None else state.added:
+        spare = [(one, *fits) for one in asked if (fits := _spared(state, there, one, rise))]
         if not spare:
             break
         one, fit, judged = min(spare, key=lambda found: found[1].objective)
@@ -366,8 +366,8 @@ def with_term(
             continue
         if begun is state:
             tied = proposals.group[:3]
-        option = _beside(begun, proposals)
-        if option is not None and len(option.added) <= max_effects + 1:
+        option = _beside(begun, proposals, max_effects)
+        if option is not None:
             cost = sum(state.needed(effect) for effect in option.effects)
             options.append((option.fit.objective + cost, option, proposals))
     if not options:
@@ -392,7 +392,7 @@ def with_term(
     return found, proposals, ()
 
 
-def _beside(state: Standing, proposals: Proposals) -> Standing | None:
+def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing | None:
     """The best term beside the effects of a state, less those not needed any more."""
     assert proposals.best is not None
     effect, study, start = proposals.best.effect, state.study, state.fit
@@ -408,7 +408,8 @@ def _beside(state: Standing, proposals: Proposals) -> Standing | None:
         return None
     decided = Claim(effect.name, start.objective - found.objective, np.nan, proposals.needed)
     term = Added(effect, decided, (effect.name,))
-    return eliminated(replace(state, study=wide, added=(*state.added, term), fit=found))
+    option = eliminated(replace(state, study=wide, added=(*state.added, term), fit=found))
+    return option if len(option.added) <= max_effects + 1 else None
 
 
 def searched(
