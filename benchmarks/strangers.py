@@ -188,7 +188,7 @@ def candidates(truth: Stranger, level: np.ndarray) -> dict[tuple[str, int], Effe
     found: dict[tuple[str, int], Effect] = {}
     drive, lag = np.abs(truth.gain) * 0.5, 2.0 * truth.sample
     for i in range(len(truth.gain)):
-        v, unit = f"v{i}", {"unit": "m/s^2"}
+        v = f"v{i}"
         power = {"quadratic": (f"{v}*abs({v})", level[i] ** 2), "offset": ("1", 1.0)}
         power |= {"cross": (f"v{i - 1}", level[i - 1])} if i else {}
         for kind, (text, size) in power.items():
@@ -196,7 +196,7 @@ def candidates(truth: Stranger, level: np.ndarray) -> dict[tuple[str, int], Effe
             own = Parameter(f"E_{kind}_{v}", 0.0, per, scale=0.1 * drive[i] / size)
             found[kind, i] = Force(f"{kind}_{v}", {v: f"{own.name}*{text}"}, (own,))
         found["friction", i] = forces.coulomb_friction(
-            f"friction_{v}", v, v, smooth=0.02, scale=0.1 * drive[i], **unit
+            f"friction_{v}", v, v, smooth=0.02, unit="m/s^2", scale=0.1 * drive[i]
         )
     for j in range(int(truth.lever.max()) + 1):
         u = f"u{j}"
@@ -306,7 +306,12 @@ def judge(seed: int, number: int, limit: float) -> Row:
     began = time.process_time()
     try:
         with _at_most(limit):
-            found = improve(model, Dataset(records[:-1]), Dataset(records[-1:]), candidates=offered)
+            found = improve(
+                model,
+                Dataset(tuple(records[:-1])),
+                Dataset(tuple(records[-1:])),
+                candidates=offered,
+            )
         errors = found.fit.std_errors
         entry |= read(found) | {
             "remains": found.remains.kind,
