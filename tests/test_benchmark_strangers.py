@@ -33,7 +33,8 @@ def test_a_candidate_is_what_is_hidden(kind: str) -> None:
 
 def test_all_and_nothing_else_is_accepted() -> None:
     """Groups count for one effect; one claim too many, or too few, is not accepted."""
-    row = {"effects": ["a", "b"], "steps": [{"group": ["c", "b"]}, {"group": ["a"]}]}
+    row: dict[str, list] = {"effects": ["a", "b"], "steps": []}
+    row["steps"] = [{"added": "c", "group": ["c", "b"]}, {"added": "a", "group": ["a"]}]
     assert accepted(row)
     assert not accepted({**row, "effects": ["a"]})
     assert not accepted({**row, "steps": row["steps"][:1]})
