@@ -79,23 +79,7 @@ class Stranger:
         return np.arange(SAMPLES) * self.sample
 
     @classmethod
-    def hidden_in(
-    listed: Mapping[tuple[str, int], Effect], count: int, rng: np.random.Generator
-) -> tuple[list[str], dict[tuple[str, int], float]]:
-    """Two kinds of effect, and what of them is hidden, with its sizes."""
-    there = {kind for kind, _ in listed}
-    kinds = list(rng.choice([kind for kind in KINDS if kind in there], 2, replace=False))
-    sizes = {}
-    for kind in kinds[:count]:
-        places = [key for key in listed if key[0] == kind]
-        key = places[int(rng.integers(len(places)))]
-        own = listed[key].parameters[0]
-        factor = np.exp(rng.uniform(*np.log(SIZES))) * (rng.choice([-1, 1]) if own.lower < 0 else 1)
-        sizes[key] = float(factor) * own.magnitude * (-1 if kind == "quadratic" else 1)
-    return kinds, sizes
-
-
-def drawn(cls, rng: np.random.Generator) -> Stranger:
+    def drawn(cls, rng: np.random.Generator) -> Stranger:
         """Time constants of 1 to 10 s, half of the displacements on springs."""
         n = int(rng.integers(1, 7))
         damping = 1.0 / np.exp(rng.uniform(0.0, np.log(10.0), n))
@@ -279,6 +263,22 @@ def shown(
     return min(
         (float(np.sum((one - basis @ (basis.T @ one)) ** 2)) for one in lost), default=np.inf
     )
+
+
+def hidden_in(
+    listed: Mapping[tuple[str, int], Effect], count: int, rng: np.random.Generator
+) -> tuple[list[str], dict[tuple[str, int], float]]:
+    """Two kinds of effect, and what of them is hidden, with its sizes."""
+    there = {kind for kind, _ in listed}
+    kinds = list(rng.choice([kind for kind in KINDS if kind in there], 2, replace=False))
+    sizes = {}
+    for kind in kinds[:count]:
+        places = [key for key in listed if key[0] == kind]
+        key = places[int(rng.integers(len(places)))]
+        own = listed[key].parameters[0]
+        factor = np.exp(rng.uniform(*np.log(SIZES))) * (rng.choice([-1, 1]) if own.lower < 0 else 1)
+        sizes[key] = float(factor) * own.magnitude * (-1 if kind == "quadratic" else 1)
+    return kinds, sizes
 
 
 def drawn(seed: int, number: int) -> tuple[Row, Model, list[Record], list[Effect]]:
