@@ -107,25 +107,25 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
         "unknown start",
         lambda: MultipleShooting(start="far"),
         ModelError,
-        ("'far'", "auto, near or wide"),
+        ("'far'", "auto, near, wide"),
     ),
     (
         "unknown treatment of colour",
         lambda: MultipleShooting(coloured="yes"),
         ModelError,
-        ("'yes'", "auto, never or always"),
+        ("'yes'", "auto, never, always"),
     ),
     (
         "unknown solver",
         lambda: Solver("snopt"),
         ModelError,
-        ("'snopt'", "gauss-newton or ipopt"),
+        ("'snopt'", "gauss-newton, ipopt"),
     ),
     (
         "unknown Hessian",
         lambda: Solver("ipopt", hessian="bfgs"),
         ModelError,
-        ("'bfgs'", "exact or gauss-newton"),
+        ("'bfgs'", "exact, gauss-newton"),
     ),
     (
         "constraints without IPOPT",
@@ -179,7 +179,7 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
         "one initial guess for three records",
         lambda: FIT.fit(MODEL, DATA, initial_states=[{"psi": 0.1}]),
         DataError,
-        ("1 guesses for 3 records",),
+        ("1 mappings for 3 records",),
     ),
     (
         "initial guess that is not a number",

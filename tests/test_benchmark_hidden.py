@@ -86,24 +86,30 @@ def test_cases_can_be_drawn_again() -> None:
         draws("single/green:3")
 
 
-def entry(key: str, hidden: list[str], added: list[str], **changes: object) -> dict:
-    """A finished case."""
-    kind, condition, _ = key.split("/")
-    step = {"evidence": 30.0, "needed": 10.0, "test_gain": 5.0}
+def entry(key: str, hidden: list[str], added: list[str], **changes: Any) -> dict[str, Any]:
+    """A finished case of either benchmark."""
+    *place, kind, condition, last = key.split("/")
+    step = {"evidence": 30.0, "needed": 10.0, "test_gain": 5.0, "test_error": 1.0}
     return {
         "key": key,
+        "vehicle": place[0] if place else "",
         "hidden": kind,
         "condition": condition,
-        "effects": dict.fromkeys(hidden, 1.0),
+        "declared": last == "declared",
+        "effects": hidden,
+        "detectable": True,
+        "true_gains": dict.fromkeys(hidden, 25.0),
         "steps": [{"added": n, "equation": "M", "group": [n], **step} for n in added],
         "order": added,
         "rejected": [],
-        "detectable": True,
-        "true_gains": dict.fromkeys(hidden, 25.0),
+        "base_error": {"train": 3.0, "test": 3.0},
         "final_error": {"train": 1.0, "test": 1.0},
         "true_test_error": 1.0,
+        "true_validation": 1.0,
+        "found_validation": 1.1,
         "processor_seconds": 4.0,
-    } | changes
+        **changes,
+    }
 
 
 def test_measures_count_what_they_say() -> None:
@@ -180,46 +186,24 @@ def test_a_case_that_lacks_a_part_gets_it_as_a_candidate() -> None:
     assert case.gain("viscous_damping").train > 1000
 
 
-def entry_vehicles(key: str, hidden: list[str], added: list[str], **changes: Any) -> dict[str, Any]:
-    """A finished case."""
-    vehicle, _, kind, condition, declared = key.split("/")
-    return {
-        "key": key,
-        "vehicle": vehicle,
-        "hidden": kind,
-        "condition": condition,
-        "declared": declared == "declared",
-        "effects": hidden,
-        "detectable": True,
-        "true_gains": dict.fromkeys(hidden, 100.0),
-        "steps": [{"added": name, "group": [name], "test_error": 1.0} for name in added],
-        "base_error": {"train": 3.0, "test": 3.0},
-        "final_error": {"train": 1.0, "test": 1.0},
-        "true_validation": 1.0,
-        "found_validation": 1.1,
-        "processor_seconds": 2.0,
-        **changes,
-    }
-
-
-def test_measures_count_what_they_say_vehicles() -> None:
+def test_measures_on_other_vehicles_count_what_they_say() -> None:
     """Rates from cases whose outcome is known by construction."""
     entries = [
-        entry_vehicles("motor/0/none/white/declared", [], []),
-        entry_vehicles("motor/1/none/waves/declared", [], ["a"]),
-        entry_vehicles("motor/2/single/white/declared", ["a"], ["a"]),
-        entry_vehicles("motor/3/single/white/declared", ["a"], ["b", "a"]),
-        entry_vehicles("motor/4/single/white/declared", ["a"], ["c"], same_as={"a": ["c"]}),
-        entry_vehicles(
+        entry("motor/0/none/white/declared", [], []),
+        entry("motor/1/none/waves/declared", [], ["a"]),
+        entry("motor/2/single/white/declared", ["a"], ["a"]),
+        entry("motor/3/single/white/declared", ["a"], ["b", "a"]),
+        entry("motor/4/single/white/declared", ["a"], ["c"], same_as={"a": ["c"]}),
+        entry(
             "motor/5/single/white/declared",
             ["a"],
             ["b"],
             steps=[{"added": "b", "group": ["b"], "test_error": "inf"}],
         ),
-        entry_vehicles("motor/6/single/white/declared", ["a"], [], detectable=False),
-        entry_vehicles("motor/7/pair/white/declared", ["a", "b"], ["a"]),
+        entry("motor/6/single/white/declared", ["a"], [], detectable=False),
+        entry("motor/7/pair/white/declared", ["a", "b"], ["a"]),
     ]
-    broken = entry_vehicles("motor/8/single/waves/undeclared", ["a"], [], error="ValueError: no")
+    broken = entry("motor/8/single/waves/undeclared", ["a"], [], error="ValueError: no")
     for key in ("steps", "final_error", "base_error"):
         del broken[key]
     found = measures_vehicles([*entries, broken])
@@ -251,7 +235,7 @@ def test_a_run_goes_on_where_it_stopped(tmp_path: Path, monkeypatch: pytest.Monk
     def judged(draw: Any, *, limit: float) -> dict[str, Any]:
         asked.append(draw.key)
         hidden = [] if draw.hidden == "none" else ["a"]
-        return entry_vehicles(draw.key, hidden, hidden)
+        return entry(draw.key, hidden, hidden)
 
     monkeypatch.setattr(runner, "judge", judged)
     store = tmp_path / "out.jsonl"

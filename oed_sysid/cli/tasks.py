@@ -238,12 +238,14 @@ def fit(study: Study, show: Shown) -> Outcome:
     --validate dive_3.csv --save fit.json
     """
     from oed_sysid.data.dataset import check_disjoint
+    from oed_sysid.evidence.check import with_estimates
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
     log = oed_sysid.quick_check(train, study.problem)
     result = fits_of(study, {"": model}, show)[""]
+    log = with_estimates(log, result)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
     if study.test is not None:
@@ -266,6 +268,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.check import with_estimates
 
     train, validation = study.training(), study.validation()
     models, saved = _models(study.equipped if added else study.problem, added)
@@ -276,6 +279,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     fits = fits_of(study, models, show) | saved
     show.say("predicting")
     result = oed_sysid.compare(fits, validation)
+    log = with_estimates(log, fits[result.best.label])
     notes = [
         f"The fit of {n} ended as {one.status}" for n, one in fits.items() if not one.status.ok
     ]

@@ -57,10 +57,6 @@ class Elimination:
     solved: np.ndarray
     gain: float
 
-    def moves(self, step: np.ndarray) -> np.ndarray:
-        """Steps of the start states, ``(n_segments, n_full)``, for a step of the parameters."""
-        return self.solved[:, :, -1] - self.solved[:, :, :-1] @ step
-
 
 def gather(
     kernel: Kernel,
@@ -135,14 +131,12 @@ def _summed(
 
 
 def eliminate(
-    kernel: Kernel, gram: np.ndarray, away: np.ndarray, weight: np.ndarray, damping: float
+    gram: np.ndarray, away: np.ndarray, weight: np.ndarray, damping: float
 ) -> Elimination:
     """Eliminate the start states of independent segments.
 
     Parameters
     ----------
-    kernel : Kernel
-        Of the model.
     gram : ndarray (n_segments, n_columns + 1, n_columns + 1)
         As in :class:`Blocks`.
     away : ndarray (n_segments, n_full)
@@ -152,24 +146,6 @@ def eliminate(
     damping : float
         Share by which the diagonal of the start states is raised.
     """
-    n_segments, n_full, n_free = len(gram), kernel.n_full, kernel.n_free
-    if kernel.library is None:
-        return _eliminate_numpy(gram, away, weight, damping)
-    gram, away, weight = doubles(gram, away, weight)
-    solved = np.empty((n_segments, n_full, n_free + 1))
-    reduced, gain = np.empty((n_free, n_free + 1)), np.empty(1)
-    failed = call(
-        kernel.library.kernel_eliminate, n_segments, gram, away, weight, float(damping), solved,
-        reduced, gain,
-    )  # fmt: skip
-    if failed:  # rounding; a factorization with pivoting still finds its way
-        return _eliminate_numpy(gram, away, weight, damping)
-    return Elimination(reduced[:, :-1], reduced[:, -1], solved, float(gain[0]))
-
-
-def _eliminate_numpy(
-    gram: np.ndarray, away: np.ndarray, weight: np.ndarray, damping: float
-) -> Elimination:
     n_full = len(weight)
     damped, diagonal = gram[:, :n_full, :n_full].copy(), range(n_full)
     damped[:, diagonal, diagonal] += weight

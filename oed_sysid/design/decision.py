@@ -548,12 +548,7 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
         IMMATERIAL * shared[n].tolerance * fit.model.parameter(n).reference if n in shared else 0.0
         for n in fit.names
     ]
-    with np.errstate(invalid="ignore"):
-        grown = np.diag(fit.covariance) / np.diag(fit.information.covariance)
-    grown = grown[np.isfinite(grown)]
-    found = sources.agreement(
-        allowance=np.array(allowed), inflation=max(1.0, float(grown.mean()) if len(grown) else 1.0)
-    )
+    found = sources.agreement(allowance=np.array(allowed), stated=fit.covariance)
     if found.chance >= CHANCE:
         return None
     least = int(np.argmin(found.chances))

@@ -43,7 +43,7 @@ from oed_sysid.physics import (
 from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import ABKOWITZ, POLYNOMIAL
+from oed_sysid.physics.table import ABKOWITZ, POLYNOMIAL, SOURCES
 from oed_sysid.text import expressions
 from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import Dimension, dimension
@@ -507,7 +507,7 @@ def _drifts(model: Model, scale: float) -> Iterator[Effect]:
                 {state.name: size.name},
                 (size,),
                 description=f"current that carries the vehicle along {state.name}",
-                source=forces.CURRENT,
+                source=SOURCES["CURRENT"],
                 needs=f"{state.name} and velocities through the water",
             )
 
@@ -528,7 +528,7 @@ def _current(
         terms,
         tuple(towards),
         description=description,
-        source=forces.CURRENT,
+        source=SOURCES["CURRENT"],
         needs=over if len(ways) == 2 else f"position or {over}",
     )
 
@@ -544,7 +544,7 @@ def _weights(model: Model, sizes: Sizes) -> Iterator[Effect]:
         {a: f"{size.name}*({text})" for a, text in pulls if a in model.axes and text != "0"},
         (size,),
         description="weight less buoyancy differs from its nominal value",
-        source=forces.WEIGHT,
+        source=SOURCES["WEIGHT"],
         needs="several pitch angles",
     )
 

@@ -19,16 +19,12 @@ import sys
 import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from xml.etree import ElementTree
 
-import numpy as np
-
-from oed_sysid.compiled.graph import GAMMA, STAGES
 from oed_sysid.errors import FileError
-from oed_sysid.export.program import IN_C, Example, Program, Routine, example, template
+from oed_sysid.export.program import IN_C, Example, Program, example, filled, numbers_in_c, template
 from oed_sysid.runtime.files import whole_file
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.typeset import safe
@@ -53,25 +49,8 @@ def header(program: Program, file: Path | None = None) -> str:
 
 def source(program: Program, file: Path | None = None) -> str:
     """Text of the source: the model's functions, and the loop around them."""
-    model = program.model
-    steps = template("implicit.c" if program.implicit else "explicit.c")
-    loop = steps.substitute(
-        gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
-    )
-    return template("model.c").substitute(
-        **program.head,
-        nd=program.n_signals,
-        linear=", ".join(str(int(one)) for one in program.linear_inputs) or "0",
-        any_linear=int(any(program.linear_inputs)),
-        functions="\n\n".join(_function(one) for one in program.routines),
-        advance=loop,
-        state_names=_strings(program.names.states),
-        input_names=_strings(program.names.inputs),
-        output_names=_strings(program.names.outputs),
-        parameter_names=_strings(program.names.parameters),
-        estimated_names=_strings(program.names.free),
-        values=_numbers(model.value_vector),
-        covariance=_numbers(program.covariance),
+    return filled(
+        program, "model.c", IN_C, nd=program.n_signals, any_linear=int(any(program.linear_inputs))
     )
 
 
@@ -83,41 +62,14 @@ def example_test(program: Program, file: Path | None = None) -> str:
 def self_test(program: Program, run: Example) -> str:
     """Text of a program that repeats one trajectory."""
     return template("self_test.c").substitute(
-        **program.head | {"own": _numbers(run.own)},
+        **program.head | {"own": numbers_in_c(run.own)},
         n=len(run.times),
-        times=_numbers(run.times),
-        inputs=_numbers(run.inputs),
-        parameters=_numbers(run.parameters),
-        expected=_numbers(run.outputs),
+        times=numbers_in_c(run.times),
+        inputs=numbers_in_c(run.inputs),
+        parameters=numbers_in_c(run.parameters),
+        expected=numbers_in_c(run.outputs),
         tolerance=repr(TOLERANCE),
     )
-
-
-def _function(routine: Routine) -> str:
-    arguments = [
-        f"double {name}" if name in ("t", "h") else f"const double *{name}"
-        for name, _ in routine.arguments
-    ]
-    results = [f"double *{name}" for name, _ in routine.results]
-    used = sorted({one.target[0] for one in routine.operations if one.word != "output"})
-    lines = [f"static void {routine.name}({', '.join([*arguments, *results])})", "{"]
-    for first in range(0, len(used), 16):
-        lines.append("    double " + ", ".join(f"w{i}" for i in used[first : first + 16]) + ";")
-    unused = [name for name, _ in (*routine.arguments, *routine.results)]
-    lines.append("    " + " ".join(f"(void){name};" for name in unused))
-    lines += [f"    {line}" for line in IN_C.lines(routine)]
-    return "\n".join([*lines, "}"])
-
-
-def _numbers(values: Iterable[float] | np.ndarray) -> str:
-    flat = np.ravel(np.asarray(values, dtype=float))
-    texts = [repr(float(value)).replace("nan", "NAN").replace("inf", "INFINITY") for value in flat]
-    rows = [", ".join(texts[i : i + 6]) for i in range(0, len(texts), 6)]
-    return ",\n    ".join(rows) or "0.0"
-
-
-def _strings(names: Iterable[str]) -> str:
-    return ", ".join(f'"{name}"' for name in names) or '""'
 
 
 # -- a Functional Mock-up Unit ---------------------------------------------------------

@@ -34,7 +34,7 @@ from string import Template
 import casadi as ca
 import numpy as np
 
-from oed_sysid.compiled.graph import build
+from oed_sysid.compiled.graph import GAMMA, STAGES, build
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.trajectory import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
@@ -386,20 +386,6 @@ def _routine(function: ca.Function) -> Routine:
     )
 
 
-def template(name: str) -> Template:
-    """Text around the functions, kept in a file of its own."""
-    return Template(files("oed_sysid.export").joinpath("templates", name).read_text("utf-8"))
-
-
-def python_function(dialect: Dialect, routine: Routine, zero: str) -> str:
-    """Text of a function of Python that returns lists of its results."""
-    names = ", ".join(name for name, _ in routine.arguments)
-    lines = [f"def {routine.name}({names}):"]
-    lines += [f"    {name} = [{zero}] * {length}" for name, length in routine.results]
-    lines += [f"    {line}" for line in dialect.lines(routine)]
-    return "\n".join([*lines, f"    return {', '.join(name for name, _ in routine.results)}"])
-
-
 def _slopes(rates: ca.Function) -> ca.Function:
     """Dense derivatives of the rates by the states, row by row."""
     symbols = [ca.SX.sym(rates.name_in(i), rates.sparsity_in(i)) for i in range(rates.n_in())]
@@ -464,9 +450,16 @@ class Dialect:
     """
 
     formats: dict[str, str]
-    argument: Callable[[str, int, int], str]
-    result: Callable[[str, int, int], str]
+    element: Callable[[str, int], str]
     end: str
+    head: Callable[[Routine], list[str]]
+    tail: Callable[[Routine], str]
+    indent: str = "    "
+    gap: str = "\n\n\n"
+    strings: Callable[[Iterable[str]], str] = lambda names: repr(tuple(names))
+    flags: Callable[[Iterable[bool]], str] = lambda values: repr(tuple(values))
+    numbers: Callable[[np.ndarray], str] = lambda values: str(values.tolist())
+    loop: str = ".py.txt"
 
     def lines(self, routine: Routine) -> list[str]:
         """Statements of a function, without its head.
@@ -484,12 +477,10 @@ class Dialect:
                     right = {"inf": "(1e308*10)", "-inf": "(-1e308*10)"}.get(right, "(0.0/0.0)")
                 lines.append(f"w{one.target[0]} = {right}{self.end}")
             elif one.word == "input":
-                name, length = routine.arguments[one.operands[0]]
-                text = self.argument(name, length, one.operands[1])
+                text = self.element(routine.arguments[one.operands[0]][0], one.operands[1])
                 lines.append(f"w{one.target[0]} = {text}{self.end}")
             elif one.word == "output":
-                name, length = routine.results[one.target[0]]
-                text = self.result(name, length, one.target[1])
+                text = self.element(routine.results[one.target[0]][0], one.target[1])
                 lines.append(f"{text} = w{one.operands[0]}{self.end}")
             else:
                 operands = [f"w{index}" for index in one.operands]
@@ -497,19 +488,103 @@ class Dialect:
                 lines.append(f"w{one.target[0]} = {right}{self.end}")
         return lines
 
+    def function(self, routine: Routine) -> str:
+        """Text of a function."""
+        inside = [f"{self.indent}{line}" for line in self.lines(routine)]
+        return "\n".join([*self.head(routine), *inside, self.tail(routine)])
+
+
+def template(name: str) -> Template:
+    """Text around the functions, kept in a file of its own."""
+    return Template(files("oed_sysid.export").joinpath("templates", name).read_text("utf-8"))
+
+
+def filled(program: Program, page: str, language: Dialect, /, **more: object) -> str:
+    """Text of a template, with names, numbers and functions as a language writes them."""
+    names = program.names
+    words = {key: language.strings(getattr(names, key)) for key in Names.__dataclass_fields__}
+    step = template(f"{'implicit' if program.implicit else 'explicit'}{language.loop}")
+    weights = ", ".join(repr(w) for row in STAGES for w in row)
+    return template(page).substitute(
+        program.head
+        | words
+        | {
+            "linear": language.flags(program.linear_inputs),
+            "values": language.numbers(program.model.value_vector),
+            "covariance": language.numbers(np.array(program.covariance)),
+            "functions": language.gap.join(map(language.function, program.routines)),
+            "advance": step.substitute(gamma=repr(GAMMA), weights=weights),
+        }
+        | more
+    )
+
 
 _SCALARS = ("t", "h")
 
 
-def _from_zero(name: str, length: int, index: int) -> str:
+def _from_zero(name: str, index: int) -> str:
     return name if name in _SCALARS else f"{name}[{index}]"
 
 
-def _from_one(name: str, length: int, index: int) -> str:
+def _from_one(name: str, index: int) -> str:
     return name if name in _SCALARS else f"{name}({index + 1})"
 
 
-IN_C = Dialect(_formats("c"), _from_zero, _from_zero, ";")
-IN_PYTHON = Dialect(_formats("python"), _from_zero, _from_zero, "")
-IN_MATLAB = Dialect(_formats("matlab"), _from_one, _from_one, ";")
-IN_SYMPY = Dialect(_formats("sympy"), _from_zero, _from_zero, "")
+def _listed(parts: Iterable[tuple[str, int]]) -> str:
+    return ", ".join(name for name, _ in parts)
+
+
+def _head_of_c(routine: Routine) -> list[str]:
+    arguments = [
+        f"double {name}" if name in _SCALARS else f"const double *{name}"
+        for name, _ in routine.arguments
+    ]
+    results = [f"double *{name}" for name, _ in routine.results]
+    used = sorted({one.target[0] for one in routine.operations if one.word != "output"})
+    lines = [f"static void {routine.name}({', '.join([*arguments, *results])})", "{"]
+    for first in range(0, len(used), 16):
+        lines.append("    double " + ", ".join(f"w{i}" for i in used[first : first + 16]) + ";")
+    unused = [name for name, _ in (*routine.arguments, *routine.results)]
+    return [*lines, "    " + " ".join(f"(void){name};" for name in unused)]
+
+
+def numbers_in_c(values: Iterable[float] | np.ndarray) -> str:
+    """Numbers of an initialiser, row by row."""
+    flat = np.ravel(np.asarray(values, dtype=float))
+    texts = [repr(float(value)).replace("nan", "NAN").replace("inf", "INFINITY") for value in flat]
+    rows = [", ".join(texts[i : i + 6]) for i in range(0, len(texts), 6)]
+    return ",\n    ".join(rows) or "0.0"
+
+
+def _head_of_python(zero: str) -> Callable[[Routine], list[str]]:
+    def head(routine: Routine) -> list[str]:
+        lines = [f"def {routine.name}({_listed(routine.arguments)}):"]
+        return lines + [f"    {name} = [{zero}] * {length}" for name, length in routine.results]
+
+    return head
+
+
+def _tail_of_python(routine: Routine) -> str:
+    return f"    return {_listed(routine.results)}"
+
+
+def _head_of_matlab(routine: Routine) -> list[str]:
+    call = f"{routine.name}({_listed(routine.arguments)})"
+    lines = [f"function [{_listed(routine.results)}] = {call}"]
+    return lines + [f"{name} = zeros({length}, 1);" for name, length in routine.results]
+
+
+IN_C = Dialect(
+    _formats("c"), _from_zero, ";", _head_of_c, lambda routine: "}", gap="\n\n",
+    strings=lambda names: ", ".join(f'"{name}"' for name in names) or '""',
+    flags=lambda values: ", ".join(str(int(one)) for one in values) or "0",
+    numbers=numbers_in_c, loop=".c",
+)  # fmt: skip
+IN_PYTHON = Dialect(_formats("python"), _from_zero, "", _head_of_python("0.0"), _tail_of_python)
+IN_MATLAB = Dialect(
+    _formats("matlab"), _from_one, ";", _head_of_matlab, lambda routine: "end", "", "\n\n",
+    strings=lambda names: ", ".join(f"'{name}'" for name in names),
+    flags=lambda values: " ".join(str(int(one)) for one in values),
+    numbers=lambda values: "\n".join(" ".join(map(repr, np.ravel(row).tolist())) for row in values),
+)  # fmt: skip
+IN_SYMPY = Dialect(_formats("sympy"), _from_zero, "", _head_of_python("sp.S(0)"), _tail_of_python)

@@ -20,21 +20,20 @@ derivatives :math:`J` by the parameters (the trim moves with them), :math:`J \Si
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.graph import GAMMA, STAGES, build
+from oed_sysid.compiled.graph import build
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiments.steady import equilibrium, linearise
 from oed_sysid.export.program import (
     IN_MATLAB,
     IN_PYTHON,
     Program,
-    Routine,
-    python_function,
+    filled,
     template,
 )
 from oed_sysid.physics.model import Model
@@ -53,23 +52,8 @@ def python_text(program: Program, file: Path) -> str:
             names.parameters, names.parameter_units, model.value_vector, strict=True
         )
     ]
-    step = template("implicit.py.txt" if program.implicit else "explicit.py.txt").substitute(
-        gamma=repr(GAMMA), weights=", ".join(repr(w) for row in STAGES for w in row)
-    )
-    return template("model.py.txt").substitute(
-        **program.head,
-        title=repr(safe(model.name)),
-        states=names.states,
-        inputs=names.inputs,
-        input_units=names.input_units,
-        linear=program.linear_inputs,
-        outputs=names.outputs,
-        output_units=names.output_units,
-        parameters="\n".join(rows),
-        estimated=names.free,
-        covariance=program.covariance.tolist(),
-        functions="\n\n\n".join(python_function(IN_PYTHON, one, "0.0") for one in program.routines),
-        step_function=step,
+    return filled(
+        program, "model.py.txt", IN_PYTHON, title=repr(safe(model.name)), parameters="\n".join(rows)
     )
 
 
@@ -89,35 +73,7 @@ def matlab_text(program: Program, file: Path) -> str:
             f"Model {program.model.name!r} is stiff (integrator='implicit'), which is not written "
             "for MATLAB. Export it as c, python or fmu."
         )
-    model, names = program.model, program.names
-    return template("model.m.txt").substitute(
-        **program.head | {"name": file.stem},
-        states=_strings(names.states),
-        inputs=_strings(names.inputs),
-        input_units=_strings(names.input_units),
-        linear=" ".join(str(int(one)) for one in program.linear_inputs),
-        outputs=_strings(names.outputs),
-        output_units=_strings(names.output_units),
-        parameters=_strings(names.parameters),
-        values="\n".join(repr(float(value)) for value in model.value_vector),
-        estimated=_strings(names.free),
-        covariance="\n".join(
-            " ".join(map(repr, row)) for row in np.array(program.covariance).tolist()
-        ),
-        functions="\n\n".join(_matlab_function(one) for one in program.routines),
-    )
-
-
-def _strings(names: Iterable[str]) -> str:
-    return ", ".join(f"'{name}'" for name in names)
-
-
-def _matlab_function(routine: Routine) -> str:
-    results = ", ".join(name for name, _ in routine.results)
-    arguments = ", ".join(name for name, _ in routine.arguments)
-    lines = [f"function [{results}] = {routine.name}({arguments})"]
-    lines += [f"{name} = zeros({length}, 1);" for name, length in routine.results]
-    return "\n".join([*lines, *IN_MATLAB.lines(routine), "end"])
+    return filled(program, "model.m.txt", IN_MATLAB, name=file.stem)
 
 
 # -- CasADi functions as files that any CasADi of the same or a later version loads ----

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from oed_sysid.export.program import IN_SYMPY, Program, python_function, template
+from oed_sysid.export.program import IN_SYMPY, Program, filled, template
 from oed_sysid.physics.model import latex_lines
 from oed_sysid.text import notation
 from oed_sysid.text.typeset import safe, safe_unit
@@ -12,7 +12,6 @@ from oed_sysid.text.typeset import safe, safe_unit
 
 def module_text(program: Program, file: Path) -> str:
     """Text of the module."""
-    model = program.model
 
     def symbols(names: tuple[str, ...]) -> str:
         inside = ", ".join(f'sp.Symbol("{name}", real=True)' for name in names)
@@ -21,21 +20,16 @@ def module_text(program: Program, file: Path) -> str:
     known = program.names
     used = {"t", "h", *known.states, *known.parameters}
     signals = tuple(name if name not in used else f"{name}_signal" for name in known.signals)
-    return template("sympy.py.txt").substitute(
-        origin=program.origin,
+    return filled(
+        program,
+        "sympy.py.txt",
+        IN_SYMPY,
         states=symbols(known.states),
         inputs=symbols(known.inputs),
         signals=symbols(signals),
         parameters=symbols(known.parameters),
-        outputs=known.outputs,
         memory_a=symbols(tuple(f"actuator_memory_{i}" for i in range(program.n_actuator))),
         memory_s=symbols(tuple(f"sensor_memory_{i}" for i in range(program.n_sensor))),
-        values=[float(value) for value in model.value_vector],
-        estimated=known.free,
-        covariance=program.covariance.tolist(),
-        functions="\n\n\n".join(
-            python_function(IN_SYMPY, one, "sp.S(0)") for one in program.routines
-        ),
     )
 
 

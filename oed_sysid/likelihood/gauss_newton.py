@@ -45,8 +45,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
-from typing import Any, Protocol
+from functools import cache, cached_property, partial
+from typing import Any
 
 import numpy as np
 
@@ -56,7 +56,7 @@ from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step, gain_within, inverse_of
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
-from oed_sysid.likelihood.unknowns import Limits, node_maps
+from oed_sysid.likelihood.unknowns import node_maps
 
 # Lengths of a step that are tried, and the ratio of one to the one before.
 LINE_SEARCH_STEPS, SHORTER = 5, 0.4
@@ -116,7 +116,8 @@ class Iterate:
 
     Attributes
     ----------
-    problem : Problem
+    problem : Shooting, Filtered or Windows
+        With ``limits`` of the unknowns, and ``move``, a step within them.
     point : Point
     cost : float
         Half the (robust) sum of squares of residuals and priors, defects excluded.
@@ -128,7 +129,7 @@ class Iterate:
         Sensitivities of every sample, where they are there.
     """
 
-    problem: Problem
+    problem: Any
     point: Point
     cost: float
     derive: Callable[[float], Equations]
@@ -156,17 +157,6 @@ class Iterate:
         return self.problem.move(self.point, equations.follows, step, length)
 
 
-class Problem(Protocol):
-    """What is minimised."""
-
-    @property
-    def limits(self) -> Limits:
-        """Bounds and priors of the unknowns."""
-
-    def move(self, point: Point, follows: Follows, step: np.ndarray, length: float) -> Point:
-        """The point after a step of the unknowns, within bounds, and what follows of the nodes."""
-
-
 Evaluate = Callable[[Any, Point], Iterate | None]
 Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
@@ -174,8 +164,11 @@ Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndar
 def exact(shooting: Shooting, point: Point) -> Iterate | None:
     """Evaluate a point with the sensitivities of every sample; None where it diverges."""
     lin = shooting.linearise(point)
-    if lin is None:
-        return None
+    return None if lin is None else linearised(shooting, point, lin)
+
+
+def linearised(shooting: Shooting, point: Point, lin: Linearisation) -> Iterate:
+    """A point whose sensitivities are known, at the noise levels of a problem."""
 
     @cache
     def equations() -> Equations:
@@ -533,28 +526,62 @@ class Solution:
     ``"enough"`` or, from constrained solvers, ``"infeasible"``.
     """
 
-    point: Point
-    linearisation: Linearisation
-    cost: float
+    now: Iterate
     iterations: int
     reason: str
 
     @property
+    def problem(self) -> Any:
+        """What was minimised."""
+        return self.now.problem
+
+    @property
+    def shooting(self) -> Shooting:
+        """The problem over whole records; that of windows holds one."""
+        return getattr(self.problem, "shooting", self.problem)
+
+    @property
+    def point(self) -> Point:
+        """Unknowns and nodes."""
+        return self.now.point
+
+    @property
+    def cost(self) -> float:
+        """Half of minus twice the log-likelihood, priors included, up to a constant."""
+        return self.now.cost
+
+    @property
+    def linearisation(self) -> Linearisation:
+        """Sensitivities of every sample, of least squares over multiple shooting."""
+        assert self.now.linearisation is not None
+        return self.now.linearisation
+
+    @property
+    def matrix(self) -> np.ndarray:
+        """Information of all unknowns, priors excluded."""
+        return self.now.equations.matrix
+
+    @property
+    def right(self) -> np.ndarray:
+        """Half the negative gradient, priors excluded."""
+        return self.now.equations.right
+
+    @property
     def residuals(self) -> Sequence[np.ndarray]:
         """Measured less model ``(n_times, n_outputs)``, per record."""
-        return self.linearisation.residuals
+        lin = self.now.linearisation
+        return self.problem.residuals(self.point) if lin is None else lin.residuals
 
-    def levels(self, shooting: Shooting) -> np.ndarray:
+    @property
+    def levels(self) -> np.ndarray:
         """Noise levels that the residuals show, unknowns counted, ``(n_outputs,)``."""
-        return residual_levels(self.residuals, shooting.n_unknowns)
-
-    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        return shooting.normal_equations(self.linearisation)
+        return residual_levels(self.residuals, self.problem.n_unknowns)
 
     def rated(self, shooting: Shooting) -> Solution:
-        """The same end, its cost that of a problem with other noise levels."""
-        return replace(self, cost=shooting.cost(self.linearisation, self.point.unknowns))
+        """The same end where the noise levels are those of another problem."""
+        lin, point = self.now.linearisation, self.point
+        now = linearised(shooting, point, lin) if lin else self.problem.rated(shooting).at(point)
+        return self if now is None else replace(self, now=now)
 
 
 def solve(
@@ -601,28 +628,18 @@ def solve(
     if evaluate is gathered and descent.refine(exact) and reason in ("converged", "stalled"):
         left = max(max_iterations - descent.steps, 1)
         reason = descent.run(left, callback=callback, enough=enough)
-    now = descent.now
-    if now.linearisation is None:
+    if descent.now.linearisation is None:
         return None
-    iterations = descent.steps + (reason in ("converged", "stalled"))
-    return Solution(now.point, now.linearisation, now.cost, iterations, reason)
+    return Solution(descent.now, descent.steps + (reason in ("converged", "stalled")), reason)
 
 
-@dataclass(frozen=True, eq=False)
-class FilteredSolution:
-    """Where the iterations of a likelihood with disturbance forces ended.
+class FilteredSolution(Solution):
+    """Where the iterations of a likelihood with disturbance forces ended."""
 
-    ``matrix`` is the information of all unknowns there, ``right`` half the negative
-    gradient, priors excluded.
-    """
-
-    problem: Filtered
-    point: Point
-    cost: float
-    matrix: np.ndarray
-    right: np.ndarray
-    iterations: int
-    reason: str
+    @property
+    def problem(self) -> Filtered:
+        """What was minimised."""
+        return self.now.problem
 
     @property
     def objective(self) -> float:
@@ -705,14 +722,15 @@ def solve_filtered(
 
     reason = descent.run(max_iterations, callback=callback, enough=to_and_fro)
     reason = "converged" if reason == "enough" else reason
-    descent.now, equations = descent.lowest, None
+    descent.now = descent.lowest
     exact_control = StepControl(FEW, MOST_DAMPING)
     if reason != "interrupted" and polish and descent.refine(differentiated, exact_control):
         last = descent.run(polish, enough=lambda progress: progress.decrement < NEAR)
         if last == "enough":  # the equations before hold where so small a step has led
             before = descent.before.equations
             step = descent.now.point.unknowns - descent.before.point.unknowns
-            equations = before.matrix, before.right - before.matrix @ step
+            kept = replace(before, right=before.right - before.matrix @ step)
+            descent.now = replace(descent.now, derive=partial(_told, kept))
         # The exact gradient has the last word, whatever the frozen one ended with.
         if last == "interrupted":
             reason = last
@@ -721,6 +739,10 @@ def solve_filtered(
     # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
     if reason == "stalled" and descent.decrease < NEAR:
         reason = "converged"
-    now = descent.now
-    matrix, right = equations or (now.equations.matrix, now.equations.right)
-    return FilteredSolution(problem, now.point, now.cost, matrix, right, descent.steps + 1, reason)
+    now = replace(descent.now, derive=partial(_told, descent.now.equations))
+    return FilteredSolution(now, descent.steps + 1, reason)
+
+
+def _told(equations: Equations, damping: float) -> Equations:
+    """Equations that nothing changes, kept in files with what they are of."""
+    return equations

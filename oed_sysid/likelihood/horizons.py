@@ -23,18 +23,16 @@ of the noise and the samples per independent one. Independent tests, such as cap
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import replace
 
 import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.between_records import Sources, sources_of
-from oed_sysid.likelihood.covariance import sandwich, tests_middle, tests_stray
+from oed_sysid.likelihood.covariance import ReducedProblem, Scores, sandwich, tests_middle
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Iterate, Progress
+from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Progress, Solution
 from oed_sysid.likelihood.information import Information, effective_sample_size
-from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.projection import share_of
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.summary import Procedure
@@ -57,56 +55,6 @@ def check_horizon(shooting: Shooting, horizon: float) -> None:
         )
 
 
-@dataclass(frozen=True, eq=False)
-class WindowSolution:
-    """Where the iterations over windows ended; see :class:`.gauss_newton.Solution`.
-
-    ``paths`` are outputs and states of the windows, put together per record.
-    """
-
-    problem: Windows
-    horizon: float
-    now: Iterate
-    iterations: int
-    reason: str
-
-    @property
-    def point(self) -> Point:
-        """Unknowns, and start states of the windows."""
-        return self.now.point
-
-    @property
-    def cost(self) -> float:
-        """Half the sum of squares, priors included."""
-        return self.now.cost
-
-    @cached_property
-    def paths(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Outputs and states of the windows, put together per record."""
-        return list(zip(*predictions(self.problem, self.point), strict=True))
-
-    @property
-    def residuals(self) -> Sequence[np.ndarray]:
-        """Measured less predicted ``(n_times, n_outputs)``, per record."""
-        pairs = zip(self.problem.shooting.records, self.paths, strict=True)
-        return [record.outputs - outputs for record, (outputs, _) in pairs]
-
-    def levels(self, shooting: Shooting) -> np.ndarray:
-        """Noise levels that the residuals of the windows show, start states counted."""
-        own = self.problem.n_windows * min(shooting.layout.n_own, len(shooting.sigma))
-        return residual_levels(self.residuals, len(shooting.layout.shared) + own)
-
-    def equations(self, shooting: Shooting) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Newton matrix and right-hand side, priors excluded."""
-        return self.now.equations.matrix, self.now.equations.right
-
-    def rated(self, shooting: Shooting) -> WindowSolution:
-        """The same end where the noise levels are those of another problem."""
-        problem = self.problem.rated(shooting)
-        now = problem.at(self.point)
-        return self if now is None else replace(self, problem=problem, now=now)
-
-
 def solve_windows(
     shooting: Shooting,
     point: Point,
@@ -115,7 +63,7 @@ def solve_windows(
     max_iterations: int,
     tolerance: float,
     callback: Callable[[Progress], None] | None = None,
-) -> WindowSolution | None:
+) -> Solution | None:
     """Minimise over windows of a horizon; None where the model diverges within the first.
 
     Parameters
@@ -135,10 +83,10 @@ def solve_windows(
         return None
     descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
     reason = descent.run(max_iterations, callback=callback)
-    return WindowSolution(problem, horizon, descent.now, descent.steps + 1, reason)
+    return Solution(descent.now, descent.steps + 1, reason)
 
 
-def summarise_windows(solution: WindowSolution, how: Procedure) -> Fit:
+def summarise_windows(solution: Solution, how: Procedure) -> Fit:
     """Build the result; its predictions and residuals are those of the windows.
 
     Unless errors are ``"never"`` to hold the colour of residuals, they are those at the head of
@@ -146,58 +94,32 @@ def summarise_windows(solution: WindowSolution, how: Procedure) -> Fit:
     """
     problem, unknowns = solution.problem, solution.point.unknowns
     shooting = problem.shooting
-    information, covariance, sources, scattered = _uncertainty(problem, solution.now, how.coloured)
+    paths, own = problem.paths(solution.point), how.coloured
+    information, covariance, sources, scattered = _uncertainty(problem, solution.point, own)
     end = solution.reason, solution.cost
-    fit = how.fit(shooting, unknowns, end, information, solution.paths, sources)
+    fit = how.fit(shooting, unknowns, end, information, paths, sources)
     n_own = shooting.layout.n_own
     return replace(
         fit,
         covariance=covariance,
         coloured=how.coloured != "never" and problem.n_windows > 0,
-        initial_states=tuple(states[0, :n_own].copy() for _, states in solution.paths),
-        horizon=solution.horizon,
+        initial_states=tuple(states[0, :n_own].copy() for _, states in paths),
+        horizon=problem.horizon,
         n_windows=problem.n_windows,
         tests_scatter=scattered,
     )
 
 
-def predictions(problem: Windows, point: Point) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Outputs and states of the windows, put together per record.
-
-    Where two windows meet, the sample is that of the window which it ends.
-    """
-    shooting = problem.shooting
-    outputs = [np.full(r.outputs.shape, np.nan) for r in shooting.records]
-    states = [np.full((r.n_samples, shooting.kernel.n_full), np.nan) for r in shooting.records]
-    for part, at in zip(problem.windows, point.nodes, strict=True):
-        record = shooting.records[part.record]
-        z0, _ = shooting.full_start(point.unknowns, part.record)
-        run = shooting.kernel.run(
-            record.times,
-            record.inputs,
-            shooting.values(point.unknowns, part.record),
-            z0[None] if record.independent else at,
-            starts=part.starts,
-        )
-        stops = [*part.starts[1:], record.n_samples]
-        for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
-            if counted:
-                first = start if start == 0 else start + 1
-                outputs[part.record][first:stop] = run.outputs[first:stop]
-                states[part.record][first:stop] = run.states[first:stop]
-    return outputs, states
-
-
 def _uncertainty(
-    problem: Windows, now: Iterate, coloured: str
+    problem: Windows, point: Point, coloured: str
 ) -> tuple[Information, np.ndarray, Sources | None, bool]:
     """Information and covariance of the shared parameters, their sources, whether tests scatter."""
-    shooting, unknowns = problem.shooting, now.point.unknowns
+    shooting, unknowns = problem.shooting, point.unknowns
     layout, limits = shooting.layout, shooting.limits
     n_shared = len(layout.shared)
     slopes = layout.shared_values(unknowns)[1]
     prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
-    told, gains = _told_by_records(problem, now.point)
+    told = _told_by_records(problem, point)
     tests = [i for i, record in enumerate(shooting.records) if record.independent]
     series = [i for i in range(layout.n_records) if i not in tests]
     matrices = [told[i][0] for i in series]
@@ -210,28 +132,19 @@ def _uncertainty(
     covariance = information.covariance
     if coloured == "never" or not n_shared:
         return information, covariance, sources, False
-    rows, errors = _tests(problem, unknowns, gains)
-    scattered = bool(len(rows)) and (coloured == "always" or tests_stray(rows, errors, covariance))
-    middle = prior + tests_middle(rows, errors, covariance, scattered=scattered)
-    if problem.n_windows < ENOUGH * n_shared:
-        middle += _inflation(problem, now.point) * (whole - known)
-    else:
-        middle += sum(map(_summed, (told[i][1] for i in series)), np.zeros_like(prior))
+    alone = _tests(shooting, tests, unknowns)
+    scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
+    middle = prior + _middle(problem, point, [told[i][1] for i in series], whole - known)
+    if alone is not None:
+        middle += tests_middle(*alone.tests, covariance, scattered=scattered)
     return information, sandwich(covariance, middle), sources, scattered
 
 
-def _told_by_records(
-    problem: Windows, point: Point
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
+def _told_by_records(problem: Windows, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every record says of the shared parameters, its own ones estimated along.
 
-    Returns
-    -------
-    told : list of pair
-        Information ``(n_shared, n_shared)`` and scores of the windows in their order,
-        ``(n_windows, n_shared)``.
-    gains : list of ndarray (n_shared, n_free)
-        How free parameters of a record go over into the shared ones.
+    Information ``(n_shared, n_shared)``, and scores of the windows in their order,
+    ``(n_windows, n_shared)``.
     """
     shooting, layout, limits = problem.shooting, problem.shooting.layout, problem.limits
     n_free, unknowns = len(layout.free_names), point.unknowns
@@ -240,7 +153,7 @@ def _told_by_records(
     for part, matrix, own in problem.told(point):
         matrices[part.record] += matrix
         scores[part.record].append(np.column_stack([part.starts[part.counted], own]))
-    told, gains = [], []
+    told = []
     slopes = layout.shared_values(unknowns)[1]
     for index, matrix in enumerate(matrices):
         columns = layout.record_columns(index)[layout.n_own :]
@@ -253,43 +166,26 @@ def _told_by_records(
         rows = np.vstack(scores[index])
         rows = rows[np.argsort(rows[:, 0]), 1:]
         told.append((onto @ matrix @ onto.T, rows @ onto.T))
-        gains.append(onto)
-    return told, gains
+    return told
 
 
-def _tests(
-    problem: Windows, unknowns: np.ndarray, gains: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Jacobian by the shared parameters, and residuals, of all tests in units of noise.
+def _middle(
+    problem: Windows, point: Point, scores: Sequence[np.ndarray], told: np.ndarray
+) -> np.ndarray:
+    """Covariance of the summed scores of the windows; from the residuals where they are few."""
+    if problem.n_windows < ENOUGH * len(told):
+        return _inflation(problem, point) * told
+    return sum(map(_summed, scores), np.zeros_like(told))
 
-    Returns
-    -------
-    rows : ndarray (n_tests, n_outputs, n_shared)
-        Zero where nothing was measured.
-    errors : ndarray (n_tests, n_outputs)
-        NaN where nothing was measured.
-    """
-    shooting = problem.shooting
-    n_outputs, n_full = len(shooting.sigma), shooting.kernel.n_full
-    rows = [np.zeros((0, n_outputs, len(shooting.layout.shared)))]
-    errors = [np.zeros((0, n_outputs))]
-    for index, record in enumerate(shooting.records):
-        if not record.independent:
-            continue
-        run, (_, by) = (
-            shooting.run(unknowns, index, sensitivities=True),
-            shooting.full_start(unknowns, index),
-        )
-        assert run.output_sensitivities is not None
-        found = run.output_sensitivities
-        slopes = shooting.slopes(unknowns, index)
-        if slopes is not None:
-            found = found * np.concatenate([np.ones(n_full), slopes])
-        own = found @ problem.from_start(by)[:-1, :-1] @ gains[index].T
-        own[~np.isfinite(record.outputs)] = 0.0
-        rows.append(own / shooting.sigma[:, None])
-        errors.append((record.outputs - run.outputs) / shooting.sigma)
-    return np.concatenate(rows), np.concatenate(errors)
+
+def _tests(shooting: Shooting, tests: Sequence[int], unknowns: np.ndarray) -> Scores | None:
+    """Jacobian and residuals of independent tests; None without any."""
+    if not tests:
+        return None
+    alone, own = shooting.part(tests, unknowns)
+    found = alone.linearise(alone.continuous(own))
+    assert found is not None
+    return ReducedProblem(alone, found, own).told
 
 
 def _summed(rows: np.ndarray) -> np.ndarray:
@@ -305,10 +201,9 @@ def _summed(rows: np.ndarray) -> np.ndarray:
 def _inflation(problem: Windows, point: Point) -> float:
     """Mean square of the residuals in units of the noise, times samples per independent one."""
     shooting = problem.shooting
-    outputs, _ = predictions(problem, point)
     ratios = []
-    for record, predicted in zip(shooting.records, outputs, strict=True):
-        for column in ((record.outputs - predicted) / shooting.sigma).T:
+    for record, residual in zip(shooting.records, problem.residuals(point), strict=True):
+        for column in (residual / shooting.sigma).T:
             seen = column[np.isfinite(column)]
             if len(seen) > 10 and not record.independent:
                 mean_square = float(np.mean(seen**2))

@@ -71,6 +71,8 @@ class Windows:
         Of the distance of start states from their guesses.
     unknowns : ndarray (n_unknowns,), optional
         Where to begin; by default at the start values.
+    horizon : float, optional
+        Length of a window, s, where that is what is asked for.
     """
 
     def __init__(
@@ -79,8 +81,9 @@ class Windows:
         parts: Sequence[Part],
         weight: np.ndarray,
         unknowns: np.ndarray | None = None,
+        horizon: float | None = None,
     ) -> None:
-        self.shooting, self.weight = shooting, weight
+        self.shooting, self.weight, self.horizon = shooting, weight, horizon
         self.windows = tuple(part for part in parts if part.counted.any())
         begin = shooting.start_unknowns() if unknowns is None else unknowns
         guesses = [shooting.state_guess(begin, i) for i in range(len(shooting.records))]
@@ -113,7 +116,8 @@ class Windows:
         parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
         weight = (UNKNOWN * shooting.state_scale) ** -2.0
         weight[shooting.layout.n_own :] = HELD
-        return cls(shooting, parts, np.tile(weight, (len(shooting.records), 1)), unknowns)
+        weights = np.tile(weight, (len(shooting.records), 1))
+        return cls(shooting, parts, weights, unknowns, horizon)
 
     def rated(self, shooting: Shooting) -> Windows:
         """The same windows where the noise levels are those of another problem."""
@@ -131,6 +135,13 @@ class Windows:
         """Number of windows of the records that are series in time."""
         records = self.shooting.records
         return sum(int(p.counted.sum()) for p in self.windows if not records[p.record].independent)
+
+    @property
+    def n_unknowns(self) -> int:
+        """Number of shared parameters and start states that the outputs can tell."""
+        layout = self.shooting.layout
+        own = min(layout.n_own, len(self.shooting.sigma))
+        return len(layout.shared) + self.n_windows * own
 
     def at(self, point: Point) -> Iterate | None:
         """Cost and normal equations of the parameters; None where a trajectory diverges."""
@@ -175,7 +186,7 @@ class Windows:
             solved = np.zeros((*away.shape, gram.shape[2]))
             return Elimination(summed[:-1, :-1], summed[:-1, -1], solved, 0.0)
         weight = self.weight[part.record]
-        return eliminate(self.shooting.kernel, gram, away, weight, damping)
+        return eliminate(gram, away, weight, damping)
 
     def told(self, point: Point) -> Iterator[tuple[Part, np.ndarray, np.ndarray]]:
         """Every part, its information about the parameters, and the score of each window."""
@@ -230,6 +241,44 @@ class Windows:
         wide[:n_full, :-1] = by_free
         wide[n_full:] = np.eye(n_free + 1)
         return wide
+
+    def paths(self, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Outputs and states of the windows, put together per record.
+
+        Where two windows meet, the sample is that of the window which it ends.
+        """
+        shooting = self.shooting
+        found = [
+            (
+                np.full(r.outputs.shape, np.nan),
+                np.full((r.n_samples, shooting.kernel.n_full), np.nan),
+            )
+            for r in shooting.records
+        ]
+        for part, at in zip(self.windows, point.nodes, strict=True):
+            record = shooting.records[part.record]
+            z0, _ = shooting.full_start(point.unknowns, part.record)
+            run = shooting.kernel.run(
+                record.times,
+                record.inputs,
+                shooting.values(point.unknowns, part.record),
+                z0[None] if record.independent else at,
+                starts=part.starts,
+            )
+            stops = [*part.starts[1:], record.n_samples]
+            for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
+                if counted:
+                    rows = slice(start if start == 0 else start + 1, stop)
+                    for kept, new in zip(
+                        found[part.record], (run.outputs, run.states), strict=True
+                    ):
+                        kept[rows] = new[rows]
+        return found
+
+    def residuals(self, point: Point) -> list[np.ndarray]:
+        """Measured less predicted ``(n_times, n_outputs)``, per record."""
+        pairs = zip(self.shooting.records, self.paths(point), strict=True)
+        return [record.outputs - outputs for record, (outputs, _) in pairs]
 
     def columns(self, part: Part) -> np.ndarray:
         """Positions of a part's free parameters among all unknowns."""

@@ -16,25 +16,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from oed_sysid.physics import table
 from oed_sysid.physics.base import Actuator, Environment, Force, Inertia, amplitude
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.signals import actuator_offset
-from oed_sysid.physics.table import (
-    ABKOWITZ,
-    SOURCES,
-    THROUGH_WATER,
-    Derived,
-    derivative_group,
-    row,
-    within,
-)
 from oed_sysid.text import notation
 
-CURRENT, WEIGHT = SOURCES["CURRENT"], SOURCES["WEIGHT"]
-NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
-BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
+_NORRBIN = "Norrbin (1971), Theory and observations on the use of a mathematical model, SSPA 68."
+_BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA report Hy-14."
 
-AIR_DENSITY = 1.225  # kg/m3, ICAO standard atmosphere at sea level
+_AIR_DENSITY = 1.225  # kg/m3, ICAO standard atmosphere at sea level
 
 
 def _fixed(
@@ -54,7 +45,7 @@ def _fixed(
 # -- hull: damping and drag -------------------------------------------------------------
 
 
-@row(Force)
+@table.row(Force)
 def linear_damping(name: str, axis: str, velocity: str, *, scale: float | None = None,
                    value: float = 0.0, parameter: str | None = None) -> None:
     """Force proportional to a velocity: skin friction at low Reynolds number, wave making.
@@ -64,7 +55,7 @@ def linear_damping(name: str, axis: str, velocity: str, *, scale: float | None =
     """
 
 
-@row(Force)
+@table.row(Force)
 def quadratic_drag(name: str, axis: str, velocity: str, *, scale: float | None = None,
                    value: float = 0.0, parameter: str | None = None) -> None:
     r"""Separated-flow drag :math:`E\,v|v|`; on another axis than the velocity's, its moment.
@@ -74,38 +65,38 @@ def quadratic_drag(name: str, axis: str, velocity: str, *, scale: float | None =
     """
 
 
-@row(Force)
+@table.row(Force)
 def cubic_damping(name: str, axis: str, velocity: str, *, scale: float | None = None,
                   value: float = 0.0, parameter: str | None = None) -> None:
     """Damping that grows with the third power of a velocity."""
 
 
-@row(Force)
+@table.row(Force)
 def crossed_drag(name: str, axis: str, absolute: str, velocity: str, *, scale: float | None = None,
                  value: float = 0.0, parameter: str | None = None) -> None:
     r"""Cross-flow drag of combined drift and turn, such as :math:`E\,|v_r|r`."""
 
 
-@row(Force)
+@table.row(Force)
 def induced_drag(name: str, velocity: str, *, axis: str = "X", scale: float | None = None,
                  value: float = 0.0, parameter: str | None = None) -> None:
     r"""Drag due to lift, :math:`E\,w_r^2`: resistance grows with the angle of attack."""
 
 
-@row(Force)
+@table.row(Force)
 def deflection_drag(name: str, deflection: str, *, axis: str = "X", velocity: str = "u_r",
                     scale: float | None = None, value: float = 0.0,
                     parameter: str | None = None) -> None:
     r"""Drag of a deflected fin or rudder, :math:`E\,u_r^2 d^2`."""
 
 
-@row(Force)
+@table.row(Force)
 def hull_asymmetry(name: str, axis: str, *, velocity: str = "u_r", scale: float | None = None,
                    value: float = 0.0, parameter: str | None = None) -> None:
     r"""Lift or moment of a hull that is not symmetric, :math:`E\,u_r^2`."""
 
 
-@row(Force)
+@table.row(Force)
 def coupling(name: str, axis: str, velocity: str, *, speed: str = "u_r", scale: float | None = None,
              value: float = 0.0, parameter: str | None = None) -> None:
     r"""Lift-type coupling :math:`E\,u_r v` of one motion into another axis."""
@@ -114,7 +105,7 @@ def coupling(name: str, axis: str, velocity: str, *, speed: str = "u_r", scale: 
 # -- weight, buoyancy and restoring moments ---------------------------------------------
 
 
-@row(Force)
+@table.row(Force)
 def excess_buoyancy(name: str = "excess_buoyancy", *, angle: str = "theta", scale: float = 2.0,
                     value: float = 0.0) -> None:
     r"""Weight that buoyancy does not carry, :math:`E = W - B`, in the diving plane.
@@ -124,34 +115,34 @@ def excess_buoyancy(name: str = "excess_buoyancy", *, angle: str = "theta", scal
     """
 
 
-@row(Force)
+@table.row(Force)
 def cg_offset(name: str = "cg_offset_x", *, axis: str = "M", angle: str = "theta",
               scale: float = 0.5, value: float = 0.0) -> None:
     r"""Centre of gravity ahead of that of buoyancy: :math:`M = -E\cos\theta`, :math:`E = x_gW`."""
 
 
-@row(Force)
+@table.row(Force)
 def metacentric_moment(name: str, axis: str, angle: str, *, scale: float | None = None,
                        value: float = 0.0, parameter: str | None = None) -> None:
     r"""Righting moment :math:`-E\sin\theta` with :math:`E = \overline{BG}\,W`."""
 
 
-@row(Force)
+@table.row(Force)
 def cubic_restoring(name: str, axis: str = "K", angle: str = "phi", *, scale: float | None = None,
                     value: float = 0.0, parameter: str | None = None) -> None:
     r"""Hardening or softening of the restoring moment, :math:`E\,\varphi^3`."""
 
 
-@row(Force)
+@table.row(Force)
 def heel_moment(name: str, axis: str = "K", *, scale: float | None = None, value: float = 0.0,
                 parameter: str | None = None) -> None:
     """Constant moment of shifted cargo or steady wind."""
 
 
-@row(Force)
+@table.row(Force)
 def righting_arm_table(name: str, angles: Sequence[float], arms: Sequence[float], *,
                        axis: str = "K", angle: str = "phi", scale: float | None = None,
-                       value: float = 0.0, parameter: str | None = None) -> Derived:
+                       value: float = 0.0, parameter: str | None = None) -> table.Derived:
     r"""Righting moment from a tabulated arm, :math:`-E\,\overline{GZ}(\varphi)`, :math:`E = W`.
 
     ``angles`` in rad, ascending, and ``arms`` in m; linear in between.
@@ -160,10 +151,10 @@ def righting_arm_table(name: str, angles: Sequence[float], arms: Sequence[float]
     return {"table": table, "tables": {table: (np.asarray(angles, float), np.asarray(arms, float))}}
 
 
-@row(Force)
+@table.row(Force)
 def hull_compressibility(name: str = "hull_compressibility", *, axis: str = "Z", depth: str = "z",
                          reference: float = 10.0, scale: float = 0.15,
-                         value: float = 0.0) -> Derived:
+                         value: float = 0.0) -> table.Derived:
     r"""Buoyancy lost with depth, :math:`Z = E\,(z - z_0)`; absent at the reference depth."""
     return {"zero": _fixed(f"depth_{name}", reference, "m", "depth of trim")}
 
@@ -171,9 +162,9 @@ def hull_compressibility(name: str = "hull_compressibility", *, axis: str = "Z",
 # -- mass and added mass ----------------------------------------------------------------
 
 
-@row(Inertia)
+@table.row(Inertia)
 def added_mass_error(name: str, axis: str, state: str, *, scale: float | None = None,
-                     value: float = 0.0, bound: float = np.inf) -> Derived:
+                     value: float = 0.0, bound: float = np.inf) -> table.Derived:
     """Error of one entry of the inertia matrix; ``bound`` keeps the matrix positive.
 
     >>> added_mass_error("heave_added_mass_error", "Z", "w").terms
@@ -183,18 +174,18 @@ def added_mass_error(name: str, axis: str, state: str, *, scale: float | None = 
     return {"unit": unit, "terms": {(axis, state): "{E}"}}
 
 
-@row(Inertia)
+@table.row(Inertia)
 def added_mass_coupling(name: str, first: tuple[str, str], second: tuple[str, str], *,
                         scale: float | None = None, value: float = 0.0,
-                        bound: float = np.inf) -> Derived:
+                        bound: float = np.inf) -> table.Derived:
     """Symmetric error of a pair of entries, such as ``("Z", "q")`` and ``("M", "w")``."""
     unit = notation.unit(f"{first[0]}_{first[1]}dot")
     return {"unit": unit, "terms": {first: "{E}", second: "{E}"}}
 
 
-@row(Inertia)
+@table.row(Inertia)
 def added_mass_factor(name: str, entries: Mapping[tuple[str, str], str], *, scale: float = 0.2,
-                      value: float = 0.0) -> Derived:
+                      value: float = 0.0) -> table.Derived:
     """Relative change of several entries at once: shallow water, loading, fouling.
 
     ``entries`` holds what is multiplied, for instance ``{("Y", "v"): "-Y_vdot"}``.
@@ -202,10 +193,10 @@ def added_mass_factor(name: str, entries: Mapping[tuple[str, str], str], *, scal
     return {"terms": {key: f"{{E}}*({text})" for key, text in entries.items()}}
 
 
-@row(Force)
+@table.row(Force)
 def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = None,
                  time_constant: float = 2.0, scale: float | None = None,
-                 value: float = 0.0) -> Derived:
+                 value: float = 0.0) -> table.Derived:
     r"""First-order memory :math:`E\,(w - \mu)`, :math:`\dot\mu = (w - \mu)/\tau`.
 
     The simplest approximation of the convolution with a retardation function:
@@ -225,30 +216,30 @@ def fluid_memory(name: str, axis: str, state: str, *, state_unit: str | None = N
 # -- current, wind and waves ------------------------------------------------------------
 
 
-@row(Environment)
+@table.row(Environment)
 def current_forward(name: str = "current_horizontal", *, flow: tuple[str, str] = ("u_r", "w_r"),
                     angle: str = "theta", scale: float = 0.15, value: float = 0.0) -> None:
     """Horizontal water velocity along the track, diving plane."""
 
 
-@row(Environment)
+@table.row(Environment)
 def current_down(name: str = "current_vertical", *, flow: tuple[str, str] = ("u_r", "w_r"),
                  angle: str = "theta", scale: float = 0.05, value: float = 0.0) -> None:
     """Vertical water velocity, diving plane, positive down."""
 
 
-@row(Environment)
+@table.row(Environment)
 def current_horizontal_plane(name: str = "current", *, flow: tuple[str, str] = ("u_r", "v_r"),
                              heading: str = "psi", scale: float = 0.3, north: float = 0.0,
-                             east: float = 0.0) -> Derived:
+                             east: float = 0.0) -> table.Derived:
     """Steady current towards north and east, for a vehicle that turns."""
     return {f"E_{way[0]}": amplitude(f"{name}_{way}", "m/s", scale=scale, value=value, bound=3.0)
             for way, value in (("north", north), ("east", east))}
 
 
-@row(Force)
+@table.row(Force)
 def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
-               spread: float = 0.4, scale: float = 1.0, per_record: bool = False) -> Derived:
+               spread: float = 0.4, scale: float = 1.0, per_record: bool = False) -> table.Derived:
     r"""Regular wave, :math:`E_c\cos\omega t + E_s\sin\omega t`, of unknown frequency.
 
     The frequency of encounter may differ from ``frequency`` by the fraction
@@ -259,9 +250,9 @@ def wave_force(name: str, axis: str, unit: str = "N", *, frequency: float = 1.0,
     return {**_phases(name, unit, scale, per_record=per_record), "omega": omega}
 
 
-@row(Force)
+@table.row(Force)
 def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
-                heading: str = "psi", force: float = 1.0, arm: float = 1.0) -> Derived:
+                heading: str = "psi", force: float = 1.0, arm: float = 1.0) -> table.Derived:
     r"""Steady wind on a vehicle whose own speed is small against it, without coefficient tables.
 
     .. math:: X = E_n\cos\psi + E_e\sin\psi, \quad Y = E_e\cos\psi - E_n\sin\psi, \quad
@@ -291,10 +282,10 @@ def steady_wind(name: str = "wind", *, axes: tuple[str, ...] = ("X", "Y", "N"),
             "terms": {axis: terms[axis] for axis in axes}, "amplitudes": (north.name, east.name)}
 
 
-@row(Force)
+@table.row(Force)
 def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Sequence[float]]], *,
               speed: float, direction: float, area: float, length: float, heading: str = "psi",
-              scale: float = 0.3, value: float = 0.0) -> Derived:
+              scale: float = 0.3, value: float = 0.0) -> table.Derived:
     r"""Wind load from coefficient tables, :math:`E\,\frac{\rho}{2}AV^2C(\gamma)`.
 
     ``coefficients`` holds ``axis -> (angles [rad] in ±π, values)``, where the
@@ -304,7 +295,7 @@ def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Seque
     multiplied by ``length``. ``E`` is 1 where the tables hold and 0 without any wind load.
     """
     facts = {"speed": (speed, "m/s"), "direction": (direction, "rad"), "area": (area, "m^2"),
-             "length": (length, "m"), "density": (AIR_DENSITY, "kg/m^3")}
+             "length": (length, "m"), "density": (_AIR_DENSITY, "kg/m^3")}
     known = {key: _fixed(f"{key}_{name}", x, unit) for key, (x, unit) in facts.items()}
     load = "{E}*{density}/2*{area}*(air_u**2 + air_v**2)"
     lever = {axis: "*{length}" if axis in "KMN" else "" for axis in coefficients}
@@ -317,13 +308,13 @@ def wind_load(name: str, coefficients: Mapping[str, tuple[Sequence[float], Seque
 # -- propeller and rudder ---------------------------------------------------------------
 
 
-@row(Actuator)
+@table.row(Actuator)
 def thrust_decay(name: str = "thrust_decay", signal: str = "T", *, scale: float = 0.0015,
                  value: float = 0.0) -> None:
     """Thrust that falls with time, ``T (1 - E t)``, as a battery does; short records only."""
 
 
-@row(Force)
+@table.row(Force)
 def thrust_speed_loss(name: str = "thrust_speed_loss", *, axis: str = "X", thrust: str = "T",
                       velocity: str = "u_r", scale: float = 0.08, value: float = 0.0) -> None:
     """Thrust that falls with the advance speed: adds ``E T u_r``, with ``E`` below zero.
@@ -332,9 +323,9 @@ def thrust_speed_loss(name: str = "thrust_speed_loss", *, axis: str = "X", thrus
     """
 
 
-@row(Force)
+@table.row(Force)
 def propeller_thrust(name: str = "propeller", *, axis: str = "X", revolutions: str = "n",
-                     velocity: str = "u_r", bollard: float, advance: float = 0.0) -> Derived:
+                     velocity: str = "u_r", bollard: float, advance: float = 0.0) -> table.Derived:
     r"""Thrust of a propeller, :math:`T_{nn}\,n|n| + T_{nu}\,|n|u_r`, for a base model.
 
     ``bollard`` is :math:`\rho D^4 K_{T0}` in kg m and ``advance`` the (negative)
@@ -344,9 +335,9 @@ def propeller_thrust(name: str = "propeller", *, axis: str = "X", revolutions: s
             "T_nu": Parameter("T_nu", advance, "kg", description="thrust per |n|u")}
 
 
-@row(Force)
+@table.row(Force)
 def single_screw_asymmetry(name: str = "single_screw_asymmetry", *, thrust: str = "T",
-                           arm: float = 1.0, scale: float = 0.02) -> Derived:
+                           arm: float = 1.0, scale: float = 0.02) -> table.Derived:
     """Side force and yaw moment of a single screw: ``Y = E_Y T`` and ``N = E_N T``.
 
     ``arm`` is a typical lever in m (half the length), ``scale`` that of the side force.
@@ -361,22 +352,22 @@ def rudder_neutral_angle(name: str = "rudder_neutral_angle", signal: str = "delt
     return actuator_offset(name, signal, scale=scale, value=value)
 
 
-@row(Force)
+@table.row(Force)
 def rudder_stall(name: str, axis: str, *, rudder: str = "delta", velocity: str = "u_r",
                  scale: float | None = None, value: float = 0.0) -> None:
     r"""Rudder force that grows less than its angle, :math:`E\,u_r^2\delta^3`."""
 
 
-@row(Force)
+@table.row(Force)
 def rudder_in_slipstream(name: str, axis: str, *, thrust: str = "T", rudder: str = "delta",
-                         scale: float = 0.3, value: float = 0.0) -> Derived:
+                         scale: float = 0.3, value: float = 0.0) -> table.Derived:
     r"""Rudder force of the slipstream, :math:`E\,T\delta`; for a moment ``E`` holds the arm."""
     return {"unit": "m" if axis in "KMN" else "1"}
 
 
-@row(Force)
+@table.row(Force)
 def shallow_water(name: str = "shallow_water", *, terms: Mapping[str, str], scale: float = 0.3,
-                  value: float = 0.0) -> Derived:
+                  value: float = 0.0) -> table.Derived:
     r"""Hull forces that grow in proportion where the water is shallow, :math:`E\,\tau_{hull}`.
 
     ``terms`` holds the hull forces of the nominal model, for instance
@@ -387,13 +378,13 @@ def shallow_water(name: str = "shallow_water", *, terms: Mapping[str, str], scal
 
 
 def speed_loss_in_turn(name: str = "speed_loss_in_turn", *, scales: Mapping[str, float],
-                       symbols: Mapping[str, str] = THROUGH_WATER) -> Force:
+                       symbols: Mapping[str, str] = table.THROUGH_WATER) -> Force:
     """Added resistance of drift, yaw rate and rudder, quadratic and even.
 
     ``scales`` gives the typical size of any of ``X_vr X_vv X_rr X_deltadelta``.
     """
-    return derivative_group(
-        name, scales, symbols=symbols, description="speed falls in a turn", source=ABKOWITZ,
+    return table.derivative_group(
+        name, scales, symbols=symbols, description="speed falls in a turn", source=table.ABKOWITZ,
         needs="turning circles of several rudder angles, with speed measured")
 
 
@@ -405,20 +396,20 @@ def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N
     ``constant``, ``quadratic`` and ``cubic``; those left out are zero.
     """
     factors = {"constant": "0", "quadratic": rate * 2, "cubic": rate * 3}
-    return derivative_group(
+    return table.derivative_group(
         name, {f"{axis}_{factors[kind]}": scale for kind, scale in scales.items()}, symbols={},
         description="turning rate is no linear function of the rudder angle",
-        source=f"{NORRBIN} {BECH}",
+        source=f"{_NORRBIN} {_BECH}",
         needs="a spiral test, or turns with small and large rudder angles to both sides")
 
 
 # -- motors, joints and linkages --------------------------------------------------------
 
 
-@row(Force)
+@table.row(Force)
 def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                      velocity_unit: str = "m/s", smooth: float = 0.01, scale: float = 1.0,
-                     value: float = 0.0) -> Derived:
+                     value: float = 0.0) -> table.Derived:
     r"""Dry friction, :math:`-E\tanh(v/v_0)`; ``smooth`` is :math:`v_0`.
 
     >>> coulomb_friction("dry", "X", "v").terms
@@ -427,10 +418,10 @@ def coulomb_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
     return {"v0": _fixed(f"v0_{name}", smooth, velocity_unit, "smoothing")}
 
 
-@row(Force)
+@table.row(Force)
 def stribeck_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
                       velocity_unit: str = "m/s", smooth: float = 0.01, stribeck: float = 0.1,
-                      scale: float = 1.0, value: float = 0.0) -> Derived:
+                      scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Extra friction near rest, :math:`-E e^{-(v/v_s)^2}\tanh(v/v_0)`.
 
     Added to :func:`coulomb_friction` it makes breakaway larger than sliding friction
@@ -440,17 +431,18 @@ def stribeck_friction(name: str, axis: str, velocity: str, *, unit: str = "N",
             "vs": _fixed(f"vs_{name}", stribeck, velocity_unit, "Stribeck", lower=smooth)}
 
 
-@row(Force)
+@table.row(Force)
 def cogging(name: str, axis: str, angle: str, *, periods: int, unit: str = "N m",
-            scale: float = 0.1) -> Derived:
+            scale: float = 0.1) -> table.Derived:
     r"""Cogging torque, :math:`E_c\cos n\vartheta + E_s\sin n\vartheta`, ``periods`` per turn."""
     return {**_phases(name, unit, scale),
             "n": _fixed(f"n_{name}", float(periods), "1", "periods per turn")}
 
 
-@row(Force)
+@table.row(Force)
 def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: str = "m",
-              stiffness_unit: str = "N/m", scale: float = 0.01, value: float = 0.0) -> Derived:
+              stiffness_unit: str = "N/m", scale: float = 0.01,
+              value: float = 0.0) -> table.Derived:
     r"""Dead zone of a spring: of a force :math:`-k x` the part within :math:`\pm E` is lost.
 
     The base model holds :math:`-k x` already; this adds :math:`k\,\mathrm{clip}(x, -E, E)`.
@@ -458,9 +450,9 @@ def dead_zone(name: str, axis: str, position: str, *, stiffness: float, unit: st
     return {"k": _fixed(f"k_{name}", stiffness, stiffness_unit, "stiffness")}
 
 
-@row(Force)
+@table.row(Force)
 def end_stop(name: str, axis: str, position: str, *, reach: float, unit: str = "N/m",
-             position_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> Derived:
+             position_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Stop at an unknown position, :math:`-E\,\operatorname{sgn}(x)\max(|x| - x_s, 0)`.
 
     ``reach`` is the largest position seen: the stop is sought between a third of it and all.
@@ -471,10 +463,10 @@ def end_stop(name: str, axis: str, position: str, *, reach: float, unit: str = "
     return {"stop": stop}
 
 
-@row(Force)
+@table.row(Force)
 def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
                start: str = "0", time_constant: float = 1.0, span: float = 10.0,
-               scale: float = 1.0, value: float = 0.0) -> Derived:
+               scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Force of a hidden state of first order, :math:`E z`, :math:`\tau \dot z = s - z`.
 
     What a tank, a filter or slow flow does; its pole is estimated, between ``time_constant``
@@ -484,28 +476,29 @@ def hidden_lag(name: str, axis: str, signal: str, *, unit: str, signal_unit: str
     >>> hidden_lag("tank", "K", "p", unit="N m s/rad").terms
     {'K': 'E_tank*z_tank'}
     """
-    tau = within(f"tau_{name}", time_constant, "s", span, "time constant")
+    tau = table.within(f"tau_{name}", time_constant, "s", span, "time constant")
     return {"tau": tau, "z": f"z_{name}"}
 
 
-@row(Force)
+@table.row(Force)
 def hidden_oscillator(name: str, axis: str, signal: str, *, unit: str, signal_unit: str = "1",
                       frequency: float = 1.0, span: float = 5.0, damping: float = 0.2,
-                      scale: float = 1.0, value: float = 0.0) -> Derived:
+                      scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Force of a hidden state of second order, :math:`E z`.
 
     .. math:: \ddot z = \omega^2 (s - z) - 2 \zeta \omega \dot z
 
     What an anti-roll tank, sloshing or a flexible mast does; frequency and damping are estimated.
     """
-    omega = within(f"omega_{name}", frequency, "rad/s", span, "natural frequency")
+    omega = table.within(f"omega_{name}", frequency, "rad/s", span, "natural frequency")
     zeta = Parameter(f"zeta_{name}", damping, "1", 0.02, 2.0, log=True, description="damping ratio")
     return {"omega": omega, "zeta": zeta, "z": f"z_{name}", "rate": f"y_{name}"}
 
 
-@row(Force)
+@table.row(Force)
 def dahl_friction(name: str, axis: str, velocity: str, *, stiffness: float, unit: str = "N",
-                  displacement_unit: str = "m", scale: float = 1.0, value: float = 0.0) -> Derived:
+                  displacement_unit: str = "m", scale: float = 1.0,
+                  value: float = 0.0) -> table.Derived:
     r"""Dry friction with memory (hysteresis), :math:`-E z`, :math:`\dot z = \sigma(v - |v| z)`.
 
     Presliding is elastic with stiffness :math:`E\sigma`; ``stiffness`` is :math:`\sigma`,
@@ -516,10 +509,10 @@ def dahl_friction(name: str, axis: str, velocity: str, *, stiffness: float, unit
     return {"sigma": sigma, "z": f"z_{name}"}
 
 
-@row(Force)
+@table.row(Force)
 def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float, unit: str = "N",
                         displacement_unit: str = "m", scale: float = 1.0,
-                        value: float = 0.0) -> Derived:
+                        value: float = 0.0) -> table.Derived:
     r"""Hysteretic restoring force of memory, :math:`-E z` with Bouc and Wen's rule.
 
     .. math:: \dot z = \bigl(v - \tfrac12(|v| |z| z + v z^2)\bigr)/x_y
@@ -531,9 +524,9 @@ def bouc_wen_hysteresis(name: str, axis: str, velocity: str, *, yielding: float,
     return {"x": gives, "z": f"z_{name}"}
 
 
-@row(Force)
+@table.row(Force)
 def delayed_force(name: str, axis: str, signal: str, *, unit: str, start: str, delay: float = 1.0,
-                  scale: float = 1.0, value: float = 0.0) -> Derived:
+                  scale: float = 1.0, value: float = 0.0) -> table.Derived:
     r"""Force of what a state or signal was a while ago, :math:`E\,x(t - \tau)`.
 
     The delay is Padé's approximation of order 2,

@@ -273,14 +273,21 @@ class RigidBody:
         parameters : sequence of Parameter
             Those that ``thrust`` and ``torque`` introduce.
         """
-        return thruster(
+        place, own = placed(name, at)
+        along = [text_of(component) for component in direction]
+        force = [times(thrust, component) for component in along]
+        moment = [
+            plus(lever, times(torque, component))
+            for lever, component in zip(cross(place, force), along, strict=True)
+        ]
+        return Force(
             name,
-            thrust,
-            axes=tuple(self.axes),
-            at=at,
-            direction=direction,
-            torque=torque,
-            parameters=parameters,
+            _on(self.axes, [*force, *moment], name),
+            (*parameters, *own),
+            description=f"thrust of {name}",
+            source=PROPULSION,
+            needs="several thrusts at several speeds",
+            amplitudes=(),
         )
 
     def fin(
@@ -311,18 +318,37 @@ class RigidBody:
         drag : float or Parameter, optional
             Drag per :math:`u^2\delta^2` in kg/m.
         """
-        turning = [rate if rate in self.velocities else "0" for rate in "pqr"]
-        flow = [f"{v}_r" if v in self.velocities else "0" for v in "uvw"]
-        return fin(
+        place, own = placed(name, at)
+        direction = NORMALS.get(normal) if isinstance(normal, str) else normal
+        if direction is None:
+            raise ModelError(
+                f"Fin {name!r} has the normal {normal!r}. Choose horizontal, vertical, or "
+                "(x, y, z)."
+            )
+        side = [text_of(c) for c in direction]
+        # The fin sees the flow of its own place: the motion of the origin and what it is swept by.
+        flow, swept = self._present("uvw", "{}_r"), cross(self._present("pqr"), place)
+        ahead, *across = (plus(v, w) for v, w in zip(flow, swept, strict=True))
+        into = plus(*(times(n, part) for n, part in zip(side[1:], across, strict=True)))
+        u, v = f"{name}_u", f"{name}_v" if into != "0" else "0"
+        slope = _coefficient(lift, f"L_{name}", "kg/m", f"lift slope of {name}")
+        parameters = [slope]
+        # u (u delta - v): lift at the small angle of attack delta - v/u times u squared.
+        push = times(slope.name, u, plus(times(u, deflection), minus(v)))
+        force = [times(push, n) for n in side]
+        if drag is not None:
+            loss = _coefficient(drag, f"D_{name}", "kg/m", f"drag of a deflected {name}")
+            parameters.append(loss)
+            force[0] = plus(force[0], minus(times(loss.name, f"{u}**2", f"({deflection})**2")))
+        return Force(
             name,
-            deflection,
-            axes=tuple(self.axes),
-            flow=flow,
-            turning=turning,
-            at=at,
-            normal=normal,
-            lift=lift,
-            drag=drag,
+            _on(self.axes, [*force, *cross(place, force)], name),
+            (*parameters, *own),
+            definitions={u: ahead, v: into} if v != "0" else {u: ahead},
+            description=f"lift{' and drag' if drag is not None else ''} of {name}",
+            source=PRESTERO,
+            needs=f"{deflection} of varied size at several speeds",
+            amplitudes=tuple(p.name for p in parameters if not p.fixed),
         )
 
     def current(
@@ -388,12 +414,29 @@ class RigidBody:
         noise_std : float, optional
             Noise of the sensor.
         """
-        text = accelerometer_text(
-            axis, self.velocities, at, [self.rotation[2][i] for i in range(3)], gravity
+        if axis not in ("x", "y", "z"):
+            raise ModelError(f"An accelerometer along {axis!r} does not exist. Choose x, y or z.")
+        i = "xyz".index(axis)
+
+        place, spin = [text_of(c) for c in at], self._present("pqr")
+        turn = self._present("pqr", "dot({})")
+        # Centripetal acceleration of the place where the instrument is.
+        turning = cross(spin, cross(spin, place))
+        parts = (
+            self._present("uvw", "dot({})"),
+            cross(spin, self._present("uvw")),
+            cross(turn, place),
+            turning,
         )
+        weight = "0" if gravity == 0 else minus(times(text_of(gravity), self.rotation[2][i]))
+        text = plus(*(part[i] for part in parts), weight)
         return Output(name, "m/s^2", f"acceleration along {axis}", text, noise_std=noise_std)
 
     # -- numbers -------------------------------------------------------------------
+
+    def _present(self, names: str, form: str = "{}") -> list[str]:
+        """Motions as texts, zero where the body has none."""
+        return [form.format(name) if name in self.velocities else "0" for name in names]
 
     @property
     def flow(self) -> dict[str, str]:
@@ -439,85 +482,6 @@ def placed(name: str, at: Sequence[float | Parameter]) -> tuple[list[str], list[
     return texts, parameters
 
 
-def thruster(
-    name: str,
-    thrust: str,
-    *,
-    axes: Sequence[str],
-    at: Sequence[float | Parameter] = (0.0, 0.0, 0.0),
-    direction: Place = (1, 0, 0),
-    torque: str = "0",
-    parameters: Sequence[Parameter] = (),
-) -> Force:
-    """Thrust at a place in a direction; see :meth:`RigidBody.thruster`.
-
-    >>> thruster("port", "T_p", axes="XYN", at=(-1.0, -0.5, 0.0)).terms
-    {'X': 'T_p', 'N': '-y_port*T_p'}
-    """
-    place, own = placed(name, at)
-    along = [text_of(component) for component in direction]
-    force = [times(thrust, component) for component in along]
-    moment = [
-        plus(lever, times(torque, component))
-        for lever, component in zip(cross(place, force), along, strict=True)
-    ]
-    return Force(
-        name,
-        _on(axes, [*force, *moment], name),
-        (*parameters, *own),
-        description=f"thrust of {name}",
-        source=PROPULSION,
-        needs="several thrusts at several speeds",
-        amplitudes=(),
-    )
-
-
-def fin(
-    name: str,
-    deflection: str,
-    *,
-    axes: Sequence[str],
-    flow: Sequence[str],
-    turning: Sequence[str],
-    at: Sequence[float | Parameter],
-    normal: str | Place,
-    lift: float | Parameter,
-    drag: float | Parameter | None = None,
-) -> Force:
-    """Lift and drag of a fin; see :meth:`RigidBody.fin`."""
-    place, own = placed(name, at)
-    if isinstance(normal, str) and normal not in NORMALS:
-        raise ModelError(
-            f"Fin {name!r} has the normal {normal!r}. Choose horizontal, vertical, or (x, y, z)."
-        )
-    side = [text_of(c) for c in (NORMALS[normal] if isinstance(normal, str) else normal)]
-    # The fin sees the flow of its own place: the motion of the origin and what it is swept by.
-    swept = cross(turning, place)
-    ahead, *across = (plus(v, w) for v, w in zip(flow, swept, strict=True))
-    u, v = f"{name}_u", f"{name}_v"
-    into = plus(*(times(n, part) for n, part in zip(side[1:], across, strict=True)))
-    slope = _coefficient(lift, f"L_{name}", "kg/m", f"lift slope of {name}")
-    parameters = [slope]
-    # u (u delta - v): lift at the small angle of attack delta - v/u times u squared.
-    angle = plus(times(u, deflection), minus(v)) if into != "0" else times(u, deflection)
-    push = times(slope.name, u, angle)
-    force = [times(push, n) for n in side]
-    if drag is not None:
-        loss = _coefficient(drag, f"D_{name}", "kg/m", f"drag of a deflected {name}")
-        parameters.append(loss)
-        force[0] = plus(force[0], minus(times(loss.name, f"{u}**2", f"({deflection})**2")))
-    return Force(
-        name,
-        _on(axes, [*force, *cross(place, force)], name),
-        (*parameters, *own),
-        definitions={u: ahead, v: into} if into != "0" else {u: ahead},
-        description=f"lift{' and drag' if drag is not None else ''} of {name}",
-        source=PRESTERO,
-        needs=f"{deflection} of varied size at several speeds",
-        amplitudes=tuple(p.name for p in parameters if not p.fixed),
-    )
-
-
 def _coefficient(value: float | Parameter, name: str, unit: str, words: str) -> Parameter:
     if isinstance(value, Parameter):
         return value
@@ -534,32 +498,6 @@ def _on(axes: Collection[str], six: Sequence[Component], name: str = "") -> dict
             "direction."
         )
     return terms
-
-
-def accelerometer_text(
-    axis: str, active: Collection[str], at: Place, down: Sequence[str], gravity: float
-) -> str:
-    """Specific force along a body axis; ``down`` is the direction of gravity in body axes.
-
-    >>> accelerometer_text("y", "uvr", (0.3, 0, 0), ("0", "0", "1"), 9.81)
-    'dot(v) + r*u + dot(r)*0.3'
-    """
-    if axis not in ("x", "y", "z"):
-        raise ModelError(f"An accelerometer along {axis!r} does not exist. Choose x, y or z.")
-    i = "xyz".index(axis)
-
-    def present(names: str) -> list[str]:
-        return [name if name in active else "0" for name in names]
-
-    def rates(names: str) -> list[str]:
-        return [f"dot({name})" if name in active else "0" for name in names]
-
-    place, spin, speed = [text_of(c) for c in at], present("pqr"), present("uvw")
-    # Centripetal acceleration of the place where the instrument is.
-    turning = cross(spin, cross(spin, place))
-    parts = (rates("uvw"), cross(spin, speed), cross(rates("pqr"), place), turning)
-    weight = "0" if gravity == 0 else minus(times(text_of(gravity), down[i]))
-    return plus(*(part[i] for part in parts), weight)
 
 
 def load_cell(

@@ -11,14 +11,14 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from oed_sysid.physics import table
 from oed_sysid.physics.base import Actuator, Memory, Sensor, amplitude
-from oed_sysid.physics.table import Derived, channels, row, within
 
 # Rows of a table: laid out to be read as such.
 # fmt: off
 
 
-@row(Actuator)
+@table.row(Actuator)
 def actuator_offset(name: str, signal: str, unit: str = "rad", *, scale: float = 0.02,
                     value: float = 0.0) -> None:
     """Constant difference between actual and commanded value.
@@ -28,17 +28,17 @@ def actuator_offset(name: str, signal: str, unit: str = "rad", *, scale: float =
     """
 
 
-@row(Actuator)
+@table.row(Actuator)
 def actuator_gain_error(name: str, signal: str, *, scale: float = 0.1, value: float = 0.0) -> None:
     """Actual value is ``1 + E`` times the command; free force derivatives absorb it."""
 
 
-@row(Actuator)
+@table.row(Actuator)
 def stall(name: str, signal: str, *, scale: float = 2.0, value: float = 0.0) -> None:
     """Loss of lift at large angles, :math:`d(1 - E d^2)`; valid before full stall."""
 
 
-@row(Actuator)
+@table.row(Actuator)
 def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25, value: float = 0.0,
                  parameter: str | None = None) -> None:
     """First-order lag of time constant ``E``, of one signal or of several alike.
@@ -48,19 +48,19 @@ def actuator_lag(name: str, signal: str | Sequence[str], *, scale: float = 0.25,
     """
 
 
-@row(Actuator)
+@table.row(Actuator)
 def actuator_delay(name: str, signal: str | Sequence[str], *, max_delay: float = 1.0,
-                   step: float = 0.1, scale: float = 0.2, value: float = 0.0) -> Derived:
+                   step: float = 0.1, scale: float = 0.2, value: float = 0.0) -> table.Derived:
     """Pure delay of ``E`` seconds; ``step`` is the shortest integration step.
 
     See :func:`~oed_sysid.physics.signals.delay_register`.
     """
-    return _late(name, channels(signal), max_delay, step, scale, value)
+    return _late(name, table.channels(signal), max_delay, step, scale, value)
 
 
-@row(Actuator)
+@table.row(Actuator)
 def rate_limit(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 3.0,
-               value: float = 0.0) -> Derived:
+               value: float = 0.0) -> table.Derived:
     """Limited rate, by its slowness ``E = 1/rate`` so that zero means unlimited.
 
     See :func:`maximum_rate` for the rate itself.
@@ -78,13 +78,13 @@ def maximum_rate(effect: Actuator) -> float:
     return 1.0 / slowness if slowness > 0 else math.inf
 
 
-@row(Actuator)
+@table.row(Actuator)
 def deadband(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 0.03,
              value: float = 0.0) -> None:
     """Commands within ``±E`` do nothing, larger ones lose ``E``; of one signal or of several."""
 
 
-@row(Actuator)
+@table.row(Actuator)
 def backlash(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale: float = 0.03,
              value: float = 0.0) -> None:
     """Backlash of half-width ``E``: the actual value moves when its flank is touched.
@@ -93,35 +93,35 @@ def backlash(name: str, signal: str | Sequence[str], unit: str = "rad", *, scale
     """
 
 
-@row(Actuator)
-def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> Derived:
+@table.row(Actuator)
+def saturation(name: str, signal: str, limit: float, unit: str = "rad") -> table.Derived:
     """Mechanical stops at ``±limit``, a known property of a base model."""
     stop = amplitude(name, unit, value=limit, parameter=f"limit_{name}", positive=True)
     return {"stop": stop, "amplitudes": ()}
 
 
-@row(Actuator)
+@table.row(Actuator)
 def unknown_limit(name: str, signal: str, unit: str = "rad", *, scale: float = 3.0,
-                  value: float = 0.0) -> Derived:
+                  value: float = 0.0) -> table.Derived:
     """Saturation at an unknown limit, by its inverse ``E`` so that zero means unlimited."""
     return {"per": f"1/({unit})" if "/" in unit else f"1/{unit or 1}"}
 
 
-@row(Actuator)
+@table.row(Actuator)
 def actuator_start(name: str, signal: str, unit: str = "rad", *, time_constant: float = 1.0,
-                   span: float = 10.0, scale: float = 0.1) -> Derived:
+                   span: float = 10.0, scale: float = 0.1) -> table.Derived:
     r"""Start of an actuator beside its first command, which fades, :math:`E_i e^{-t/\tau}`.
 
     Another size in every record; the time constant is estimated.
     """
     size = amplitude(name, unit, scale=scale, per_record=True)
-    tau = within(f"tau_{name}", time_constant, "s", span, "time constant")
+    tau = table.within(f"tau_{name}", time_constant, "s", span, "time constant")
     return {"E": size, "tau": tau, "fading": f"fading_{name}",
             "memory": (Memory(f"fading_{name}", f"fading_{name}*exp(-h/{tau.name})", "1"),),
             "amplitudes": (size.name,)}
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_bias(name: str, output: str, unit: str, *, scale: float, value: float = 0.0,
                 per_record: bool = False) -> None:
     """Constant error.
@@ -131,37 +131,37 @@ def sensor_bias(name: str, output: str, unit: str, *, scale: float, value: float
     """
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_scale(name: str, output: str, *, scale: float = 0.05, value: float = 0.0) -> None:
     r"""Relative error, :math:`(1 + E)\,y`."""
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_misalignment(name: str, first: str, second: str, *, scale: float = 0.02,
                         value: float = 0.0) -> None:
     """Small rotation of a pair of axes: ``first - E second`` and ``second + E first``."""
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_lever_arm(name: str, output: str, rate: str, *, scale: float = 0.3,
                      value: float = 0.0) -> None:
     """Velocity sensor ahead of the origin: ``output - E rate``, as ``w - E q``."""
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_lag(name: str, outputs: str | Sequence[str], *, scale: float = 0.3,
                value: float = 0.0) -> None:
     """First-order lag of one or several outputs, exact for signals linear between samples."""
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_delay(name: str, output: str, *, max_delay: float = 1.0, interval: float = 0.1,
-                 scale: float = 0.2, value: float = 0.0) -> Derived:
+                 scale: float = 0.2, value: float = 0.0) -> table.Derived:
     """Late measurement, interpolated between samples a regular ``interval`` apart."""
     return _late(name, (output,), max_delay, interval, scale, value)
 
 
-@row(Sensor)
+@table.row(Sensor)
 def sensor_drift(name: str, output: str, unit: str, *, scale: float, value: float = 0.0) -> None:
     r"""Error that grows with time, :math:`y + E\,t`; ``unit`` is that of ``E``."""
 
@@ -169,21 +169,21 @@ def sensor_drift(name: str, output: str, unit: str, *, scale: float, value: floa
 # fmt: on
 def _late(
     name: str, signals: Sequence[str], longest: float, step: float, scale: float, value: float
-) -> Derived:
+) -> table.Derived:
     """Amplitude, terms and memory of signals that come late by the same time."""
     delay = amplitude(name, "s", scale=scale, value=value, positive=True, bound=longest)
     terms: dict[str, str] = {}
     memory: list[Memory] = []
     for signal in signals:
         prefix = "past" if len(signals) == 1 else f"past_{signal}"
-        terms[signal], past = delay_register(
+        terms[signal], past = _delay_register(
             signal, delay.name, max_delay=longest, step=step, prefix=prefix
         )
         memory += past
     return {"E": delay, "terms": terms, "memory": tuple(memory)}
 
 
-def delay_register(
+def _delay_register(
     signal: str, delay: str, *, max_delay: float, step: float, prefix: str = "past"
 ) -> tuple[str, tuple[Memory, ...]]:
     """Delayed value of a sampled signal and the memory that it needs, a shift register.
@@ -216,7 +216,7 @@ def delay_register(
 
     Examples
     --------
-    >>> value, memory = delay_register("d", "E", max_delay=0.1, step=0.1)
+    >>> value, memory = _delay_register("d", "E", max_delay=0.1, step=0.1)
     >>> value, memory[0].update
     ('where(E < h, 1 - E/h, 0)*d + where(E < 1*h, E/h, 1)*past_1', 'd')
     """

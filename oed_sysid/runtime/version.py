@@ -12,10 +12,11 @@ def exported(names: Mapping[str, object]) -> list[str]:
     Parameters
     ----------
     names : mapping of str to object
-        Its ``globals()``; modules and private names are left out.
+        Its ``globals()``; modules, private names and those of other packages are left out.
     """
     return sorted(
         name
         for name, thing in names.items()
         if not (name.startswith("_") or isinstance(thing, ModuleType) or thing is exported)
+        and getattr(thing, "__module__", "oed_sysid").startswith("oed_sysid")
     )

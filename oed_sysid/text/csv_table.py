@@ -27,7 +27,7 @@ from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -45,73 +45,9 @@ MISSING = frozenset(
 )
 _CLOCK = re.compile(r"(\d{1,3}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}")
-_DIGITS = r"\d+(?:[.,]\d+)?(?:[eE][+-]?\d+)?"
+_KNOWN = tomllib.loads(Path(__file__).with_name("file_kinds.toml").read_text(encoding="utf-8"))
 # Patterns of cells that are no number, and what to do about them.
-_COMPLAINTS: tuple[tuple[re.Pattern[str], str], ...] = tuple(
-    (re.compile(pattern, re.IGNORECASE), words)
-    for pattern, words in (
-        (r"[+-]?0x[0-9a-f]+", "is hexadecimal. Write decimal numbers"),
-        (
-            r"[+-]?\d{1,3}(?:,\d{3})+\.\d*|[+-]?\d{1,3}(?:\.\d{3})+,\d*|[+-]?\d{1,3}(?:['’ \u00a0"
-            r"\u202f\u2009]\d{3})+(?:[.,]\d*)?|[+-]?\d{1,3}(?:\.\d{3}){2,}|[+-]?\d{1,3}(?:,\d{3}){2,}",
-            "has separators of thousands. Write the number without them",
-        ),
-        (
-            r"[+-]?\d+,\d+(?:e[+-]?\d+)?",
-            "has a decimal comma in a file with commas between cells. Write a decimal point, or "
-            "put semicolons between cells",
-        ),
-        (r"(?=.*_)[+-]?[\d_]+(?:\.[\d_]*)?(?:e[+-]?\d+)?", "has an underscore. Write digits only"),
-        (
-            r"(?=.*[\u2010-\u2015\u2212\ufe63\uff0d])[\u2010-\u2015\u2212\ufe63\uff0d+-]?[\d.,]+.*",
-            "has a minus sign of typesetting. Write the one of the keyboard (-)",
-        ),
-        (
-            r"(?=.*[^\x00-\x7f])[+-]?[\d.,．，]+(?:e[+-]?\d+)?",
-            "has digits of another script. Write 0 to 9 and a decimal point",
-        ),
-        (r"[+-]?\d+[·‧∙]\d+", "has a raised decimal mark. Write a decimal point"),
-        (r"\(\s*[\d.,]+\s*\)", "is a negative number as accountants write it. Write a minus sign"),
-        (r"[+-]?\d+\.?\d*e[+-]?", "breaks off in its exponent. Write the whole number"),
-        (r"[+-]?\d+\.?\d*[fFlL]", "has the suffix of a program's constant. Write digits only"),
-        (r"(?:1\.)?#inf|-?1\.#inf", "is infinite. Leave the cell empty for a missing sample"),
-        (r"['‘].*['’]", "stands between single quotes. Write numbers without quotes"),
-        (r"[\[({].*[\])}]", "holds several numbers. Write one column for each"),
-        (r"[€$£¥]\s*[\d.,]+", "is an amount of money. Write a number in the unit of the header"),
-        (
-            r"\d{1,3}:\d{2}(?::\d{2})?(?:[.,]\d+)?\s*[ap]\.?m\.?",
-            "is a time of twelve hours. Write seconds, or times such as 13:05:00.5",
-        ),
-        (
-            r"\d{1,3}:\d{2}(?:[.,]\d+)?",
-            "is a time without seconds, or without hours. Write seconds, or times such as "
-            "00:05:00.5",
-        ),
-        (
-            r"(?:[a-z]{3,9}\.?,?\s+)?(?:[a-z]{3,9}\.?\s+\d{1,2}|\d{1,2}\.?\s+[a-z]{3,9}\.?),?\s+\d.*",
-            "is a date in words. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z",
-        ),
-        (r"[+-]?\d+\.?\d*d[+-]?\d+", "has a Fortran exponent. Write e instead of d"),
-        (
-            r"#\w+[/!?]\S*",
-            "is an error of the spreadsheet. Mend the formula, or leave the cell empty",
-        ),
-        (r"=.*", "is a formula. Save the values instead"),
-        (r"[+-]?inf(?:inity)?", "is infinite. Leave the cell empty for a missing sample"),
-        (
-            rf"[+-]?{_DIGITS}\s*(?:°|%|[^\W\d_][\w/^²³·*]*)",
-            "holds a unit. Write the unit into the header, as 'psi [deg]', and numbers below it",
-        ),
-        (
-            r"\d{1,2}[./-]\d{1,2}[./-]\d{2,4}.*|\d{4}/\d{1,2}/\d{1,2}.*|\d{4}-\d{2}-\d{2}.*",
-            "is a date in a form that can be read in two ways, or without a time. Write seconds, "
-            "or ISO times such as 2024-05-31T12:00:00.5Z",
-        ),
-        (r"true|false|on|off|yes|no", "is a word. Write 1 and 0"),
-        (r"\d+[°º].*", "is in degrees and minutes. Write decimal degrees"),
-        (r"[+-]?[\d.]+[+-][\d.]+[ij]", "is a complex number. Write real and imaginary part apart"),
-    )
-)
+_COMPLAINTS = tuple((re.compile(one, re.IGNORECASE), words) for one, words in _KNOWN["complaints"])
 
 
 def number(cell: str, *, comma: bool) -> float | None:
@@ -199,12 +135,7 @@ _SENTENCE = re.compile(r"[$!][A-Z]{2}[A-Z0-9]{3},")
 _PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+([,;\s]+[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+)+\s*")
 _MESSAGE = re.compile(r"\[?\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S*\s+\[?[A-Z]{3,}\b.*")
 # How files that are often taken for tables begin, what they are, and what to do.
-_KINDS = tuple(
-    (start.encode("latin-1"), what, advice)
-    for start, what, advice in tomllib.loads(
-        Path(__file__).with_name("file_kinds.toml").read_text(encoding="utf-8")
-    )["kinds"]
-)
+_KINDS = tuple((start.encode("latin-1"), what, advice) for start, what, advice in _KNOWN["kinds"])
 _MARKS = (
     (codecs.BOM_UTF8, "utf-8-sig"),
     (codecs.BOM_UTF32_LE, "utf-32"),
@@ -869,6 +800,16 @@ def _arrow() -> ModuleType | None:
         return None
 
 
+def _numbers(column: Any) -> np.ndarray:
+    """Numbers of a column of pyarrow; its own way to NumPy would load pandas."""
+    present, values = column.buffers()
+    found = np.frombuffer(values, float, len(column))
+    if not column.null_count:
+        return found
+    bits = np.frombuffer(present, np.uint8)
+    return np.where(np.unpackbits(bits, count=len(column), bitorder="little"), found, np.nan)
+
+
 def _floats(rows: bytes, width: int) -> np.ndarray:
     """Numbers of rows ``(n_rows, width)``; nothing, and the words for nothing, are NaN."""
     if (arrow := _arrow() if len(rows) > _WORTH else None) is not None:
@@ -876,13 +817,15 @@ def _floats(rows: bytes, width: int) -> np.ndarray:
         with suppress(ValueError):  # whatever is unusual: NumPy's reader takes it, or refuses it
             table = arrow.read_csv(
                 io.BytesIO(rows),
-                read_options=arrow.ReadOptions(column_names=names, use_threads=False),
+                read_options=arrow.ReadOptions(
+                    column_names=names, use_threads=False, block_size=len(rows) + 1
+                ),
                 parse_options=arrow.ParseOptions(quote_char=False, ignore_empty_lines=False),
                 convert_options=arrow.ConvertOptions(
                     column_types=dict.fromkeys(names, "float64"), null_values=[""]
                 ),
             )
-            return np.column_stack([column.to_numpy() for column in table.columns])
+            return np.stack([_numbers(column.chunk(0)) for column in table.columns]).T
     body = rows.replace(b"\n", b",")
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
     if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):

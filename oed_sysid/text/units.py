@@ -232,7 +232,7 @@ def _product(text: str, unit: str) -> Dimension:
         raise DataError(f"The unit [{unit:.30}] has brackets {depth} deep. Write a short product.")
     try:
         # What stands side by side is a product; nothing but names made here is left in the text.
-        whole = re.sub(r"(?<=[\d)])\s*(?=[x(])", "*", terms.strip())
+        whole = re.sub(r"(?<=[\d)])\s*(?=[x(])", "*", " ".join(terms.split()))
         return eval(whole, {"__builtins__": {}}, found)
     except SyntaxError:
         raise _unknown("(" if terms.count("(") > terms.count(")") else ")", unit) from None

@@ -13,11 +13,11 @@
 #define MAX1(n) ((n) > 0 ? (n) : 1)
 #define ANY_LINEAR $any_linear
 
-const char *const ${name}_state_names[] = {$state_names};
-const char *const ${name}_input_names[] = {$input_names};
-const char *const ${name}_output_names[] = {$output_names};
-const char *const ${name}_parameter_names[] = {$parameter_names};
-const char *const ${name}_estimated_names[] = {$estimated_names};
+const char *const ${name}_state_names[] = {$states};
+const char *const ${name}_input_names[] = {$inputs};
+const char *const ${name}_output_names[] = {$outputs};
+const char *const ${name}_parameter_names[] = {$parameters};
+const char *const ${name}_estimated_names[] = {$free};
 const double ${name}_values[] = {
     $values
 };
