@@ -45,10 +45,9 @@ from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.physics import Force
+from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.results import figure_card
 from oed_sysid.results.design_plots import DANGER
 
