@@ -1061,7 +1061,7 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
         coarse = list(traces)  # motion too fast for fewer samples
     late = [*_late(question.words)]
     found: list[Reading] = []
-    for _ in range(3):
+    for _ in range(3 if question.readings else 0):
         least, scored = _scored(coarse, question, late)
         best = scored[0]
         # What chance exceeds rarely, however many readings are tried.
