@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oed_sysid.compiled.graph import build
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.improve import improve
@@ -149,9 +151,20 @@ def test_without_c_the_interpreter_runs_it() -> None:
 
 
 def test_exports_say_what_they_cannot_hold(tmp_path: Path) -> None:
-    """An export of a model with a called function names the function."""
-    with pytest.raises(ModelError, match="lift"):
-        export(norrbin(linear_lift()), "c", tmp_path)
+    """What needs elementary operations names the function; CasADi and a linear model do without."""
+    model = norrbin(linear_lift())
+    with pytest.raises(ModelError, match="lift.*casadi, control or latex"):
+        export(model, "c", tmp_path)
+    files = {file.name: file for file in export(model, "casadi", tmp_path)}
+    rates = ca.Function.load(str(files["rates.casadi"]))
+    point = [0.1, 0.02], [0.2], model.value_vector, 0.0
+    found = np.array(rates(*point)).ravel()
+    assert found == pytest.approx(np.array(build(model).rates(*point)).ravel(), rel=1e-12)
+    assert found[0] == pytest.approx(0.02)
+    (linear,) = export(model, "control", tmp_path)
+    assert runpy.run_path(str(linear))["A"][0][1] == pytest.approx(1.0)
+    (page,) = export(model, "latex", tmp_path)
+    assert page.stat().st_size > 0
 
 
 @pytest.mark.parametrize(
