@@ -160,19 +160,14 @@ class Model(Structure):
             "p": [one.name for one in parameters],
             "t": ["t"],
         }
-        for function in (f,) if h is None else (f, h):
-            try:
-                function.jacobian()
-            except RuntimeError as error:
-                raise ModelError(
-                    f"CasADi has no derivatives of {function.name()!r} "
-                    f"({str(error).splitlines()[-1]}). Give an external function its forward and "
-                    "reverse derivatives, or make it with {'enable_fd': True}."
-                ) from None
+        _check_derivatives(f)
         rates = callables.elements(f, symbols, [one.name for one in states])
         if outputs is None:
             outputs = [Output(one.name, one.unit) for one in states]
-        seen = {} if h is None else callables.elements(h, symbols, [one.name for one in outputs])
+        seen = {}
+        if h is not None:
+            _check_derivatives(h)
+            seen = callables.elements(h, symbols, [one.name for one in outputs])
         return cls(
             name or f.name(),
             tuple(states),
@@ -329,6 +324,18 @@ class Model(Structure):
             tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def _check_derivatives(function: ca.Function) -> None:
+    """Refuse a function that calls what cannot be differentiated."""
+    try:
+        function.jacobian()
+    except RuntimeError as error:
+        raise ModelError(
+            f"CasADi has no derivatives of {function.name()!r} ({str(error).splitlines()[-1]}). "
+            "Give an external function its forward and reverse derivatives, or make it with "
+            "{'enable_fd': True}."
+        ) from None
 
 
 def latex_lines(model: Model, values: Mapping[str, float] = MappingProxyType({})) -> list[str]:
