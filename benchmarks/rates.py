@@ -1,4 +1,4 @@
-"""Shares of finished cases with their intervals and targets, as a table."""
+"""Hidden effects, whoever simulates: what a search claims, what could be found, how often it is."""
 
 from __future__ import annotations
 
@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import markdown
+from benchmarks.harness import Row, markdown
+from oed_sysid.evidence.improvement import Improvement
 
 Entry = Mapping[str, Any]
 LARGEST_GROUP = 3
@@ -58,6 +59,52 @@ def number(name: str, values: Iterable[float], percent: float, target: str = "")
     known = list(values)
     value = float(np.percentile(known, percent)) if known else np.nan
     return Rate(name, value, len(known), np.nan, np.nan, target)
+
+
+def finite(value: float) -> float | str:
+    """A number that JSON can hold, or its name."""
+    return float(value) if np.isfinite(value) else str(float(value))
+
+
+def read(found: Improvement) -> Row:
+    """What benchmarks want to know of an improvement: the one place that names its attributes."""
+    return {
+        "verdict": str(found.verdict),
+        "kind": found.remains.kind,
+        "words": [str(line) for line in found.advice],
+        "steps": [
+            {
+                "added": step.added,
+                # Axis on which a force acts, else the stage of the effect.
+                "equation": "+".join(step.effect.terms)
+                if step.effect.stage == "force"
+                else step.effect.stage,
+                "group": list(step.group),
+                "evidence": step.gain,
+                "needed": step.needed,
+                "test_gain": step.test_gain,
+                "train_error": finite(step.train_error),
+                "test_error": finite(step.test_error),
+            }
+            for step in found.steps
+        ],
+        "order": list(found.ranking.order[:8]),
+        "gains": {refit.name: round(refit.gain, 2) for refit in found.ranking.refits},
+        "rejected": list(found.rejected),
+        "remainder": finite(found.remainder),
+        "proposed": [dict(term) for term in found.proposed],
+        "base_error": {k: finite(v) for k, v in found.base_error.items()},
+        "final_error": {k: finite(v) for k, v in found.final_error.items()},
+    }
+
+
+def detectable(gains: Iterable[float], needed: float) -> bool:
+    """Whether every hidden effect shows: what it gains with all others in the model is enough.
+
+    Of gains in the records at hand (refits of the true structure) that is the threshold of a claim.
+    Gains that are *expected* scatter about their expectation, and need a margin above it.
+    """
+    return all(gain >= needed for gain in gains)
 
 
 def plain(rates: Iterable[Rate]) -> list[dict[str, Any]]:

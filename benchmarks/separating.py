@@ -34,7 +34,7 @@ from oed_sysid.design.criteria import eliminate, told_apart
 from oed_sysid.design.result import Design
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.study import Study
-from oed_sysid.information.bound import joint_information
+from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 
@@ -62,7 +62,8 @@ def pairs(problem: Problem) -> list[tuple[str, str, float, float]]:
     first = record(problem, Case("nothing", PRIORS))
     weights = [1.0 / (p.prior_std or np.inf) ** 2 for p in model.free_parameters]
     n = len(weights)
-    matrix = joint_information(model, first, shifts)
+    matrix = RunInformation(model, shifts=shifts).matrix(first)
+    assert matrix is not None
     matrix[:n, :n] += np.diag(weights)
     gram, _ = eliminate(matrix, n)
     alone = [float(np.sum(g.weight * gram[np.ix_(g.columns, g.columns)])) for g in shifts.groups]

@@ -89,7 +89,7 @@ from oed_sysid.compiled.kernels import kernel as compiled
 from oed_sysid.evidence.study import Study, fitting_candidates
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information import Play, noise_of, respond
-from oed_sysid.information.bound import triangle, whitened_factor
+from oed_sysid.information.bound import RunInformation, triangle
 
 N_SAMPLES, STEP = 2400, 0.1
 EXTRA = ("X_udot", "Z_wdot", "M_wdot", "M_qdot")
@@ -211,7 +211,7 @@ def kernel() -> None:
 def information() -> None:
     """Accuracy of sensitivities and information by several ways, and their times."""
     job = Task.usual()
-    model, values, noise = job.model, job.model.value_vector, noise_of(job.model)
+    model, values, sigma = job.model, job.model.value_vector, noise_of(job.model)
     seen = np.ones((N_SAMPLES, 5), dtype=bool)
     play = Play("benchmark", job.times, job.inputs, job.start, seen)
     point = np.concatenate([job.start, values[job.free]])
@@ -232,7 +232,7 @@ def information() -> None:
         return np.stack(columns, axis=2)
 
     def factor_of(jacobian: np.ndarray) -> np.ndarray:
-        rows = (jacobian / noise.sigma[:, None]).reshape(-1, len(point))
+        rows = (jacobian / sigma[:, None]).reshape(-1, len(point))
         return triangle(rows)[5:, 5:]
 
     eighth = {1: 4 / 5, 2: -1 / 5, 3: 4 / 105, 4: -1 / 280}
@@ -260,12 +260,9 @@ def information() -> None:
     matrix = reference.T @ reference
     unit = np.sqrt(np.outer(*[np.diag(matrix)] * 2))
 
-    def by_us() -> np.ndarray:
-        response = respond(model, play)
-        return whitened_factor(model, response.jacobian, response.present, noise)
-
+    told = RunInformation(model)
     ways: dict[str, Callable[[], np.ndarray]] = {
-        "ours": by_us,
+        "ours": lambda: told.factor(play),
         "one-sided differences": lambda: factor_of(differences(1e-7, {1: 1.0, 0: -1.0})),
         "CasADi jacobian": lambda: factor_of(by_casadi()),
     }

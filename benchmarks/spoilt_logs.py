@@ -1,31 +1,34 @@
 """Exam of the check of logs: faults put into simulated logs, and logs without any.
 
-    python -m benchmarks.spoilt_logs [faults clean] [--seeds N] [--first SEED] [--kind WORD]
+    python -m benchmarks.spoilt_logs [faults clean inputs] [--seeds N] [--first SEED] [--kind WORD]
 
 Two vehicles that share nothing with the package: a diving plane and a ship, zigzags and steps
 integrated by Runge and Kutta's fourth order at a fifth of the sampling step, with random forces.
 Three records of 900 samples at three speeds; noise is declared to nobody. Each kind of fault comes
 in sizes; ``named`` is the right kind and signal as a suspect finding (or among its alternatives),
-``first`` the strongest of them, ``suspect`` anything suspect at all. Inputs are not judged here.
+``first`` the strongest of them, ``suspect`` anything suspect at all. ``inputs`` spoils those of a
+shipped problem whose true parameters are drawn from the priors of its model.
 """
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from benchmarks.harness import command, known
+from benchmarks.harness import ROOT, command, known, markdown, write_page
 from benchmarks.kinematics import diving_plane, ship
 from benchmarks.truth import gauss_markov, runge_kutta
-from oed_sysid import Dataset, Model, Record, check
+from oed_sysid import Dataset, Model, Record, check, load_problem
 from oed_sysid.errors import OedSysidError
+from oed_sysid.experiments.simulation import simulate
 
 Signals = dict[str, np.ndarray]
 Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
+PAGE = ROOT / "docs" / "check.md"
 
 
 @dataclass(frozen=True)
@@ -351,11 +354,12 @@ def judged(craft: Craft, data: Dataset, spoil: Spoil) -> tuple[bool, bool, bool,
     return first, named or other, found.suspect, said[:90]
 
 
-def faults(seeds: range, only: str) -> None:
-    """One row for each kind and size."""
+def faults(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
+    """One row for each kind and size; all kinds in the table of the page, where that is asked."""
     total = np.zeros(4, dtype=int)
+    kinds: dict[str, dict[int, np.ndarray]] = {}
     began = time.process_time()
-    for craft in CRAFT:
+    for craft in crafts:
         rows: dict[tuple[str, tuple[str, ...], int, int], np.ndarray] = {}
         misses: dict[tuple[str, tuple[str, ...], int, int], str] = {}
         for seed in seeds:
@@ -380,15 +384,66 @@ def faults(seeds: range, only: str) -> None:
                 flush=True,
             )
             total += counts
+            place = min(i, 2)
+            sizes = kinds.setdefault(kind, {})
+            sizes[place] = sizes.get(place, np.zeros(4, dtype=int)) + counts
+    if write:
+        write_page(PAGE, "\n".join(_table(kinds, total)), "spoilt")
     print(
         f"all: first {total[1]}, named {total[2]}, suspect {total[3]} of {total[0]}; "
         f"{(time.process_time() - began) / max(total[0], 1):.2f} s each with the simulation"
     )
 
 
-def clean(seeds: range, only: str) -> None:
+def _table(kinds: dict[str, dict[int, np.ndarray]], total: np.ndarray) -> list[str]:
+    """Lines of a table of all kinds: how often each is found, and at which of its sizes."""
+    rows = []
+    for kind, sizes in kinds.items():
+        every = np.sum([*sizes.values()], axis=0)
+        at = (f"{sizes[k][1]} of {sizes[k][0]}" if k in sizes else "" for k in range(3))
+        rows.append((f"`{kind}`", *every[[1, 2, 3, 0]], *at))
+    rows.append(("all", *total[[1, 2, 3, 0]], "", "", ""))
+    head = ("fault", "first", "named", "suspect", "of", "smallest size", "middle", "largest")
+    return markdown(head, rows)
+
+
+def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
+    """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
+    problem = load_problem("remus_diving_plane")
+    for kind, change in INPUTS.items():
+        said = []
+        for seed in seeds if only in kind else ():
+            rng = np.random.default_rng((seed, 5))
+            drawn = {p.name: float(rng.normal(p.prior_mean, p.prior_std))
+                     for p in problem.model.free_parameters if p.prior_std}  # fmt: skip
+            truth_ = problem.model.with_values(drawn)
+            runs = []
+            for name, experiment in problem.experiments.items():
+                run = simulate(truth_, experiment, rng=rng, name=name)
+                spoilt = np.array(run.inputs)
+                spoilt[:, 0] = change(run.times, spoilt[:, 0])
+                runs.append(replace(run, inputs=spoilt))
+            found = check(Dataset(tuple(runs)), problem)
+            said.append("; ".join(one.name for one in found.serious) or "nothing")
+        counts = {words: said.count(words) for words in said}
+        print(f"{problem.model.input_names[0]} {kind:10} {counts}", flush=True)
+
+
+# Spoilt inputs: of times and commands.
+INPUTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
+    "nothing": lambda t, y: y,
+    "sign": lambda t, y: -y,
+    "degrees": lambda t, y: np.degrees(y),
+    "x 1.2": lambda t, y: 1.2 * y,
+    "x 2": lambda t, y: 2.0 * y,
+    "late 0.5 s": lambda t, y: np.interp(t - 0.5, t, y),
+    "dead": lambda t, y: 0.0 * y,
+}
+
+
+def clean(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
     """False alarms on logs without a fault."""
-    for craft in CRAFT:
+    for craft in crafts:
         said: dict[str, list[str]] = {noise: [] for noise in _COLOURS if only in noise}
         for seed in seeds:
             for noise, alarms in said.items():
@@ -400,27 +455,38 @@ def clean(seeds: range, only: str) -> None:
             )
 
 
-PARTS = {"faults": faults, "clean": clean}
+PARTS = {"faults": faults, "clean": clean, "inputs": inputs}
 
 
 def main(
-    parts: Sequence[str] = tuple(PARTS), *, seeds: int = 2, first: int = 1000, kind: str = ""
+    parts: Sequence[str] = tuple(PARTS),
+    *,
+    seeds: int = 2,
+    first: int = 1000,
+    kind: str = "",
+    vehicle: str = "",
+    write: bool = False,
 ) -> None:
     """Run the parts that are asked for.
 
     Parameters
     ----------
     parts : sequence of str
-        faults, clean
+        faults, clean, inputs
     seeds : int
         logs of each kind
     first : int
         first seed
     kind : str
         only kinds of fault or noise with this word
+    vehicle : str
+        only the one with this word in its name
+    write : bool
+        put the table of faults into docs/check.md
     """
+    crafts = [craft for craft in CRAFT if vehicle in craft.name]
     for part in parts:
-        PARTS[known(part, PARTS, "part")](range(first, first + seeds), kind)
+        PARTS[known(part, PARTS, "part")](range(first, first + seeds), kind, crafts, write)
 
 
 if __name__ == "__main__":

@@ -22,10 +22,9 @@ from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import list_problems, load_problem
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import ExtraState, Force
+from oed_sysid.physics import ExtraState, Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 DATA = yaw_data(0)
 MODEL = yaw_model()
@@ -107,25 +106,25 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
         "unknown start",
         lambda: MultipleShooting(start="far"),
         ModelError,
-        ("'far'", "auto, near or wide"),
+        ("'far'", "auto, near, wide"),
     ),
     (
         "unknown treatment of colour",
         lambda: MultipleShooting(coloured="yes"),
         ModelError,
-        ("'yes'", "auto, never or always"),
+        ("'yes'", "auto, never, always"),
     ),
     (
         "unknown solver",
         lambda: Solver("snopt"),
         ModelError,
-        ("'snopt'", "gauss-newton or ipopt"),
+        ("'snopt'", "gauss-newton, ipopt"),
     ),
     (
         "unknown Hessian",
         lambda: Solver("ipopt", hessian="bfgs"),
         ModelError,
-        ("'bfgs'", "exact or gauss-newton"),
+        ("'bfgs'", "exact, gauss-newton"),
     ),
     (
         "constraints without IPOPT",
@@ -179,7 +178,7 @@ CASES: list[tuple[str, Callable[[], object], type[OedSysidError], tuple[str, ...
         "one initial guess for three records",
         lambda: FIT.fit(MODEL, DATA, initial_states=[{"psi": 0.1}]),
         DataError,
-        ("1 guesses for 3 records",),
+        ("1 mappings for 3 records",),
     ),
     (
         "initial guess that is not a number",

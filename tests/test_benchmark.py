@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import csv
 import io
 import json
@@ -290,3 +291,17 @@ def test_the_page_has_the_tables() -> None:
     assert "| new |" in new
     assert new.partition(BEGIN)[0] == page.partition(BEGIN)[0]
     assert new.partition(END)[2] == page.partition(END)[2]
+
+
+def test_what_benchmarks_import_is_there() -> None:
+    """Names that a benchmark takes from the package exist, also inside functions."""
+    lost = []
+    for path in sorted((PAGE.parent.parent / "benchmarks").glob("**/*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("oed_sysid"):
+                code = compile(ast.Module([node], []), str(path), "exec")
+                try:
+                    exec(code, {})
+                except ImportError as error:
+                    lost.append(f"{path.name}: {error}")
+    assert lost == []

@@ -11,8 +11,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
-from golden_cases import improved_diver
 from golden_files import restored
+from marks import slow
 from scipy import stats
 from turning_ship import CANDIDATES, NOISE, SHIP, dataset
 from turning_ship import CUBIC as DAMPING
@@ -39,10 +39,9 @@ from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Sensor, sensor_bias
+from oed_sysid.physics import Force, Parameter, Sensor, sensor_bias
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.units import same_dimension
 
 NOMINAL = SHIP.with_values({"K": 0.5, "T": 4.0})
@@ -695,7 +694,7 @@ def test_hidden_damping_is_found_and_explains_the_records() -> None:
     [
         (20, 0.0),
         (22, 0.02),
-        *(pytest.param(*more, marks=pytest.mark.slow) for more in ((21, 0.0), (23, 0.02))),
+        *slow((21, 0.0), (23, 0.02)),
     ],
 )
 def test_nothing_is_claimed_where_nothing_is_missing(seed: int, force: float) -> None:
@@ -748,31 +747,13 @@ def test_correlation_time_of_sensor_noise_is_found() -> None:
     assert "correlated over about" in improved.report().splitlines()[-1]
 
 
-@pytest.fixture(scope="module")
-def auv() -> Improvement:
-    """The shipped hidden-effect records: drag in heave, quadratic in the relative velocity."""
-    return improved_diver()
-
-
-def test_shipped_auv_lacks_crossflow_drag(auv: Improvement) -> None:
-    """The effect is found alone, with its value, and the rest is noise."""
-    assert auv.verdict == "missing"
-    assert [step.added for step in auv.steps] == ["heave_crossflow_drag"]
-    assert auv.steps[0].group == ("heave_crossflow_drag",)
-    assert auv.explained
-    assert auv.base_error["test"] > 2.0
-    assert auv.final_error["test"] == pytest.approx(1.0, abs=0.05)
-    row = next(r for r in auv.parameters if r["name"] == "E_heave_crossflow_drag")
-    # True value of the simulation, see the data's README.
-    assert abs(row["value"] + 101.46) < 4 * row["std_error"]
-
-
-def test_steps_can_be_undone(auv: Improvement) -> None:
+def test_steps_can_be_undone() -> None:
     """The model after any number of steps can be had: none is the believed one, all the final."""
-    assert auv.at_step(0) == auv.base == auv.at_step(-1)
-    final = auv.at_step(1)
-    assert final.effect_names == auv.model.effect_names
-    assert final.values == pytest.approx(auv.model.values)
+    found = improved_ship()
+    assert found.at_step(0) == found.base == found.at_step(-1)
+    final = found.at_step(1)
+    assert final.effect_names == found.model.effect_names
+    assert final.values == pytest.approx(found.model.values)
 
 
 HIDDEN = Path(os.environ.get("OED_SYSID_DATA", "")) / "hidden_effects"

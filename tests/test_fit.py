@@ -205,13 +205,22 @@ def test_a_record_of_another_vehicle_is_named_and_a_small_difference_allowed() -
     assert sum(chance < 1e-3 for chance in allowed) == 0
 
 
-def test_allowance_and_inflation_are_errors_added() -> None:
+def test_allowance_and_stated_errors_are_added() -> None:
     """Two records of one parameter: the difference over the root of all variances."""
     sources = Sources(np.array([0.0, 1.0, 1.0])[:, None, None], np.array([[0.0], [2.0], [-2.0]]))
     assert sources.agreement().statistic == pytest.approx(16 / 2)
     assert sources.agreement(allowance=np.ones(1)).statistic == pytest.approx(16 / 4)
-    assert sources.agreement(inflation=2.0).statistic == pytest.approx(16 / 4)
+    assert sources.agreement(stated=np.eye(1)).statistic == pytest.approx(16 / 4)
     assert sources.agreement().each == pytest.approx((0.0, 8.0, 8.0))
+
+
+def test_errors_count_in_their_direction_alone() -> None:
+    """What is four times as uncertain in one parameter does not excuse another."""
+    matrices = np.array([np.zeros((2, 2)), np.eye(2), np.eye(2)])
+    sources = Sources(matrices, np.array([[0.0, 0.0], [2.0, 2.0], [-2.0, -2.0]]))
+    found = sources.agreement(stated=np.diag([0.5, 2.0]))
+    assert found.statistic == pytest.approx(8.0 + 2.0)
+    assert found.freedom == 2
 
 
 def runs(truth: Model, sizes: tuple[float, ...], seed: int) -> Dataset:
@@ -247,8 +256,7 @@ def test_a_missing_term_shows_where_runs_differ_in_strength(estimator: MultipleS
         right = estimator.fit(ship(), runs(ship(), (0.1, 0.35), seed))
         for fit, chances in ((lacking, contradicted), (right, plain)):
             assert fit.sources is not None
-            grown = np.mean(np.diag(fit.covariance) / np.diag(fit.information.covariance))
-            chances.append(fit.sources.agreement(inflation=max(1.0, grown)).chance)
+            chances.append(fit.sources.agreement(stated=fit.covariance).chance)
     assert sum(chance < CHANCE for chance in contradicted) >= 7
     assert sum(chance < CHANCE for chance in plain) == 0
 

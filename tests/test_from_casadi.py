@@ -26,10 +26,9 @@ from oed_sysid.export import export
 from oed_sysid.information import rank_parameters
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force
+from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 STATES = (State("psi", "rad"), State("r", "rad/s"))
 INPUTS = (Input("delta", "rad"),)

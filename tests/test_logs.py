@@ -442,7 +442,7 @@ def test_wrong_fields_and_units_are_refused() -> None:
     with pytest.raises(DataError, match=r"goes back at 19\.9"):
         import_log(log, LogMapping({}, {"r": Source("gyro.z", unit="rad/s")}), outputs)
     jumps = assemble(Path("x.bin"), "test", {"c": (t, {"psi": (3.0 + 0.2 * t) % (2 * np.pi)})})
-    with pytest.raises(DataError, match=r"Add  wrap = true  to \[outputs.psi\]"):
+    with pytest.raises(DataError, match=r"add  wrap = true  to \[outputs.psi\]"):
         import_log(jumps, LogMapping({}, {"psi": Source("c.psi", unit="rad")}))
     with pytest.raises(DataError, match=r"no \[inputs.rudder\]"):
         import_log(log, LogMapping({}, {"r": Source("gyro.z", unit="rad/s")}), CHANNELS)

@@ -14,7 +14,8 @@ from scipy.signal import lfilter
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
 from benchmarks.random_forces.trial import _model, believed, dataset
-from oed_sysid import Sea
+from oed_sysid import Force, Sea, improve
+from oed_sysid.compiled.filtering import narrow_band
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.rank import Ranking, rank
@@ -27,13 +28,12 @@ from oed_sysid.likelihood import random_forces
 from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel
 from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
-from oed_sysid.physics import wave_force
+from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 TRUE = {"K": 0.1, "T": 8.0}
 WHITE = np.array([5e-3, 2e-3])
@@ -206,6 +206,38 @@ def test_a_drawn_sea_has_the_spectrum_of_its_resonator(shape: str) -> None:
     assert power[near].sum() == pytest.approx(density[near].sum() / 0.25, rel=0.1)
     low = (w > 0) & (w < 0.2 * w0)
     assert (power[low].mean() < 0.01 * power[near].max()) == (shape == "velocity")
+
+
+def test_a_sea_of_fourth_order_is_nearest_to_the_spectrum_of_a_sea() -> None:
+    """Of the three shapes its covariance is nearest to that of JONSWAP, level and peak as given."""
+    f = np.linspace(0.02, 1.0, 4000)
+    x = 8.0 * f
+    peak = 3.3 ** np.exp(-((x - 1) ** 2) / 2 / np.where(x < 1, 0.07, 0.09) ** 2)
+    density = x**-5.0 * np.exp(-1.25 * x**-4.0) * peak
+    lags = np.linspace(0.0, 24.0, 97)
+    true = np.cos(2 * np.pi * np.outer(lags, f)) @ density / density.sum()
+    off = {}
+    for shape, turn in SHAPES.items():
+        own = [
+            np.abs(narrow_band(lags, 8.0, z, turn)[:, 0, 0, 0] - true).max()
+            for z in np.linspace(0.05, 0.2, 16)
+        ]
+        off[shape] = min(own)
+    assert off["jonswap"] < 0.07
+    assert off["jonswap"] < 0.6 * min(off["velocity"], off["displacement"])
+
+
+def test_improve_finds_a_sea_itself() -> None:
+    """Waves are claimed as any effect is, and no term in their place; gusts are none."""
+    kick = Force("kick", {"r": "k_kick*abs(r)*r"}, (Parameter("k_kick", 0.0, "1", scale=1.0),))
+    for force in ("waves", "gusts"):
+        train, test = records(force, 5), records(force, 6)
+        test = Dataset(tuple(one.rename(f"{one.name} again") for one in test))
+        found = improve(SHIP, train, test, candidates=[kick], terms=False)
+        assert bool(found.base_fit.noise.seas) == (force == "waves")
+        assert not found.steps
+        asked = {one.name: one.stands for one in found.decisions}
+        assert asked.get("a sea", False) == (force == "waves")
 
 
 def test_processes_in_one_place_add_up() -> None:

@@ -13,10 +13,9 @@ from oed_sysid import Function
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.archive import decode, encode
-from oed_sysid.physics import Actuator, ExtraState, Force, Sensor
+from oed_sysid.physics import Actuator, ExtraState, Force, Parameter, Sensor
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_effect
 from oed_sysid.text import expressions, notation
 from oed_sysid.text.callables import interpolate

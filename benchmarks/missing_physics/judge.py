@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.missing_physics.cases import DATA, UNKNOWN_TERMS, Draw
 from benchmarks.missing_physics.simulator import TEST, TRAIN, Case, Records
+from benchmarks.rates import detectable, read
 from oed_sysid import (
     Dataset,
     Force,
@@ -58,7 +59,7 @@ class Truth:
     @property
     def detectable(self) -> bool:
         """Whether every hidden effect shows."""
-        return all(gain > self.needed for gain in self.gains.values())
+        return detectable(self.gains.values(), self.needed)
 
 
 def true_structure(
@@ -185,7 +186,7 @@ def judge(draw: Draw, case: Case, records: Sequence[Records]) -> dict[str, Any]:
             "seconds": time.perf_counter() - began,
             "processor_seconds": time.process_time() - processor,
         }
-        entry |= _found(found) | {"nominal": nominal_runs(problem.model, train, test)}
+        entry |= read(found) | {"nominal": nominal_runs(problem.model, train, test)}
         truth = true_structure(problem, train, test, case, found)
     except Exception as error:  # a case that breaks is a result too
         return entry | {"error": f"{type(error).__name__}: {error}"}
@@ -221,35 +222,3 @@ def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
         "errors": [float(np.nan_to_num(error, posinf=1e9)) for error in errors],
         "replay": errors[2] / best if np.isfinite(best) else None,
     }
-
-
-def _found(found: Improvement) -> dict[str, Any]:
-    plain = found.to_dict()
-    gains = {refit.name: round(refit.gain, 2) for refit in found.ranking.refits}
-    return {
-        "verdict": found.verdict,
-        "kind": found.remains.kind,
-        "steps": [
-            {
-                "added": step.added,
-                "equation": _equation(step.effect),
-                "group": list(step.group),
-                "evidence": step.gain,
-                "needed": step.needed,
-                "test_gain": step.test_gain,
-            }
-            for step in found.steps
-        ],
-        "order": list(found.ranking.order[:8]),
-        "gains": gains,
-        "rejected": list(found.rejected),
-        "remainder": float(np.nan_to_num(found.remainder, posinf=1e9)),
-        "proposed": [dict(term) for term in found.proposed],
-        "base_error": plain["base_error"],
-        "final_error": plain["final_error"],
-    }
-
-
-def _equation(effect: Effect) -> str:
-    """Axis on which a force acts, else the stage of the effect."""
-    return "+".join(map(str, effect.terms)) if effect.stage == "force" else effect.stage

@@ -64,7 +64,7 @@ def right_equation(entry: Entry) -> bool:
 
 def as_good(entry: Entry) -> bool:
     """Whether the error on the test records is that of the true structure."""
-    return bool(entry["final_error"]["test"] <= AS_GOOD * entry["true_test_error"])
+    return bool(float(entry["final_error"]["test"]) <= AS_GOOD * entry["true_test_error"])
 
 
 def _rates(entries: Sequence[Entry]) -> list[Rate]:
@@ -89,7 +89,7 @@ def _rates(entries: Sequence[Entry]) -> list[Rate]:
         rates.append(share(f"{condition}, detectable: right first", right_first, seen, ">= 0.90"))
     disturbed = of_kind(entries, "none", "colour", "force", "gust")
     known = [e for e in (*single, *pair) if e["effects"]]
-    ratios = [e["final_error"]["test"] / e["true_test_error"] for e in known]
+    ratios = [float(e["final_error"]["test"]) / e["true_test_error"] for e in known]
     seconds = [e["processor_seconds"] for e in entries]
     error, spent = "test error after / true structure's", "processor seconds per case"
     better = "unknown effect: test error after <= 1.05 x true term's"
@@ -145,7 +145,7 @@ def _failure(entry: Entry) -> dict[str, Any]:
         "added": steps or ["nothing"],
         "first_group": list(entry["steps"][0]["group"]) if entry["steps"] else [],
         "refused": list(entry["rejected"]),
-        "test_error": entry["final_error"]["test"],
+        "test_error": float(entry["final_error"]["test"]),
         "true_test_error": entry["true_test_error"],
     }
 

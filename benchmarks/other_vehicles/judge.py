@@ -13,6 +13,7 @@ import numpy as np
 
 from benchmarks.other_vehicles.cases import Case, Draw, draw_case
 from benchmarks.other_vehicles.models.base import Nominal
+from benchmarks.rates import detectable, finite, read
 from oed_sysid import Dataset, Model, MultipleShooting, Record, compare, improve
 
 # Expected gain in twice the log-likelihood from which an effect counts as detectable. A claim
@@ -60,33 +61,6 @@ def true_model(case: Case) -> Model:
         plain = {k: float(v) if np.ndim(v) == 0 else 0.0 for k, v in sizes.items()}
         values |= own.values(name, plain)
     return model.with_values(values)
-
-
-def read(found: Any) -> dict[str, Any]:
-    """What the judge wants to know of an improvement: the only place that names its attributes."""
-    steps = [
-        {
-            "added": step.added,
-            "group": list(step.group),
-            "train_error": _number(step.train_error),
-            "test_error": _number(step.test_error),
-        }
-        for step in found.steps
-    ]
-    return {
-        "verdict": str(found.verdict),
-        "words": [str(line) for line in getattr(found, "advice", ())],
-        "steps": steps,
-        "order": list(found.ranking.order[:8]),
-        "rejected": list(found.rejected),
-        "base_error": {k: _number(v) for k, v in found.base_error.items()},
-        "final_error": {k: _number(v) for k, v in found.final_error.items()},
-    }
-
-
-def _number(value: float) -> float | str:
-    """A number that JSON can hold, or its name."""
-    return float(value) if np.isfinite(value) else str(float(value))
 
 
 def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[str, Any]:
@@ -138,9 +112,8 @@ def _detectability(case: Case) -> dict[str, Any]:
     return {
         "true_gains": {name: gain.train for name, gain in gains.items()},
         "true_validation_gains": {name: gain.validation for name, gain in gains.items()},
-        "detectable": all(
-            gain.train >= DETECTABLE and gain.validation >= CONFIRMABLE for gain in gains.values()
-        ),
+        "detectable": detectable((gain.train for gain in gains.values()), DETECTABLE)
+        and detectable((gain.validation for gain in gains.values()), CONFIRMABLE),
     }
 
 
@@ -153,7 +126,7 @@ def _against_truth(
     if found is not None:
         models["found"] = found.model
     compared = compare(models, validation)
-    return {f"{part.label}_validation": _number(part.relative) for part in compared.models}
+    return {f"{part.label}_validation": finite(part.relative) for part in compared.models}
 
 
 def _broken(error: Exception) -> Mapping[str, str]:

@@ -34,6 +34,7 @@ import numpy as np
 import plotly.graph_objects as go
 import streamlit as st
 from plotly.subplots import make_subplots
+from scipy.spatial.transform import Rotation
 
 from oed_sysid.app import visit
 from oed_sysid.cli.study import Outcome
@@ -293,12 +294,7 @@ def rotation(phi: float, theta: float, psi: float) -> np.ndarray:
     >>> (rotation(0.0, np.pi / 6, np.pi / 2) @ [1.0, 0.0, 0.0]).round(3).tolist()
     [0.0, 0.866, -0.5]
     """
-    (cr, cp, cy), (sr, sp, sy) = np.cos((phi, theta, psi)), np.sin((phi, theta, psi))
-    return np.array([
-        (cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr),
-        (sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr),
-        (-sp, cp * sr, cp * cr),
-    ])  # fmt: skip
+    return np.asarray(Rotation.from_euler("ZYX", (psi, theta, phi)).as_matrix())
 
 
 def track_axes(record: Record) -> tuple[str, str] | None:

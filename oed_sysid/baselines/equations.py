@@ -24,7 +24,7 @@ are unbiased for smooth motion and noise-free states.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import casadi as ca
@@ -34,6 +34,7 @@ from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import input_array
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 
@@ -367,12 +368,6 @@ def rows_from(
         parts.append((weight * found[0], weight * found[1]))
     targets, regressors = zip(*parts, strict=True)
     return np.sum(targets, axis=0), np.sum(regressors, axis=0)
-
-
-def check_choice(name: str, value: str, options: Iterable[str]) -> None:
-    """Raise :class:`ModelError` for a setting that is none of the options."""
-    if value not in options:
-        raise ModelError(f"{name} is {value!r}. Choose one of {', '.join(options)}.")
 
 
 def check_together(model: Model, who: str) -> None:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
 from oed_sysid.baselines.regression import (
     CONVERGED,
     EquationSolution,
@@ -17,6 +17,7 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Posterior, Status
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.physics.model import Model
 
@@ -34,16 +35,6 @@ class Chains:
 
     coefficients: np.ndarray
     variances: np.ndarray
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Posterior mean, shape ``(n,)``."""
-        return self.coefficients.mean(axis=(0, 1))
-
-    @property
-    def std(self) -> np.ndarray:
-        """Posterior standard deviation, shape ``(n,)``."""
-        return self.coefficients.reshape(-1, self.coefficients.shape[2]).std(axis=0)
 
 
 def split_r_hat(draws: np.ndarray) -> np.ndarray:

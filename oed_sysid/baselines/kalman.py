@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import block_diag
 
-from oed_sysid.baselines.equations import check_choice, check_together
+from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Regression,
@@ -20,6 +20,7 @@ from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels, measured_columns, measured_states
 from oed_sysid.physics.model import Model

@@ -12,7 +12,6 @@ from oed_sysid.baselines.equations import (
     WINDOW,
     Rates,
     Rows,
-    check_choice,
     check_rule,
     rows_of,
 )
@@ -29,6 +28,7 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model

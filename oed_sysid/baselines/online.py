@@ -26,7 +26,6 @@ from oed_sysid.baselines.equations import (
     Rates,
     RegressionForm,
     Rows,
-    check_choice,
     check_rule,
     regression_form,
     rows_from,
@@ -46,6 +45,7 @@ from oed_sysid.baselines.support_vectors import (
     check_weight,
 )
 from oed_sysid.errors import ModelError, PrecisionWarning
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.physics.model import Model
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import import_module
 from types import ModuleType
 from typing import Any
@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from oed_sysid.baselines.equations import check_choice, check_together
+from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Regression,
@@ -29,6 +29,7 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
 from oed_sysid.information.response import by_unknowns
 from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
 from oed_sysid.likelihood.noise_levels import given_levels
@@ -165,6 +166,13 @@ class TrajectoryCost:
         self.n_evaluations += len(population)
         return np.where(np.isfinite(total), total / count, np.inf)
 
+    def ended(self, best: np.ndarray, iterations: int, status: Status, **facts: Any) -> Regression:
+        """Where a search ended, ``(n_free,)``, with the errors there; facts besides."""
+        status = status if np.isfinite(self(best)[0]) else DIVERGED
+        facts = {"evaluations": self.n_evaluations, **facts}
+        information, covariance, coloured = self.errors(best)
+        return Regression(best, covariance, information, coloured, status, iterations, facts=facts)
+
     def errors(self, best: np.ndarray) -> tuple[Information, np.ndarray, bool]:
         """Errors of the best candidate ``(n_free,)``: those of least squares at the optimum.
 
@@ -261,27 +269,6 @@ def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, floa
     return peaks
 
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """Where a search ended.
-
-    Attributes
-    ----------
-    best : ndarray (n_free,)
-    iterations : int
-        Generations.
-    status : Status
-        Whether it ended by itself.
-    facts : mapping
-        What else there is to tell.
-    """
-
-    best: np.ndarray
-    iterations: int
-    status: Status
-    facts: Mapping[str, Any] = field(default_factory=dict)
-
-
 class TrajectorySearch(ABC):
     """Search of the least misfit of trajectories: settings and the way to a fit that all share."""
 
@@ -295,7 +282,7 @@ class TrajectorySearch(ABC):
         """Name and settings, for reports."""
 
     @abstractmethod
-    def _search(self, cost: TrajectoryCost) -> Found:
+    def _search(self, cost: TrajectoryCost) -> Regression:
         """Search the region for the least cost."""
 
     def fit(self, model: Model, dataset: Dataset) -> Fit:
@@ -315,15 +302,13 @@ class TrajectorySearch(ABC):
         cost = TrajectoryCost(
             model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
         )
-        end = self._search(cost)
-        status = end.status if np.isfinite(cost(end.best)[0]) else DIVERGED
-        extras = {"evaluations": cost.n_evaluations, **end.facts}
-        information, covariance, coloured = cost.errors(end.best)
-        found = Regression(
-            end.best, covariance, information, coloured, status, end.iterations, facts=extras
-        )
         return fit_from_values(
-            model, dataset, found, estimator=self.name, began=began, known=cost.initial
+            model,
+            dataset,
+            self._search(cost),
+            estimator=self.name,
+            began=began,
+            known=cost.initial,
         )
 
 
@@ -405,7 +390,7 @@ class DifferentialSwarm(TrajectorySearch):
             f"differential swarm ({self.n_particles} particles, {self.n_generations} generations)"
         )
 
-    def _search(self, cost: TrajectoryCost) -> Found:
+    def _search(self, cost: TrajectoryCost) -> Regression:
         """Move the swarm; ``extras["history"]`` holds the least cost of each generation."""
         rng = np.random.default_rng(self.seed)
         best = rng.uniform(cost.lower, cost.upper, (self.n_particles, len(cost.lower)))
@@ -436,8 +421,7 @@ class DifferentialSwarm(TrajectorySearch):
                 f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
                 "narrow the bounds, or start MultipleShooting from here with warm=fit.",
             )
-        extras = {"history": np.array(history)}
-        return Found(best[np.argmin(values)], generation, status, extras)
+        return cost.ended(best[np.argmin(values)], generation, status, history=np.array(history))
 
     def _moved(self, best: np.ndarray, leader: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """New positions ``(n_particles, n_free)``."""
@@ -501,7 +485,7 @@ class DifferentialEvolution(TrajectorySearch):
         """Name and settings, for reports."""
         return f"differential evolution ({self.n_particles} members)"
 
-    def _search(self, cost: TrajectoryCost) -> Found:
+    def _search(self, cost: TrajectoryCost) -> Regression:
         n_free = len(cost.lower)
         found = differential_evolution(
             lambda shares: cost.finite(cost.at(shares.T)),
@@ -514,7 +498,9 @@ class DifferentialEvolution(TrajectorySearch):
             updating="deferred",
             polish=False,
         )
-        return Found(cost.at(found.x), int(found.nit), CONVERGED if found.success else UNFINISHED)
+        return cost.ended(
+            cost.at(found.x), int(found.nit), CONVERGED if found.success else UNFINISHED
+        )
 
 
 @dataclass(frozen=True)
@@ -550,7 +536,7 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         """Name and settings, for reports."""
         return "CMA-ES"
 
-    def _search(self, cost: TrajectoryCost) -> Found:
+    def _search(self, cost: TrajectoryCost) -> Regression:
         cma = optional("cma", "cma", wanted_by="CovarianceMatrixAdaptation")
         options: dict[str, Any] = {
             "bounds": [0.0, 1.0],
@@ -568,7 +554,7 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
             run.tell(list(members), list(cost.finite(cost.at(members))))
         best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
         status = UNFINISHED if "maxiter" in run.stop() else CONVERGED
-        return Found(best, int(run.result.iterations), status)
+        return cost.ended(best, int(run.result.iterations), status)
 
 
 @dataclass(frozen=True)
@@ -600,7 +586,7 @@ class ParticleSwarm(TrajectorySearch):
         """Name and settings, for reports."""
         return f"particle swarm ({self.n_particles} particles)"
 
-    def _search(self, cost: TrajectoryCost) -> Found:
+    def _search(self, cost: TrajectoryCost) -> Regression:
         swarm, problems, optimize = (
             optional(f"pymoo.{part}", "pymoo", wanted_by="ParticleSwarm")
             for part in ("algorithms.soo.nonconvex.pso", "core.problem", "optimize")
@@ -619,4 +605,4 @@ class ParticleSwarm(TrajectorySearch):
         )
         values = found.pop.get("F").ravel()
         status = CONVERGED if np.ptp(values) <= 1e-3 * values.min() else UNFINISHED
-        return Found(np.asarray(found.X, dtype=float), self.n_generations, status)
+        return cost.ended(np.asarray(found.X, dtype=float), self.n_generations, status)

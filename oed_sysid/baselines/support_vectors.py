@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_choice, check_rule
+from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
 from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.regression import (
     Regression,
@@ -20,6 +20,7 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Status
+from oed_sysid.likelihood.estimator import check_choice
 
 FORMS = ("primal", "dual")
 # Published weight of the errors.

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.data.record import TIME_ADVICE, TURN, clear_wraps, closest, time_fault
+from oed_sysid.data.record import TIME_ADVICE, closest, time_fault, wrap_fault
 from oed_sysid.errors import DataError, UnitWarning
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import Table, time_stamp
@@ -243,25 +243,18 @@ class Columns:
 
     def _check_wraps(self, index: int, channel: Output, values: np.ndarray) -> None:
         """Refuse an angle that jumps by full turns without being declared to."""
-        found = None if channel.wrap or channel.unit != "rad" else clear_wraps(values)
-        if found is None:
+        if channel.wrap or channel.unit != "rad":
             return
-        period, after = found
-        row, raw = int(after[0]), self.table.values[:, index]
-        last = raw[:row][np.isfinite(raw[:row])][-1]
-        unit = self.units.get(channel.name) or self.parsed[index][1] or channel.unit
-        times = "once" if after.size == 1 else f"{after.size} times, first"
-        advice = f'declare Output("{channel.name}", "rad", wrap=True) in the problem'
-        raise DataError(
-            f"{self._where(index)} jumps by a full turn {times} in row "
-            f"{self.table.row_numbers[row]}, from {last:.6g} to {raw[row]:.6g} {unit}. "
-            + (
-                f"The angle is wrapped: {advice}."
-                if period == TURN
-                else f"The jump is 360 {unit}, so these are degrees: write the header as "
-                f"'{self.parsed[index][0]} [deg]', and {advice}."
-            )
+        fault = wrap_fault(
+            channel.name,
+            values,
+            raw=self.table.values[:, index],
+            unit=self.units.get(channel.name) or self.parsed[index][1] or channel.unit,
+            at=lambda row: f"in row {self.table.row_numbers[row]}",
+            advice='declare Output("{}", "rad", wrap=True) in the problem',
         )
+        if fault:
+            raise DataError(f"{self._where(index)} {fault}")
 
     def has(self, channel: Output) -> bool:
         """Whether an output has a column, be it empty."""

@@ -46,6 +46,7 @@ import numpy as np
 
 from oed_sysid.data.record import closest, on_circle
 from oed_sysid.errors import DataError
+from oed_sysid.runtime.display import align
 from oed_sysid.text.units import is_unit, parse_header
 
 # -- libraries that read one format each -----------------------------------------------
@@ -388,14 +389,9 @@ class Log:
             Only fields whose names hold this.
         """
         rows = [("field", "samples", "rate", "from - to", "unit", "range"), *self.rows(text)]
-        widths = [max(len(row[i]) for row in rows) for i in range(6)]
         first, last = self.span
-        lines = [f"{self.path.name}: {self.kind}, {last - first:.1f} s; t = 0 is {self.origin}"]
-        lines += [
-            "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-            for row in rows
-        ]
-        return "\n".join([*lines, *self.notes])
+        title = f"{self.path.name}: {self.kind}, {last - first:.1f} s; t = 0 is {self.origin}"
+        return "\n".join([title, *align(rows, left=range(6)), *self.notes])
 
 
 # Messages by topic: time in s and numbers by name.

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -170,6 +170,48 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
             continue
         return period, present[jumps + 1]
     return None
+
+
+def wrap_fault(
+    name: str,
+    values: np.ndarray,
+    *,
+    raw: np.ndarray | None = None,
+    unit: str = "rad",
+    at: Callable[[int], str] = "at index {}".format,
+    advice: str = 'declare Output("{}", "rad", wrap=True)',
+) -> str:
+    """What is wrong with an angle that wraps, and what to do; empty where nothing is.
+
+    Parameters
+    ----------
+    name : str
+        Output.
+    values : ndarray (n_samples,)
+        Its series, rad.
+    raw : ndarray (n_samples,), optional
+        The series as logged, in its ``unit``.
+    unit : str
+        Of the series as logged.
+    at : callable
+        Words for the place of a sample.
+    advice : str
+        What declares an angle that wraps, with the name in braces.
+    """
+    found = clear_wraps(values)
+    if found is None:
+        return ""
+    (period, after), raw = found, values if raw is None else raw
+    row, advice = int(after[0]), advice.format(name)
+    last = raw[:row][np.isfinite(raw[:row])][-1]
+    times = "once" if after.size == 1 else f"{after.size} times, first"
+    jump = f"jumps by a full turn {times} {at(row)}, from {last:.6g} to {raw[row]:.6g} {unit}. "
+    if period == TURN:
+        return f"{jump}The angle is wrapped: {advice}."
+    return (
+        f"{jump}The jump is 360 {unit}, so these are degrees: write the header as '{name} [deg]', "
+        f"and {advice}."
+    )
 
 
 # -- a measured record -----------------------------------------------------------------
@@ -342,26 +384,10 @@ class Record:
                 outputs[:, column] = whole
                 done.append(output.name)
                 continue
-            found = clear_wraps(values)
-            if found is not None:
-                raise DataError(self._wrap_fault(output.name, values, *found))
+            if fault := wrap_fault(output.name, values):
+                raise DataError(f"Record {self.name!r}: output {output.name!r} {fault}")
         object.__setattr__(self, "continuous", tuple(done))
         object.__setattr__(self, "notes", tuple(notes))
-
-    def _wrap_fault(self, name: str, values: np.ndarray, period: float, after: np.ndarray) -> str:
-        """Sentences about an angle that jumps by a full turn without being declared to."""
-        index = int(after[0])
-        before = values[:index][np.isfinite(values[:index])][-1]
-        where = (
-            f"Record {self.name!r}: output {name!r} jumps by a full turn {after.size} times, first "
-            f"at index {index} (from {before:.4g} to {values[index]:.4g})."
-        )
-        if period == TURN:
-            return f'{where} It is wrapped: declare it as Output("{name}", "rad", wrap=True).'
-        return (
-            f"{where} The jump is 360 rad: the values are degrees. Write the header as "
-            f'"{name} [deg]" and declare Output("{name}", "rad", wrap=True).'
-        )
 
     def _check_times(self) -> None:
         if self.n_samples < MINIMUM_SAMPLES:

@@ -21,10 +21,10 @@ from oed_sysid.data.record import (
     GAP,
     MINIMUM_SAMPLES,
     Record,
-    clear_wraps,
     closest,
     empty_outputs,
     unwrapped,
+    wrap_fault,
 )
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -181,12 +181,13 @@ class _Import:
         if source.delay:
             self.notes.append(f"{name} was moved {source.delay:g} s towards the beginning.")
         wraps = not isinstance(channel, Output) or source.wrap or channel.wrap
-        found = None if wraps or channel.unit != "rad" else clear_wraps(values)
-        if found is not None:
-            raise DataError(
-                f"{source.field!r} jumps by a full turn {found[1].size} times, first at "
-                f"{series.times[found[1][0]]:.2f} s. Add  wrap = true  to [outputs.{name}]."
-            )
+        advice, when = (
+            "add  wrap = true  to [outputs.{}]",
+            lambda row: f"at {series.times[row]:.2f} s",
+        )
+        asked = not wraps and channel.unit == "rad"
+        if asked and (fault := wrap_fault(name, values, at=when, advice=advice)):
+            raise DataError(f"{source.field!r} {fault}")
         present = np.isfinite(values)
         if not present.any():
             raise DataError(f"{source.field!r} of {log.path.name} holds no number.")

@@ -28,9 +28,9 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from itertools import chain, product
+from itertools import product
 from time import perf_counter
 
 import numpy as np
@@ -38,23 +38,28 @@ from scipy.fft import idct
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
-from oed_sysid.evidence.contrasts import Found, Piece, Result
+from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
-from oed_sysid.evidence.inputs import input_findings
+from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
 from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogCheck
-from oed_sysid.evidence.screens import marked, screened
+from oed_sysid.evidence.screens import Fault, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
+    READ,
     clock_findings,
+    judged_row,
     misfit_finding,
     reading_finding,
+    said,
     screen_findings,
-    seen_from,
     sized_finding,
 )
 from oed_sysid.experiments.problem import Problem
+from oed_sysid.likelihood.departures import other_way
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 
 __all__ = [
@@ -71,11 +76,11 @@ __all__ = [
 ]
 
 
-# Faults that are other readings of the same numbers, and the least error of a scale that would be
-# seen from which on they would be, too.
-READ, LEGIBLE = ("sign", "unit", "swap"), 0.5
-# Samples that must not enter any equation.
+# Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
+FAR = 5.0
+# Samples that must not enter any equation; and exact coincidences, which are certain.
 BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
+EXACT = ("dead", "copied", *BLANKED[1:])
 
 
 def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
@@ -121,18 +126,21 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     check_channels(model, dataset)
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
-    findings, traces, clean, equations = _screened(dataset, traces, equations)
-    balances: tuple[Balance, ...] = ()
-    ended = None
+    faults, traces = screened(traces)
+    mute = {name for one in faults if one.kind in ("dead", "copied") for name in one.names}
+    equations = tuple(r for r in equations if not mute & {*r.names})
+    related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
-        findings, balances, ended = _related(dataset, model, clean, equations, findings)
-    reason = ""
+        clean = [t.blank(marked(faults, t.name, BLANKED)) for t in traces]
+        faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
+    findings = [*screen_findings(dataset, traces, faults), *related]
+    reason, of_inputs = "", list[Judged]()
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
-        judged, reason = input_findings(dataset, model, known, ranges)
+        judged, of_inputs, reason = input_findings(dataset, model, known, ranges)
         findings += judged
-    asked = _asked(model, traces, equations, ended, reason if inputs else "not asked")
+    asked = [*_asked(model, traces, equations, ended), *of_inputs]
     return LogCheck(
         tuple(_ordered(findings)),
         dataset.names,
@@ -153,43 +161,77 @@ def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Jud
     )
 
 
-def _screened(
-    dataset: Dataset, traces: Sequence[Trace], equations: tuple[Relation, ...]
-) -> tuple[list[Finding], list[Trace], list[Trace], tuple[Relation, ...]]:
-    """Findings in single signals, records, these with them undone, and equations that hold."""
-    faults, marked_traces = screened(traces)
-    findings = screen_findings(dataset, marked_traces, faults)
-    mute = (fault.signal for fault in faults if fault.kind in ("dead", "copied"))
-    dead = {name for said in mute for name in said.split(" = ")}
-    equations = tuple(r for r in equations if not dead & {*r.names})
-    clean = [t.blank(marked(faults, t.name, BLANKED)) for t in marked_traces]
-    findings = [_caught_up(f, clean, equations) for f in findings]
-    jumps = [f.correction for f in findings if f.kind == "step" and f.correction]
-    return findings, marked_traces, [undo(t, jumps) for t in clean], equations
-
-
 def _related(
     dataset: Dataset,
     model: Model,
     clean: Sequence[Trace],
     equations: tuple[Relation, ...],
-    findings: Sequence[Finding],
-) -> tuple[list[Finding], tuple[Balance, ...], Result]:
-    """Findings with those of the equations, how well these hold, and what was searched."""
-    found, ended = contrasts.diagnosed(clean, equations, [*_places(findings, clean)])
-    known, sized = _merged(findings, ended.found, clean)
+    faults: Sequence[Fault],
+) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:
+    """Steps with the sizes that equations give, what these find, how well they hold, the search."""
+    steps = [one for one in faults if one.kind == "step" and one.signal in names_of(equations)]
+    known = {one: _steps(one, clean, equations) for one in steps}
+    begun = [fix for fixes in known.values() for fix in fixes]
+    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), begun)
+    faults, sized = _settled(faults, known, ended)
     fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
     about = dataset.channels, equations, dataset.names
     begins = {t.name: (float(t.times[0]), float(t.times[-1])) for t in clean}
-    known += [reading_finding(one, *about) for one in found]
-    known += [
-        sized_finding(one, *about, allowed=_allowed(model, one.candidate), begins=begins)
-        for one in sized
+    findings = [reading_finding(one, *about) for one in found]
+    for one in sized:
+        allowed = _allowed(model, one)
+        findings.append(sized_finding(one, *about, allowed=allowed, begins=begins))
+    findings += clock_findings(mended, equations)
+    findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
+    return faults, findings, _balances(clean, mended, equations), ended
+
+
+def _settled(
+    faults: Sequence[Fault], known: Mapping[Fault, Sequence[Correction]], ended: Result
+) -> tuple[list[Fault], list[Found]]:
+    """Faults of the screens, steps with their sizes by the equations; and what else was found."""
+    sizes = {_place(one.correction): one for one in ended.found if one.candidate.kind == "step"}
+    done = [sizes.pop(_place(fix), None) for fixes in known.values() for fix in fixes]
+    own = {_place(one.correction): float(one.size) for one in done if one is not None}
+    kept = [one for one in faults if one not in known]
+    kept += [_resized(one, fixes, own) for one, fixes in known.items()]
+    return kept, [one for one in ended.found if one not in done]
+
+
+def _steps(
+    fault: Fault, traces: Sequence[Trace], equations: tuple[Relation, ...]
+) -> list[Correction]:
+    """Steps that a screen found, as faults of the equations; none where these contradict them.
+
+    A signal that catches up with the motion after it was lost jumps as well, and is right
+    afterwards: with the jump subtracted the equations tell less, not more.
+    """
+    here = [trace for trace in traces if trace.name == fault.record]
+    since = here[0].times - here[0].times[0]
+    fixes = [
+        Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
+        for row, size in zip(fault.rows, fault.sizes, strict=True)
+        for share in (0.5 * (since[row] + since[row - 1]) / since[-1],)
     ]
-    known += clock_findings(mended, equations)
-    known += misfit_finding(contrasts.unexplained(mended, equations), equations)
-    return known, _balances(clean, mended, equations), ended
+    some = tuple(r for r in equations if fault.signal in r.names)
+    mended = [undo(trace, fixes) for trace in here]
+    before, after = (contrasts.evidence(one, some).sum() for one in (here, mended))
+    return fixes if after > before else []
+
+
+def _place(step: Correction) -> tuple[str, str, float]:
+    return step.signals[0], step.record, step.span[0]
+
+
+def _resized(
+    fault: Fault, fixes: Sequence[Correction], sizes: Mapping[tuple[str, str, float], float]
+) -> Fault:
+    """A fault with the sizes that the equations give its steps; it has caught up without any."""
+    if not fixes:
+        return replace(fault, kind="caught up")
+    own = tuple(sizes.get(_place(f), f.value) for f in fixes)
+    return replace(fault, sizes=own, amount=max(own, key=abs))
 
 
 def quick_check(dataset: Dataset, model: Problem | Model) -> LogCheck:
@@ -226,6 +268,53 @@ def signal_check(dataset: Dataset) -> LogCheck:
     return LogCheck(tuple(findings), dataset.names, unchecked=open_points, duration=spent)
 
 
+def with_estimates(
+    log: LogCheck,
+    fit: Fit,
+    claimed: Sequence[Effect] = (),
+    nominal: Mapping[str, float] | None = None,
+) -> LogCheck:
+    """The check of a log together with what a fit says about it: the gate of every certificate.
+
+    Parameters
+    ----------
+    log : LogCheck
+        Of the records of the fit.
+    fit : Fit
+        Its values are held against their declared priors and against what the model began with.
+    claimed : sequence of Effect
+        Effects that were claimed: a finding on a signal that one of them puts right is answered.
+    nominal : mapping of str to float, optional
+        Values that the model began with; those of the fit's own beginning if not given.
+
+    Returns
+    -------
+    LogCheck
+        Suspect as well where values are many prior deviations away (``far``) or an input acts
+        otherwise than the start values say (``other_way``); with parameters that are others in
+        single records (``run``).
+    """
+    mended = {key for one in claimed if one.stage == "sensor" for key in one.terms}
+    findings = [f for f in log.findings if not (f.suspect and mended & set(f.signals))]
+    for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
+        row = {"says": one.text, "name": one.channel.name}
+        findings.append(said("other_way", (one.channel.name,), log.records, row))
+    findings += [*_far(fit, log.records), *between_runs(fit)]
+    return replace(log, findings=tuple(_ordered(findings)))
+
+
+def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
+    """Values many prior deviations from their prior means."""
+    away = {
+        p.name: abs(p.value - p.prior_mean) / p.prior_std
+        for p in fit.model.free_parameters
+        if p.prior_std and p.prior_mean is not None
+    }
+    far = {name: size for name, size in away.items() if size > FAR}
+    row = {"away": ", ".join(f"{name} ({size:.1f})" for name, size in far.items())}
+    return [said("far", tuple(far), records, row)] if far else []
+
+
 def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple[Relation, ...]:
     """Equations between signals that were measured."""
     everywhere = set.intersection(*(set(trace.values) for trace in traces))
@@ -234,77 +323,17 @@ def _equations(dataset: Dataset, model: Model, traces: Sequence[Trace]) -> tuple
     return relations(model, standard, missing)
 
 
-def _caught_up(found: Finding, traces: Sequence[Trace], equations: tuple[Relation, ...]) -> Finding:
-    """A finding of a step, without its correction where the equations contradict that.
-
-    A signal that catches up with the motion after it was lost jumps as well, and is right
-    afterwards: with the jump subtracted the equations tell less, not more.
-    """
-    some = tuple(r for r in equations if {*found.signals} & {*r.names})
-    if found.kind != "step" or found.correction is None or not some:
-        return found
-    touched = [t for t in traces if t.name in found.records]
-    mended = [undo(t, [found.correction]) for t in touched]
-    told = (contrasts.evidence(here, some).sum() for here in (touched, mended))
-    if next(told) < next(told):
-        return found
-    return replace(
-        found,
-        says=f"{found.says.rsplit(':', 1)[0]}: the other signals say that the vehicle moved "
-        "there, so that it was lost before and caught up.",
-        fix="cut the record there with window(); nothing is subtracted in a corrected copy",
-        correction=None,
-    )
-
-
-def _places(
-    findings: Sequence[Finding], traces: Sequence[Trace]
-) -> Iterator[tuple[str, str, float]]:
-    """Signal, record and share of it of the steps that were undone."""
-    times = {t.name: t.times for t in traces}
-    for one in findings:
-        if one.kind == "step" and one.correction is not None:
-            for record, rows in one.correction.rows.items():
-                for row in rows:
-                    yield one.signals[0], record, share_of(times[record], row)
-
-
-def share_of(times: np.ndarray, row: int) -> float:
-    """Share of a record at which a sample is the first after a step."""
-    return float((0.5 * (times[row] + times[row - 1]) - times[0]) / (times[-1] - times[0]))
-
-
-def _merged(
-    findings: Sequence[Finding], found: Sequence[Found], traces: Sequence[Trace]
-) -> tuple[list[Finding], list[Found]]:
-    """Findings of steps with the sizes that the equations give them, and the other faults."""
-    about = {(f.candidate.signals[0], f.candidate.record, f.candidate.at): f for f in found
-             if f.candidate.kind == "step"}  # fmt: skip
-    mine = [*_places(findings, traces)]
-    extra = iter([about[key].size if key in about else 0.0 for key in mine])
-    result = []
-    for one in findings:
-        fix = one.correction
-        if one.kind == "step" and fix is not None:
-            sizes = {n: tuple(float(s + next(extra)) for s in fix.sizes[n]) for n in fix.rows}
-            largest = max(chain.from_iterable(sizes.values()), key=abs)
-            one = replace(one, size=largest, correction=replace(fix, sizes=sizes))
-        result.append(one)
-    done = [about[key] for key in mine if key in about]
-    return result, [f for f in found if f not in done]
-
-
 def _ordered(findings: list[Finding]) -> list[Finding]:
-    """Suspect ones first, the largest gain first; a wrong unit explains a wrong noise level."""
+    """Suspect ones first, coincidences before gains; a wrong unit explains a wrong noise level."""
     rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
     kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
-    return sorted(kept, key=lambda one: (not one.suspect, -(one.gain or 0.0)))
+    return sorted(kept, key=lambda o: (not o.suspect, o.kind not in EXACT, -(o.gain or 0.0)))
 
 
-def _allowed(model: Model, fault: contrasts.Candidate) -> bool:
+def _allowed(model: Model, one: Found) -> bool:
     """Whether the model has a sensor effect on a signal of this fault."""
     touched = {key for e in model.effects if e.stage == "sensor" for key in e.terms}
-    return bool(touched & set(fault.signals))
+    return bool(touched & set(one.candidate.signals))
 
 
 def _asked(
@@ -312,48 +341,15 @@ def _asked(
     traces: Sequence[Trace],
     equations: tuple[Relation, ...],
     ended: Result | None,
-    inputs: str,
 ) -> list[Judged]:
     """What was asked of every signal, from which size on it shows, or why it was not."""
     related, units = names_of(equations), units_of(traces)
     kinds = ("bias", "scale", "delay", "rate", "drift", "step", *READ)
-    rows = [
-        _row(kind, name, units[name], ended, name in related)
-        for name in model.output_names
+    return [
+        judged_row(kind, name, units[name], ended, related=name in related)
+        for name, kind in product(model.output_names, kinds)
         if name in units
-        for kind in kinds
     ]
-    state = "not tested" if inputs else "tested"
-    of_inputs = product(model.input_names, ("sign", "unit", "delay"))
-    return rows + [Judged(kind, name, state, inputs) for name, kind in of_inputs]
-
-
-def _row(kind: str, name: str, unit: str, ended: Result | None, related: bool) -> Judged:
-    """Whether a fault was tested, from which size on, or why it was not."""
-    size, plausible = _visible(ended, "scale" if kind in READ else kind, name)
-    shown = seen_from(kind, size, unit)
-    if kind in READ:
-        shown, plausible, why = "", LEGIBLE, "no equation in which it moves enough"
-    elif not related:
-        why = "no equation without unknown parameters relates it"
-    elif np.isfinite(size):
-        why = f"the motion shows it from {shown} on only"
-    else:
-        why = "nothing that was measured depends on it"
-    tested = size <= plausible
-    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
-
-
-def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
-    """Least size of a fault of a signal alone that would be seen, and the largest plausible."""
-    if ended is None:
-        return np.inf, 0.0
-    sizes = [
-        (float(v), contrasts.LARGEST * f.plausible)
-        for f, v in zip(ended.faults, ended.visible, strict=True)
-        if f.kind == kind and f.signals == (name,)
-    ]
-    return min(sizes, default=(np.inf, 0.0))
 
 
 def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[str, ...]:
@@ -388,28 +384,26 @@ def _balances(
     before: Sequence[Trace], after: Sequence[Trace], equations: tuple[Relation, ...]
 ) -> tuple[Balance, ...]:
     """How well each equation holds, as it is and with the findings undone."""
-    pairs: list[tuple[Piece, Piece]] = []
-    for old, new in zip(before, after, strict=True):
-        mended = dict(enumerate(contrasts.contrasts(new, equations, (), {})))
-        for i, piece in enumerate(contrasts.contrasts(old, equations, (), {})):
-            twin = mended.get(i, piece)
-            pairs.append((piece, twin if twin.relation == piece.relation else piece))
-    return tuple(
-        _balance(relation, [pair for pair in pairs if pair[0].relation == i], before[0].units)
-        for i, relation in enumerate(equations)
-    )
+    every = [
+        [piece for t in traces for piece in contrasts.contrasts(t, equations, (), {})]
+        for traces in (before, after)
+    ]
+    result = []
+    for i, relation in enumerate(equations):
+        old, new = ([piece for piece in some if piece.relation == i] for some in every)
+        series = tuple((p.record, p.times, _series(p), _same(p, new)) for p in old)
+        unit = before[0].units.get(relation.target, "")
+        shares = _share(old), _share(new)
+        result.append(Balance(str(relation), *shares, relation.target, unit, series))
+    return tuple(result)
 
 
-def _balance(
-    relation: Relation, pairs: Sequence[tuple[Piece, Piece]], units: Mapping[str, str]
-) -> Balance:
-    """How well one equation holds, before and after."""
-    series = (
-        (a.record, a.times, _series(a), np.interp(a.times, b.times, _series(b))) for a, b in pairs
-    )
-    old, new = (_share([pair[k] for pair in pairs]) for k in (0, 1))
-    unit = units.get(relation.target, "")
-    return Balance(str(relation), old, new, relation.target, unit, tuple(series))
+def _same(piece: Piece, others: Sequence[Piece]) -> np.ndarray:
+    """The contrast of the piece of the same time, ``(n_blocks,)``."""
+    middle = float(np.mean(piece.times))
+    here = (o for o in others if o.record == piece.record and o.times[0] < middle < o.times[-1])
+    twin = next(here, piece)
+    return np.interp(piece.times, twin.times, _series(twin))
 
 
 def _share(pieces: Sequence[Piece]) -> float:

@@ -53,45 +53,35 @@ from itertools import combinations, product
 
 import numpy as np
 from scipy.fft import dct, idct
-from scipy.optimize import nnls
 from scipy.special import stdtrit
 
 from oed_sysid.evidence.corrections import level_axis, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import RELATIVE, Trace, units_of
+from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, RELATIVE, Trace, units_of
 
-# False alarms a log, shared by all candidates; halved and doubled it moves the limit by 1.4.
-ALPHA = 0.01
-# Resolution: block means of a piece, and the fewest that tell anything.
-MOST_BLOCKS, LEAST_BLOCKS = 240, 12
-# Places a record at which a step or a burst is tried before its place is refined.
-PLACES = 60
+# Resolution: block means of a piece; and places a record at which a step or a burst is tried before
+# its place is refined.
+MOST_BLOCKS = 240
+PLACES = MOST_BLOCKS // 4
 LOCAL = ("step", "burst")
-# Share of its information that a candidate must keep beside others.
-APART = 0.01
 # Variance of noise at one place of a record over that of the whole.
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
 CORRELATIONS = (0.0, 0.5, 0.8, 0.95)
-# Sizes that count: of the signal's noise, of a sample.
-MATERIAL, SAMPLES = 0.15, 0.3
 # A size beyond this many usual ones is none that such faults have.
 LARGEST = 4.0
-# What an equation may leave: of the changes of its left side, and of what noise makes (power).
+# What an equation may leave: of the changes of its left side, and of what noise makes (power); so
+# far beyond a limit linearised scores mislead.
 UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
 # Effort: faults that one log is explained by, and iterations of its fit, at most.
 MOST_FAULTS, SWEEPS = 6, 12
-# Statistic over its limit from which on linearised scores mislead.
-STRAINED = 10.0
-# Explanations within this likelihood ratio of each other are one group.
-CLOSE = 9.0
+# Explanations are one group unless the odds between them are those of a false alarm.
+CLOSE = -2.0 * math.log(ALPHA)
 # Errors are that much wider than said: the law of the noise is estimated, faults are selected.
 WIDER = 1.15
 # What a linearisation leaves of a fault, as a share of its statistic.
 CURVED = 1e-3
-# Delays from which the search begins, s: the linearised score does not reach so far.
-DELAYS = (-2.4, -1.2, -0.6, -0.3, 0.3, 0.6, 1.2, 2.4)
 
 
 @dataclass(frozen=True)
@@ -163,7 +153,7 @@ class Motion:
                 continue
             self.right[index] = one({n: self.raw[n] for n in one.signals}, trace.times)
             if one.is_rate:
-                predicted = integral(trace.times, self.right[index][:, None])[:, 0]
+                predicted = one.integral(trace.times, self.right[index][:, None])[:, 0]
                 self.values[one.target] = predicted + _line(
                     trace.times, self.raw[one.target] - predicted
                 )
@@ -212,21 +202,6 @@ SHAPES = {
 }
 
 
-def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Cumulative integral of cubic Hermite splines through ``(n, k)`` samples; first row zero.
-
-    Examples
-    --------
-    >>> t = np.linspace(0.0, 3.0, 31)
-    >>> print(round(float(integral(t, np.cos(t)[:, None])[-1, 0] / np.sin(3.0)), 6))
-    0.999996
-    """
-    steps = np.diff(times)[:, None]
-    slopes = np.gradient(columns, times, axis=0)
-    parts = 0.5 * steps * (columns[1:] + columns[:-1]) - steps**2 / 12.0 * np.diff(slopes, axis=0)
-    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
-
-
 # -- candidates ------------------------------------------------------------------------------
 
 
@@ -249,11 +224,29 @@ def velocities_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tu
 
 @dataclass(frozen=True)
 class Dictionary:
-    """Faults of all records, those of single records, and a step of every signal."""
+    """Faults of all records, those of single records, and a step of every signal.
+
+    ``given`` are errors that are in every regression, of a size that is known before.
+    """
 
     common: tuple[Candidate, ...]
     single: tuple[Candidate, ...]
     local: Mapping[str, Candidate]
+    given: tuple[Candidate, ...] = ()
+
+
+@dataclass(frozen=True)
+class Question:
+    """What is asked of signals: the equations, faults with a size, and other readings."""
+
+    relations: tuple[Relation, ...]
+    words: Dictionary
+    readings: tuple[Reading, ...]
+
+    @classmethod
+    def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Question:
+        """Everything that may be wrong with signals that equations relate."""
+        return cls(relations, candidates(traces, relations), tuple(readings(traces, relations)))
 
 
 class Facts:
@@ -290,8 +283,8 @@ class Facts:
         """Delays and rates of clocks of each signal, of all positions and of all velocities."""
         together = (g for g in (self.positions, self.velocities) if len(g) > 1)
         for group in (*((n,) for n in self.size), *together):
-            yield Candidate("delay", group, "s", max(0.7, 3.0 * self.step), SAMPLES * self.step)
-            yield Candidate("rate", group, "1", 0.05, SAMPLES * self.step / self.length)
+            yield Candidate("delay", group, "s", max(0.7, 3.0 * self.step), MATERIAL * self.step)
+            yield Candidate("rate", group, "1", 0.05, MATERIAL * self.step / self.length)
 
     def places(self) -> Iterator[Candidate]:
         """Lever arms and misalignments of velocities."""
@@ -403,7 +396,7 @@ def contrasts(
         used = [k for k in here if shapes[k].keys() & {*relation.names}]
         _, usable = trace.filled(relation.signals)
         inner = {n: motion.raw[n] for n in relation.signals}
-        slopes = {n: partial(relation, inner, trace.times, n) for n in relation.signals}
+        slopes = {n: partial(relation, inner, trace.times, n) for n in relation.asked}
         direct = np.zeros((trace.times.size, len(used)))
         under = np.zeros((trace.times.size, len(used) + 1))
         under[:, 0] = right
@@ -429,14 +422,14 @@ def _pieces(
     """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
     direct, under, used = columns
     target = trace.values[relation.target]
-    for piece in trace.pieces(usable, LEAST_BLOCKS):
+    for piece in trace.pieces(usable, LEAST):
         rows = np.flatnonzero(np.isfinite(target[piece])) + piece.start
         group = max(1, -(-rows.size // MOST_BLOCKS))
         n = rows.size // group
-        if n < LEAST_BLOCKS:
+        if n < LEAST:
             continue
         times = trace.times[piece]
-        inside = integral(times, under[piece]) if relation.is_rate else under[piece]
+        inside = relation.integral(times, under[piece]) if relation.is_rate else under[piece]
         rows = rows[: n * group]
         inside = inside[rows - piece.start]
         left = target[rows]
@@ -449,7 +442,7 @@ def _pieces(
         }
         total = sum(power.values())
         every = np.column_stack([*slopes.values()])[piece]
-        sums = integral(times, every) if relation.is_rate else every
+        sums = relation.integral(times, every) if relation.is_rate else every
         sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
         waves = dct(means, axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
@@ -483,7 +476,7 @@ def partial(
     relation: Relation, series: Mapping[str, np.ndarray], times: np.ndarray, name: str
 ) -> np.ndarray:
     """Derivative of a right side by one signal, by central differences, ``(n_times,)``."""
-    h = 1e-4 * (float(np.std(series[name])) + 1e-3)
+    h = 1e-4 * (float(np.sqrt(np.mean(series[name] ** 2))) + 1e-3)
     up = relation({**series, name: series[name] + h}, times)
     return (up - relation({**series, name: series[name] - h}, times)) / (2.0 * h)
 
@@ -503,8 +496,7 @@ def fitted_law(
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Shares of each kind of noise of largest likelihood, and the variances they make.
 
-    Multiplicative steps on :math:`\sum_k \ln S_k + P_k/S_k` (Févotte & Idier 2011) come near;
-    Fisher scoring, each step a least-squares problem with non-negative unknowns, ends it.
+    Multiplicative steps on :math:`\sum_k \ln S_k + P_k/S_k` (Févotte & Idier 2011).
 
     Parameters
     ----------
@@ -519,35 +511,11 @@ def fitted_law(
     """
     mean = float(np.mean(power / left)) + 1e-300
     shares = np.maximum(mean / basis.mean(axis=1) / len(basis), floor)
-    for _ in range(SWEEPS):
+    for _ in range(SWEEPS**2):
         variance = shares @ basis
         ratio = (basis @ (power / variance**2)) / (basis @ (left / variance))
-        shares = np.maximum(shares * np.sqrt(ratio), floor)
-    best = _cost(power, left, shares @ basis)
-    for _ in range(SWEEPS):
-        variance = shares @ basis
-        size = 1.0 / np.sqrt(np.sum(basis**2 * left / variance**2, axis=1))
-        scaled = basis * size[:, None] / variance
-        root = np.linalg.cholesky((scaled * left) @ scaled.T + 1e-9 * np.eye(len(basis))).T
-        aim = scaled @ ((power - left * (floor @ basis)) / variance)
-        fresh = floor + size * nnls(root, np.linalg.solve(root.T, aim))[0]
-        for part in (1.0, 0.3, 0.1):
-            trial = shares + part * (fresh - shares)
-            cost = _cost(power, left, trial @ basis)
-            if cost < best:
-                break
-        else:
-            break
-        done = best - cost < 1e-3
-        shares, best = trial, cost
-        if done:
-            break
+        shares = np.maximum(shares * ratio, floor)
     return shares, shares @ basis
-
-
-def _cost(power: np.ndarray, left: np.ndarray, variance: np.ndarray) -> float:
-    """Minus twice the logarithm of Whittle's likelihood."""
-    return float(np.sum(left * np.log(variance) + power / variance))
 
 
 # -- regression ------------------------------------------------------------------------------
@@ -572,7 +540,8 @@ def assemble(
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
         shares, variance, law, _ = _noise(mine, faults, nuisance)
-        active = shares > 1e-6 * shares.max()
+        part = shares * law.mean(axis=1)
+        active = part > RELATIVE * part.sum()
         fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
         begin = 0
         for piece in mine:
@@ -718,6 +687,41 @@ class System:
     doubt: np.ndarray
     levels: tuple[np.ndarray, ...]
 
+    @classmethod
+    def plain(cls, faults: Sequence[Candidate], gram: np.ndarray, right: np.ndarray) -> System:
+        """Equations whose noise is known: limits are those of a normal score."""
+        n = len(faults)
+        limits = np.full(n, stdtrit(1e6, 1.0 - 0.5 * ALPHA / n) ** 2)
+        return cls(faults, gram, right, limits, np.zeros(n), ())
+
+    def found(self, chosen: Sequence[int] | None = None) -> tuple[Found, ...]:
+        """Accepted faults with errors, statistics and rivals, the strongest first."""
+        chosen = self.chosen(()) if chosen is None else chosen
+        size, std, own = self.sizes(chosen)
+        result = []
+        for i, k in enumerate(chosen):
+            gain, other, error = self.beside([j for j in chosen if j != k])
+            near = self.able(chosen, other, error) & (gain > own[i] - CLOSE)
+            told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
+            for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
+                f = self.faults[j]
+                told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
+            mine = self.faults[k]
+            told.pop((mine.kind, mine.signals, mine.other, mine.record), None)
+            rivals = tuple(told.values())[:MOST_FAULTS]
+            result.append(Found(mine, float(size[i]), WIDER * float(std[i]), float(own[i]), rivals))
+        return tuple(sorted(result, key=lambda one: -one.gain))
+
+    def given(self, n: int) -> System:
+        """The same with the first ``n`` candidates in every regression, and asked no more."""
+        if not n:
+            return self
+        across = self._inverse(range(n)) @ self.gram[:n]
+        gram = self.gram - self.gram[:, :n] @ across
+        right = self.right - across.T @ self.right[:n]
+        gram[:n], gram[:, :n], right[:n] = 0.0, 0.0, 0.0
+        return replace(self, gram=gram, right=right)
+
     def of(self, what: str) -> np.ndarray:
         """A number of every candidate."""
         return np.array([getattr(fault, what) for fault in self.faults])
@@ -733,7 +737,7 @@ class System:
         across = self._inverse(a) @ gram[a]
         left = own - np.einsum("ij,ij->j", gram[a], across)
         score = self.right - across.T @ self.right[a]
-        told = (left > APART * own) & (own > 0.0)
+        told = (left > RELATIVE * own) & (own > 0.0)
         left = np.where(told, left + self.of("plausible") ** -2.0, np.inf)
         return score**2 / left, score / left, left**-0.5
 
@@ -862,19 +866,16 @@ class Result:
 
 def search(
     traces: Sequence[Trace],
-    relations: tuple[Relation, ...],
+    question: Question,
     *,
     start: Sequence[Correction] = (),
     single: bool = True,
-    known: Sequence[tuple[str, str, float]] = (),
+    known: Sequence[Correction] = (),
 ) -> Result:
-    """Find faults with a size.
-
-    ``start`` are delays to begin from, ``known`` steps that were undone by sizes which need
-    improving: signal, record and share of it.
-    """
-    words = candidates(traces, relations)
-    faults = [*words.common, *words.single * single]
+    """Find faults with a size; ``start`` are delays, ``known`` steps to begin from."""
+    words, relations = question.words, question.relations
+    n_given, n_common = len(words.given), len(words.given) + len(words.common)
+    faults = [*words.given, *words.common, *words.single * single]
     n_more = 2 * PLACES * len(words.local) * len(traces) * single
     active = _begun(words, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
@@ -886,10 +887,10 @@ def search(
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
         now = [place[f] for f in active]
-        inside = np.union1d(np.arange(len(words.common)), now).astype(int)
-        system = assemble(pieces, relations, faults, inside, n_more)
+        inside = np.union1d(np.arange(n_common), now).astype(int)
+        system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
-        strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > STRAINED * system.limits))
+        strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > LOUDER * system.limits))
         found = scanned(undone, pieces, system, now, words.local) if single else []
         picked = [f for f in found if f not in place]
         chosen = bench.chosen(now)
@@ -900,7 +901,7 @@ def search(
         shift *= 0.5 if near else 1.0
     error = bench.beside(chosen)[2]
     visible = np.sqrt(system.limits) * np.where(error > 0.0, error, np.inf)
-    return Result(_described(bench, chosen), tuple(faults), visible, strained)
+    return Result(bench.found(chosen), tuple(faults), visible, strained)
 
 
 def _settled(
@@ -912,18 +913,17 @@ def _settled(
 
 
 def _begun(
-    words: Dictionary, start: Sequence[Correction], known: Sequence[tuple[str, str, float]]
+    words: Dictionary, start: Sequence[Correction], known: Sequence[Correction]
 ) -> dict[Candidate, float]:
     """Faults that a search begins with, and their sizes."""
     keys = {(f.kind, f.signals, f.other): f for f in words.common}
-    begun = {
-        keys[one.kind, one.signals, one.other]: one.value
-        for one in start
-        if (one.kind, one.signals, one.other) in keys
-    }
-    steps = ((words.local[n], record, at) for n, record, at in known if n in words.local)
+    same = ((keys.get((one.kind, one.signals, one.other)), one.value) for one in start)
+    begun = {fault: value for fault, value in same if fault is not None}
+    steps = ((words.local.get(one.signals[0]), one) for one in known)
     return begun | {
-        replace(one, material=0.0, record=record, at=at): 0.0 for one, record, at in steps
+        replace(fault, material=0.0, record=one.record, at=one.span[0]): one.value
+        for fault, one in steps
+        if fault is not None
     }
 
 
@@ -950,28 +950,30 @@ def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
 
 def diagnosed(
     traces: Sequence[Trace],
-    relations: tuple[Relation, ...],
-    known: Sequence[tuple[str, str, float]] = (),
+    question: Question,
+    known: Sequence[Correction] = (),
 ) -> tuple[list[Reading], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
-    plain = search(traces, relations, known=known)
-    if not plain.strained:
+    relations = question.relations
+    plain = search(traces, question, known=known)
+    if not (plain.strained or question.words.given):
         return [], plain
-    found, start = misread(traces, relations)
+    found, start = misread([undo(t, known, relations) for t in traces], question)
     mended = [undo(t, [one.correction for one in found], relations) for t in traces]
-    ends = [search(mended, relations, known=known)] if found else [plain]
-    ends += [search(mended, relations, start=start, known=known)] if start else []
+    ends = [search(mended, question, known=known)] if found else [plain]
+    ends += [search(mended, question, start=start, known=known)] if start else []
 
     def worth(end: Result) -> float:
         left = [undo(t, [one.correction for one in end.found], relations) for t in mended]
-        return float(evidence(left, relations).sum()) - CLOSE * len(end.found)
+        told = evidence(left, relations, question.words.given)
+        return float(told.sum()) - CLOSE * len(end.found)
 
     best = max(ends, key=worth)
     units = [one for f in best.found for one in _as_units(f)]
     if units:
         found = [*found, *units]
         mended = [undo(t, [one.correction for one in units], relations) for t in mended]
-        best = search(mended, relations, known=known)
+        best = search(mended, question, known=known)
     return found, best
 
 
@@ -985,30 +987,6 @@ def _as_units(one: Found) -> list[Reading]:
         if abs((1.0 + one.size) * factor - 1.0) < max(RELATIVE, 3.0 * one.std * factor)
     ]
     return near[:1]
-
-
-def _described(bench: System, chosen: list[int]) -> tuple[Found, ...]:
-    """Accepted faults with errors, statistics and rivals, the strongest first."""
-    if not chosen:
-        return ()
-    size, std, own = bench.sizes(chosen)
-    result = []
-    for i, k in enumerate(chosen):
-        rest = [j for j in chosen if j != k]
-        gain, other, error = bench.beside(rest)
-        near = bench.able(chosen, other, error) & (gain > own[i] - CLOSE)
-        told: dict[tuple[object, ...], tuple[Candidate, float]] = {}
-        for j in sorted(np.flatnonzero(near).tolist(), key=lambda j: -gain[j]):
-            f = bench.faults[j]
-            told.setdefault((f.kind, f.signals, f.other, f.record), (f, float(other[j])))
-        mine = bench.faults[k]
-        told.pop((mine.kind, mine.signals, mine.other, mine.record), None)
-        result.append(
-            Found(
-                mine, float(size[i]), WIDER * float(std[i]), float(own[i]), tuple(told.values())[:6]
-            )
-        )
-    return tuple(sorted(result, key=lambda one: -one.gain))
 
 
 def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:
@@ -1039,19 +1017,21 @@ def _axes(
             yield Reading(turn, f"{90 * quarter} deg")
 
 
-def evidence(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> np.ndarray:
+def evidence(
+    traces: Sequence[Trace],
+    relations: tuple[Relation, ...],
+    given: tuple[Candidate, ...] = (),
+) -> np.ndarray:
     """Information that each equation gives about its left side, ``(n_relations,)``."""
-    pieces = [p for t in traces for p in contrasts(t, relations, (), {})]
+    pieces = [p for t in traces for p in contrasts(t, relations, given, {})]
     result = np.zeros(len(relations))
     for index in {p.relation for p in pieces}:
         mine = [p for p in pieces if p.relation == index]
-        result[index] = _noise(mine, (), np.zeros(0, dtype=int))[3]
+        result[index] = _noise(mine, given, np.arange(len(given)))[3]
     return result
 
 
-def misread(
-    traces: Sequence[Trace], relations: tuple[Relation, ...]
-) -> tuple[list[Reading], list[Correction]]:
+def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading], list[Correction]]:
     """Other readings that the equations ask for, and delays to begin from.
 
     A reading is accepted if it tells more than every fault with a size does together.
@@ -1063,13 +1043,15 @@ def misread(
     start : list of Correction
         Large delays that compete with readings: their sizes are for :func:`search` to find.
     """
+    relations, given = question.relations, question.words.given
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    if np.any((evidence(coarse, relations) == 0.0) & (evidence(traces, relations) != 0.0)):
+    lost = evidence(coarse, relations, given) == 0.0
+    if np.any(lost & (evidence(traces, relations, given) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
-    late = _late(coarse, relations)
+    late = [*_late(question.words)]
     found: list[Reading] = []
     for _ in range(3):
-        least, scored = _scored(coarse, relations, late)
+        least, scored = _scored(coarse, question, late)
         best = scored[0]
         # What chance exceeds rarely, however many readings are tried.
         limit = 2.0 * math.log(len(scored) / ALPHA)
@@ -1084,31 +1066,31 @@ def misread(
     return found, []
 
 
-def _late(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Reading]:
-    """Large delays, as rivals of readings."""
-    delays = [f for f in candidates(traces, relations).common if f.kind == "delay"]
-    return [
-        Reading(Correction("delay", f.signals, d))
-        for f, d in product(delays, DELAYS)
-        if abs(d) > 2.0 * f.material
-    ]
+def _late(words: Dictionary) -> Iterator[Reading]:
+    """Large delays, as rivals of readings: the linearised score does not reach so far."""
+    for fault, k in product((f for f in words.common if f.kind == "delay"), range(-1, 3)):
+        delay = fault.plausible * 2.0**k
+        if delay > 2.0 * fault.material:
+            yield from (Reading(Correction("delay", fault.signals, d)) for d in (delay, -delay))
 
 
 def _scored(
-    coarse: Sequence[Trace], relations: tuple[Relation, ...], late: Sequence[Reading]
+    coarse: Sequence[Trace], question: Question, late: Sequence[Reading]
 ) -> tuple[float, list[Reading]]:
     """What faults with a size tell, and all readings, those that tell most first."""
-    now = evidence(coarse, relations)
-    sized = [one.correction for one in search(coarse, relations, single=False).found]
+    relations, given = question.relations, question.words.given
+    now = evidence(coarse, relations, given)
+    sized = [one.correction for one in search(coarse, question, single=False).found]
     mended = [undo(t, sized, relations) for t in coarse]
-    told = float(np.sum(evidence(mended, relations) - now))
+    told = float(np.sum(evidence(mended, relations, given) - now))
     scored = []
-    for one in (*readings(coarse, relations), *late):
+    for one in (*question.readings, *late):
         touched = {*one.correction.signals}
         mine = [i for i, r in enumerate(relations) if touched & {*r.names}]
         some = tuple(relations[i] for i in mine)
         changed = [undo(t, (one.correction,), relations) for t in coarse]
-        scored.append(replace(one, gain=float(np.sum(evidence(changed, some) - now[mine]))))
+        gain = float(np.sum(evidence(changed, some, given) - now[mine]))
+        scored.append(replace(one, gain=gain))
     return max(0.0, told), sorted(scored, key=lambda one: -one.gain)
 
 

@@ -16,8 +16,8 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.check import LogCheck, check
-from oed_sysid.evidence.claim import own_error
+from oed_sysid.evidence.check import LogCheck, check, with_estimates
+from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.compare import SUSPECT_NOISE
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -34,6 +34,7 @@ from oed_sysid.evidence.remainder import Remains, remains
 from oed_sysid.evidence.search import (
     BOUGHT,
     Standing,
+    asked_again,
     eliminated,
     every_step,
     overgrown,
@@ -43,7 +44,6 @@ from oed_sysid.evidence.search import (
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
-from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
@@ -57,8 +57,6 @@ from oed_sysid.runtime.threads import single_threaded
 
 # Share of a signal that whole runs must miss before a search is worth making again.
 MUCH = 0.1
-# Prior deviations that no right log gives: one in two millions.
-FAR = 5.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -167,9 +165,9 @@ def improve(
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
     location = _kept(keep, "location", work, notes) or Located.nothing(end.base)
     tell("fits and errors of every step")
-    result = keep.once("every step", lambda: _result(end, location, notes, log))
-    turned = other_way(result.fit, {p.name: p.value for p in model.free_parameters})
-    found = (*(one.text for one in turned), *_other_noise(result.fit), *_bought(end))
+    nominal = {p.name: p.value for p in model.free_parameters}
+    result = keep.once("every step", lambda: _result(end, location, notes, log, nominal))
+    found = (*_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*found, *result.notes))
 
 
@@ -199,7 +197,7 @@ class _Run:
                 for one in thinned.added
                 if one not in state.added
             )
-        end = _Ended(state, base, first, last, self._left(state), None)
+        end = _Ended(state, state.path[0], first, last, self._left(state), None)
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
         self.tell("looking for a term that no known effect holds")
@@ -220,24 +218,39 @@ class _Run:
 
         A large missing effect makes forces grow until the records are likely and whole runs are
         not: the right effect does not lead out of that valley. What the other search finds is
-        claimed against what this one has, with disturbance forces in both.
+        claimed against what this one has, with disturbance forces in both. Where that is not
+        likelier, whole runs decide: a constant force, say, does not show beside forces that
+        wander, and process noise could not have left runs that are so much better.
         """
         calm = Standing(study, (), base, (base,))
         calm, first, last = searched(calm, self.max_effects, self.tell, self.keep, self.notes)
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
-        calm = eliminated(calm, found, noise, BOUGHT)
-        if not calm.added:
-            return end
-        records = study.train if study.validation is None else study.validation
-        here, there = own_error(found, present, records), own_error(study, calm.fit, records)
-        if not BOUGHT * there < here:
-            return end
-        self.notes.append(
-            "Process noise had grown over what is missing: whole runs of what was found without it "
-            f"are {here / there:.2g} times better."
+        fit = calm.added and found.estimate(
+            calm.effects, calm.fit.values, calm.fit, noise=noise, max_iterations=25
         )
-        state = replace(calm, decisions=(*end.state.decisions, *calm.decisions))
+        if not fit:
+            return end
+        more = sum(calm.needed(effect) for effect in calm.effects)
+        more -= sum(end.state.needed(effect) for effect in end.state.effects)
+        decided = claim(found, present, fit, calm.effects, more)
+        state = replace(calm, decisions=(*end.state.decisions, decided))
+        if decided.stands:
+            self.notes.append(
+                "Disturbance forces had grown over what is missing: it was searched for without "
+                "them, and is likelier with them, too."
+            )
+            state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
+            return _Ended(state, base, first, last, self._left(state), None)
+        state = eliminated(state, found, noise, BOUGHT)
+        records = study.train if study.validation is None else study.validation
+        here, there = own_error(found, present, records), own_error(study, state.fit, records)
+        if not BOUGHT * there < here:
+            return replace(end, state=replace(end.state, decisions=state.decisions))
+        self.notes.append(
+            "Disturbance forces had grown over what is missing: whole runs of what was found "
+            f"without them are {here / there:.2g} times better."
+        )
         return _Ended(state, base, first, last, self._left(state), None)
 
 
@@ -293,7 +306,11 @@ def _kept(keep: Journal, label: str, work: Callable, notes: list[str]):  # type:
 
 
 def _result(
-    end: _Ended, location: Located, notes: Sequence[str], log: LogCheck | None
+    end: _Ended,
+    location: Located,
+    notes: Sequence[str],
+    log: LogCheck | None,
+    nominal: Mapping[str, float],
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
@@ -305,11 +322,13 @@ def _result(
     errors = [_relative(records, one, sigma) for one in rms]
     steps = _steps(state, fits, rms, errors)
     tested, terms = study.validation, [] if end.proposals is None else [end.proposals]
+    if log is not None:
+        log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal)
     beyond = replace(
         end.left,
         training=fits[-1].whole_runs,
         validation=None if tested is None else fits[-1].runs_on(tested),
-        suspect=_suspect(log, steps, fits[-1]),
+        suspect=log.verdict if log is not None and log.suspect else "",
     )
     return Improvement(
         model=fits[-1].model,
@@ -388,23 +407,3 @@ def _relative(
             total = np.sum(count[seen] * (rms[name][seen] / sigma[seen]) ** 2)
             found[name] = float(np.sqrt(total / count.sum()))
     return found
-
-
-def _suspect(log: LogCheck | None, steps: Sequence[Step], fit: Fit) -> str:
-    """Why the log is not to be trusted; empty where it is, or where a sensor was put right."""
-    mended = {key for one in steps if one.effect.stage == "sensor" for key in one.effect.terms}
-    left = [] if log is None else [f for f in log.serious if not mended & set(f.signals)]
-    if log is not None and left:
-        return replace(log, findings=tuple(left)).verdict
-    priors = [
-        (p.name, abs(p.value - p.prior_mean) / p.prior_std)
-        for p in fit.model.free_parameters
-        if p.prior_std and p.prior_mean is not None
-    ]
-    far = ", ".join(f"{name} ({away:.1f})" for name, away in priors if away > FAR)
-    if not far:
-        return ""
-    return (
-        f"values many prior deviations from what was declared: {far}. An input or a sensor is in "
-        "another unit, or the priors are wrong."
-    )

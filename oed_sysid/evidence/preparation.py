@@ -30,13 +30,12 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.evidence.traces import RELATIVE
+from oed_sysid.evidence.traces import LEAST, RELATIVE
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
 
 # Share of a record that is learnt from, and least samples of either part.
-LEARNT, LEAST = 0.6, 100
-# The same of independent tests, each of which tells as much as many samples of a series.
-LEAST_TESTS = 20
+LEARNT = 0.6
+LEAST_SAMPLES = 5 * LEAST
 # A search reads about this many samples.
 ENOUGH = 20_000
 # What a line may leave, in noise levels; what is immaterial it may leave, too.
@@ -84,7 +83,7 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     600 400
     """
     notes = []
-    least = LEAST_TESTS if train.only_tests else LEAST
+    least = LEAST if train.only_tests else LEAST_SAMPLES  # a test tells as much as many samples
     if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * least:
         parted = _drawn_apart if train.only_tests else _kept_apart
         train, validation, words = parted(train[0])

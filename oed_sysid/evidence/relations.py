@@ -60,8 +60,6 @@ class Relation:
         The right side, for people.
     is_rate : bool
         Whether the left side is the rate of the target, rather than the target itself.
-    declared : bool
-        Whether the model says so; otherwise it follows from standard names.
     steps : tuple of (str, str)
         Definitions to evaluate in order; the last one is the right side.
     constants : mapping
@@ -72,7 +70,6 @@ class Relation:
     signals: tuple[str, ...]
     text: str
     is_rate: bool
-    declared: bool
     steps: tuple[tuple[str, str], ...] = field(repr=False)
     constants: Mapping[str, float] = field(repr=False)
 
@@ -80,6 +77,15 @@ class Relation:
     def names(self) -> tuple[str, ...]:
         """All signals, the left side first."""
         return (self.target, *self.signals)
+
+    @property
+    def asked(self) -> tuple[str, ...]:
+        """Signals of the right side whose errors are asked."""
+        return self.signals
+
+    def integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
+        return integral(times, columns)
 
     def __str__(self) -> str:
         return f"{self.target}{chr(39) if self.is_rate else ''} = {expressions.to_text(self.text)}"
@@ -90,6 +96,21 @@ class Relation:
         for name, text in self.steps:
             scope[name] = expressions.to_numpy(text, scope)
         return np.broadcast_to(np.asarray(scope[self.steps[-1][0]], dtype=float), times.shape)
+
+
+def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Cumulative integral of cubic Hermite splines through ``(n, k)`` samples; first row zero.
+
+    Examples
+    --------
+    >>> t = np.linspace(0.0, 3.0, 31)
+    >>> print(round(float(integral(t, np.cos(t)[:, None])[-1, 0] / np.sin(3.0)), 6))
+    0.999996
+    """
+    steps = np.diff(times)[:, None]
+    slopes = np.gradient(columns, times, axis=0)
+    parts = 0.5 * steps * (columns[1:] + columns[:-1]) - steps**2 / 12.0 * np.diff(slopes, axis=0)
+    return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(parts, axis=0)])
 
 
 def names_of(relations: Iterable[Relation]) -> tuple[str, ...]:
@@ -152,7 +173,7 @@ def _declared(
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
     steps = [(name, inner[name]) for name in model.signals if name in inner]
     steps = [*aliases, *steps, (f"{target}_prime_", text)]
-    return Relation(target, signals, text, is_rate, True, tuple(steps), constants)
+    return Relation(target, signals, text, is_rate, tuple(steps), constants)
 
 
 def _is_kinematic(model: Model, target: str, signals: set[str]) -> bool:
@@ -206,7 +227,7 @@ def _standard(
             if known.issuperset(names):
                 signals = tuple(n for n in names if n in expressions.names(text))
                 step = (f"{target}_prime_", text)
-                yield Relation(target, signals, text, True, False, (step,), {})
+                yield Relation(target, signals, text, True, (step,), {})
                 break
 
 

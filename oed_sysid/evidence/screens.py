@@ -58,27 +58,23 @@ from itertools import combinations
 import numpy as np
 from scipy.special import bdtrc
 
-from oed_sysid.evidence.traces import QUARTILE, RELATIVE, Trace, fast_noise
+from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, QUARTILE, RELATIVE, Trace, fast_noise
 
-# False alarms a signal of a record; what rounding repeats is counted, not assumed.
-ALPHA = 0.001
-# Fewer have no usual behaviour to differ from.
-LEAST_SAMPLES = 20
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
-# Lengths of groups, and samples around one that say what is usual.
-LENGTHS, AROUND = (2, 3, 4, 5, 6, 9, 12), 25
-# Largest deviation of a time step from the usual one.
-UNEVEN = 0.2
+# Lengths of groups.
+LENGTHS = (1, 2, 3, 4, 5, 6, 9, 12)
 # Samples on either side of a step that tell level and slope.
 SIDE = 5
-# Shares of samples and values from which on a signal is coarse, held or interpolated.
-COARSE, UNIQUE, HELD = 0.2, 0.6, 0.5
+# Samples around a group or a step that say what is usual.
+AROUND = 5 * SIDE
+# Share of samples or values from which on a signal is coarse, held or interpolated.
+HELD = 0.5
 # Faults that may be answers to the inputs.
 ANSWERS = ("spikes", "step")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Fault:
     """Samples of one signal in one record that a screen stopped; for steps, the size of each."""
 
@@ -89,17 +85,26 @@ class Fault:
     amount: float = 0.0
     sizes: tuple[float, ...] = ()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Signals: of copies both."""
+        return tuple(self.signal.split(" = "))
+
     def groups(self) -> list[np.ndarray]:
         """Positions in ``rows`` of what happened at once."""
         together = self.kind == "spikes"
         apart = np.diff(self.rows) > 1 if together else np.ones(self.rows.size - 1, dtype=bool)
         return np.split(np.arange(self.rows.size), np.flatnonzero(apart) + 1)
 
-    def only(self, chosen: np.ndarray) -> Fault:
-        """Return the fault with some of its rows only."""
+    def without(self, pushed: np.ndarray) -> list[Fault]:
+        """The fault without what begins at marked samples; none where nothing is left."""
+        left = [group for group in self.groups() if not pushed[self.rows[group[0]]]]
+        if not left:
+            return []
+        chosen = np.concatenate(left)
         sizes = tuple(self.sizes[k] for k in chosen) if self.sizes else ()
         amount = max(sizes, key=abs, default=0.0) if self.sizes else float(chosen.size)
-        return replace(self, rows=self.rows[chosen], amount=amount, sizes=sizes)
+        return [replace(self, rows=self.rows[chosen], amount=amount, sizes=sizes)]
 
 
 @dataclass(frozen=True)
@@ -134,36 +139,44 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     Samples of one signal that stand out and follow steps of the inputs more often than chance would
     have it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
     """
-    faults = [fault for trace in traces for fault in screen(trace)]
+    shared = sum(len(trace.values) for trace in traces)
+    faults = [fault for trace in traces for fault in screen(trace, shared)]
+    names = dict.fromkeys(name for trace in traces for name in trace.values)
+    fast = frozenset(name for name in names if _answers(traces, name))
     after = {trace.name: trace.pushed for trace in traces}
-    fast = _fast([one for one in faults if one.kind in ANSWERS], after)
-    kept: list[Fault] = []
-    for fault in faults:
-        if fault.kind not in ANSWERS or fault.signal not in fast:
-            kept.append(fault)
-            continue
-        pushed = after[fault.record][fault.rows]
-        left = [group for group in fault.groups() if not pushed[group[0]]]
-        kept += [fault.only(np.concatenate(left))] if left else []
-    return kept, [replace(trace, fast=frozenset(fast)) for trace in traces]
+    kept = [
+        left
+        for fault in faults
+        for answers in (fault.kind in ANSWERS and fault.signal in fast,)
+        for left in ([fault] if not answers else fault.without(after[fault.record]))
+    ]
+    return kept, [replace(trace, fast=fast) for trace in traces]
 
 
-def _fast(faults: Sequence[Fault], after: Mapping[str, np.ndarray]) -> set[str]:
-    """Signals whose faults follow steps of the inputs more often than chance would have it."""
-    share = float(np.concatenate(list(after.values())).mean())
-    answers: dict[str, list[bool]] = {}
-    for fault in faults:
-        begins = [fault.rows[group[0]] for group in fault.groups()]
-        answers.setdefault(fault.signal, []).extend(after[fault.record][begins].tolist())
-    return {
-        name
-        for name, said in answers.items()
-        if any(said) and bdtrc(sum(said) - 1, len(said), share) < 0.2
-    }
+def _answers(traces: Sequence[Trace], name: str) -> bool:
+    """Whether a signal stands out after steps of the inputs more often than chance would have it.
+
+    Spikes elsewhere say nothing about that.
+    """
+    hits, others, share = 0, 0, np.concatenate([trace.pushed for trace in traces])
+    for trace in traces:
+        present = np.flatnonzero(np.isfinite(trace.values.get(name, np.zeros(0))))
+        size = _sizes(trace.values[name][present]) if present.size > LEAST else np.zeros(0)
+        pushed = trace.pushed[present][2:-2] if size.size else np.zeros(0, dtype=bool)
+        spiky = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5 if size.size else pushed
+        hits += _events((size > TAIL) & pushed)
+        others += _events((size > TAIL) & ~pushed & ~spiky)
+    return hits > 0 and bool(bdtrc(hits - 1, hits + others, share.mean()) < ALPHA)
 
 
-def screen(trace: Trace) -> list[Fault]:
-    """All faults of the single signals of one record.
+def _events(here: np.ndarray) -> int:
+    """How many stretches of samples are marked; gaps of less than a group do not part them."""
+    rows = np.flatnonzero(here)
+    return rows.size and 1 + int(np.sum(np.diff(rows) > SIDE))
+
+
+def screen(trace: Trace, shared: int = 1) -> list[Fault]:
+    """All faults of the single signals of one record; ``shared`` of them share the false alarms.
 
     A signal without any noise (a simulation, a hand-made file) is not judged as frozen or dead,
     because nothing tells that it should have moved.
@@ -177,9 +190,9 @@ def screen(trace: Trace) -> list[Fault]:
     ]
     for name, values in trace.values.items():
         present = np.flatnonzero(np.isfinite(values))
-        if present.size < LEAST_SAMPLES or (not noisy and np.ptp(values[present]) == 0.0):
+        if present.size < LEAST or (not noisy and np.ptp(values[present]) == 0.0):
             continue
-        signal = Signal(trace, name, present, noisy)
+        signal = Signal(trace, name, present, noisy=noisy, shared=shared)
         for kind, look, ends in SCREENS:
             rows, *more = look(signal) or (None,)
             if rows is None:
@@ -198,7 +211,9 @@ Stopped = tuple[np.ndarray] | tuple[np.ndarray, float] | tuple[np.ndarray, float
 class Signal:
     """Samples of one signal in one record, and those that a screen has stopped."""
 
-    def __init__(self, trace: Trace, name: str, present: np.ndarray, noisy: bool) -> None:
+    def __init__(
+        self, trace: Trace, name: str, present: np.ndarray, *, noisy: bool, shared: int
+    ) -> None:
         self.times, self.series = trace.times[present], trace.values[name][present]
         self.dt, self.noisy = trace.step, noisy
         self.taken = np.zeros(present.size, dtype=bool)
@@ -206,9 +221,10 @@ class Signal:
         distinct = np.unique(self.series)
         self.step = float(np.min(np.diff(distinct), initial=np.inf))
         self.equal = 1.0 - self.runs.length.size / present.size
-        self.coarse = self.equal > COARSE and distinct.size < UNIQUE * self.runs.length.size
-        few = distinct.size < HELD * present.size
-        self.coarse |= few and self.step > trace.noise[name] > 0.0
+        few = distinct.size < HELD * self.runs.length.size
+        self.coarse = few and self.step > MATERIAL * trace.noise[name]
+        # What rounding repeats is counted, not assumed.
+        self.alpha = ALPHA / shared
         self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
         # The least size that is material.
         self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)
@@ -263,7 +279,7 @@ class Signal:
         # Of the repetitions those in the longest run of all are what is asked.
         usual = np.sort(runs.length)[: max(1, int(0.99 * runs.length.size))]
         p = float(np.clip((usual - 1).sum() / n, 1.0 / n, 0.98))
-        least = 1.0 + np.log(ALPHA / n) / np.log(p)
+        least = 1.0 + np.log(self.alpha / n) / np.log(p)
         if coarse:  # a slow signal stays on a step of the converter
             least = max(least, 4.0 * float(np.quantile(runs.length, 0.9)))
         into, out = runs.edges()
@@ -292,37 +308,12 @@ class Signal:
         """Samples, alone or in short groups, that their neighbours contradict."""
         y, taken = self.series.copy(), self.taken
         y[taken] = np.interp(np.flatnonzero(taken), np.flatnonzero(~taken), y[~taken])
-        d = deviations(y, 1)[:, 0]
-        if d.size < LEAST_SAMPLES:
+        if y.size < LEAST + 4:
             return None
-        factor = _limit(d)
-        alone = self._alone(y, d, factor)
-        known = taken.copy()
-        known[alone] = True
-        rows = np.sort(np.concatenate([alone, *bursts(self.times, y, known, factor, self.least)]))
+        rows = np.sort(np.concatenate([
+            np.zeros(0, dtype=int), *bursts(self.times, y, taken, _limit(y, self.alpha), self.least)
+        ]))  # fmt: skip
         return (rows, float(rows.size)) if rows.size else None
-
-    def _alone(self, y: np.ndarray, d: np.ndarray, factor: float) -> np.ndarray:
-        """Rows of single spikes, the largest first; each is taken out of ``y`` as it is found."""
-        limit = max(factor * float(np.median(np.abs(d))) / QUARTILE, self.least)
-        uneven, found = _uneven(self.times), []
-        for i in np.argsort(-np.abs(d)) + 2:
-            if abs(d[i - 2]) <= limit:
-                break
-            if self.taken[i] or uneven[i - 2 : i + 2].any():
-                continue
-            # Beside a spike that has been taken out the neighbours are other ones than in d.
-            now = deviations(y[i - 2 : i + 3], 1)[0, 0]
-            nearby = factor * float(np.median(np.abs(d[max(i - 12, 0) : i + 8]))) / QUARTILE
-            middle = 0.5 * (y[i - 1] + y[i + 1])
-            bend = abs((y[i + 2] - y[i + 1]) - (y[i - 1] - y[i - 2]))
-            apart = abs(y[i] - middle)
-            if abs(now) <= max(limit, nearby) or apart <= 1.5 * bend:
-                continue
-            if abs(y[i + 1] - y[i - 1]) <= 0.5 * apart:
-                found.append(int(i))
-                y[i] = middle
-        return np.array(found, dtype=int)
 
     def jumps(self) -> Stopped | None:
         """Steps after which it keeps its new level."""
@@ -367,18 +358,25 @@ def interpolated(series: np.ndarray) -> np.ndarray:
     return np.flatnonzero(flat & (np.abs(np.diff(series))[1:] > 0.0)) + 1
 
 
-def _limit(d: np.ndarray) -> float:
+def _sizes(series: np.ndarray) -> np.ndarray:
+    """Deviations from a cubic through four neighbours, in robust deviations; none without noise."""
+    d = np.abs(deviations(series, 1)[:, 0])
+    usual = float(np.median(d)) / QUARTILE
+    return d / usual if usual > 0.0 else 0.0 * d
+
+
+def _limit(series: np.ndarray, alpha: float) -> float:
     """Robust deviations beyond which noise like this leaves nothing, heavy tails allowed for."""
-    size = np.abs(d) / (float(np.median(np.abs(d))) / QUARTILE + 1e-300)
+    size = _sizes(series)
     beyond = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5
     n_tail = int(np.sum((size > TAIL) & ~beyond)) - 1
-    return max(SPIKE, TAIL * (max(n_tail, 0) / ALPHA) ** 0.2)
+    return max(SPIKE, TAIL * (max(n_tail, 0) / alpha) ** 0.2)
 
 
 def bursts(
     times: np.ndarray, series: np.ndarray, taken: np.ndarray, limit: float, least: float
 ) -> list[np.ndarray]:
-    """Find groups of two to six consecutive samples that their surroundings contradict.
+    """Find groups of one to twelve consecutive samples that their surroundings contradict.
 
     Parameters
     ----------
@@ -404,27 +402,38 @@ def bursts(
     >>> [rows.tolist() for rows in bursts(t, y, np.zeros(300, dtype=bool), 8.5, 0.02)]
     [[100, 101, 102]]
     """
-    used, uneven = taken.copy(), _uneven(times)
-    found: list[tuple[float, int, int]] = []
-    for length in LENGTHS:
-        if series.size - length - 3 >= LEAST_SAMPLES:
-            found += _candidates(series, length, limit, least)
-    groups = []
-    # The clearest first: a window that holds a part of a group sees the rest beside it.
-    for _, first, length in sorted(found, reverse=True):
-        window = slice(first - 2, first + length + 2)
-        if used[window].any() or uneven[first - 2 : first + length + 1].any():
-            continue
-        groups.append(np.arange(first, first + length))
-        used[first : first + length] = True
-    return groups
+    y, used, uneven = series.copy(), taken.copy(), _uneven(times)
+    groups: list[np.ndarray] = []
+    while True:
+        found = [
+            one
+            for length in LENGTHS
+            if y.size - length - 3 >= LEAST
+            for one in _candidates(y, length, limit, least)
+        ]
+        before = len(groups)
+        # The clearest first: a window that holds a part of a group sees the rest beside it.
+        for _, first, length in sorted(found, reverse=True):
+            window = slice(first - 2, first + length + 2)
+            if used[window].any() or uneven[first - 2 : first + length + 1].any():
+                continue
+            groups.append(np.arange(first, first + length))
+            used[first : first + length] = True
+        if len(groups) == before:
+            return groups
+        # Beside a group that is taken out there may be another one.
+        bad = np.concatenate(groups)
+        good = np.setdiff1d(np.arange(y.size), bad)
+        y[bad] = np.interp(bad, good, y[good])
+        used = taken.copy()
+        used[bad] = True
 
 
 def _uneven(times: np.ndarray) -> np.ndarray:
     """Time steps that differ from the usual one, ``(n_times - 1,)``."""
     intervals = np.diff(times)
     usual = np.median(intervals)
-    return np.asarray(np.abs(intervals - usual) > UNEVEN * usual)
+    return np.asarray(np.abs(intervals - usual) > MATERIAL * usual)
 
 
 def weights(length: int) -> np.ndarray:
@@ -506,7 +515,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     [(250, 1.5)]
     """
     n = series.size - 2 * SIDE + 1
-    if n < LEAST_SAMPLES:
+    if n < LEAST:
         return []
     # Level half a sample beyond the end of a line through SIDE samples, and its slope.
     at = np.arange(SIDE) - 0.5 * (SIDE - 1)

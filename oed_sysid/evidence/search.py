@@ -28,6 +28,7 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.random_forces import periods, with_sea
 from oed_sysid.physics import Effect
 from oed_sysid.physics.table import POLYNOMIAL
 from oed_sysid.runtime.journal import Journal
@@ -63,6 +64,8 @@ class Standing:
         Everything that was asked, in this order.
     replaced, dropped : tuple of str
         Known effects whose place a term took; effects that do not come back.
+    calm : NoiseModel or None
+        Forces of first order whose place a sea took.
     """
 
     study: Study
@@ -72,6 +75,7 @@ class Standing:
     decisions: tuple[Claim, ...] = ()
     replaced: tuple[str, ...] = ()
     dropped: tuple[str, ...] = ()
+    calm: NoiseModel | None = None
 
     @property
     def effects(self) -> tuple[Effect, ...]:
@@ -109,7 +113,12 @@ def rounds(
         yield state, ranking
         chosen, decisions = keep.once("choice", partial(choice, state, ranking))
         state = replace(state, decisions=(*state.decisions, *decisions))
+        rival = 0.0 if chosen is None else chosen[1].statistic
+        state, at_sea = keep.once("a sea", partial(with_waves, state, rival))
         yield state, ranking
+        if at_sea:
+            tell("confirmed a sea in the place of disturbance forces of first order")
+            continue
         if chosen is None:
             break
         refit, decided = chosen
@@ -123,6 +132,41 @@ def rounds(
         tell("asking again what was added")
         state = keep.once("asked again", partial(asked_again, state))
         yield state, ranking
+
+
+def with_waves(state: Standing, rival: float) -> tuple[Standing, bool]:
+    """Ask a sea in the place of forces of first order, as any effect; whether it is taken.
+
+    It is where it is claimed and no effect's statistic, ``rival``, is larger.
+    """
+    study, fit, setting = state.study, state.fit, state.study.setting
+    places = [place for place in setting.at_sea if place in fit.noise.places]
+    if state.calm is not None or setting.seas or fit.noise.seas or not places:
+        return state, False
+    found = with_sea(fit, replace(setting, any_sea=True))
+    if not found.noise.seas:
+        return state, False
+    # A level in each place, a period that is the best of many, and a width.
+    needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
+    decided = replace(claim(study, fit, found, (), needed), name="a sea")
+    if decided.stands and decided.statistic <= rival:
+        return state, False  # asked again beside what explains more
+    state = replace(state, decisions=(*state.decisions, decided))
+    if not decided.stands:
+        return state, False
+    return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
+
+
+def calmed(state: Standing) -> Standing:
+    """Forces of first order again, where beside what was added since a sea is not needed."""
+    if state.calm is None or not state.fit.noise.seas:
+        return state
+    study, fit = state.study, state.fit
+    calm = study.estimate(state.effects, fit.values, fit, noise=state.calm, max_iterations=25)
+    needed = threshold(len(state.left) + 1, len(fit.noise.seas[0].places) + 2)
+    if calm is None or claim(study, calm, fit, (), needed).stands:
+        return state
+    return replace(state, fit=calm)
 
 
 def choice(
@@ -227,7 +271,7 @@ def overgrown(study: Study, fit: FilteredSolution) -> bool:
 
 def asked_again(state: Standing) -> Standing:
     """Drop what costs less than its threshold to leave out; exchange what another does better."""
-    state = eliminated(state)
+    state = eliminated(calmed(state))
     for old in state.added[:-1]:
         if old in state.added:
             state = _exchanged(state, old)
@@ -264,8 +308,8 @@ def eliminated(
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
-    while len(state.added) > int(judge is None):
-        spare = [(one, *fits) for one in state.added if (fits := _spared(state, there, one, rise))]
+    while asked := state.added[:-1] if judge is None else state.added:
+        spare = [(one, *fits) for one in asked if (fits := _spared(state, there, one, rise))]
         if not spare:
             break
         one, fit, judged = min(spare, key=lambda found: found[1].objective)
@@ -359,14 +403,15 @@ def with_term(
     """
     options: list[tuple[float, Standing, Proposals]] = []
     tied: tuple[str, ...] = ()
-    for count in sorted({0, len(state.added)}, reverse=True):
-        proposals = propose(state.study, state.fit if count else state.path[0])
+    nominal = replace(state, added=(), fit=state.path[0])
+    for begun in (state, nominal) if state.added else (state,):
+        proposals = propose(state.study, begun.fit)
         if proposals.best is None:
             continue
-        if count == len(state.added):
+        if begun is state:
             tied = proposals.group[:3]
-        option = _beside(state, count, proposals)
-        if option is not None and len(option.added) <= max_effects + 1:
+        option = _beside(begun, proposals, max_effects)
+        if option is not None:
             cost = sum(state.needed(effect) for effect in option.effects)
             options.append((option.fit.objective + cost, option, proposals))
     if not options:
@@ -391,15 +436,13 @@ def with_term(
     return found, proposals, ()
 
 
-def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | None:
-    """The best term beside the effects of the first steps, less those not needed any more."""
+def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing | None:
+    """The best term beside the effects of a state, less those not needed any more."""
     assert proposals.best is not None
-    effect, study = proposals.best.effect, state.study
-    start = state.fit if count else state.path[0]
+    effect, study, start = proposals.best.effect, state.study, state.fit
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
-    kept = state.added[:count]
     found = wide.estimate(
-        [*(one.effect for one in kept), effect],
+        [*state.effects, effect],
         proposals.best.refit.fit.values,
         start,
         noise=study.loosened(start.noise),
@@ -409,7 +452,8 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
         return None
     decided = Claim(effect.name, start.objective - found.objective, np.nan, proposals.needed)
     term = Added(effect, decided, (effect.name,))
-    return eliminated(replace(state, study=wide, added=(*kept, term), fit=found))
+    option = eliminated(replace(state, study=wide, added=(*state.added, term), fit=found))
+    return option if len(option.added) <= max_effects + 1 else None
 
 
 def searched(

@@ -17,18 +17,25 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+from scipy.special import ndtri
 
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
 
+# False alarms a log, shared by all that is asked; halved and doubled it moves a limit by 1.4.
+ALPHA = 0.01
 # Median absolute value of a standard normal variable.
-QUARTILE = 0.6745
+QUARTILE = float(ndtri(0.75))
 FOURTH_DIFFERENCE = np.sqrt(70.0)
 # What is below this share of a signal is immaterial.
 RELATIVE = 0.01
-# Change of an input from sample to sample that is a step, as a share of its range; the largest
-# share of such samples; and how many samples after one the answer may peak.
-STEP, RARE, ANSWERED = 0.1, 0.1, 3
+# A share that matters: of the noise of a signal, or of the time between its samples.
+MATERIAL = 0.3
+# Fewer samples have no usual behaviour to differ from.
+LEAST = 20
+# Change of an input from sample to sample that is a step, as a share of its range, and the largest
+# share of such samples; how many samples after one the answer may peak.
+FEW, ANSWERED = 0.1, 3
 
 
 @dataclass(frozen=True)
@@ -170,8 +177,8 @@ def after_steps(series: np.ndarray) -> np.ndarray:
     """
     pushed = np.zeros(series.size, dtype=bool)
     whole = np.nan_to_num(series)
-    steps = np.flatnonzero(np.abs(np.diff(whole)) > STEP * np.ptp(whole))
-    if not 0 < steps.size < RARE * series.size:
+    steps = np.flatnonzero(np.abs(np.diff(whole)) > FEW * np.ptp(whole))
+    if not 0 < steps.size < FEW * series.size:
         return pushed
     for after in range(1, ANSWERED + 1):
         pushed[np.minimum(steps + after, series.size - 1)] = True
@@ -189,7 +196,7 @@ def fast_noise(values: np.ndarray) -> float:
     0.02
     """
     series = values[np.isfinite(values)]
-    if series.size < 12:
+    if series.size < LEAST:
         return 0.0
     return float(np.median(np.abs(np.diff(series, 4))) / QUARTILE / FOURTH_DIFFERENCE)
 

@@ -6,15 +6,17 @@ One table holds the sentences of every kind of finding; what fills them in are f
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, overlap
-from oed_sysid.evidence.contrasts import Candidate, Found, Misfit, Reading
+from oed_sysid.data.record import GAP
+from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Reading, Result
 from oed_sysid.evidence.relations import Relation
-from oed_sysid.evidence.result import Correction, Finding, amount, angle_aware, interval
+from oed_sysid.evidence.result import Correction, Finding, Judged, amount, angle_aware, interval
 from oed_sysid.evidence.screens import Fault
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -23,8 +25,14 @@ from oed_sysid.runtime.display import counted
 COPY = "oed-sysid check ... --fix FOLDER writes corrected copies"
 CUT = f"cut the record there with window(), or {COPY}"
 BLANK = f"leave these cells empty: {COPY}"
-# Fast noise against the declared level before it is mentioned, and a gap in usual steps.
-NOISIER, GAP = 2.5, 4.5
+# Faults that are other readings of the same numbers: seen where a scale of one would be.
+READ = ("sign", "unit", "swap")
+# Rows that tell of the vehicle or of what its model lacks as well as of its log.
+NO_FAULT = ("input lag", "input scale", "run")
+# What may be wrong in place of an input.
+NOMINAL = "a nominal model or priors that are wrong by as much"
+# Fast noise over the declared level, and a jump of the times in usual steps, that are mentioned.
+NOISIER = 2.5
 
 # What a finding says, what it does to an estimate, and what mends it.
 SAYS = {
@@ -177,10 +185,71 @@ SAYS = {
         "a model cannot move at once, and explains the new level by offsets and forces",
         f"cut the record there with window(), or subtract the jump from all later samples: {COPY}",
     ),
+    "caught up": (
+        "{commas} jumps by {jump} from one sample to the next at t = {at:.6g} s of {record}{more}: "
+        "the other signals say that the vehicle moved there, so that it was lost before and caught "
+        "up.",
+        "a model cannot move at once, and explains the new level by offsets and forces",
+        "cut the record there with window(); nothing is subtracted in a corrected copy",
+    ),
     "noise": (
         "{commas} is {ratio:.2g} times noisier than declared ({level:.3g} for {said:.3g} {unit}).",
         "with declared noise, errors are stated too small by as much",
         'Output("{commas}", "{si}", noise_std={found:.2g}), or let the noise be estimated',
+    ),
+    # inputs and parameters, against the nominal model
+    "input sign": (
+        "{both} acts with the other sign than the nominal model and its priors say.",
+        "the coefficients of {both} are fitted to their mirror image",
+        "{signs}",
+    ),
+    "input unit": (
+        "{both} acts as if it were in {meaning}, not in {declared}.",
+        "the coefficients of {both} are fitted {times} times too small",
+        "{headers}",
+    ),
+    "input twice": (
+        "{both} acts {factor:.3g} times as strongly as logged: converted twice?",
+        "the coefficients of {both} are fitted {factor:.3g} times too large",
+        "correct the unit in the header",
+    ),
+    "input swap": (
+        "{first} and {last} are in each other's column.",
+        "both commands are fitted to the other one's forces",
+        "{columns}",
+    ),
+    "input scale": (
+        "{both} acts as if its values were wrong by {shown}.",
+        "the coefficients of {both} are wrong by as much",
+        "calibrate {both}, or correct the unit in the header",
+    ),
+    "input delay": (
+        "the vehicle answers {both} {shown} before the log shows it.",
+        "lags of actuators and damping are wrong by as much",
+        "shift {both} back in time, or the outputs forward, before the columns are joined",
+    ),
+    "input lag": (
+        "the vehicle answers {both} {shown} late: an actuator lags, or its command was logged in "
+        "place of its feedback.",
+        "damping and added mass take the place of the lag",
+        "log the feedback, or give the model a lag of the actuator as a candidate",
+    ),
+    "run": (
+        "{both} differs by {shown} in {record} from the other runs.",
+        "what differs between runs is fitted by a compromise",
+        "fit {record} apart, or give the model what differs (loading, water, a current)",
+    ),
+    "other_way": ("{says}", "values are those of {name} as it was logged", "correct {name}"),
+    "far": (
+        "values many prior deviations from what was declared: {away}. An input or a sensor is in "
+        "another unit, or the priors are wrong.",
+        "predictions hold for this log alone",
+        "look at units and signs of inputs and outputs, or widen the priors",
+    ),
+    "limit": (
+        "{commas} reaches {largest:.3g} {unit}, far beyond its limit of {allowed}{as_if}.",
+        "the coefficients of {commas} are wrong by as much",
+        "correct the unit in the header, or the limit in the problem",
     ),
     # times and records
     "gap": (
@@ -285,10 +354,12 @@ def reading_finding(
     header = unit if twice and unit else one.meaning
     signs = (f"sign={-getattr(channel, 'sign', 1.0):g}" for channel in known.values())
     swapped = zip(names, reversed(names), strict=True)
+    have, are = ("has", "is") if len(names) == 1 else ("have", "are")
     words = {
         "both": " and ".join(names), "first": names[0], "last": names[-1], "meaning": one.meaning,
-        "have": "has" if len(names) == 1 else "have", "are": "is" if len(names) == 1 else "are",
-        "declared": unit, "times": f"{1.0 / fix.value:.3g}" if fix.value else "",
+        "have": have, "are": are,
+        "declared": unit, "times": f"{1.0 / fix.value:.3g}",
+        "factor": fix.value,
         "headers": " and ".join(f'write the header as "{c} [{header}]"' for c in columns.values()),
         "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
         "signs": " and ".join(_declared(channels, *p) for p in zip(names, signs, strict=True)),
@@ -297,9 +368,13 @@ def reading_finding(
         ),
         "frames": _frame_lines(names, channels, relations),
     }  # fmt: skip
+    row = "twice" if twice else fix.kind
+    others = tuple(map(_say_reading, one.rivals))
+    if isinstance(known[names[0]], Input):
+        row, others = f"input {row}", (*others, NOMINAL)
     return said(
-        fix.kind, names, records, words, row="twice" if twice else "", gain=one.gain,
-        alternatives=tuple(map(_say_reading, one.rivals)), correction=fix,
+        fix.kind, names, records, words, row=row, gain=one.gain, alternatives=others,
+        correction=None if row == "input swap" else fix,
     )  # fmt: skip
 
 
@@ -315,11 +390,12 @@ def _say_sized(one: Candidate, size: float) -> str:
         "lever": f"lever arm of {names} against {''.join(one.other)}",
         "drift": f"current or drift along {names}",
         "rate": f"slow clock of {names}",
+        "run": f"another {names}",
     }.get(one.kind, f"{one.kind} of {names}")
     return f"{words}{f' in {one.record}' if one.record else ''} ({number})"
 
 
-def seen_from(kind: str, size: float, unit: str) -> str:
+def _seen_from(kind: str, size: float, unit: str) -> str:
     """Least size of a fault that would be seen, in people's units."""
     unit = {"scale": "1", "delay": "s", "rate": "1", "drift": f"{unit}/s"}.get(kind, unit)
     value, shown = angle_aware(size, unit)
@@ -346,19 +422,16 @@ def sized_finding(
     relations: tuple[Relation, ...],
     records: tuple[str, ...],
     *,
-    allowed: bool,
+    allowed: bool = False,
     begins: dict[str, tuple[float, float]] | None = None,
 ) -> Finding:
     """Words for a fault with a size; ``allowed`` where the model has an effect for it."""
-    fault, names, size = one.candidate, one.candidate.signals, one.size
-    row, bounds, correction, early = fault.kind, interval(size, one.std), one.correction, ""
-    if row == "delay" and size < 0.0:
-        # Nothing is measured before it happens: the others lag.
-        row, early = "ahead", " and ".join(names)
-        names, size, bounds = _others(names, relations), -size, (-bounds[1], -bounds[0])
-        correction = Correction("delay", names, size)
-    elif row == "drift" and fault.unit == "m/s":
-        row = "current"
+    fault, early = one.candidate, " and ".join(one.candidate.signals)
+    of_input = isinstance(_channel(channels, fault.signals[0]), Input)
+    row, names, size = _row_of(fault, one.size, relations, of_input=of_input)
+    bounds = interval(size, one.std)
+    undone = replace(one.correction, signals=names, value=size)
+    correction = None if of_input or row == "run" else undone
     start, end = (begins or {}).get(fault.record, (0.0, 1.0))
     both = f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
     words = {
@@ -370,18 +443,60 @@ def sized_finding(
         "own": ", per_record=True" * bool(fault.record),
     }  # fmt: skip
     fix = "the model has an effect for it already" if allowed else ""
-    if (
-        not fix
-        and "effect" in SAYS[row][2]
-        and not isinstance(_channel(channels, names[0]), Output)
-    ):
+    if not fix and "effect" in SAYS[row][2] and _channel(channels, names[0]) is None:
         fix = f"{both} is no output of the model: {COPY}"
+    others = tuple(_say_sized(*rival) for rival in one.rivals)
     return said(
         {"rate": "clock"}.get(fault.kind, fault.kind), names,
         (fault.record,) if fault.record else records, words, row=row, fix=fix,
-        suspect=not allowed, size=size, interval=bounds, unit=fault.unit, gain=one.gain,
-        alternatives=tuple(_say_sized(*rival) for rival in one.rivals), correction=correction,
+        suspect=not allowed and row not in NO_FAULT, size=size, interval=bounds, unit=fault.unit,
+        gain=one.gain, alternatives=(*others, NOMINAL) if of_input else others,
+        correction=correction,
     )  # fmt: skip
+
+
+def _row_of(
+    fault: Candidate, size: float, relations: tuple[Relation, ...], *, of_input: bool
+) -> tuple[str, tuple[str, ...], float]:
+    """Row of the table that tells of a fault, the signals it is told of, and its size there."""
+    if of_input:
+        lag = fault.kind == "delay" and size < 0.0
+        return f"input {'lag' if lag else fault.kind}", fault.signals, -size if lag else size
+    if fault.kind == "delay" and size < 0.0:
+        # Nothing is measured before it happens: the others lag.
+        return "ahead", _others(fault.signals, relations), -size
+    current = fault.kind == "drift" and fault.unit == "m/s"
+    return "current" if current else fault.kind, fault.signals, size
+
+
+def judged_row(
+    kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
+) -> Judged:
+    """Whether a fault was tested, from which size on, or why it was not."""
+    size, plausible = _visible(ended, "scale" if kind in READ else kind, name)
+    shown = _seen_from(kind, size, unit)
+    if kind in READ:
+        shown, why = "", "nothing in which it moves enough"
+    elif not related:
+        why = "no equation without unknown parameters relates it"
+    elif np.isfinite(size):
+        why = f"the motion shows it from {shown} on only"
+    else:
+        why = "nothing that was measured depends on it"
+    tested = size <= plausible
+    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
+
+
+def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
+    """Least size of a fault of a signal alone that would be seen, and the largest plausible."""
+    if ended is None:
+        return np.inf, 0.0
+    sizes = [
+        (float(v), LARGEST * f.plausible)
+        for f, v in zip(ended.faults, ended.visible, strict=True)
+        if f.kind == kind and f.signals == (name,)
+    ]
+    return min(sizes, default=(np.inf, 0.0))
 
 
 def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -> list[Finding]:
@@ -421,7 +536,7 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     """Finding of samples of one signal that say nothing, or little, or lie on another level."""
     largest = max(here, key=lambda one: abs(one.amount))
     trace = series[largest.record]
-    names = tuple(signal.split(" = "))
+    names = largest.names
     unit, size = trace.units[names[0]], largest.amount
     if kind == "dead":
         size = float(trace.values[signal][largest.rows[0]])
@@ -435,16 +550,18 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
         "jump": f"{value:+.3g} {shown}", "its": "its" if n == 1 else "their",
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
-    steps, many = kind == "step", kind in ("spikes", "dropouts", "frozen", "saturated")
+    steps = kind in ("step", "caught up")
+    many = kind in ("spikes", "dropouts", "frozen", "saturated")
     correction = Correction("blank", names, rows=rows)
     if steps:
         correction = Correction("step", names, rows=rows, sizes={f.record: f.sizes for f in here})
-    return said(
-        kind, names, tuple(rows), words, row="jump" if steps else "",
+    found = said(
+        kind, names, tuple(rows), words, row="jump" if kind == "step" else "",
         suspect=kind not in ("held", "quantised"), size=float(n) if many else size,
         unit="samples" if many else unit * steps,
-        correction=None if kind in ("quantised", "copied") else correction,
+        correction=None if kind in ("quantised", "copied", "caught up") else correction,
     )  # fmt: skip
+    return replace(found, kind="step") if steps else found
 
 
 def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
@@ -489,10 +606,7 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
 # -- clocks ----------------------------------------------------------------------------------
 
 # Over a gap of the times each equation predicts a change. If the signals change as if only one
-# usual step had passed, the clock was set and no time is missing. A jump, in usual steps:
-JUMP = 2.5
-# Standard errors from which a change contradicts the clock, and up to which it agrees with a step.
-WRONG, RIGHT = 8.0, 4.0
+# usual step had passed, the clock was set and no time is missing.
 
 
 def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list[Finding]:
@@ -500,7 +614,7 @@ def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list
     result = []
     for trace in traces:
         steps = np.diff(trace.times)
-        for k in np.flatnonzero(steps > JUMP * trace.step):
+        for k in np.flatnonzero(steps > NOISIER * trace.step):
             if _contradicts(trace, relations, int(k)):
                 more = float(steps[k] - trace.step)
                 words = {"size": steps[k], "at": trace.times[k], "step": trace.step, "more": more}
@@ -530,4 +644,4 @@ def _contradicts(trace: Trace, relations: tuple[Relation, ...], k: int) -> bool:
         sides = 4.0 * trace.step
         by_clock = max(by_clock, abs(change - rate * (span + sides)) / noise)
         by_step = max(by_step, abs(change - rate * (trace.step + sides)) / noise)
-    return by_clock > WRONG and by_step < RIGHT
+    return by_clock > LOUDER and by_step < 0.5 * LOUDER

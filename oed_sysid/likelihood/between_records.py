@@ -293,7 +293,7 @@ class Sources:
         return len(self.matrices) - 1
 
     def agreement(
-        self, *, allowance: np.ndarray | None = None, inflation: float = 1.0
+        self, *, allowance: np.ndarray | None = None, stated: np.ndarray | None = None
     ) -> Agreement:
         """Compare what the sources say.
 
@@ -301,9 +301,9 @@ class Sources:
         ----------
         allowance : ndarray (n_shared,), optional
             Standard deviations by which sources may differ besides their errors.
-        inflation : float
-            Variances of what records say over those of white noise, where errors are known to be
-            larger than the information says.
+        stated : ndarray (n_shared, n_shared), optional
+            Covariance of the joint estimate where it is larger than the information says: in the
+            directions in which it is, every record tells as much less.
 
         Returns
         -------
@@ -320,25 +320,20 @@ class Sources:
         (9.0, 1, 0.0027)
         """
         size = self.matrices.shape[-1]
-        # Priors and tests do not share what swings in the records.
-        weight = np.array([1.0, *[1.0 / inflation] * self.n_records])
-        matrices, scores = self.matrices * weight[:, None, None], self.scores * weight[:, None]
+        matrices, scores = self.matrices.copy(), self.scores.copy()
+        if stated is not None and size:
+            # Priors and tests do not share what swings in the records.
+            matrices[1:], scores[1:] = self._grown(stated)
         if allowance is not None and size:
             shrink = np.linalg.inv(np.eye(size) + matrices * np.square(allowance))
             matrices = shrink @ matrices
             matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
             scores = (shrink @ scores[..., None])[..., 0]
-        whole = matrices.sum(axis=0)
-        scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
-        scale = np.where(scale > 0, scale, 1.0)
-        values, vectors = np.linalg.eigh(whole / scale[:, None] / scale)
-        clear = values > NOTHING * max(float(values.max(initial=0.0)), 0.0)
-        # In these coordinates the joint information is the identity.
-        onto = vectors[:, clear] / scale[:, None] / np.sqrt(values[clear])
+        onto = _coordinates(matrices.sum(axis=0))
         shares = onto.T @ matrices @ onto
         slopes = scores @ onto
         slopes = slopes - (shares @ slopes.sum(axis=0)[:, None])[..., 0]
-        total, freedom = 0.0, -int(clear.sum())
+        total, freedom = 0.0, -onto.shape[1]
         each, each_freedom = [], []
         for share, slope in zip(shares, slopes, strict=True):
             told, axes = np.linalg.eigh(share)
@@ -349,6 +344,20 @@ class Sources:
             each.append(float(np.sum(squares[both] / (told[both] * (1.0 - told[both])))))
             each_freedom.append(int(both.sum()))
         return Agreement(total, max(int(freedom), 0), tuple(each), tuple(each_freedom))
+
+    def _grown(self, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Information and scores of the records where errors are as a covariance states."""
+        whole = self.matrices.sum(axis=0)
+        onto = _coordinates(whole)
+        back = whole @ onto  # the transposed inverse, where anything is told
+        grown, axes = np.linalg.eigh(back.T @ np.where(np.isfinite(stated), stated, 0.0) @ back)
+        less = (axes / np.sqrt(np.maximum(grown, 1.0))) @ axes.T
+        own = onto.T @ self.matrices[1:] @ onto
+        apart = (
+            np.linalg.pinv(own, rcond=TOLD, hermitian=True) @ (self.scores[1:] @ onto)[..., None]
+        )
+        told = less @ own @ less
+        return back @ told @ back.T, (back @ told @ apart)[..., 0]
 
     def apart(self, index: int) -> np.ndarray:
         """Differences of one source from all others, in standard errors of them, ``(n_shared,)``.
@@ -368,6 +377,15 @@ class Sources:
         variance = np.diag(left) - np.diag(joint)
         usable = variance > TOLD * np.diag(joint)
         return np.where(usable, moved / np.sqrt(np.where(usable, variance, 1.0)), 0.0)
+
+
+def _coordinates(whole: np.ndarray) -> np.ndarray:
+    """Coordinates in which an information is the identity, where it tells anything."""
+    scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(whole / scale[:, None] / scale)
+    clear = values > NOTHING * max(float(values.max(initial=0.0)), 0.0)
+    return np.asarray(vectors[:, clear] / scale[:, None] / np.sqrt(values[clear]))
 
 
 def sources_of(

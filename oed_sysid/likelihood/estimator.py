@@ -5,7 +5,7 @@ Options of estimators: numbers that are numbers, before any work is done.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from numbers import Integral, Real
 from typing import Any, Protocol, runtime_checkable
@@ -64,10 +64,8 @@ class Solver:
     constraints: Sequence[str] = ()
 
     def __post_init__(self) -> None:
-        if self.method not in ("gauss-newton", "ipopt"):
-            raise ModelError(f"Solver is {self.method!r}. Choose gauss-newton or ipopt.")
-        if self.hessian not in ("exact", "gauss-newton"):
-            raise ModelError(f"hessian is {self.hessian!r}. Choose exact or gauss-newton.")
+        check_choice("Solver", self.method, ("gauss-newton", "ipopt"))
+        check_choice("hessian", self.hessian, ("exact", "gauss-newton"))
         if self.constraints and self.method != "ipopt":
             raise ModelError(
                 "Constraints among parameters need Solver('ipopt'); bounds of single parameters "
@@ -75,6 +73,12 @@ class Solver:
             )
         check_count("max_iterations", self.max_iterations)
         check_positive("tolerance", self.tolerance, "Give a positive number.")
+
+
+def check_choice(name: str, value: str, options: Iterable[str]) -> None:
+    """Raise :class:`ModelError` for a setting that is none of the options."""
+    if value not in options:
+        raise ModelError(f"{name} is {value!r}. Choose one of {', '.join(options)}.")
 
 
 def check_count(name: str, value: Any) -> None:

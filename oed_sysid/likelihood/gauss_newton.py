@@ -536,6 +536,11 @@ class Solution:
         return self.now.problem
 
     @property
+    def shooting(self) -> Shooting:
+        """The problem over whole records; that of windows holds one."""
+        return getattr(self.problem, "shooting", self.problem)
+
+    @property
     def point(self) -> Point:
         """Unknowns and nodes."""
         return self.now.point

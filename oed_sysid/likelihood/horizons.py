@@ -22,14 +22,14 @@ of the noise and the samples per independent one. Independent tests, such as cap
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.between_records import Sources, sources_of
-from oed_sysid.likelihood.covariance import sandwich, tests_middle, tests_stray
+from oed_sysid.likelihood.covariance import ReducedProblem, Scores, sandwich, tests_middle
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Progress, Solution
 from oed_sysid.likelihood.information import Information, effective_sample_size
@@ -119,7 +119,7 @@ def _uncertainty(
     n_shared = len(layout.shared)
     slopes = layout.shared_values(unknowns)[1]
     prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
-    told, gains = _told_by_records(problem, point)
+    told = _told_by_records(problem, point)
     tests = [i for i, record in enumerate(shooting.records) if record.independent]
     series = [i for i in range(layout.n_records) if i not in tests]
     matrices = [told[i][0] for i in series]
@@ -132,28 +132,19 @@ def _uncertainty(
     covariance = information.covariance
     if coloured == "never" or not n_shared:
         return information, covariance, sources, False
-    rows, errors = _tests(problem, unknowns, gains)
-    scattered = bool(len(rows)) and (coloured == "always" or tests_stray(rows, errors, covariance))
-    middle = prior + tests_middle(rows, errors, covariance, scattered=scattered)
-    if problem.n_windows < ENOUGH * n_shared:
-        middle += _inflation(problem, point) * (whole - known)
-    else:
-        middle += sum(map(_summed, (told[i][1] for i in series)), np.zeros_like(prior))
+    alone = _tests(shooting, tests, unknowns)
+    scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
+    middle = prior + _middle(problem, point, [told[i][1] for i in series], whole - known)
+    if alone is not None:
+        middle += tests_middle(*alone.tests, covariance, scattered=scattered)
     return information, sandwich(covariance, middle), sources, scattered
 
 
-def _told_by_records(
-    problem: Windows, point: Point
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
+def _told_by_records(problem: Windows, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
     """What every record says of the shared parameters, its own ones estimated along.
 
-    Returns
-    -------
-    told : list of pair
-        Information ``(n_shared, n_shared)`` and scores of the windows in their order,
-        ``(n_windows, n_shared)``.
-    gains : list of ndarray (n_shared, n_free)
-        How free parameters of a record go over into the shared ones.
+    Information ``(n_shared, n_shared)``, and scores of the windows in their order,
+    ``(n_windows, n_shared)``.
     """
     shooting, layout, limits = problem.shooting, problem.shooting.layout, problem.limits
     n_free, unknowns = len(layout.free_names), point.unknowns
@@ -162,7 +153,7 @@ def _told_by_records(
     for part, matrix, own in problem.told(point):
         matrices[part.record] += matrix
         scores[part.record].append(np.column_stack([part.starts[part.counted], own]))
-    told, gains = [], []
+    told = []
     slopes = layout.shared_values(unknowns)[1]
     for index, matrix in enumerate(matrices):
         columns = layout.record_columns(index)[layout.n_own :]
@@ -175,43 +166,26 @@ def _told_by_records(
         rows = np.vstack(scores[index])
         rows = rows[np.argsort(rows[:, 0]), 1:]
         told.append((onto @ matrix @ onto.T, rows @ onto.T))
-        gains.append(onto)
-    return told, gains
+    return told
 
 
-def _tests(
-    problem: Windows, unknowns: np.ndarray, gains: list[np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Jacobian by the shared parameters, and residuals, of all tests in units of noise.
+def _middle(
+    problem: Windows, point: Point, scores: Sequence[np.ndarray], told: np.ndarray
+) -> np.ndarray:
+    """Covariance of the summed scores of the windows; from the residuals where they are few."""
+    if problem.n_windows < ENOUGH * len(told):
+        return _inflation(problem, point) * told
+    return sum(map(_summed, scores), np.zeros_like(told))
 
-    Returns
-    -------
-    rows : ndarray (n_tests, n_outputs, n_shared)
-        Zero where nothing was measured.
-    errors : ndarray (n_tests, n_outputs)
-        NaN where nothing was measured.
-    """
-    shooting = problem.shooting
-    n_outputs, n_full = len(shooting.sigma), shooting.kernel.n_full
-    rows = [np.zeros((0, n_outputs, len(shooting.layout.shared)))]
-    errors = [np.zeros((0, n_outputs))]
-    for index, record in enumerate(shooting.records):
-        if not record.independent:
-            continue
-        run, (_, by) = (
-            shooting.run(unknowns, index, sensitivities=True),
-            shooting.full_start(unknowns, index),
-        )
-        assert run.output_sensitivities is not None
-        found = run.output_sensitivities
-        slopes = shooting.slopes(unknowns, index)
-        if slopes is not None:
-            found = found * np.concatenate([np.ones(n_full), slopes])
-        own = found @ problem.from_start(by)[:-1, :-1] @ gains[index].T
-        own[~np.isfinite(record.outputs)] = 0.0
-        rows.append(own / shooting.sigma[:, None])
-        errors.append((record.outputs - run.outputs) / shooting.sigma)
-    return np.concatenate(rows), np.concatenate(errors)
+
+def _tests(shooting: Shooting, tests: Sequence[int], unknowns: np.ndarray) -> Scores | None:
+    """Jacobian and residuals of independent tests; None without any."""
+    if not tests:
+        return None
+    alone, own = shooting.part(tests, unknowns)
+    found = alone.linearise(alone.continuous(own))
+    assert found is not None
+    return ReducedProblem(alone, found, own).told
 
 
 def _summed(rows: np.ndarray) -> np.ndarray:

@@ -19,6 +19,7 @@ from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
 from oed_sysid.likelihood.estimator import (
     Solver,
+    check_choice,
     check_disturbances,
     check_levels,
     check_positive,
@@ -56,7 +57,6 @@ from oed_sysid.likelihood.starts import (
     FAR,
     GOOD,
     check_enough_samples,
-    check_initial_states,
     misfit,
     warm_model,
     warm_point,
@@ -149,10 +149,8 @@ class MultipleShooting:
     horizon: float | None = None
 
     def __post_init__(self) -> None:
-        if self.start not in ("auto", "near", "wide"):
-            raise ModelError(f"start is {self.start!r}. Choose auto, near or wide.")
-        if self.coloured not in ("auto", "never", "always"):
-            raise ModelError(f"coloured is {self.coloured!r}. Choose auto, never or always.")
+        check_choice("start", self.start, ("auto", "near", "wide"))
+        check_choice("coloured", self.coloured, ("auto", "never", "always"))
         check_levels(self.noise)
         check_disturbances(self.disturbances)
         if self.interval is not None:
@@ -237,14 +235,15 @@ class MultipleShooting:
         """
         with one_thread():
             known = KnownStarts.of(model, dataset, start_states)
-            return self._fit(model, dataset, warm, initial_states, known)
+            guessed = KnownStarts.of(model, dataset, initial_states, "initial_states")
+            return self._fit(model, dataset, warm, guessed, known)
 
     def _fit(
         self,
         model: Model,
         dataset: Dataset,
         warm: Fit | None,
-        initial_states: Sequence[Mapping[str, float]] | None,
+        initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
     ) -> Fit:
         began = time.perf_counter()
@@ -255,15 +254,14 @@ class MultipleShooting:
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
         carried = _carried(shooting, point, warm) if wanted else None
-        task = _Task(model, known_starts, Procedure(self.name, estimated, 0, began, self.coloured))
-        end = self._without_process_noise(shooting, point, estimated, carried, wanted=wanted)
+        how = Procedure(self.name, estimated, 0, began, self.coloured)
+        task = _Task(model, shooting, known_starts, how)
+        end = self._without_process_noise(task, point, carried, wanted=wanted)
         fit = white = self._summary(task, end, weighed=not wanted)
-        interrupted = fit.status.code == "interrupted"
-        if not interrupted:
-            fit = self._without_spikes(fit, model, known_starts)
         disturbed = None
-        if wanted and not interrupted:
-            fit, disturbed = self._disturbed(fit, task, carried)
+        if fit.status.code != "interrupted":
+            fit = self._without_spikes(fit, model, known_starts)
+            fit, disturbed = self._disturbed(fit, task, carried) if wanted else (fit, None)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
             code = _fault(disturbed, fit)
@@ -271,21 +269,21 @@ class MultipleShooting:
                 return disturbed
             fit = _failed(fit, code)
         fit = _judged(self._weighed(fit, white, task, end) if wanted else fit, model)
+        if disturbed is None or fit.status.code not in FAILED:
+            return fit
         # Where it is no better without process noise.
-        usable = disturbed is not None and np.isfinite(disturbed.estimates).all()
-        return disturbed if disturbed and usable and fit.status.code in FAILED else fit
+        return disturbed if np.isfinite(disturbed.estimates).all() else fit
 
     def _begun(
         self,
         model: Model,
         dataset: Dataset,
         warm: Fit | None,
-        initial_states: Sequence[Mapping[str, float]] | None,
+        initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
     ) -> tuple[Shooting, np.ndarray]:
         """The problem without process noise, and which levels of white noise are unknown."""
         check_channels(model, dataset)
-        check_initial_states(model, dataset, initial_states)
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
         shooting = Shooting(
@@ -320,48 +318,38 @@ class MultipleShooting:
         return self.disturbances == "auto" and not random_effects(model.effects)
 
     def _without_process_noise(
-        self,
-        shooting: Shooting,
-        point: Point,
-        estimated: np.ndarray,
-        carried: Start | None,
-        *,
-        wanted: bool,
-    ) -> _End:
+        self, task: _Task, point: Point, carried: Start | None, *, wanted: bool
+    ) -> Solution | None:
         """Iterations and levels of white noise; they end early where process noise may follow."""
-        minimise = self._minimiser(shooting)
+        shooting, minimise = task.shooting, self._minimiser(task.shooting)
         patience = FIRST_STEPS if carried is None else KNOWN
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
-        solution = None if carried is None else first(shooting, point)
-        iterations = 0 if solution is None else solution.iterations
-        if solution is None:
-            solution, iterations = self._solve(shooting, point, first)
-        if solution is not None and estimated.any():
-            shooting, solution, more = self._estimate_noise(shooting, solution, estimated, minimise)
-            iterations += more
-        return _End(shooting, solution, iterations)
+        end = None if carried is None else first(shooting, point)
+        end = end or self._solve(shooting, point, first)
+        if end is not None and task.how.estimated.any():
+            end = _with_noise(end, task.how.estimated, minimise)
+        return end
 
-    def _summary(self, task: _Task, end: _End, *, weighed: bool = True) -> Fit:
-        how, solution = replace(task.how, iterations=end.iterations), end.solution
-        if solution is not None and self.horizon is not None:
-            fit = summarise_windows(solution, how)
+    def _summary(self, task: _Task, end: Solution | None, *, weighed: bool = True) -> Fit:
+        if end is None:
+            return summarise(task.shooting, end, task.how)
+        how = replace(task.how, iterations=end.iterations)
+        if self.horizon is None:
+            fit = summarise(end.shooting, end, how, weighed=weighed)
         else:
-            fit = summarise(end.shooting, solution, how, weighed=weighed)
-        if solution is None:
-            return fit
-        at = solution.point.unknowns, solution.matrix, solution.right
+            fit = summarise_windows(end, how)
+        at = end.point.unknowns, end.matrix, end.right
         return replace(fit, binding=binding(end.shooting, *at, self.solver.constraints))
 
-    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: _End) -> Fit:
+    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: Solution | None) -> Fit:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
-        early = end.solution is not None and end.solution.reason == "enough"
+        early = end is not None and end.reason == "enough"
         tests = any(record.independent for record in fit.dataset)
         if fit.covariance is not white.covariance or not (early or tests or fit.coloured):
             return fit
-        if end.solution is not None and early:
-            minimise = self._minimiser(end.shooting)
-            solution = minimise(end.shooting, end.solution.point) or end.solution
-            end = _End(end.shooting, solution, end.iterations + solution.iterations)
+        if end is not None and early:
+            again = self._minimiser(end.shooting)(end.shooting, end.point)
+            end = _after(again or end, end)
         return replace(self._summary(task, end), process_noise=fit.process_noise)
 
     def _without_spikes(self, fit: Fit, model: Model, known_starts: KnownStarts | None) -> Fit:
@@ -496,29 +484,6 @@ class MultipleShooting:
         ends = solution.point.unknowns, solution.matrix, solution.right
         return replace(summarise_filtered(solution, how), binding=binding(solution.problem, *ends))
 
-    def _estimate_noise(
-        self,
-        shooting: Shooting,
-        solution: Solution,
-        estimated: np.ndarray,
-        minimise: Minimiser,
-    ) -> tuple[Shooting, Solution, int]:
-        """Alternate between noise levels and everything else until the levels stay."""
-        iterations = 0
-        least = EXACT * signal_spread(shooting.dataset)
-        for _ in range(MOST_ROUNDS):
-            levels = np.maximum(solution.levels, least)
-            sigma = np.where(estimated, levels, shooting.sigma)
-            change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
-            shooting = shooting.with_sigma(sigma)
-            if change < 1e-3 or solution.reason == "interrupted":
-                break
-            again = minimise(shooting, solution.point)
-            if again is None:
-                break
-            solution, iterations = again, iterations + again.iterations
-        return shooting, solution.rated(shooting), iterations
-
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""
         minimise: Minimiser = solve
@@ -535,27 +500,22 @@ class MultipleShooting:
             callback=self.progress,
         )
 
-    def _solve(
-        self, shooting: Shooting, point: Point, minimise: Minimiser
-    ) -> tuple[Solution | None, int]:
+    def _solve(self, shooting: Shooting, point: Point, minimise: Minimiser) -> Solution | None:
         """Iterate from near, from far, or from both, and return the better end."""
         if self.start == "near" or self.horizon is not None:
-            only = minimise(shooting, point)
-            return only, only.iterations if only else 0
+            return minimise(shooting, point)
         begin = misfit(shooting, point)
         far = self.start == "wide" or begin > FAR
         first = None if far else minimise(shooting, point)
         # A local minimum is worth a second attempt only if the start was doubtful.
-        if first is not None and (
-            first.reason == "interrupted" or _trusted(begin, shooting, first)
-        ):
-            return first, first.iterations
+        if first is not None and _trusted(begin, shooting, first):
+            return first
         try:
             second = minimise(shooting, wide_start(shooting, point))
         except KeyboardInterrupt:
             if first is None:
                 raise
-            return replace(first, reason="interrupted"), first.iterations
+            return replace(first, reason="interrupted")
         if self.start == "auto" and first is None and not _explains(shooting, second):
             first = minimise(shooting, point)  # what looked far may be the better side
         return _better(first, second)
@@ -573,34 +533,48 @@ class _Task:
     """What the stages of one fit share: the model at its start values, and what is known."""
 
     model: Model
+    shooting: Shooting
     known_starts: KnownStarts | None
     how: Procedure
 
 
-@dataclass(frozen=True, eq=False)
-class _End:
-    """Where the fit without process noise ended."""
+def _after(end: Solution, *earlier: Solution) -> Solution:
+    """An end, the iterations that led elsewhere before counted too."""
+    return replace(end, iterations=end.iterations + sum(one.iterations for one in earlier))
 
-    shooting: Shooting
-    solution: Solution | None
-    iterations: int
+
+def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> Solution:
+    """Alternate between noise levels and everything else until the levels stay."""
+    shooting = end.shooting
+    least = EXACT * signal_spread(shooting.dataset)
+    for _ in range(MOST_ROUNDS):
+        sigma = np.where(estimated, np.maximum(end.levels, least), shooting.sigma)
+        change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
+        shooting = shooting.with_sigma(sigma)
+        if change < 1e-3 or end.reason == "interrupted":
+            break
+        again = minimise(shooting, end.point)
+        if again is None:
+            break
+        end = _after(again, end)
+    return end.rated(shooting)
 
 
 def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
     """Whether an end is no doubtful minimum: it began or ended near the records."""
     if found.reason not in ENDED:
-        return False
+        return found.reason == "interrupted"
     return begin < DOUBTFUL or misfit(shooting, found.point) < GOOD
 
 
-def _better(first: Solution | None, second: Solution | None) -> tuple[Solution | None, int]:
-    """The better of two ends, and the iterations of both."""
-    found = [one for one in (first, second) if one is not None]
+def _better(*ends: Solution | None) -> Solution | None:
+    """The better of two ends, with the iterations of both."""
+    found = [one for one in ends if one is not None]
     if not found:
-        return None, 0
+        return None
     least = min(one.cost for one in found)
     best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
-    return best, sum(one.iterations for one in found)
+    return _after(best, *(one for one in found if one is not best))
 
 
 def _judged(fit: Fit, begun: Model) -> Fit:

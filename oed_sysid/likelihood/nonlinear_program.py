@@ -22,7 +22,7 @@ import numpy as np
 from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, linearised
-from oed_sysid.likelihood.shooting import Point, Shooting, huber, student
+from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
 
@@ -36,21 +36,6 @@ _REASONS = {
     "User_Requested_Stop": "interrupted",
     "Infeasible_Problem_Detected": "infeasible",
 }
-# Loss and weight of squared-residual losses, as functions of the scaled residual.
-_LOSSES: dict[Any, Callable[[ca.MX], tuple[ca.MX, ca.MX]]] = {
-    None: lambda r: (r**2, ca.MX.ones(r.shape)),
-    huber: lambda r: _huber(r, 1.345),
-    student: lambda r: (5.0 * ca.log1p(r**2 / 4.0), 1.25 / (1.0 + r**2 / 4.0)),
-}
-
-
-def _huber(r: ca.MX, threshold: float) -> tuple[ca.MX, ca.MX]:
-    size = ca.fabs(r)
-    outside = size > threshold
-    return (
-        ca.if_else(outside, threshold * (2 * size - threshold), r**2),
-        ca.if_else(outside, threshold / ca.fmax(size, threshold), 1.0),
-    )
 
 
 class NonlinearProgram:
@@ -104,7 +89,9 @@ class NonlinearProgram:
             jumps.append(defects)
             extra.append(user.of_record(seen, values))
         residual = ca.vertcat(*residuals)
-        loss, weight = _LOSSES[shooting.loss](residual)
+        loss, weight = residual**2, ca.MX.ones(residual.shape)
+        if shooting.loss is not None:
+            loss, weight = shooting.loss(residual, functions=ca)
         weighted = np.flatnonzero(shooting.limits.prior_weight).tolist()
         prior = (unknowns[weighted] - shooting.limits.prior_mean[weighted]) * np.sqrt(
             shooting.limits.prior_weight[weighted]

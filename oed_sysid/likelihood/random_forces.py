@@ -573,16 +573,16 @@ def _likeliest_period(
     found: FilteredSolution, setting: Setting, places: Sequence[str]
 ) -> float | None:
     """Period of the largest test, s; None where no sea is declared and none shows."""
-    periods = _periods(found)
-    if setting.seas and not periods:
+    tried = periods(found)
+    if setting.seas and not tried:
         return found.problem.records[0].duration / 8
-    tests = [_tested(found, setting, places, one) for one in periods]
-    shows = bool(tests) and max(tests) >= threshold(len(places), len(periods))
-    return periods[int(np.argmax(tests))] if setting.seas or shows else None
+    tests = [_tested(found, setting, places, one) for one in tried]
+    shows = bool(tests) and max(tests) >= threshold(len(places), len(tried))
+    return tried[int(np.argmax(tests))] if setting.seas or shows else None
 
 
-def _periods(found: FilteredSolution) -> list[float]:
-    """Periods that are tried, s."""
+def periods(found: FilteredSolution) -> list[float]:
+    """Periods of a sea that are tried, s."""
     records = [record for record in found.problem.records if not record.independent]
     shortest = FEWEST * max(record.sample_time for record in records)
     longest = SHARE_OF_RECORD * min(record.duration for record in records)

@@ -12,7 +12,7 @@ is linear in the length of the records.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
@@ -30,47 +30,47 @@ from oed_sysid.likelihood.start_guess import (
     measured_states,
     state_series,
 )
-from oed_sysid.likelihood.unknowns import KnownStarts, Posed, node_maps, on_its_turn
+from oed_sysid.likelihood.unknowns import KnownStarts, Posed, node_maps
 from oed_sysid.physics.model import Model
 
 
-def huber(residuals: np.ndarray, *, threshold: float = 1.345) -> tuple[np.ndarray, np.ndarray]:
+def huber(residuals: Any, *, threshold: float = 1.345, functions: Any = np) -> tuple[Any, Any]:
     """Huber's loss: square up to a threshold, linear beyond (Huber 1964).
 
     At 1.345 it keeps 95 % efficiency on Gaussian noise.
 
     Parameters
     ----------
-    residuals : ndarray
+    residuals : ndarray or casadi.MX
         In units of the noise.
     threshold : float
         Where the loss turns linear, in units of the noise.
+    functions : module
+        NumPy, or CasADi for its expressions.
 
     Returns
     -------
-    loss, weights : ndarray
+    loss, weights : ndarray or casadi.MX
         ``loss`` equals the square inside; ``weights`` are those of iteratively
         reweighted least squares.
     """
-    size = np.abs(residuals)
-    outside = size > threshold
-    loss = np.where(outside, threshold * (2 * size - threshold), residuals**2)
-    weights = np.where(outside, threshold / np.maximum(size, threshold), 1.0)
-    return loss, weights
+    size = functions.fabs(residuals)
+    inner = functions.fmin(size, threshold)
+    return inner * (2 * size - inner), threshold / functions.fmax(size, threshold)
 
 
-def student(residuals: np.ndarray, *, freedom: float = 4.0) -> tuple[np.ndarray, np.ndarray]:
+def student(residuals: Any, *, freedom: float = 4.0, functions: Any = np) -> tuple[Any, Any]:
     """Negative log-likelihood of Student's t distribution; forgets gross outliers.
 
     Parameters
     ----------
-    residuals : ndarray
-        In units of the noise.
+    residuals, functions
+        As of :func:`huber`.
     freedom : float
         Degrees of freedom.
     """
     ratio = residuals**2 / freedom
-    return (freedom + 1) * np.log1p(ratio), (1 + 1 / freedom) / (1 + ratio)
+    return (freedom + 1) * functions.log1p(ratio), (1 + 1 / freedom) / (1 + ratio)
 
 
 # Spikes that "auto" leaves out count nothing; the others are squared.
@@ -89,7 +89,7 @@ def loss_by_name(name: str) -> Loss | None:
     return _LOSSES[name]
 
 
-Loss = Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+Loss = Callable[..., tuple[Any, Any]]
 # How nodes follow a step of the unknowns, and what closes their defects, per record.
 Follows = tuple[Any, ...]
 
@@ -151,8 +151,8 @@ class Shooting(Posed):
         thirty, infinity into one (single shooting).
     loss : callable or None
         Robust loss ``scaled residuals -> (loss, weights)``; ``None`` is the square.
-    initial_states : sequence of mapping, optional
-        Start guesses of states, per record; by default from the measurements.
+    initial_states : KnownStarts, optional
+        Start guesses of states; by default from the measurements.
     known_starts : KnownStarts, optional
         Start states that are held or known with a stated error; by default all are free.
     runner : Kernel, optional
@@ -168,7 +168,7 @@ class Shooting(Posed):
         runner: Kernel | None = None,
         interval: float | None = None,
         loss: Loss | None = None,
-        initial_states: Sequence[Mapping[str, float]] | None = None,
+        initial_states: KnownStarts | None = None,
         known_starts: KnownStarts | None = None,
     ) -> None:
         check_channels(model, dataset)
@@ -177,12 +177,7 @@ class Shooting(Posed):
         self.sigma = np.asarray(sigma, dtype=float)
         self.loss = loss
         self.starts = tuple(cut(record, interval) for record in self.records)
-        self._guesses = tuple(
-            {name: on_its_turn(model, record, name, value) for name, value in guess.items()}
-            for record, guess in zip(
-                self.records, initial_states or ({},) * len(self.records), strict=True
-            )
-        )
+        self._told = [one for one in (initial_states, known_starts) if one is not None]
         extra = self.kernel.n_full - self.kernel.n_own
         self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])
         self._guess_states()
@@ -247,16 +242,13 @@ class Shooting(Posed):
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""
         unknowns = np.zeros(self.layout.n_unknowns)
-        names = self.model.state_names
         for index, columns in enumerate(self._columns):
             own = np.zeros(self.layout.n_own)
             for position, series in self._series[index].items():
                 own[position] = series[0]
-            for name, value in self._guesses[index].items():
-                own[names.index(name)] = value
-            if self.known_starts is not None:
-                known = np.isfinite(self.known_starts.std[index])
-                own[known] = self.known_starts.mean[index][known]
+            for one in self._told:
+                known = np.isfinite(one.std[index])
+                own[known] = one.mean[index][known]
             unknowns[columns] = [*own, *self.layout.inward(self._base[self._free])]
         return unknowns
 
@@ -389,6 +381,22 @@ class Shooting(Posed):
         return float(sum(np.abs(d / self.state_scale).sum() for d in lin.defects))
 
     # -- the same problem, slightly changed ------------------------------------------
+
+    def part(self, indices: Sequence[int], unknowns: np.ndarray) -> tuple[Shooting, np.ndarray]:
+        """The problem of some of the records alone, and its unknowns."""
+        known = self.known_starts
+        chosen = list(indices)
+        alone = Shooting(
+            self.model,
+            Dataset(tuple(self.records[i] for i in chosen)),
+            self.sigma,
+            known_starts=known and KnownStarts(known.mean[chosen], known.std[chosen]),
+            runner=self.kernel,
+        )
+        own = np.empty(alone.layout.n_unknowns)
+        for columns, index in zip(alone._columns, chosen, strict=True):
+            own[columns] = unknowns[self._columns[index]]
+        return alone, own
 
     def with_intervals(self, n_samples: int) -> Shooting:
         """Return the same problem cut into intervals of ``n_samples`` samples."""

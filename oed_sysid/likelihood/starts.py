@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-
 import numpy as np
 
-from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.shooting import Point, Shooting
@@ -15,8 +12,6 @@ from oed_sysid.physics.model import Model
 # Mean square misfit, in noise units, from which a start is far; from which it is
 # doubtful; and which a good fit stays below.
 FAR, DOUBTFUL, GOOD = 500.0, 30.0, 4.0
-
-InitialStates = Sequence[Mapping[str, float]]
 
 
 def check_enough_samples(shooting: Shooting) -> None:
@@ -32,31 +27,6 @@ def check_enough_samples(shooting: Shooting) -> None:
             f"{layout.n_records} records, {layout.n_own} initial states and {len(layout.local)} "
             "parameters of its own). Add records, fix parameters, or give them a prior_std."
         )
-
-
-def check_initial_states(
-    model: Model, dataset: Dataset, initial_states: InitialStates | None
-) -> None:
-    """Raise :class:`DataError` where start guesses do not belong to model and records."""
-    if initial_states is None:
-        return
-    if isinstance(initial_states, Mapping) or len(initial_states) != len(dataset):
-        raise DataError(
-            f"initial_states gives {len(initial_states)} guesses for {len(dataset)} records. Give "
-            "a list with one mapping for each record; an empty one leaves it to the data."
-        )
-    for record, guess in zip(dataset, initial_states, strict=True):
-        for name, value in guess.items():
-            if name not in model.state_names:
-                raise DataError(
-                    f"The initial guess of record {record.name!r} names {name!r}, which is no "
-                    f"state of {model.name!r}: {', '.join(model.state_names)}."
-                )
-            if not np.isfinite(value):
-                raise DataError(
-                    f"The initial guess of {name!r} of record {record.name!r} is {value}. Give a "
-                    "number, or leave it out."
-                )
 
 
 def warm_model(model: Model, warm: Fit) -> Model:
@@ -78,23 +48,17 @@ def warm_unknowns(shooting: Shooting, warm: Fit) -> np.ndarray:
     They are taken where the earlier fit saw a record of the same name.
     """
     unknowns, layout = shooting.start_unknowns(), shooting.layout
-    positions = {name: i for i, name in enumerate(shooting.model.state_names)}
     for index, record in enumerate(shooting.records):
         if record.name not in warm.dataset.names:
             continue
         earlier = warm.dataset.names.index(record.name)
         if warm.dataset[earlier].times[0] != record.times[0]:
             continue
-        columns = layout.record_columns(index)
-        states = zip(warm.model.state_names, warm.initial_states[earlier], strict=True)
-        for name, value in states:
-            if name in positions and np.isfinite(value):
-                unknowns[columns[positions[name]]] = value
-        for position in layout.local:
-            value = warm.local_values[earlier].get(layout.free_names[position], np.nan)
-            if np.isfinite(value):
-                place = columns[layout.n_own + position]
-                unknowns[place] = layout.inward(np.full(len(layout.free_names), value))[position]
+        states = dict(zip(warm.model.state_names, warm.initial_states[earlier], strict=True))
+        own = np.array([states.get(name, np.nan) for name in shooting.model.state_names])
+        values = warm.local_values[earlier]
+        local = {n: values[n] for n in layout.local_names if n in values}
+        shooting.fill(unknowns, index, own, local)
     return np.clip(unknowns, shooting.limits.lower, shooting.limits.upper)
 
 

@@ -137,6 +137,11 @@ class Layout:
             found.append({self.free_names[i]: float(own[i]) for i in self.local})
         return found
 
+    @property
+    def local_names(self) -> tuple[str, ...]:
+        """Names of the free parameters of single records."""
+        return tuple(self.free_names[i] for i in self.local)
+
     def means(self, model: Model, unknowns: np.ndarray) -> dict[str, float]:
         """Values of the free parameters, within bounds; those of each record at their mean."""
         free = np.array([self.parameters(unknowns, i) for i in range(self.n_records)])
@@ -193,8 +198,9 @@ class KnownStarts:
         model: Model,
         dataset: Dataset,
         stated: StartState | Sequence[StartState] | None,
+        what: str = "start_states",
     ) -> KnownStarts | None:
-        """Read what a user states: one mapping for all records, or one for each.
+        """Read ``what`` a user states: one mapping for all records, or one for each.
 
         Raises
         ------
@@ -206,26 +212,20 @@ class KnownStarts:
         each = [stated] * len(dataset) if isinstance(stated, Mapping) else list(stated)
         if len(each) != len(dataset):
             raise DataError(
-                f"start_states gives {len(each)} mappings for {len(dataset)} records. Give one "
-                "mapping for all records, or one for each; an empty one leaves all states free."
+                f"{what} gives {len(each)} mappings for {len(dataset)} records. Give one mapping "
+                "for all records, or one for each; an empty one leaves it to the data."
             )
         shape = (len(dataset), len(model.states))
         mean, std = np.zeros(shape), np.full(shape, np.inf)
         for index, (record, states) in enumerate(zip(dataset, each, strict=True)):
             for name, entry in states.items():
-                where = f"start_states of record {record.name!r}"
+                where = f"{what} of record {record.name!r}"
                 if name not in model.state_names:
                     raise DataError(
                         f"{where} names {name!r}, which is no state of {model.name!r}: "
                         f"{', '.join(model.state_names)}."
                     )
-                pair = entry if isinstance(entry, tuple | list) else (entry, 0.0)
-                value, error = map(float, pair) if len(pair) == 2 else (np.nan, np.nan)
-                if not (np.isfinite(value) and error >= 0.0):
-                    raise DataError(
-                        f"{where} gives {entry!r} for {name!r}. Give a number, which is held, or "
-                        "a pair (value, standard deviation); leave the state out if it is free."
-                    )
+                value, error = _number(entry, f"{where} gives {entry!r} for {name!r}")
                 value = on_its_turn(model, record, name, value)
                 position = model.state_names.index(name)
                 mean[index, position], std[index, position] = value, error
@@ -246,6 +246,18 @@ class KnownStarts:
             }
             for means, stds in zip(self.mean, self.std, strict=True)
         )
+
+
+def _number(entry: object, where: str) -> tuple[float, float]:
+    """A value and its standard deviation, zero where none is given."""
+    pair = entry if isinstance(entry, tuple | list) else (entry, 0.0)
+    value, error = map(float, pair) if len(pair) == 2 else (np.nan, np.nan)
+    if not (np.isfinite(value) and error >= 0.0):
+        raise DataError(
+            f"{where}. Give a number or a pair (value, standard deviation); leave the state out if "
+            "nothing is known."
+        )
+    return value, error
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,6 +372,16 @@ class Posed:
     def initial_state(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """The model's own initial states of one record, shape ``(n_own,)``."""
         return unknowns[self._columns[record][: self.layout.n_own]]
+
+    def fill(
+        self, unknowns: np.ndarray, record: int, own: np.ndarray, values: Mapping[str, float]
+    ) -> None:
+        """Set the start states ``(n_own,)`` and parameters of a record, those that are numbers."""
+        states, free = np.split(self._columns[record], [self.layout.n_own])
+        given = np.array([values.get(name, np.nan) for name in self.layout.free_names])
+        told, known = np.isfinite(own), np.isfinite(given)
+        unknowns[states[told]] = own[told]
+        unknowns[free[known]] = self.layout.inward(np.where(known, given, 1.0))[known]
 
     def _with(self, **changes: object) -> Self:
         other = copy.copy(self)

@@ -122,7 +122,9 @@ class WholeRun:
         point = shooting.start_point()
         shared = np.arange(len(shooting.layout.shared))
         held = shooting.holding(shared, point.unknowns[shared])
-        begin = point.unknowns if start is None else _begun(shooting, point.unknowns, *start)
+        begin = point.unknowns.copy()
+        if start is not None:
+            shooting.fill(begin, 0, *start)
         ends = [solve(held, held.start_point(begin))]
         if start is not None:
             ends.append(solve(held, held.continuous(begin)))
@@ -132,10 +134,7 @@ class WholeRun:
     @classmethod
     def part(cls, shooting: Shooting, unknowns: np.ndarray, index: int) -> WholeRun:
         """One record of a fit of several, at its unknowns."""
-        alone = Shooting(shooting.model, Dataset((shooting.records[index],)), shooting.sigma)
-        own = np.empty(alone.layout.n_unknowns)
-        own[alone.layout.record_columns(0)] = unknowns[shooting.layout.record_columns(index)]
-        return cls.at(alone, own)
+        return cls.at(*shooting.part([index], unknowns))
 
     @property
     def record(self) -> Record:
@@ -243,20 +242,6 @@ class WholeRun:
                     noise.colour[column], noise.colour_time[column], times, rng
                 )
         return found
-
-
-def _begun(
-    shooting: Shooting, unknowns: np.ndarray, states: np.ndarray, local: Mapping[str, float]
-) -> np.ndarray:
-    """Unknowns with given start states and values of the record."""
-    layout, begin = shooting.layout, unknowns.copy()
-    columns = layout.record_columns(0)
-    begin[columns[: layout.n_own]] = states
-    values = layout.natural(unknowns[columns[layout.n_own :]]).copy()
-    for i in layout.local:
-        values[i] = local.get(layout.free_names[i], values[i])
-    begin[columns[layout.n_own + layout.local]] = layout.inward(values)[layout.local]
-    return begin
 
 
 def whole_runs(

@@ -49,10 +49,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, expm
 from scipy.optimize import least_squares, minimize
-from scipy.special import ndtri
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
+from oed_sysid.likelihood.noise_levels import fast_level
 from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Noise below this is none: rad, and rad per sample.
@@ -236,8 +236,9 @@ def smooth_heading(
         start[free] = minimize(value, first[free], method="Nelder-Mead", options=options).x
         return np.clip(start, *BOUNDS)
 
-    noise = [white_noise(psi, 3), white_noise(turned, 2), 0.1 * white_noise(np.diff(psi), 1)]
-    guess = np.log(np.maximum(noise, [10 * LEAST_NOISE] * 2 + [LEAST_NOISE]))
+    shown = [fast_level([psi], 3), fast_level([turned], 2), 0.1 * fast_level([np.diff(psi)], 1)]
+    least = [10 * LEAST_NOISE] * 2 + [LEAST_NOISE]
+    guess = np.log(np.maximum(np.nan_to_num(shown, nan=1.0), least))
     levels = fitted(np.array([*guess, 0, 0, 0, 0]), 1.5, 1.5, 1.5, 0, 0, 0, 0)
     if np.ptp(turning) > 0:
         _, states, _ = equations.solve(levels)
@@ -262,18 +263,6 @@ def smooth_heading(
         float(sigma[0]), float(sigma[1] / step) if known else np.nan,
         others * [1.0, 1 / step] + [middle, 0.0], float(levels[4] / step**2), factor,
     )  # fmt: skip
-
-
-def white_noise(series: np.ndarray, order: int = 2) -> float:
-    r"""Standard deviation of white noise on a smooth series; one for a series without numbers.
-
-    From the median of its differences, which hold :math:`\binom{2n}{n}` times its variance.
-    """
-    change = np.diff(series[np.isfinite(series)], order)
-    if not change.size:
-        return 1.0
-    spread = float(np.median(np.abs(change)) / ndtri(0.75))
-    return spread / math.sqrt(math.comb(2 * order, order))
 
 
 # Residuals below this are rounding, rad.
@@ -568,7 +557,7 @@ class _Machine:
             if better or lost < max(LEAST_GAIN * followed.squares, LEAST_OF_RUDDER * self.whole):
                 best = followed, changes
         followed, changes = best
-        limit = float(np.abs(self.rudder).max()) - white_noise(self.rudder)
+        limit = float(np.abs(self.rudder).max()) - fast_level([self.rudder])
         if (np.abs(self.rudder) > 0.97 * limit).sum() > 3:
             more = self.fit(changes, followed.law, followed.rate, limit=limit)
             followed = min(followed, more, key=lambda one: one.criterion())
@@ -595,7 +584,7 @@ class _Machine:
     def rates(self) -> list[tuple[float, np.ndarray]]:
         """Start values of the rate, and the samples off that limit; no limit first."""
         times, rudder = self.times, self.rudder
-        noise = white_noise(rudder)
+        noise = fast_level([rudder])
         free = np.arange(len(times)) > 0
         found = [(math.inf, free)]
         # Over so many samples a slope stands out of the noise.

@@ -33,12 +33,12 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
+from oed_sysid.experiments.indices import rudder_executes
+from oed_sysid.likelihood.noise_levels import fast_level
 from oed_sysid.prediction.helmsman import (
-    CONSTANT,
     correlation,
     fit_course_law,
     smooth_heading,
-    white_noise,
 )
 from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, rounded, share
 
@@ -298,18 +298,9 @@ def _series(record: Record, courses: ArrayLike | str) -> np.ndarray:
     return series
 
 
-# Share of the rudder's range by which it has to move for a new order.
-NEW_ORDER = 0.35
-
-
-# A rudder within this share of its range, or so many standard deviations of noise, is held.
-HELD = 0.02
-
-
-# Normal noise passes this once in 16,000 samples.
-HELD_NOISE = 4.0
-
-
+# A rudder within this share of its order, or so many standard deviations of noise (which normal
+# noise passes once in 16,000 samples), is held; and samples that tell a level or a slope.
+HELD, HELD_NOISE, FEWEST_HELD = 0.02, 4.0, 3
 # Mean cosine of the phases of orders from which on they were given at samples.
 AT_SAMPLES = 0.9
 
@@ -457,36 +448,27 @@ class ZigzagControl:
         """
         rudder, times = record.input(input), record.times
         record.output(heading)
-        span = float(np.ptp(rudder))
-        legs = _legs(rudder, NEW_ORDER * span) if span > CONSTANT else []
-        noise = white_noise(rudder)
-        near = max(HELD_NOISE * noise, HELD * span)
-        levels, errors = _levels(rudder, times, legs, near)
-        # The first leg is the rudder before the test where it lies between the others.
-        first = int(len(legs) > 1 and abs(2 * levels[0] - levels.min() - levels.max()) < 0.5 * span)
-        if len(legs) < 2 + first:
-            raise DataError(
-                f"The rudder {input!r} of record {record.name!r} is never reversed: it is no "
-                "zigzag. Use CourseControl, or replay the logged input."
-            )
-        begins, unsure, rate, rate_error = _ramps(rudder, times, legs, levels, errors, near)
+        found = np.array(rudder_executes(times, rudder, None))
+        begun = bool(found[0] > times[0])
+        before = float(np.median(rudder[times < found[0]])) if begun else float(rudder[0])
+        orders, errors, executes, rate, rate_error = _legs(rudder, times, found, before)
+        unsure = fast_level([rudder]) / rate
         step = float(np.median(np.diff(times)))
         smooth = smooth_heading(record, input, heading=heading, yaw_rate=yaw_rate)
         # Orders that were given at samples all begin at the same phase of a step.
-        phases = np.exp(2j * np.pi * (begins - times[0]) / step)
+        phases = np.exp(2j * np.pi * (executes - times[0]) / step)
         free = float(phases.mean().real <= AT_SAMPLES)
         half = step / math.sqrt(12)
-        psi, error, r = np.array([smooth.at(begin + step / 2) for begin in begins[first:]]).T
-        own = np.hypot(error, free * r * unsure[first:])
+        psi, error, r = np.array([smooth.at(time + step / 2) for time in executes[1:]]).T
+        own = np.hypot(error, free * r * unsure)
         spread = np.hypot(own, np.abs(r) * half)
         return cls(
-            input, tuple(map(float, levels[first:])), tuple(map(float, psi)),
+            input, tuple(map(float, orders)), tuple(map(float, psi)),
             tuple(map(float, np.copysign(1.0, r))), rate,
-            float(levels[0] if first else rudder[0]),
-            first * float(max(begins[0] + step / 2 - times[0], 0.0)), heading, 0.0,
+            before, begun * float(max(executes[0] + step / 2 - times[0], 0.0)), heading, 0.0,
             ZigzagEvidence(
-                errors[first:], spread, spread if free else own, rate_error,
-                first * free * math.hypot(half, unsure[0]),
+                errors, spread, spread if free else own, rate_error,
+                begun * free * math.hypot(half, unsure),
             ),
         )  # fmt: skip
 
@@ -496,113 +478,43 @@ def _error(value: float) -> str:
     return "" if math.isnan(value) else f"{max(DEGREE * value, 0.0):.2f}"
 
 
-def _legs(rudder: np.ndarray, move: float) -> list[tuple[int, int, float]]:
-    """Cut a rudder where it turns back by more than ``move``.
+def _legs(
+    rudder: np.ndarray, times: np.ndarray, executes: np.ndarray, before: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
+    """Order of each leg and its standard error, when the one before is left, the rate with its own.
 
-    Returns begin, end (exclusive) and side, 1 or -1, of each leg; legs meet where the rudder is
-    half way from one extreme to the next.
+    The error is NaN where the rudder was not held: the order is then that of the other legs.
     """
-    extremes: list[tuple[int, float]] = []
-    lowest = highest = 0
-    side = 0.0
-    for k, value in enumerate(rudder):
-        if value > rudder[highest]:
-            highest = k
-        if value < rudder[lowest]:
-            lowest = k
-        if side <= 0 and value - rudder[lowest] > move:
-            extremes.append((lowest, -1.0))
-            side, highest = 1.0, k
-        elif side >= 0 and rudder[highest] - value > move:
-            extremes.append((highest, 1.0))
-            side, lowest = -1.0, k
-    if not extremes:
-        return []
-    extremes.append((highest if side > 0 else lowest, side))
-    cuts = [0]
-    for (k, _), (after, _) in pairwise(extremes):
-        middle = (rudder[k] + rudder[after]) / 2
-        past = (rudder[k : after + 1] - middle) * (rudder[after] - middle) >= 0
-        cuts.append(k + int(past.argmax()))
-    cuts.append(len(rudder))
-    return [(a, b, s) for (a, b), (_, s) in zip(pairwise(cuts), extremes, strict=True)]
-
-
-def _levels(
-    rudder: np.ndarray, times: np.ndarray, legs: list[tuple[int, int, float]], near: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Level at which each leg is held and its standard error; NaN where it is not held."""
-    fastest = float(np.quantile(np.abs(np.diff(rudder)) / np.diff(times), 0.98))
-    # So many samples lie so near each other on the ramps to and from a peak.
-    passing = 4 * near / max(fastest * float(np.median(np.diff(times))), 1e-12)
-    levels, errors = [], []
-    for begin, end, side in legs:
-        values = np.sort(rudder[begin:end])
-        counts = np.searchsorted(values, values + 2 * near, side="right") - np.arange(len(values))
-        k = int(counts.argmax())
-        group = values[k : k + counts[k]]
-        middle = np.median(group)
-        group = values[np.abs(values - middle) <= near]
-        if len(group) >= max(3, 1.5 * passing):
-            levels.append(float(np.median(group)))
-            errors.append(float(1.25 * np.std(group) / math.sqrt(len(group))))
-        else:
-            levels.append(float(side * np.max(side * values)))
-            errors.append(math.nan)
-    for i, (_, _, side) in enumerate(legs):
-        others = [
-            level
-            for level, error, leg in zip(levels[1:], errors[1:], legs[1:], strict=True)
-            if leg[2] == side and math.isfinite(error)
-        ]
-        if math.isnan(errors[i]) and others:
-            usual = float(np.median(others))
-            # A peak beyond the others is an order of its own.
-            levels[i] = levels[i] if side * (levels[i] - usual) > near else usual
-    return np.array(levels), np.array(errors)
-
-
-def _ramps(
-    rudder: np.ndarray,
-    times: np.ndarray,
-    legs: list[tuple[int, int, float]],
-    levels: np.ndarray,
-    errors: np.ndarray,
-    near: float,
-) -> tuple[np.ndarray, np.ndarray, float, float]:
-    """When each level is left, its standard error, and the rate with its standard error."""
-    lasts, ramps = [], []
-    for (begin, cut, _), (_, end, _), low, high in zip(
-        legs, legs[1:], levels, levels[1:], strict=False
-    ):
-        side = math.copysign(1.0, high - low)
-        gone, short = side * (rudder[begin:cut] - low), side * (high - rudder[cut:end])
-        left, come = np.flatnonzero(gone <= near), np.flatnonzero(short <= near)
-        lasts.append(begin + int(left[-1] if left.size else gone.argmin()))
-        ramps.append(np.arange(lasts[-1] + 1, cut + (come[0] if come.size else short.argmin())))
-    slopes = [np.polyfit(times[one], rudder[one], 1)[0] for one in ramps if len(one) >= 3]
-    rate, rate_error = 0.0, 0.0
-    if slopes:
-        rate = float(np.median(np.abs(slopes)))
-        rate_error = 1.25 * float(np.std(np.abs(slopes))) / math.sqrt(len(slopes))
-    else:
-        ends = [
-            min(last + len(one) + 1, len(times) - 1) for last, one in zip(lasts, ramps, strict=True)
-        ]
-        rate = float(np.max(np.abs(np.diff(levels)) / (times[ends] - times[lasts])))
-    noise = white_noise(rudder)
-    begins, unsure = times[lasts], np.zeros(len(lasts))
-    middles = [(times[one].mean(), rudder[one].mean()) if len(one) else None for one in ramps]
-    for i, middle in enumerate(middles):
-        if middle is None:
-            continue
-        time, value = middle
-        side = math.copysign(1.0, levels[i + 1] - levels[i])
-        begins[i] = time - side * (value - levels[i]) / rate
-        before = middles[i - 1] if i else None
-        if math.isnan(errors[i]) and before is not None:
-            # Never held: it turned where both ramps meet.
-            begins[i] = (before[0] + time - side * (value - before[1]) / rate) / 2
-        drift = abs(value - levels[i]) / rate * rate_error / rate
-        unsure[i] = math.hypot(noise / math.sqrt(len(ramps[i])) / rate, drift)
-    return begins, unsure, rate, rate_error
+    ends = [*map(int, np.searchsorted(times, executes)), len(times)]
+    noise = fast_level([rudder])
+    orders, errors, ramps = [], [], []
+    for begin, end in pairwise(ends):
+        leg = rudder[begin:end]
+        side = math.copysign(1.0, float(np.median(leg)))
+        near = max(HELD_NOISE * noise, HELD * float(np.max(np.abs(leg))))
+        held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
+        orders.append(float(np.median(leg[held])))
+        few = held.sum() < FEWEST_HELD
+        errors.append(math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum()))
+        last = max(begin - 1, 0)  # the rudder as it was before
+        while last and abs(rudder[last] - (orders[-2] if len(orders) > 1 else before)) > near:
+            last -= 1
+        ramps.append(np.arange(last + 1, begin + int(held.argmax())))
+    levels, known = np.array(orders), np.isfinite(errors)
+    for loose in np.flatnonzero(~known):
+        others = levels[known & (levels * levels[loose] > 0)]
+        levels[loose] = np.median(others) if len(others) else levels[loose]
+    slopes = [
+        abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0]))
+        for ramp in ramps
+        if len(ramp) >= FEWEST_HELD
+    ]
+    moves = np.abs(np.diff(levels, prepend=before))
+    rate = float(np.median(slopes)) if slopes else float(np.max(moves / np.median(np.diff(times))))
+    error = 1.25 * float(np.std(slopes)) / math.sqrt(len(slopes)) if slopes else 0.0
+    begins = executes.copy()
+    for i, ramp in enumerate(ramps):
+        if len(ramp):
+            left = levels[i - 1] if i else before
+            begins[i] = np.mean(times[ramp]) - abs(np.mean(rudder[ramp]) - left) / rate
+    return levels, np.array(errors), begins, rate, error
