@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.fft import dct
 from scipy.signal import lfilter
 
@@ -76,6 +77,10 @@ def ship_log(*faults: Fault, seed: int = 0, colour: float = 0.0) -> Dataset:
     return log(SHIP, motions(SHIP, rng), faults, colour, rng)
 
 
+# One spoilt copy of each kind; the others repeat a kind on another signal.
+QUICK = ("theta_sign", "q_deg", "u_w_swap", "earth", "spikes", "w_dead", "fin_deg", "fin_sign",
+         "q_bias", "z_late")  # fmt: skip
+
 # -- spoilt copies ---------------------------------------------------------------------------
 
 
@@ -102,14 +107,15 @@ def judged(dives) -> Callable[[str], tuple[Dataset, LogCheck]]:  # type: ignore[
     return found
 
 
-@pytest.mark.parametrize("name", SPOILS)
+@pytest.mark.parametrize("name", [*QUICK, *slow(*(name for name in SPOILS if name not in QUICK))])
 def test_spoilt_copy_is_named_and_nothing_else(judged, name: str) -> None:  # type: ignore[no-untyped-def]
     """Each of fifteen spoilt copies of a simulated record is named exactly."""
     assert named_as(judged(name)[1], name)
 
 
 @pytest.mark.parametrize(
-    "name", ["theta_sign", "q_deg", "q_sign", "z_up", "z_feet", "u_w_swap", "earth", "w_dead"]
+    "name",
+    ["q_deg", "u_w_swap", "w_dead", *slow("theta_sign", "q_sign", "z_up", "z_feet", "earth")],
 )
 def test_quick_part_names_what_is_there_or_not(dives, name: str) -> None:  # type: ignore[no-untyped-def]
     """Signs, units, columns and axes need no second look, nor more than two records."""
@@ -151,13 +157,15 @@ def test_corrected_copy_is_clean(dives, judged, tmp_path, name: str) -> None:  #
 
 SIZED = [
     (diving_log, Fault("bias", ("q",), 0.006)),
-    (diving_log, Fault("scale", ("u",), -0.05)),
-    (diving_log, Fault("delay", ("z",), 0.6)),
     (diving_log, Fault("lever", ("w",), 0.5, "q")),
-    (ship_log, Fault("bias", ("v",), 0.1)),
     (ship_log, Fault("scale", ("u",), 0.04)),
     (ship_log, Fault("delay", ("x", "y"), 0.8)),
-    (ship_log, Fault("lever", ("v",), -4.0, "r")),
+    *slow(
+        (diving_log, Fault("scale", ("u",), -0.05)),
+        (diving_log, Fault("delay", ("z",), 0.6)),
+        (ship_log, Fault("bias", ("v",), 0.1)),
+        (ship_log, Fault("lever", ("v",), -4.0, "r")),
+    ),
 ]
 
 
@@ -698,7 +706,7 @@ def spoilt(vehicle: Vehicle, seed: int, sizes: dict[int, tuple[str, float]]) -> 
 
 @pytest.mark.parametrize(
     ("vehicle", "name", "size"),
-    [(SHIP, "r", 0.003), (SHIP, "r", 0.01), (DIVER, "q", -0.01), (DIVER, "theta", 0.05)],
+    [(SHIP, "r", 0.003), (DIVER, "q", -0.01), *slow((SHIP, "r", 0.01), (DIVER, "theta", 0.05))],
 )
 def test_the_record_is_named_with_the_size(vehicle: Vehicle, name: str, size: float) -> None:
     """One finding, of that signal in that record, within four standard errors."""

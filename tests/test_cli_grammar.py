@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 import typer
+from marks import slow
 from test_walks import mapping_of, write_log
 
 from oed_sysid import list_problems, new_problem
@@ -161,7 +162,7 @@ def test_quiet_is_one_line(line: str, dives: Path, monkeypatch, capfd) -> None:
         f"fit {PROBLEM} dive_1.csv",
         f"fit {PROBLEM} dive_1.csv --validate dive_2.csv",
         f"compare {PROBLEM} dive_1.csv --validate dive_2.csv",
-        "report fit.json --validate dive_3.csv",
+        *slow("report fit.json --validate dive_3.csv"),
     ],
 )
 def test_picture_of_a_result(line: str, dives: Path, monkeypatch, capfd) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from diving_plane import PROBLEM, records
 from golden_files import restored
+from marks import slow
 from scipy import stats
 from turning_ship import CANDIDATES, NOISE, SHIP, dataset
 from turning_ship import CUBIC as DAMPING
@@ -38,10 +39,9 @@ from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Sensor, sensor_bias
+from oed_sysid.physics import Force, Parameter, Sensor, sensor_bias
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.units import same_dimension
 
 NOMINAL = SHIP.with_values({"K": 0.5, "T": 4.0})
@@ -694,7 +694,7 @@ def test_hidden_damping_is_found_and_explains_the_records() -> None:
     [
         (20, 0.0),
         (22, 0.02),
-        *(pytest.param(*more, marks=pytest.mark.slow) for more in ((21, 0.0), (23, 0.02))),
+        *slow((21, 0.0), (23, 0.02)),
     ],
 )
 def test_nothing_is_claimed_where_nothing_is_missing(seed: int, force: float) -> None:

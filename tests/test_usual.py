@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 from test_captive import TRUTH, ship
@@ -27,11 +28,10 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, amplitude, quadratic_drag
+from oed_sysid.physics import Force, Parameter, amplitude, quadratic_drag
 from oed_sysid.physics.bodies import rigid_body
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.results import page as page_of
 from oed_sysid.results import plot_output
 from oed_sysid.testing import check_effect
@@ -69,8 +69,7 @@ def test_sizes_are_those_of_the_records() -> None:
 
 @pytest.mark.parametrize(
     "name",
-    ["roll_decay", "cascaded_tanks"]
-    + [pytest.param(name, marks=pytest.mark.slow) for name in ("kvlcc2", "remus_diving_plane")],
+    ["roll_decay", "cascaded_tanks", *slow("kvlcc2", "remus_diving_plane")],
 )
 def test_each_keeps_the_contract_of_effects(name: str) -> None:
     """Units, zeros and derivatives of every candidate are right; each is described and cited."""
@@ -278,7 +277,7 @@ HIDDEN = ("wind_by_record", "", "quadratic_N_r", "vane_deadband", "wind", "vane_
 
 @pytest.mark.parametrize(
     "hidden",
-    [HIDDEN[0], *(pytest.param(kind, marks=pytest.mark.slow) for kind in HIDDEN[1:])],
+    [HIDDEN[0], *slow(*HIDDEN[1:])],
 )
 def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
     """A hovercraft measured by position and compass: what its log hides is found, and no more."""
@@ -380,9 +379,7 @@ def turns(x: np.ndarray, command: np.ndarray) -> list[float]:
     return [surge / 120.0, (0.3 * (command[0] - command[1]) - 8.0 * r) / 20.0, r]
 
 
-@pytest.mark.parametrize(
-    "kind", ["hardening_K_phi", pytest.param("current", marks=pytest.mark.slow)]
-)
+@pytest.mark.parametrize("kind", ["hardening_K_phi", *slow("current")])
 def test_found_without_a_name(kind: str) -> None:
     """The effect that was hidden is the only one claimed, at its size."""
     hard = kind == "hardening_K_phi"
