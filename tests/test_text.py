@@ -154,7 +154,9 @@ def test_same_dimension() -> None:
     assert not same_dimension("m", "rad")
 
 
-@pytest.mark.parametrize("unit", ["furlong", "m/furlong", "kg m)", "(m", "m,s", "deg C", "m/-"])
+@pytest.mark.parametrize(
+    "unit", ["furlong", "m/furlong", "kg m)", "(m", "m,s", "deg C", "m/-", "()", "m ( )", "m/()"]
+)
 def test_unknown_unit(unit: str) -> None:
     """An unknown unit is refused with the list of those accepted."""
     with pytest.raises(DataError, match=r"(?s)Unknown unit.*deg.*kg m\^2/s\^2"):
