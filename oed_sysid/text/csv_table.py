@@ -27,7 +27,7 @@ from functools import cache, cached_property
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -800,6 +800,16 @@ def _arrow() -> ModuleType | None:
         return None
 
 
+def _numbers(column: Any) -> np.ndarray:
+    """Numbers of a column of pyarrow; its own way to NumPy would load pandas."""
+    present, values = column.buffers()
+    found = np.frombuffer(values, float, len(column))
+    if not column.null_count:
+        return found
+    bits = np.frombuffer(present, np.uint8)
+    return np.where(np.unpackbits(bits, count=len(column), bitorder="little"), found, np.nan)
+
+
 def _floats(rows: bytes, width: int) -> np.ndarray:
     """Numbers of rows ``(n_rows, width)``; nothing, and the words for nothing, are NaN."""
     if (arrow := _arrow() if len(rows) > _WORTH else None) is not None:
@@ -807,13 +817,15 @@ def _floats(rows: bytes, width: int) -> np.ndarray:
         with suppress(ValueError):  # whatever is unusual: NumPy's reader takes it, or refuses it
             table = arrow.read_csv(
                 io.BytesIO(rows),
-                read_options=arrow.ReadOptions(column_names=names, use_threads=False),
+                read_options=arrow.ReadOptions(
+                    column_names=names, use_threads=False, block_size=len(rows) + 1
+                ),
                 parse_options=arrow.ParseOptions(quote_char=False, ignore_empty_lines=False),
                 convert_options=arrow.ConvertOptions(
                     column_types=dict.fromkeys(names, "float64"), null_values=[""]
                 ),
             )
-            return np.column_stack([column.to_numpy() for column in table.columns])
+            return np.stack([_numbers(column.chunk(0)) for column in table.columns]).T
     body = rows.replace(b"\n", b",")
     # Cells of blanks alone: NumPy would read the -1 by which its parser says that there is none.
     if any(blank in body for blank in (b" ", b"\t", b"\v", b"\f")):
