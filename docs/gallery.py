@@ -202,7 +202,7 @@ def designed_run() -> Figure:
 def card_for_those_on_board() -> Figure:
     """The card for those on board."""
     design = _designed()
-    return report.figure_card(design)
+    return report.figure_card(design.card())
 
 
 @cache

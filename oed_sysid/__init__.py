@@ -42,8 +42,8 @@ _NAMES = {
     "prediction.turning_circle": "turning_circle",
     "prediction.speed_polar": "speed_polar",
     "design": (
-        "AOptimal DOptimal DsOptimal EOptimal GOptimal ModifiedE VOptimal Discriminate Robust "
-        "design_experiment design_series"
+        "AOptimal DOptimal DsOptimal EOptimal GOptimal VOptimal Discriminate Robust "
+        "design_experiment"
     ),
     "evidence.check": "check quick_check",
     "evidence.compare": "compare diagnose",
@@ -76,11 +76,9 @@ if TYPE_CHECKING:
         DsOptimal,
         EOptimal,
         GOptimal,
-        ModifiedE,
         Robust,
         VOptimal,
         design_experiment,
-        design_series,
     )
     from oed_sysid.errors import OedSysidError
     from oed_sysid.evidence.check import check, quick_check  # type: ignore[no-redef]

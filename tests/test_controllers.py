@@ -218,7 +218,7 @@ def test_the_table_is_another_run() -> None:
     [
         ({"kind": "plc"}, "no controller 'plc'"),
         ({"servos": {}}, "servo for rudder"),
-        ({"servos": {"rudder": Servo(1, -0.1, 0.1)}}, "reaches from"),
+        ({"servos": {"rudder": Servo(1, -0.1, 0.1)}}, "reach from"),
         ({"aborts": [AbortRule("sway", -1, 1, 0.0, True)]}, "sway"),
     ],
 )

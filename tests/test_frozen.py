@@ -112,6 +112,7 @@ def test_design() -> None:
         rng=np.random.default_rng(5),
         criterion=DOptimal(),
         search=Search(family=Levels(n_levels=8), n_starts=1, n_candidates=12, n_steps=6),
+        caution=None,
     )
     told = found.to_dict()
     kept = {key: told[key] for key in ("criterion", "parametrisation", "value", "parameters")}
@@ -147,6 +148,7 @@ LINES = {
     "rank of experiments": "rank ship --experiment zigzag_10_10",
     "fit": f"fit ship {JUDGED}",
     "compare": f"compare ship {JUDGED} --with rudder_offset",
+    "reduce": f"reduce ship {JUDGED} --known-noise",
     "diagnose": f"diagnose ship {RUNS}",
     "improve": f"improve ship {JUDGED} --known-noise",
     "design": "design ship --duration 30",

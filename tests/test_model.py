@@ -184,7 +184,6 @@ SHIPPED = (
     (design.GOptimal((TURN,)), True, True),
     (design.AOptimal(), False, True),
     (design.EOptimal(), False, True),
-    (design.ModifiedE(), False, False),
 )
 
 
@@ -198,11 +197,11 @@ def test_shipped_criteria_keep_the_contract(
 
 
 def test_claims_that_do_not_hold_are_found() -> None:
-    """A is not invariant under a change of units; a condition number may fall."""
+    """A is not invariant under a change of units; what falls with information is found."""
     with pytest.raises(AssertionError, match="in other units"):
         check_criterion(design.AOptimal(), SHIP, rng=np.random.default_rng(2), invariant=True)
     with pytest.raises(AssertionError, match="one more measurement"):
-        check_criterion(design.ModifiedE(), SHIP, rng=np.random.default_rng(2), n_points=8)
+        check_criterion(Broken("falls"), SHIP, rng=np.random.default_rng(2))
 
 
 @dataclass(frozen=True)

@@ -264,10 +264,12 @@ def test_refined_commands_keep_the_rate_at_the_samples_of_the_run() -> None:
 
 
 def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:
-    """One table of commands for each run, in order, playable as it stands."""
+    """One table of commands for each run, in order, playable as it stands, and its card."""
     paths = programme.write(tmp_path / "runs")
-    assert [path.name[:2] for path in paths] == [f"{i + 1:02d}" for i in range(len(paths))]
-    for path, run in zip(paths, programme.runs, strict=True):
+    tables, cards = paths[::2], paths[1::2]
+    assert [path.name[:2] for path in tables] == [f"{i + 1:02d}" for i in range(len(tables))]
+    assert [path.with_suffix(".csv") for path in cards] == list(tables)
+    for path, run in zip(tables, programme.runs, strict=True):
         table = np.genfromtxt(path, delimiter=",", skip_header=1)
         planned = simulate(programme.model, run.experiment, noise=False)
         np.testing.assert_allclose(table[:, 1], planned.input("rudder"), atol=1e-9)

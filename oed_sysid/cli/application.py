@@ -23,7 +23,7 @@ EPILOG = (
 )
 # In the order of the work; names that are no task's are those of functions.
 ORDER = (
-    "problems new simulate import check rank design programme campaign watch fit compare "
+    "problems new simulate import check rank design programme campaign watch fit compare reduce "
     "report diagnose improve export app"
 )
 _SETTINGS: dict[str, Any] = {"no_args_is_help": True, "rich_markup_mode": "rich"}

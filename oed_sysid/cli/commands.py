@@ -437,7 +437,6 @@ def campaign(
                 "on with it, or name another folder."
             )
         journal = Logbook.open(folder)
-        journal = journal.of(oed_sysid.load_problem(journal.problem, variant=journal.variant).model)
     elif problem is None or not goal:
         raise DesignError(
             f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
@@ -446,11 +445,12 @@ def campaign(
         study = Study.named(problem, model)
         with progress("Making candidate runs") as show:
             runs = _candidates(study.problem, patterns, bounds, weather, turnaround, seed, show)
-            journal = Logbook.begin(
+            journal = Logbook(
                 folder, study.problem.model, problem=problem, variant=model, candidates=runs,
                 goals={n: v / 100.0 for n, v in numbers("--goal", goal).items()}, hours=hours,
                 sea=weather.noise(study.problem, study.problem.model, show), seed=seed,
             )  # fmt: skip
+            journal.write()
     if record is not None:
         with progress("Estimating") as show:
             journal = journal.with_record(record)
@@ -487,7 +487,7 @@ def _candidates(
     lent = patterns_of(problem, patterns)
     return candidate_runs(
         problem.model, lent, limits=limits, rng=rng, turnaround=60.0 * turnaround,
-        vehicles=draw_models(problem.model, weather.spread(problem), 12, None, rng),
+        vehicles=draw_models(problem.model, weather.uncertainty, 12, None, rng),
         durations=None if bounds.duration is None else (bounds.duration,),
     )  # fmt: skip
 

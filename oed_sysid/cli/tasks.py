@@ -26,6 +26,7 @@ from oed_sysid.runtime.files import make_folder, write_text
 if TYPE_CHECKING:
     from oed_sysid.design import Design, Servo
     from oed_sysid.evidence.compare import ModelMisfit
+    from oed_sysid.evidence.result import LogCheck
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
@@ -99,12 +100,6 @@ class Weather:
         show.note(f"Disturbance forces: {sea_words(found)}.")
         return found
 
-    def spread(self, problem: Problem) -> float | None:
-        """Relative spread of vehicles; None where priors tell it."""
-        from oed_sysid.design.choices import usual_spread
-
-        return usual_spread(problem.model) if self.uncertainty is None else self.uncertainty
-
 
 @dataclass(frozen=True)
 class Expected(Weather):
@@ -145,13 +140,13 @@ class Effort:
         family = named("family", self.family, FAMILIES)(**bands)
         return Search(family, *named("effort", self.effort, EFFORTS))
 
-    def caution(self, expected: Expected, spread: float | None) -> Any:
-        """How limits are kept; after a fit they are, where nobody said how surely."""
+    def caution(self, spread: float | None) -> Any:
+        """How limits are kept: surely, unless somebody said how surely."""
         from oed_sysid.design import Caution
 
         if self.certainty:
             return Caution(self.certainty, spread)
-        return "auto" if expected.after and self.certainty is None else None
+        return "auto" if self.certainty is None else None
 
 
 @dataclass(frozen=True)
@@ -268,7 +263,6 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint, together
-    from oed_sysid.evidence.check import with_estimates
 
     train, validation = study.training(), study.validation()
     models, saved = _models(study.equipped if added else study.problem, added)
@@ -277,6 +271,53 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     both = together(train, validation)
     log = oed_sysid.quick_check(both, study.problem).without("duplicate")
     fits = fits_of(study, models, show) | saved
+    return _compared(study, show, fits, log)
+
+
+def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
+    """Fix what training records cannot tell, fit the smaller model, and check it on validation.
+
+    [bold]Example[/bold]: oed-sysid reduce remus_diving_plane dive_1.csv dive_2.csv
+    --validate dive_3.csv
+    """
+    from oed_sysid.data.dataset import check_disjoint, together
+    from oed_sysid.evidence.claim import threshold
+
+    model, train, validation = study.problem.model, study.training(), study.validation()
+    check_disjoint(train, validation)
+    log = oed_sysid.quick_check(together(train, validation), study.problem).without("duplicate")
+    fits = fits_of(study, {NOMINAL: model}, show)
+    full = fits[NOMINAL]
+    ranking = oed_sysid.rank_parameters(
+        full.model, train, noise=full, initial_states=full.initial_states
+    )
+    fixed = [name for name in ranking.together.advised("fix") if name not in keep]
+    told = ranking.together.words(" from these records")
+    lost = 0.0
+    if fixed:
+        fits |= fits_of(study, {"reduced": model.fix(*fixed)}, show)
+        lost = 2.0 * (full.log_likelihood - fits["reduced"].log_likelihood)
+        chance = threshold(1, len(fixed))
+        told += (
+            f" With {', '.join(fixed)} fixed at their nominal values twice the log-likelihood "
+            f"falls by {lost:.3g}; chance alone takes {chance:.3g} in one case of a hundred: "
+        ) + (
+            "the records do not miss them."
+            if lost <= chance
+            else "these values are wrong. Keep some of them free (--keep), or correct them."
+        )
+    outcome = _compared(study, show, fits, log)
+    more = {"fixed": fixed, "lost": lost, "subset": ranking.together.to_dict()}
+    sections = (*outcome.said.sections, *ranking.together.document().sections)
+    said = replace(outcome.said, answer=told, sections=sections)
+    return replace(outcome, said=said, facts={**outcome.facts, **more})
+
+
+def _compared(study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck) -> Outcome:
+    """What validation records say of several fits."""
+    from oed_sysid.evidence.check import with_estimates
+
+    validation = study.validation()
     show.say("predicting")
     result = oed_sysid.compare(fits, validation)
     log = with_estimates(log, fits[result.best.label])
@@ -288,7 +329,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     return Outcome(
         result, result.document(), {**result.to_dict(), "log": log.to_dict()},
         partial(result.document, title=study.problem.title, log=log), predicted(result.models),
-        above=log.warning(), notes=tuple(notes), fits=fits, comparison=result,
+        above=log.warning(), notes=tuple(notes), fits=dict(fits), comparison=result,
         status=_status(list(fits.values()), suspect=log.suspect),
     )  # fmt: skip
 
@@ -431,8 +472,8 @@ def design(
     found = oed_sysid.design_experiment(
         nominal, Trial.like(pattern, limits, duration=bounds.duration),
         rng=np.random.default_rng(effort.seed), criterion=criterion, search=search,
-        knowledge=Knowledge(noise=expected.noise(problem, nominal, show)),
-        caution=effort.caution(expected, spread), journal=show.journal,
+        knowledge=Knowledge(noise=expected.noise(problem, nominal, show), spread=spread),
+        caution=effort.caution(spread), journal=show.journal,
         progress=partial(_searching, show, search.n_starts, search.n_steps),
     )  # fmt: skip
     found = _on_other_vehicles(found, limits, spread, effort.seed, show)
@@ -467,11 +508,10 @@ def programme(
     nominal = expected.nominal(study, show)
     durations = None if bounds.duration is None else (bounds.duration,)
     noise = expected.noise(problem, nominal, show)
-    spread = expected.uncertainty if expected.after else expected.spread(problem)
     found = design_programme(
         nominal, patterns_of(problem, patterns), limits=bounds.limits(problem, show),
         rng=np.random.default_rng(seed), budget=allowed.budget(), criterion=aim.made(study),
-        knowledge=Knowledge(noise=noise, spread=spread),
+        knowledge=Knowledge(noise=noise, spread=expected.uncertainty),
         search=ProgrammeSearch(durations=durations, n_rounds=rounds), progress=show.say,
     )  # fmt: skip
     return Outcome(
@@ -691,7 +731,7 @@ class Played(Files):
             found.write_csv(self.out)
             yield f"Written: {self.out}"
         if self.card is not None:
-            self._write_card(outcome, self.card, study.problem.title, show)
+            self._write_card(outcome, self.card, study.problem.title)
             yield f"Written: {self.card}"
         if self.overrides is not None:
             servos = self._servos(limits)
@@ -729,27 +769,17 @@ class Played(Files):
             found[kind] = checked("file", Path(place))
         return found
 
-    def _write_card(self, outcome: Outcome, path: Path, title: str, show: Shown) -> None:
+    def _write_card(self, outcome: Outcome, path: Path, title: str) -> None:
         """Write the card as text, as a page or as one sheet of A4."""
-        import numpy as np
-
-        from oed_sysid.design import predicted_tracks
         from oed_sysid.results import figure_card, save_figure
 
-        found, settings, kind = outcome.result, outcome.settings, path.suffix.lower()
+        card, kind = outcome.result.card(self.length), path.suffix.lower()
         if kind == ".txt":
-            write_text(path, found.sea_trial_card() + "\n")
-            return
-        rng = np.random.default_rng(settings["seed"])
-        drawing = partial(
-            predicted_tracks, found.model, found.experiment, spread=settings["spread"],
-            sea=found.sea, prior=found.prior, rng=rng, length=self.length,
-        )  # fmt: skip
-        tracks = show.journal.once("track", drawing)
-        if kind == ".html":
-            found.card(tracks, title=title).write(path)
+            write_text(path, card.text() + "\n")
+        elif kind == ".html":
+            card.document(title=title).write(path)
         else:
-            save_figure(figure_card(found, tracks), path)
+            save_figure(figure_card(card), path)
 
     def _servos(self, limits: Limits) -> dict[str, Servo]:
         """Servos of the inputs, from one end of their limits to the other."""
@@ -777,6 +807,7 @@ TASKS = {
         Task(check, "Check the log", "Checking", "files [validate]", Corrected, "--fix corrected"),
         Task(fit, "Fit", "Fitting", "files [validate] noise journal", Saved, "--save fit.json"),
         Task(compare, "Compare", "Fitting", "files validate noise journal"),
+        Task(reduce, "Reduce: what the records can tell", "Fitting", "files validate noise"),
         Task(diagnose, "Diagnose: where it fails", "Looking", "files noise"),
         Task(improve, "Improve: what is missing", "Starting", "files [validate] noise journal",
              Saved, "--json improve.json --save improved.json"),

@@ -7,8 +7,8 @@ from oed_sysid.design.assurance import (
     PredictedTracks,
     accuracy_range,
     assess_limits,
-    predicted_tracks,
 )
+from oed_sysid.design.card import TrialCard
 from oed_sysid.design.controllers import (
     Servo,
     played,
@@ -27,7 +27,6 @@ from oed_sysid.design.criteria import (
     DsOptimal,
     EOptimal,
     GOptimal,
-    ModifiedE,
     Setting,
     VOptimal,
 )
@@ -39,12 +38,12 @@ from oed_sysid.design.decision import (
     decide,
     goals_of,
 )
-from oed_sysid.design.experiment_design import Stage, campaign, design_experiment, design_series
+from oed_sysid.design.experiment_design import Stage, campaign, design_experiment
 from oed_sysid.design.knowledge import Knowledge
-from oed_sysid.design.library import Candidate, Reference, candidate_runs
+from oed_sysid.design.library import Candidate, Reference, ZigZags, candidate_runs
 from oed_sysid.design.programme import Budget, ProgrammeSearch, design_programme
 from oed_sysid.design.result import Design, Programme, Standard
-from oed_sysid.design.search import Progress, ZigZags
+from oed_sysid.design.search import Progress
 from oed_sysid.design.trial import Search, Trial
 from oed_sysid.design.vehicles import Caution, Robust
 from oed_sysid.design.waveforms import Grid, Levels, Multisines, Parametrisation, Pulses
@@ -57,8 +56,11 @@ __getattr__ = _respelled_names(
     __name__,
     {
         "Reveal": "Detect",
+        "ModifiedE": "EOptimal",
+        "design_series": "design_programme",
         "Chance": "Detection",
         "Tracks": "PredictedTracks",
-        "plausible_tracks": "predicted_tracks",
+        "plausible_tracks": "assess_limits(...).tracks",
+        "predicted_tracks": "assess_limits(...).tracks",
     },
 )

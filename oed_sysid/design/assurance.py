@@ -32,7 +32,7 @@ is known as well,
 
 .. math:: s_i(\theta) = \sqrt{[F(\theta)^{-1}]_{ii}}, \qquad \theta \sim p(\theta)
 
-and the range that eight in ten of them stay within is stated. Beyond ``TRUSTED`` a linear bound
+and the range is stated. Beyond ``TRUSTED`` a linear bound
 under disturbance forces promises too much (calm fins with stated errors of 30 to 80 per cent
 realised 3.4 times more), so that no number is given there.
 """
@@ -51,7 +51,6 @@ from oed_sysid.design.vehicles import (
     LimitBounds,
     at_least,
     draw_models,
-    draw_structures,
     motion,
     percent,
 )
@@ -59,6 +58,7 @@ from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.bound import information_of
+from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.information.noise import Levels, sea_words
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
@@ -74,10 +74,9 @@ _TAIL = 0.025
 _ROOM = 0.1
 # What a crew watches: attitude, depth, speed.
 WATCHED = ("phi", "theta", "z", "u")
-# Relative error up to which a bound under disturbance forces is taken as it is.
-TRUSTED = 0.3
-# Share of the vehicles left out at either end of a range of errors.
-_OUTSIDE = 0.1
+# Relative error up to which a bound under disturbance forces is taken as it is, and a coefficient
+# counts as told: what is assumed of one of which nothing is known.
+TRUSTED = ASSUMED
 
 
 @dataclass(frozen=True)
@@ -130,6 +129,9 @@ class Assurance:
         Share of the vehicles on which one rule or more fires.
     kept : ndarray of bool (n_checked,)
         On which of the vehicles all limits were kept, in the order they were given or drawn.
+    tracks : PredictedTracks or None
+        Where they go; None where the model knows no course: neither ``x`` and ``y``, nor surge with
+        heading or pitch.
     """
 
     n_kept: int
@@ -143,6 +145,7 @@ class Assurance:
     rules: tuple[AbortRule, ...] = ()
     any_fires: float = 0.0
     kept: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
+    tracks: PredictedTracks | None = field(default=None, repr=False)
 
     @property
     def is_safe(self) -> bool:
@@ -250,18 +253,19 @@ def assess_limits(
     if n_vehicles < 20:
         raise DesignError(f"{n_vehicles} vehicles tell no probability. Give 20 or more.")
     fresh = (
-        draw_structures(model, others, spread, n_vehicles, prior, rng)
+        draw_models(model, spread, n_vehicles, prior, rng, others)
         if isinstance(vehicles, int)
         else tuple(vehicles)
     )
     bounds = LimitBounds.of(model, limits or experiment.limits)
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
-    extremes, first = [], []
+    extremes, first, tracks = [], [], []
     for vehicle in fresh:
         run = _motion_at_sea(vehicle, experiment, sea, rng)
         first.append("diverged" if run is None else bounds.first_left(run))
         if run is not None:
             extremes.append([[s.min(), s.max()] for s in map(run.signal, names)])
+            tracks.append(_track(run))
     kept = np.array([one is None for one in first])
     ranges: dict[str, tuple[float, float]] = {}
     rules: tuple[AbortRule, ...] = ()
@@ -276,6 +280,7 @@ def assess_limits(
         int(kept.sum()), n_vehicles, wanted, spread, dict(Counter(filter(None, first))), ranges,
         bool(bounds.names),
         sea_words(sea) if sea is not None and sea.has_forces else "", rules, stopped, kept,
+        PredictedTracks.of(motion(model, experiment), tracks),
     )  # fmt: skip
 
 
@@ -323,7 +328,7 @@ def _rules(
 
 @dataclass(frozen=True, eq=False)
 class PredictedTracks:
-    """PredictedTracks of one run.
+    """Tracks of one run.
 
     Attributes
     ----------
@@ -344,6 +349,18 @@ class PredictedTracks:
     plausible: np.ndarray
     is_vertical: bool
     length: float | None = None
+
+    @classmethod
+    def of(
+        cls, run: Trajectory | None, others: Sequence[np.ndarray | None]
+    ) -> PredictedTracks | None:
+        """Tracks of the nominal vehicle's run and of others; None where there are none."""
+        own = None if run is None else _track(run)
+        found = [one for one in others if one is not None]
+        if run is None or own is None or not found:
+            return None
+        vertical = not _knows(run, "psi") and not _knows(run, "x", "y")
+        return cls(run.times, own, np.stack(found), vertical)
 
     @property
     def room(self) -> np.ndarray:
@@ -381,69 +398,6 @@ class PredictedTracks:
     def _far(self, metres: float) -> str:
         text = f"{metres:.3g} m"
         return text if self.length is None else f"{text} ({metres / self.length:.2g} L)"
-
-
-def predicted_tracks(
-    model: Model,
-    experiment: Experiment,
-    *,
-    rng: np.random.Generator,
-    spread: float | None = 0.3,
-    prior: Information | None = None,
-    others: Sequence[Model] = (),
-    sea: NoiseModel | None = None,
-    length: float | None = None,
-    n_vehicles: int = 60,
-) -> PredictedTracks | None:
-    """Simulate where a run goes on the nominal vehicle and on others.
-
-    Parameters
-    ----------
-    model, experiment, rng, spread, prior, others, sea
-        See :func:`~oed_sysid.design.assess_limits`.
-    length : float, optional
-        Of the vehicle, m.
-    n_vehicles : int
-
-    Returns
-    -------
-    PredictedTracks or None
-        None where the model knows no course: neither ``x`` and ``y``, nor surge with heading or
-        pitch.
-
-    Raises
-    ------
-    DesignError
-        If the run diverges on most vehicles.
-
-    Examples
-    --------
-    >>> from dataclasses import replace
-    >>> from oed_sysid import load_problem
-    >>> ship = load_problem("kvlcc2", variant="mmg")
-    >>> run = replace(ship.experiment("zigzag_10_10"), duration=60.0, feedback="true")
-    >>> found = predicted_tracks(
-    ...     ship.model, run, rng=np.random.default_rng(0), spread=0.1, n_vehicles=4, length=7.0
-    ... )
-    >>> found.plausible.shape[0], bool(50 < found.room[0, 1] < 80)
-    (4, True)
-    """
-    first = motion(model, experiment)
-    if first is None:
-        raise DesignError(f"Run {experiment.name!r} diverges on the nominal vehicle. Shorten it.")
-    own = _track(first)
-    if own is None:
-        return None
-    vehicles = draw_structures(model, others, spread, n_vehicles, prior, rng)
-    runs = [_motion_at_sea(vehicle, experiment, sea, rng) for vehicle in vehicles]
-    found = [track for run in runs if run is not None and (track := _track(run)) is not None]
-    if len(found) < max(1, n_vehicles // 2):
-        raise DesignError(
-            f"The run stays finite on {len(found)} of {n_vehicles} vehicles only, so that no sea "
-            "room can be stated. Make it gentler, or shorter."
-        )
-    vertical = not _knows(first, "psi") and not _knows(first, "x", "y")
-    return PredictedTracks(first.times, own, np.stack(found), vertical, length)
 
 
 def _knows(run: Trajectory, *names: str) -> bool:
@@ -491,7 +445,7 @@ class AccuracyRange:
     ----------
     names : tuple of str
     lowest, highest : ndarray (n,)
-        Shares of the values that eight in ten of the vehicles stay within.
+        Shares of the values.
     n_drawn : int
         Vehicles on which the runs stayed finite.
     sea : NoiseModel or None
@@ -571,7 +525,7 @@ def accuracy_range(
             f"The runs stay finite on {len(errors)} of {n_draws} vehicles only, so that no range "
             "can be stated. Make them gentler, or shorter."
         )
-    low, high = np.quantile(np.array(errors), [_OUTSIDE, 1 - _OUTSIDE], axis=0, method="nearest")
     sea = noise.noise if isinstance(noise, Fit) else noise
     kept = sea if isinstance(sea, NoiseModel) and not sea.is_white else None
+    low, high = np.min(errors, axis=0), np.max(errors, axis=0)
     return AccuracyRange(names, low, high, len(errors), kept)

@@ -8,7 +8,6 @@ from typing import Any, TypeVar
 from oed_sysid.design.criteria import AOptimal, DOptimal, EOptimal
 from oed_sysid.design.waveforms import Levels, Multisines, Pulses
 from oed_sysid.errors import DesignError
-from oed_sysid.physics.model import Model
 
 CRITERIA: Mapping[str, Callable[[], Any]] = {"D": DOptimal, "A": AOptimal, "E": EOptimal}
 FAMILIES: Mapping[str, Callable[..., Any]] = {
@@ -18,9 +17,6 @@ FAMILIES: Mapping[str, Callable[..., Any]] = {
 }
 # Starts that are refined, rough manoeuvres tried, and steps of refinement.
 EFFORTS = {"quick": (1, 30, 8), "normal": (2, 60, 20), "thorough": (4, 120, 40)}
-# How wrong coefficients may be where neither priors nor a fit tell, as a share of their values.
-UNCERTAINTY = 0.3
-
 T = TypeVar("T")
 
 
@@ -40,9 +36,3 @@ def named(what: str, name: str, choices: Mapping[str, T]) -> T:
     if name not in choices:
         raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
     return choices[name]
-
-
-def usual_spread(model: Model) -> float | None:
-    """Relative spread of vehicles; None where priors tell it."""
-    told = any(one.prior_spread is not None for one in model.free_parameters)
-    return None if told else UNCERTAINTY

@@ -20,8 +20,7 @@ With information :math:`F` in units of the values, :math:`C = F^{-1}`, ``n`` par
     D_s:\ \log\det\left(F_{ss} - F_{sr} F_{rr}^{-1} F_{rs}\right)
 
 .. math::
-    V:\ -\log \frac1m \sum_k c_k' C c_k, \quad G:\ -\log \max_k c_k' C c_k, \quad
-    \text{modified } E:\ \log \frac{\lambda_{min}(F)}{\lambda_{max}(F)}
+    V:\ -\log \frac1m \sum_k c_k' C c_k, \quad G:\ -\log \max_k c_k' C c_k
 
 Each comes with its derivative :math:`\partial\varphi / \partial F`: for D :math:`C`, for A
 :math:`C^2 / \mathrm{tr}\, C`, for V with :math:`W = \tfrac1m \sum c c'` :math:`C W C /
@@ -72,12 +71,10 @@ from oed_sysid.information import plays, respond
 from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.display import Section, Table, as_dict
 
 # Information that counts as none, in units of (relative error)**-2: a prior of 1e5 times the value.
 NOTHING = 1e-10
-# Smallest pivot of an equilibrated information at which its inverse has ten digits.
-REGULAR = 1e-3
 
 
 def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
@@ -125,20 +122,6 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(regular / outer)
     inner = (vectors / np.maximum(values, 1e-15)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return inner / outer
-
-
-def quick_inverse(matrix: np.ndarray) -> np.ndarray:
-    """As :func:`inverse`, several times faster where nothing is near singular."""
-    sizes = np.sqrt(np.diagonal(matrix, axis1=-2, axis2=-1))
-    if sizes.min() > 0:
-        outer = sizes[..., :, None] * sizes[..., None, :]
-        try:
-            roots = np.linalg.cholesky(matrix / outer)
-        except np.linalg.LinAlgError:
-            return inverse(matrix)
-        if np.diagonal(roots, axis1=-2, axis2=-1).min() > REGULAR:
-            return np.asarray(np.linalg.inv(matrix / outer) / outer)
-    return inverse(matrix)
 
 
 def log_determinant(matrix: np.ndarray) -> float:
@@ -212,14 +195,11 @@ def _mean_variance(weight: np.ndarray | None = None) -> Measure:
     return measure
 
 
-def _ends(matrix: np.ndarray) -> list[tuple[float, np.ndarray]]:
-    """Logarithms of the smallest and the largest eigenvalue, and their derivatives."""
+def _smallest(matrix: np.ndarray) -> tuple[float, np.ndarray]:
+    """Logarithm of the smallest eigenvalue, and its derivative."""
     values, vectors = np.linalg.eigh(matrix)
-    sizes = np.maximum(values, NOTHING)
-    return [
-        (float(np.log(sizes[i])), np.outer(vectors[:, i], vectors[:, i]) / sizes[i])
-        for i in (0, -1)
-    ]
+    size = max(float(values[0]), NOTHING)
+    return float(np.log(size)), np.outer(vectors[:, 0], vectors[:, 0]) / size
 
 
 @dataclass(frozen=True)
@@ -252,26 +232,7 @@ class EOptimal:
 
     def bind(self, setting: Setting) -> Measure:
         """Return ``log(lambda_min)`` and its derivative."""
-        return lambda matrix: _ends(matrix)[0]
-
-
-@dataclass(frozen=True)
-class ModifiedE:
-    """Roundest ellipsoid: minus log of the condition number.
-
-    Says nothing about size; combine the result with a look at the errors.
-    """
-
-    name: str = "modified E"
-
-    def bind(self, setting: Setting) -> Measure:
-        """Return ``-log(lambda_max / lambda_min)`` and its derivative."""
-
-        def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
-            (small, by_small), (large, by_large) = _ends(matrix)
-            return small - large, by_small - by_large
-
-        return measure
+        return _smallest
 
 
 @dataclass(frozen=True)
@@ -375,8 +336,6 @@ class GOptimal(_Prediction):
         return measure
 
 
-# Misfit or power below which a logarithm is cut off; arithmetic only.
-_SMALLEST = 1e-9
 # Width of the soft minimum over pairs or effects, in units of log misfit or log power.
 _SOFTNESS = 0.1
 
@@ -477,11 +436,11 @@ class Discriminate:
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
             gram, mapping = eliminate(matrix, n_parameters)
             pairs = pair_misfits(gram, shifts, against_believed=self.against_believed)
-            logs = np.array([np.log(max(value, _SMALLEST)) for _, _, value, _ in pairs])
+            logs = np.array([np.log(max(value, NOTHING)) for _, _, value, _ in pairs])
             value, weights = soft_minimum(logs, _SOFTNESS)
             by_gram = np.zeros_like(gram)
             for weight, (_, _, misfit, slope) in zip(weights, pairs, strict=True):
-                if misfit > _SMALLEST:
+                if misfit > NOTHING:
                     by_gram += weight / misfit * slope
             return value, mapping.T @ by_gram @ mapping
 
@@ -514,7 +473,7 @@ def told_apart(misfit: float) -> float:
     >>> round(told_apart(6.0), 2), round(told_apart(25.0), 2)
     (0.5, 0.97)
     """
-    if misfit <= _SMALLEST:
+    if misfit <= NOTHING:
         return 0.0
     return float(ndtr((misfit - GROUP_WIDTH) / (2.0 * np.sqrt(misfit))))
 
@@ -553,7 +512,7 @@ def pair_misfits(
                 continue
             mine, theirs = own.columns, other.columns
             block = gram[np.ix_(theirs, theirs)]
-            floor = _SMALLEST + 1e-12 * float(np.trace(block))
+            floor = NOTHING + 1e-12 * float(np.trace(block))
             imitated = np.linalg.solve(
                 block + floor * np.eye(len(theirs)), gram[np.ix_(theirs, mine)]
             )
@@ -706,31 +665,31 @@ class Detection:
 
 def missing_physics(
     misfits: Mapping[tuple[str, str], float], chances: Sequence[Detection]
-) -> list[str]:
-    """Lines on rivals told apart and on effects detected, records in hand included."""
+) -> Section:
+    """What is said of rivals told apart and of effects detected, records in hand included."""
     lines = [
-        f"  If {first} is true, {second} is expected to fit worse by "
+        f"If {first} is true, {second} is expected to fit worse by "
         f"2 dlogL = {misfit:.3g}{'' if misfit > 16 else ' (not enough to decide)'}; "
         f"told apart with {told_apart(misfit):.0%}."
         for (first, second), misfit in misfits.items()
     ]
     if not chances:
-        return lines
+        return Section("MISSING PHYSICS", lines, heading=True, indent=2)
     # The effects that a run makes visible, and those that stay hidden.
-    lines += [f"  {'effect':<32} {'chance before':>13} {'after':>7} {'shows from':>14}"]
-    gained = sorted(chances, key=lambda one: one.before - one.after)
-    for one in gained[:12]:
-        least = f"{one.least:.2g} of usual" if one.least < 1e3 else "-"
-        lines.append(f"  {one.name:<32} {one.before:>13.0%} {one.after:>7.0%} {least:>14}")
-    hidden = [one.name for one in chances if one.after < 0.5]
+    rows = [
+        (one.name, f"{one.before:.0%}", f"{one.after:.0%}",
+         f"{one.least:.2g} of usual" if one.least < 1e3 else "-")
+        for one in sorted(chances, key=lambda one: one.before - one.after)
+    ]  # fmt: skip
     shown = sum(one.after >= SURE for one in chances)
     lines.append(
-        f"  {shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
+        f"{shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
         f"{sum(one.before >= SURE for one in chances)} before."
     )
-    if hidden:
-        lines.append(f"  Would stay hidden: {', '.join(hidden)}.")
-    return lines
+    if hidden := [one.name for one in chances if one.after < 0.5]:
+        lines.append(f"Would stay hidden: {', '.join(hidden)}.")
+    table = Table(("effect", "chance before", "after", "shows from"), rows)
+    return Section("MISSING PHYSICS", lines, (table,), heading=True, indent=2)
 
 
 def log_power(gain: float, freedom: int, needed: float) -> tuple[float, float]:

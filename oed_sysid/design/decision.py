@@ -41,16 +41,16 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, read_csv
-from oed_sysid.design.choices import UNCERTAINTY
-from oed_sysid.design.criteria import DOptimal, quick_inverse
+from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.card import TrialCard
+from oed_sysid.design.criteria import DOptimal, inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Candidate
-from oed_sysid.design.result import write_commands
+from oed_sysid.design.result import write_run
 from oed_sysid.design.search import WORTH
 from oed_sysid.design.vehicles import (
     CHECKED,
     LimitBounds,
-    at_least,
     draw_models,
     kept_on,
     percent,
@@ -59,6 +59,7 @@ from oed_sysid.design.vehicles import (
 )
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.information.noise import Levels
 from oed_sysid.information.response import plays, respond
 from oed_sysid.likelihood.between_records import CHANCE
@@ -81,8 +82,6 @@ from oed_sysid.runtime.files import write_bytes, write_text
 
 # Share of a goal's tolerance by which records may differ without a word.
 IMMATERIAL = 0.1
-# Parameters that are named where records contradict one another.
-NAMED = 3
 
 
 @runtime_checkable
@@ -280,11 +279,9 @@ class Decision:
         Runs that were better but leave their limits on too many possible vehicles.
     seconds : float
         Time that the decision took.
-    kept : float or None
-        Share of the vehicles that remain possible on which the next run keeps its limits; None
-        where there are no limits, or nothing is known that vehicles could be drawn from.
-    n_checked : int
-        These vehicles, the nominal one included.
+    assurance : Assurance or None
+        On how many of the vehicles that remain possible the next run keeps its limits, the nominal
+        one included.
     contradiction : Contradiction or None
         Why the errors must not be believed; None where nothing says so.
     """
@@ -298,16 +295,14 @@ class Decision:
     hours_available: float | None
     refused: tuple[str, ...]
     seconds: float
-    kept: float | None = None
-    n_checked: int = 0
+    assurance: Assurance | None = None
     contradiction: Contradiction | None = None
 
     @property
-    def at_least(self) -> float | None:
-        """Lower end of the 95 % interval of ``kept``."""
-        if self.kept is None:
-            return None
-        return at_least(round(self.kept * self.n_checked), self.n_checked)
+    def kept(self) -> float | None:
+        """Share of these vehicles; None where no limit on the motion was given."""
+        safe = self.assurance
+        return safe.probability if safe is not None and safe.limited else None
 
     @property
     def is_check(self) -> bool:
@@ -349,53 +344,38 @@ class Decision:
         if np.isfinite(self.hours_left):
             left = f"{counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
         safe = self._safety or "no limit on the motion was given"
-        if self.kept is None and run.experiment.limits.signals:
-            safe = "whether other vehicles keep the limits is not known"
         return f"{words} {brings}; {left}; {safe}."
 
     @property
     def _safety(self) -> str:
-        """How surely the next run keeps its limits; empty where that is not known."""
-        if self.kept is None:
-            return ""
-        return (
-            f"limits kept on {self.kept:.0%} of {self.n_checked} possible vehicles (at least "
-            f"{self.at_least:.0%} with 95 % confidence)"
-        )
+        """How surely the next run keeps its limits; empty where there are none."""
+        return self.assurance.report() if self.assurance and self.assurance.limited else ""
 
     def document(self) -> Report:
         """Return the decision, the verdict first."""
-        head = "GO ON." if not self.stop else f"STOP: {REASONS[self.action]}."
-        if self.is_check:
-            head = "GO ON: on paper everything is known, but one run alone has said so; check it."
         rows = []
         for one in self.goals:
             values = (one.goal.tolerance, one.now, one.then)
             words = (one.goal.words(self.model, value) for value in values)
             rows.append((one.goal.name, *words, "met" if one.is_met else ""))
         headers = ("goal", "wanted", "now", "after next", "")
-        facts = [] if self.contradiction is None else [("WARNING", self.contradiction.text)]
-        if self.next_run is not None:
-            left = f"{self.runs_left} runs, {self.hours_left:.2g} h, if they go as planned"
-            far = "more than can be planned: lower a goal"
-            facts += [
-                ("next", self.next_run.name),
-                *([("limits", self._safety.removeprefix("limits "))] if self._safety else []),
-                ("to go", left if np.isfinite(self.hours_left) else far),
-            ]
-            if self.hours_available is not None and self.hours_left > self.hours_available:
-                short = f"only {self.hours_available:.2g} h are left: not all goals will be met"
-                facts.append(("WARNING", short))
+        short = self.hours_available is not None and self.hours_left > self.hours_available
+        warnings = [] if self.contradiction is None else [f"WARNING: {self.contradiction.text}"]
+        if short and self.next_run is not None:
+            warnings.append(
+                f"WARNING: only {self.hours_available:.2g} h are left: not all goals will be met."
+            )
         refused = [f"Not run: {name!r} may leave its limits." for name in self.refused]
         section = Section("Goals", refused, (Table(headers, rows),), indent=2)
-        return Report(head, answer=head, head=facts, sections=(section,))
+        said = self.answer()
+        return Report(said, answer=said, verdict=warnings, sections=(section,))
 
     report = as_text
 
     to_dict = as_dict(
         "action", "runs_left", "hours_left", "goals", "refused", "contradiction", "seconds",
         next_run=lambda self: None if self.next_run is None else self.next_run.name,
-        limits_kept="kept", limits_kept_at_least="at_least", vehicles_checked="n_checked",
+        limits_kept="assurance",
     )  # fmt: skip
 
 
@@ -452,51 +432,29 @@ def decide(
     # Nothing but one run has told the parameters, so that nothing could contradict it.
     is_alone = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
     needs_check = outlook.is_met and contradiction is None and is_alone
-    safe = _Safe(outlook, None, None, 0)
+    chosen: int | None = None
+    safe: Assurance | None = None
     if needs_check or not outlook.is_met:
-        safe = _safe_run(outlook, expected, limits, certainty, rng, check=needs_check)
-    outlook, next_run = safe.outlook, safe.run
-    steps = outlook.path() if safe.chosen is not None and not needs_check else safe.steps
+        outlook, chosen, safe = _safe_run(
+            outlook, expected, limits, certainty, rng, check=needs_check
+        )
+    next_run = None if chosen is None else outlook.runs[chosen]
+    then = outlook.now if chosen is None else outlook.deviations(outlook.told[chosen])
+    steps = [] if chosen is None else [chosen] if needs_check else outlook.path()
     action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
         model=expected.model,
         action=action,
-        goals=tuple(map(Progressed, goals, outlook.now.tolist(), safe.then.tolist())),
+        goals=tuple(map(Progressed, goals, outlook.now.tolist(), then.tolist())),
         next_run=next_run if action == "go on" else None,
         runs_left=len(steps),
         hours_left=outlook.hours(steps),
         hours_available=hours,
         refused=tuple(dict.fromkeys(outlook.runs[i].name for i in outlook.refused)),
         seconds=time.perf_counter() - began,
-        kept=safe.kept,
-        n_checked=safe.n_checked,
+        assurance=safe,
         contradiction=contradiction,
     )
-
-
-@dataclass(frozen=True, eq=False)
-class _Safe:
-    """The best run that keeps its limits, and on how many vehicles."""
-
-    outlook: _Outlook
-    chosen: int | None
-    kept: float | None
-    n_checked: int
-
-    @property
-    def steps(self) -> list[int]:
-        """The run alone, if there is one."""
-        return [] if self.chosen is None else [self.chosen]
-
-    @property
-    def run(self) -> Candidate | None:
-        """The run itself."""
-        return None if self.chosen is None else self.outlook.runs[self.chosen]
-
-    @property
-    def then(self) -> np.ndarray:
-        """Standard deviation of each goal after it."""
-        return self.outlook.deviations(sum((self.outlook.told[i] for i in self.steps), 0.0))
 
 
 def _action(
@@ -522,20 +480,23 @@ def _safe_run(
     rng: np.random.Generator,
     *,
     check: bool,
-) -> _Safe:
+) -> tuple[_Outlook, int | None, Assurance | None]:
     """Take the best run, and refuse those that leave their limits on too many vehicles."""
-    vehicles = (expected.model, *_possible(expected, rng))
+    others = draw_models(expected.model, None, CHECKED, expected.prior, rng)
+    vehicles = (expected.model, *others)
     refused: list[int] = []
     for best in outlook.ranked(check=check):
         run = outlook.runs[best].experiment
         bounds = LimitBounds.of(expected.model, limits or run.limits)
-        kept = kept_on(run, vehicles, bounds, certainty)
-        if kept is not None:
-            # Without limits there is nothing to keep.
-            n = len(vehicles) if bounds.names else 0
-            return _Safe(replace(outlook, refused=refused), best, kept if n else None, n)
+        if kept_on(run, vehicles, bounds, certainty) is not None:
+            found = assess_limits(
+                expected.model, run, rng=rng, limits=limits, spread=None, vehicles=vehicles,
+                wanted=certainty, sea=expected.sea,
+            )  # fmt: skip
+            if found.is_enough:
+                return replace(outlook, refused=refused), best, found
         refused.append(best)
-    return _Safe(replace(outlook, refused=refused), None, None, 0)
+    return replace(outlook, refused=refused), None, None
 
 
 def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
@@ -554,7 +515,7 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
     least = int(np.argmin(found.chances))
     series = [record.name for record in fit.dataset if not record.independent]
     apart = sources.apart(found.worst)
-    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > TWO_SIDED_95][:NAMED]
+    order = [int(i) for i in np.argsort(-np.abs(apart)) if abs(apart[i]) > TWO_SIDED_95]
     return Contradiction(
         source="what was known before" if found.worst == 0 else repr(series[found.worst - 1]),
         statistic=(found.statistic, *found.each)[least],
@@ -603,7 +564,7 @@ class _Outlook:
 
     def deviations(self, more: np.ndarray | float) -> np.ndarray:
         """Largest standard deviation of each goal with more information, ``(..., n_goals)``."""
-        bound = quick_inverse(self.matrix + more)
+        bound = inverse(self.matrix + more)
         parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in self.rows]
         return np.stack(parts, axis=-1)
 
@@ -649,14 +610,6 @@ class _Outlook:
         return float(self.costs[list(steps)].sum()) / 3600.0
 
 
-def _possible(expected: ExpectedInformation, rng: np.random.Generator) -> tuple[Model, ...]:
-    """Vehicles that remain possible; where nothing is known, of coefficients off by a third."""
-    try:
-        return draw_models(expected.model, None, CHECKED, expected.prior, rng)
-    except DesignError:
-        return draw_models(expected.model, UNCERTAINTY, CHECKED, None, rng)
-
-
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:
     """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free."""
     names = [p.name for p in model.free_parameters if not p.per_record]
@@ -680,6 +633,7 @@ class Logbook:
     Attributes
     ----------
     folder : Path
+    model : Model
     problem : str
     variant : str or None
     candidates : tuple of Candidate
@@ -696,15 +650,20 @@ class Logbook:
     proposed : str or None
         The run that is to be done next.
     seed : int
-    model : Model or None
     fit : Fit or None
         Of all records.
+
+    Raises
+    ------
+    DesignError
+        If a goal is about nothing.
     """
 
     folder: Path
+    model: Model = field(repr=False)
     problem: str
     variant: str | None
-    candidates: tuple[Candidate, ...]
+    candidates: Sequence[Candidate]
     goals: Mapping[str, float]
     hours: float | None
     sea: NoiseModel | None
@@ -712,8 +671,10 @@ class Logbook:
     runs: Sequence[str] = ()
     proposed: str | None = None
     seed: int = 0
-    model: Model | None = field(default=None, repr=False)
     fit: Fit | None = field(default=None, repr=False)
+
+    def __post_init__(self) -> None:
+        goals_of(self.model, self.goals)  # said now, not after the first run
 
     @staticmethod
     def exists(folder: str | Path) -> bool:
@@ -721,37 +682,8 @@ class Logbook:
         return (Path(folder) / NAME).is_file()
 
     @classmethod
-    def begin(
-        cls,
-        folder: str | Path,
-        model: Model,
-        *,
-        problem: str,
-        candidates: Sequence[Candidate],
-        goals: Mapping[str, float],
-        variant: str | None = None,
-        hours: float | None = None,
-        sea: NoiseModel | None = None,
-        seed: int = 0,
-    ) -> Logbook:
-        """Begin a campaign and write its journal.
-
-        Raises
-        ------
-        DesignError
-            If a goal is about nothing.
-        """
-        goals_of(model, goals)  # said now, not after the first run
-        journal = cls(
-            Path(folder), problem, variant, tuple(candidates), dict(goals), hours, sea, seed=seed,
-            model=model,
-        )  # fmt: skip
-        journal.write()
-        return journal
-
-    @classmethod
     def open(cls, folder: str | Path) -> Logbook:
-        """Read a campaign; give it its model with :meth:`of`.
+        """Read a campaign, and the fit of its records if there is one.
 
         Raises
         ------
@@ -767,27 +699,24 @@ class Logbook:
                 for one in data["candidates"]
             )
             data["sea"] = None if data["sea"] is None else _noise(data["sea"])
-            return cls(Path(folder), **data)
         except (OSError, ValueError, KeyError, TypeError) as error:
             raise FileError(
                 f"{str(place)!r} is no journal of a campaign ({error}). Begin another one, or "
                 "restore it from a copy."
             ) from None
+        model = load_problem(data["problem"], variant=data["variant"]).model
+        found = cls(Path(folder), model, **data)
+        if not found.records:
+            return found
+        stored = found.folder / _FIT
+        fit = Fit.load(stored) if stored.is_file() else None
+        if fit is None or len(tuple(fit.dataset)) != len(found.records):
+            fit = MultipleShooting().fit(model, found.dataset())
+        return replace(found, fit=fit)
 
-    def of(self, model: Model) -> Logbook:
-        """Return the journal with its model, and the fit of its records if there is one."""
-        stored = self.folder / _FIT
-        fit = None
-        if self.records:
-            if stored.is_file():
-                fit = Fit.load(stored)
-            if fit is None or len(tuple(fit.dataset)) != len(self.records):
-                fit = MultipleShooting().fit(model, self.dataset(model))
-        return replace(self, model=model, fit=fit)
-
-    def dataset(self, model: Model) -> Dataset:
+    def dataset(self) -> Dataset:
         """All records."""
-        return read_csv([self.folder / name for name in self.records], model.channels)
+        return read_csv([self.folder / name for name in self.records], self.model.channels)
 
     @property
     def hours_used(self) -> float:
@@ -808,7 +737,6 @@ class Logbook:
         FileError, DataError
             If it cannot be read; nothing is changed then.
         """
-        model = self._model
         try:
             content = Path(path).read_bytes()
         except OSError as error:
@@ -819,13 +747,13 @@ class Logbook:
                     f"{str(path)!r} is in the journal already, as {name}. Give the next log."
                 )
         name = f"run_{len(self.records) + 1:02d}.csv"
-        read_csv([Path(path)], model.channels)  # what cannot be read is not taken in
+        read_csv([Path(path)], self.model.channels)  # what cannot be read is not taken in
         write_bytes(self.folder / name, content)
         longer = replace(
             self, records=(*self.records, name), runs=(*self.runs, self.proposed or ""),
             proposed=None,
         )  # fmt: skip
-        fit = MultipleShooting().fit(model, longer.dataset(model))
+        fit = MultipleShooting().fit(self.model, longer.dataset())
         fit.save(self.folder / _FIT)
         longer = replace(longer, fit=fit)
         longer.write()
@@ -833,7 +761,6 @@ class Logbook:
 
     def decide(self) -> Decision:
         """Stop, or what to run next."""
-        model = self._model
         if self.fit is not None and not self.fit.status.ok:
             raise DesignError(
                 f"The estimation from {len(self.records)} records did not converge "
@@ -842,33 +769,28 @@ class Logbook:
             )
         fitted = self.fit is not None and not self.fit.noise.is_white
         return decide(
-            self.fit or model,
+            self.fit or self.model,
             self.candidates,
-            goals_of(model, self.goals),
+            goals_of(self.model, self.goals),
             rng=np.random.default_rng(self.seed),
             noise=None if fitted else self.sea,
             hours=None if self.hours is None else self.hours - self.hours_used,
         )
 
     def write_next(self, decision: Decision) -> Path | None:
-        """Write the commands of the next run as ``next.csv`` and note it in the journal."""
+        """Write commands and card of the next run as ``next.csv`` and ``next.txt``, and note it."""
         run = decision.next_run
         replace(self, proposed=None if run is None else run.name).write()
         if run is None:
             return None
-        return write_commands(self.folder / "next.csv", decision.model, run.experiment)
+        card = TrialCard.of(decision.model, run.experiment, decision.assurance, self.sea)
+        return write_run(self.folder / "next.csv", card)[0]
 
     def write(self) -> None:
         """Write the journal, whole or not at all."""
         data = {name: getattr(self, name) for name in _KEPT}
         data["sea"] = None if self.sea is None else asdict(self.sea)
         write_text(self.folder / NAME, json.dumps(plain(data), indent=1) + "\n")
-
-    @property
-    def _model(self) -> Model:
-        if self.model is None:
-            raise DesignError("The logbook has no model yet. Give it with Logbook.of(model).")
-        return self.model
 
 
 # What the journal holds of a logbook.

@@ -35,19 +35,12 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.assurance import Assurance
 from oed_sysid.design.criteria import ByShifts, Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
-from oed_sysid.design.library import Reference, Standard, standard_manoeuvres
-from oed_sysid.design.objective import Score
+from oed_sysid.design.library import Bench, Reference, Standard, ZigZags, standard_manoeuvres
+from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.result import Design
-from oed_sysid.design.search import (
-    Progress,
-    ZigZags,
-    again,
-    refine_all,
-    search_zigzags,
-    starts,
-)
+from oed_sysid.design.search import Progress, again, refine_all, starts
 from oed_sysid.design.trial import Search, Task, Trial
-from oed_sysid.design.vehicles import REACHED, Caution, Robust, quantity, units_of
+from oed_sysid.design.vehicles import REACHED, Caution, Robust, motion, quantity, units_of
 from oed_sysid.design.waveforms import Grid
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -114,10 +107,11 @@ def design_experiment(
         choice among what it found, and the accuracy that is stated, see the forces.
     caution : Caution, "auto" or None
         How surely limits are to be kept although the parameters are uncertain. By default they
-        hold on 95 % of the vehicles that a fit leaves possible, where its covariance is known;
-        where no such manoeuvre is found, one that keeps them on the nominal vehicle is returned
-        and its report begins with the danger. For a model alone, or None, limits are kept at the
-        nominal values (and those of ``Robust``).
+        hold on 95 % of the vehicles that a fit or priors leave possible, coefficients of which
+        nothing is known up to 30 % off (or ``knowledge.spread``); where no such manoeuvre is
+        found, one that keeps them on the nominal vehicle is returned and its report begins with
+        the danger.
+        With None limits are kept at the nominal values (and those of ``Robust``).
     progress : callable, optional
         Called with a :class:`~oed_sysid.design.search.Progress`.
     journal : Journal, optional
@@ -153,7 +147,8 @@ def design_experiment(
     if isinstance(caution, str):
         if not automatic:
             raise DesignError(f"caution is {caution!r}. Give a Caution, 'auto' or None.")
-        caution = _usual_caution(model, trial.limits, knowledge)
+        # Where there is no limit on the motion there is nothing to keep.
+        caution = replace(_USUAL, spread=knowledge.spread) if trial.limits.signals else None
     robust = criterion if isinstance(criterion, Robust) else None
     judged: Any = criterion if robust is None else robust.criterion
     expected = ExpectedInformation.of(model, judged, knowledge)
@@ -252,16 +247,6 @@ def find_design(
     )
 
 
-def _usual_caution(given: Model | Fit, limits: Limits, knowledge: Knowledge) -> Caution | None:
-    """Caution after a fit that tells how uncertain its parameters are; None for a model alone."""
-    if not isinstance(given, Fit) or not limits.signals or knowledge.prior is None:
-        return None
-    known = given.information if isinstance(knowledge.prior, str) else knowledge.prior
-    if not np.all(np.isfinite(known.covariance)):
-        return None
-    return _USUAL
-
-
 @dataclass(frozen=True, eq=False)
 class _Found:
     """Best member of a family, as an experiment, and what it took."""
@@ -287,21 +272,7 @@ def _searched(
     objective = task.objective(shape, search.workers)
     _check_start(task)
     if isinstance(family, ZigZags):
-        signs = [getattr(run.excitation, "sign", None) for _, run, _ in references]
-        tried = partial(
-            search_zigzags, family, objective, task.grid, task.model,
-            sign=next((int(one) for one in signs if one is not None), 1),
-            constants=task.trial.constants, initial=task.trial.initial, rng=rng,
-        )  # fmt: skip
-        (best, nearest, loop), objective.n_evaluations = keep.once(
-            "zigzags", lambda: (tried(), objective.n_evaluations), rng=rng
-        )
-        if nearest is None:
-            raise DesignError(f"No zigzag on {family.feedback!r} stays finite.")
-        if best is None or loop is None:
-            raise DesignError(_infeasible(task, nearest))
-        named = replace(loop, name=task.trial.name, limits=task.trial.limits)
-        return _Found(best, named, (best.value,), objective.n_evaluations)
+        return _closed(task, family, objective)
     if begin is not None:
         first = again(objective, task.grid, [begin])
     else:
@@ -325,6 +296,33 @@ def _searched(
     if task.expected.sea is not None and len(found.others) > 1:
         best = max(found.others, key=task.worth)
     return _Found(best, task.experiment(best.commands), found.values, objective.n_evaluations)
+
+
+def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:
+    """The zigzag of the library that tells most, closed over each vehicle."""
+    trial, n = task.trial, len(task.scenarios)
+    if len(task.grid.inputs) != 1:
+        raise DesignError(
+            f"A zigzag commands one input, not {', '.join(task.grid.inputs)}. Give inputs=[one of "
+            "them] and constants for the others."
+        )
+    bench = Bench(
+        task.model, task.grid, trial.constants, trial.initial, trial.limits, task.bounds,
+        task.scenarios, 1.0 - task.n_waived / n if n else 1.0, family.feedback,
+    )  # fmt: skip
+    scored = []
+    for run, _, _ in (*bench.zigzags(), *bench.zigzags_ahead()):
+        if (made := motion(task.model, run)) is not None:
+            score = objective.score(np.zeros(0), commands=made.inputs, with_scenarios=False)
+            scored += [(score, run)] if score.feasible else []
+    if not scored:
+        raise DesignError(
+            f"No zigzag on {bench.attitude or 'an attitude'} keeps all limits. Widen them, shorten "
+            "the run, or do a gentle trial first and design from its fit."
+        )
+    best, loop = max(scored, key=lambda one: one[0].value)
+    values = tuple(score.value for score, _ in scored)
+    return _Found(best, replace(loop, name=trial.name), values, objective.n_evaluations)
 
 
 def _check_start(task: Task) -> None:
@@ -380,43 +378,6 @@ def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str])
 
 
 # -- one after another -----------------------------------------------------------------
-
-
-@respelled(DesignError, _GONE_IN_SERIES)
-def design_series(
-    model: Model | Fit,
-    trial: Trial,
-    n_experiments: int,
-    *,
-    design: Callable[..., Design],
-    knowledge: Knowledge = Knowledge(),  # noqa: B008 (frozen)
-) -> tuple[Design, ...]:
-    """Design several experiments, each to complete the information of those before.
-
-    Parameters
-    ----------
-    model : Model or Fit
-        The nominal vehicle.
-    trial : Trial
-        Each run; its name is numbered.
-    n_experiments : int
-        How many.
-    design : callable
-        How one is designed: ``partial(design_experiment, rng=rng, criterion=...)``.
-    knowledge : Knowledge
-        Before the first.
-
-    Returns
-    -------
-    tuple of Design
-        The information of each includes that of its predecessors.
-    """
-    found: list[Design] = []
-    for index in range(n_experiments):
-        known = replace(knowledge, prior=found[-1].information) if found else knowledge
-        named = replace(trial, name=f"{trial.name}_{index + 1}")
-        found.append(design(model, named, knowledge=known))
-    return tuple(found)
 
 
 @dataclass(frozen=True, eq=False)

@@ -105,7 +105,7 @@ def standard_manoeuvres(
     moved = _moved(model, grid)
     others = {n: float(v) for n, v in zip(grid.inputs, grid.neutral, strict=True)}
     held = {**constants, **{n: v for n, v in others.items() if n not in moved.inputs}}
-    bench = _Bench(model, moved, held, initial, Limits(), bounds, (), 1.0)
+    bench = Bench(model, moved, held, initial, Limits(), bounds, (), 1.0)
     sizes = [(f"zigzag {angle:g}/{angle:g}", radians(angle)) for angle in ZIGZAGS[:2]]
     n = len(grid.times)
     square = np.sign(np.sin(np.pi * np.arange(n) * 8 / n) + 1e-12)
@@ -222,7 +222,7 @@ def candidate_runs(
     speeds = _distinct(listed)
     for number, pattern in enumerate(speeds):
         for length in durations or (float(pattern.duration or 0.0),):
-            bench = _Bench.of(model, limits, pattern, float(length), vehicles, kept)
+            bench = Bench.of(model, limits, pattern, float(length), vehicles, kept)
             speed = "" if len(speeds) == 1 else f" at {_label(model, pattern, number)}"
             tail = speed if durations is None or len(durations) == 1 else f"{speed}, {length:g} s"
             for experiment, kind, share in bench.runs(kinds, rng):
@@ -252,8 +252,30 @@ def _label(model: Model, pattern: Experiment, number: int) -> str:
     return f"start {number + 1}"
 
 
+@dataclass(frozen=True)
+class ZigZags:
+    """Zigzags that reverse on an attitude, in the place of a table of commands.
+
+    Being closed over the vehicle, they keep attitude limits also when the model is wrong, and
+    they work for vehicles that are unstable on their own. The one of the library that tells most
+    is taken.
+
+    Parameters
+    ----------
+    feedback : str
+        Attitude on which the command reverses; by default the first that the vehicle has.
+    """
+
+    feedback: str = ""
+
+    @property
+    def name(self) -> str:
+        """Name for reports."""
+        return f"zigzags on {self.feedback or 'an attitude'}"
+
+
 @dataclass(frozen=True, eq=False)
-class _Bench:
+class Bench:
     """One commanded input, and the runs that are made of it; angles in rad.
 
     ``kept`` is the share of the nominal and the other vehicles that have to keep the bounds.
@@ -267,6 +289,7 @@ class _Bench:
     bounds: LimitBounds
     vehicles: Sequence[Model]
     kept: float
+    feedback: str = ""
 
     @classmethod
     def of(
@@ -277,7 +300,7 @@ class _Bench:
         length: float,
         vehicles: Sequence[Model],
         kept: float,
-    ) -> _Bench:
+    ) -> Bench:
         """One pattern and length on which all kinds are tried."""
         held = dict(pattern.constants)
         names = [n for n in model.input_names if n in limits.inputs and n not in held]
@@ -309,7 +332,7 @@ class _Bench:
     @property
     def attitude(self) -> str:
         """The one that a zigzag reverses on; empty where there is none."""
-        return next((a for a in ATTITUDES if a in self.known), "")
+        return self.feedback or next((a for a in ATTITUDES if a in self.known), "")
 
     @property
     def reach(self) -> float:

@@ -5,8 +5,6 @@ knowledge included, as a share :math:`s_i / |\theta_i|` of the values; "times sm
 zigzag's" is the ratio of the geometric means
 
 .. math:: \exp \frac1n \sum_i \log \frac{s_i^{zigzag}}{s_i}
-
-On the sea-trial card orders merge a ramp within the actuator's rate into one line.
 """
 
 from __future__ import annotations
@@ -18,15 +16,14 @@ from textwrap import wrap
 
 import numpy as np
 
-from oed_sysid.data.dataset import Record
-from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, PredictedTracks, stated
+from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, stated
+from oed_sysid.design.card import WIDTH, TrialCard
 from oed_sysid.design.criteria import SURE, Detection, missing_physics, told_apart
 from oed_sysid.design.library import Candidate, Reference
-from oed_sysid.design.vehicles import between, outside, percent, quantity, span, units_of
+from oed_sysid.design.vehicles import percent
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.simulation import Trajectory, simulate
+from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
-from oed_sysid.information.ranking import POOR
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.channels import Input, Output
@@ -43,25 +40,12 @@ from oed_sysid.runtime.display import (
     counted,
     share,
 )
-from oed_sysid.runtime.files import make_folder
+from oed_sysid.runtime.files import make_folder, write_text
 from oed_sysid.text.csv_table import write_table
 
-# Characters of a line of a printed card: A4 in a readable type.
-WIDTH = 92
 # Relative error up to which a coefficient counts as found.
 _GOOD = 0.05
 STAND_BY = "Stand by to stop, or begin with a gentle run and plan from its fit."
-NO_LIMIT = (
-    "NO LIMIT on the motion was given. Compare the ranges above with what depth, attitude and sea "
-    "room allow; in doubt design anew with limits (such as --max-pitch 20)."
-)
-NOT_SAFE = (
-    "That is NOT safe unless the coefficients are known better: stand by to stop, fly a gentler "
-    "run first, or design with --certainty 0.95."
-)
-STOP = (
-    "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run is useful."
-)
 
 
 class _Accuracy:
@@ -120,17 +104,22 @@ class _Accuracy:
         return Table(("parameter", "value", *columns), rows)
 
 
-def write_commands(
-    path: Path, model: Model, run: Trajectory | Record | Experiment, *, predicted: bool = False
-) -> Path:
+def write_commands(path: Path, model: Model, run: Trajectory, *, predicted: bool = False) -> Path:
     """Write the commands of a run, and its outputs where wanted, with units in the header."""
-    made = simulate(model, run, noise=False) if isinstance(run, Experiment) else run
-    columns = {"t [s]": made.times}
+    columns = {"t [s]": run.times}
     channels: list[Input | Output] = [*model.inputs, *(model.outputs if predicted else ())]
-    for channel, values in zip(channels, np.hstack([made.inputs, made.outputs]).T, strict=False):
+    for channel, values in zip(channels, np.hstack([run.inputs, run.outputs]).T, strict=False):
         columns[f"{channel.name} [{channel.unit or '-'}]"] = values
     write_table(path, list(columns), np.column_stack(list(columns.values())))
     return path
+
+
+def write_run(path: Path, card: TrialCard) -> tuple[Path, Path]:
+    """Write the commands of a run, and its card beside them."""
+    table = write_commands(path, card.model, card.trajectory)
+    page = path.with_suffix(".txt")
+    write_text(page, card.text() + "\n")
+    return table, page
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,13 +221,12 @@ class Design(_Accuracy):
         )  # fmt: skip
         starts = ", ".join(f"{value:.4g}" for value in self.start_values)
         length, every = self.experiment.duration, self.experiment.sample_time
-        told = "\n".join(missing_physics(self.misfits, self.chances))
         return Report(
             title=title or self.model.name,
             subtitle=f"Experiment {self.experiment.name!r}, criterion {self.criterion}",
             headline=f"Design of {self.experiment.name!r} for {self.model.name}",
             answer=self._answer(),
-            warnings=self._warnings(),
+            warnings=self.card().warnings,
             head=(
                 ("criterion", f"{self.criterion}: {self.value:.4g} (starts: {starts})"),
                 ("family", self.parametrisation),
@@ -258,15 +246,12 @@ class Design(_Accuracy):
                     "What to run, and what it will tell", self._remarks(), (self.accuracy(),),
                     (drawing,), indent=2,
                 ),
-                Section("Missing physics", listing=told),
+                missing_physics(self.misfits, self.chances),
                 Section("Sea-trial card", listing=self.sea_trial_card(), only="page"),
             ),
         )  # fmt: skip
 
     report = as_text
-
-    def _warnings(self) -> list[str]:
-        return [] if self.assurance is None else [*filter(None, [self.assurance.danger])]
 
     def _answer(self) -> str:
         """What the run will tell, and whether it keeps its limits."""
@@ -307,179 +292,37 @@ class Design(_Accuracy):
             return table
         return replace(table, rows=[table.rows[i] for i in np.argsort(self.relative_errors)])
 
-    def card(self, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
-        """Return the sea-trial card as a page: danger first, then what to run and where it goes.
+    def card(self, length: float | None = None) -> TrialCard:
+        """Return what the people on board need, accuracy included.
 
         Parameters
         ----------
-        tracks : PredictedTracks, optional
-            From :func:`~oed_sysid.design.predicted_tracks`.
-        title : str
+        length : float, optional
+            Of the vehicle, m.
         """
-        safe = self.assurance
-        verdict = []
-        if safe is not None and safe.rules:
-            verdict.append(
-                f"Abort rules fire on {safe.any_fires:.1%} of {safe.n_checked} simulated vehicles."
-            )
-        drawings = [Figure("plot_orders", self, "Orders over time.", size=(7.2, 2.6))]
-        if tracks is not None:
-            caption = "Where the run goes: " + "; ".join(tracks.words()) + "."
-            drawings.append(Figure("plot_tracks", tracks, caption, size=(5.4, 4.6)))
-            verdict.append("Sea room: " + "; ".join(tracks.words()[:2]) + ".")
-        return Report(
-            title=title or self.model.name,
-            subtitle=f"Sea-trial card of {self.experiment.name!r}",
-            warnings=self._warnings(),
-            verdict=verdict or [f"Criterion {self.criterion}."],
-            numbers=(
-                ("length", f"{self.experiment.duration:g} s"),
-                ("limits kept", "-" if safe is None else f"{safe.probability:.1%}"),
-                ("stopped", "-" if safe is None else f"{safe.any_fires:.1%}"),
-            ),
-            sections=(
-                Section("Card", listing=self.sea_trial_card()),
-                Section("Orders and track", figures=drawings),
-            ),
-        )
+        told = (self._to_expect(), missing_physics(self.misfits, self.chances))
+        return TrialCard(
+            self.model, self.experiment, self.trajectory, self.assurance, self.sea, self.active,
+            told, length,
+        )  # fmt: skip
 
     def sea_trial_card(self) -> str:
         """Return one page for the people who run the trial."""
-        experiment, model, units = self.experiment, self.model, units_of(self.model)
-        if experiment.reacts and experiment.excitation is not None:
-            orders = [f"  {experiment.excitation.describe()}"]
-        else:
-            orders = self._orders(units)
-        dangers = [f"{danger} Read WATCH before anything else." for danger in self._warnings()]
-        lines = wrap(" ".join(dangers), WIDTH)
-        lines += [*self._conditions(units), "", "RUN", *orders, "", *self._motion(units)]
-        lines += ["", "WATCH", *self._watch(units), "", *self._to_expect(), ""]
-        if told := missing_physics(self.misfits, self.chances):
-            lines += ["MISSING PHYSICS", *told, ""]
-        stated = [
-            (o.name, quantity(o.noise_std, o.unit))
-            for o in model.outputs
-            if o.noise_std is not None
-        ]
-        lines += wrap(f"Noise assumed: {', '.join(map(' '.join, stated))}.", WIDTH)
-        if self.sea is not None:
-            lines += wrap(f"Disturbance forces assumed: {sea_words(self.sea)}.", WIDTH)
-        last = (
-            "Write down wind, sea, current, loading, battery, and anything touched during the run."
-        )
-        return "\n".join([*lines, last])
+        return self.card().text()
 
-    def _conditions(self, units: Mapping[str, str]) -> list[str]:
-        """How long, from where, what is held, and within which range orders stay."""
-        experiment, model = self.experiment, self.model
-        duration = float(experiment.duration or 0.0)
-        given = [f"{n} = {quantity(v, units[n])}" for n, v in experiment.initial.items() if v]
-        speeds = [s.name for s in model.states if s.name in ("u", "v", "w")]
-        if speeds and not any(experiment.initial.get(n, 0.0) for n in speeds):
-            given.insert(0, "rest (no speed)")
-        lines = [
-            f"SEA TRIAL CARD   {experiment.name}   ({model.name})",
-            "=" * WIDTH,
-            f"Length      {duration:g} s ({duration / 60:.1f} min), one run; log every "
-            f"{experiment.sample_time:g} s or faster, commands and measurements on one clock",
-            f"Start from  {', '.join(given) or 'rest'}; controls neutral, steady",
-            "            log 10 s or more before the first order and after the last",
-        ]
-        if held := [f"{n} = {quantity(v, units[n])}" for n, v in experiment.constants.items()]:
-            lines.append(f"Hold        {', '.join(held)}")
-        for name, pair in experiment.limits.inputs.items():
-            if name not in experiment.constants:
-                rate = experiment.limits.rates.get(name)
-                most = "" if rate is None else f", at most {quantity(rate, units[name])}/s"
-                lines.append(f"Orders of   {name}: {span(*pair, units[name])}{most}")
-        return lines
-
-    def _orders(self, units: Mapping[str, str]) -> list[str]:
-        """Orders as rows: when each begins, where it leads, and when it is reached."""
-        times, inputs = self.trajectory.times, self.trajectory.inputs
-        found = []
-        for index, name in enumerate(self.model.input_names):
-            way = np.sign(np.diff(inputs[:, index]))
-            # A ramp within the rate limit is one order, not one for every sample.
-            begins = np.flatnonzero(np.diff(way, prepend=0.0))
-            for first, after in zip(begins, [*begins[1:], len(way)], strict=True):
-                if way[first]:
-                    found.append((first + 1, after, name, inputs[after, index]))
-        if not found:
-            return ["  no orders: leave all controls as they are"]
-        lines = [f"  {'at t [s]':>8}  {'order':<26} {'reached [s]':>11}"]
-        for first, last, name, value in sorted(found)[:40]:
-            order = f"{name} to {quantity(value, units[name])}"
-            lines.append(f"  {times[first]:>8.6g}  {order:<26} {times[last]:>11.6g}")
-        if len(found) > 40:
-            lines.append(f"  ... and {len(found) - 40} more")
-        lines.append(f"  {times[-1]:>8.6g}  end of the run: controls neutral, recover")
-        return [*lines, "  By hand: these orders. Better: play the table that --out writes."]
-
-    def _motion(self, units: Mapping[str, str]) -> list[str]:
-        """Predicted ranges, what other vehicles would do, and where to stop."""
-        model, safe = self.model, self.assurance
-        rows = [("", "predicted", "95 % of vehicles", "stop outside")]
-        for name in dict.fromkeys((*model.state_names, *model.output_names)):
-            values, unit = self.trajectory.signal(name), units[name]
-            other = None if safe is None else safe.ranges.get(name)
-            limit = self.experiment.limits.signals.get(name)
-            said = "-" if other is None else between(*other, unit)
-            stop = "" if limit is None else span(*limit, unit)
-            rows.append((name, between(values.min(), values.max(), unit), said, stop))
-        lines = ["EXPECT"]
-        for name, own, theirs, stop in rows:
-            vehicles = "" if safe is None else f" {theirs:<24}"
-            lines.append(f"  {name:<10} {own:<24}{vehicles} {stop}".rstrip())
-        if safe is not None:
-            lines.append(f"  95 % of vehicles: {safe.drawn}, {safe.n_checked} simulated")
-        return lines
-
-    def _watch(self, units: Mapping[str, str]) -> list[str]:
-        """What is reached, how surely limits are kept, and when to stop."""
-        limits, safe = self.experiment.limits.signals, self.assurance
-        words = [] if limits else [NO_LIMIT]
-        if safe is not None and limits:
-            words += [f"Certainty: {safe.report()}.", *([] if safe.is_safe else [NOT_SAFE])]
-        words += [f"reached in the prediction: {text}" for text in self.active]
-        words += [] if self.active else ["no limit is reached in the prediction"]
-        words += [STOP] if limits else []
-        lines = []
-        for text in words:
-            lines += wrap(text, WIDTH - 4, initial_indent="  - ", subsequent_indent="    ")
-        if safe is None or not safe.rules:
-            return lines
-        lines += ["", "STOP THE RUN (controls neutral, recover) when"]
-        for rule in safe.rules:
-            bounds = outside(rule.lower, rule.upper, units[rule.signal])
-            why = "before its limit" if rule.limited else "outside what is expected"
-            lines.append(f"  {rule.signal:<8} {bounds:<36} {why}; fires on {rule.fires:.1%}")
-        any_fires = f"  Any of these fires on {safe.any_fires:.1%} of {safe.n_checked} vehicles."
-        return [*lines, any_fires]
-
-    def _to_expect(self) -> list[str]:
-        """Accuracy against standard manoeuvres, and which parameters will be found."""
-        kind = "white noise" if self.sea is None else "noise and disturbance forces"
-        lines = [f"ACCURACY TO EXPECT (standard error / value; {kind} as below)"]
-        for reference in self.references:
-            mean, worst = self.gain(reference)
-            note = f", {reference.note}" if reference.note else ""
-            lines.append(
-                f"  Against a {reference.name}{note}, equally long: errors {mean:.2g} times "
-                f"smaller on geometric mean, {worst:.2g} times for the worst."
-            )
-        lines += [f"  {line}" for line in self.accuracy(sort=True).lines()]
-        usable = POOR if self.sea is None else TRUSTED
+    def _to_expect(self) -> Section:
+        """Accuracy beside standard manoeuvres, and which parameters will be found."""
+        lines = self._remarks()
         for title, low, high in (
             (f"Found to {_GOOD:.0%} or better", 0.0, _GOOD),
-            (f"Found to {usable:.0%}", _GOOD, usable),
-            ("NOT found by this run; hold at nominal values, or add runs", usable, np.inf),
+            (f"Found to {TRUSTED:.0%}", _GOOD, TRUSTED),
+            ("NOT found by this run; hold at nominal values, or add runs", TRUSTED, np.inf),
         ):
             inside = (low < self.relative_errors) & (self.relative_errors <= high)
             if names := [name for name, found in zip(self.names, inside, strict=True) if found]:
-                text = f"{title}: {', '.join(names)}"
-                lines += wrap(text, WIDTH, initial_indent="  ", subsequent_indent="    ")
-        return lines
+                lines.append(f"{title}: {', '.join(names)}")
+        title = "ACCURACY TO EXPECT (standard error / value)"
+        return Section(title, lines, (self.accuracy(sort=True),), heading=True, indent=2)
 
     to_dict = as_dict(
         "experiment", "criterion", "parametrisation", "value", "start_values", "sea",
@@ -720,7 +563,6 @@ class Programme(_Accuracy):
         for words, (_, factor) in self.sensor_options.items():
             compared.append(f"With optional sensors {words}: information times {factor:.3g}.")
         compared += self._undetermined()
-        told = "\n".join(missing_physics(self.misfits, self.chances))
         return Report(
             title=title or self.model.name,
             subtitle=f"Programme, criterion {self.criterion}",
@@ -741,7 +583,7 @@ class Programme(_Accuracy):
                 Section("What to run", together, (self._plan(),), (drawing,), indent=2),
                 Section("Accuracy to expect", (), (self.accuracy(),), indent=2),
                 Section("What this is worth", wrap(worth, WIDTH), indent=2),
-                Section("Missing physics", listing=told),
+                missing_physics(self.misfits, self.chances),
                 Section("Compared", compared, indent=2),
             ),
         )
@@ -833,7 +675,7 @@ class Programme(_Accuracy):
     )  # fmt: skip
 
     def write(self, folder: str | Path) -> tuple[Path, ...]:
-        """Write the commands of every run as a table, numbered in order.
+        """Write the commands and the card of every run, numbered in order.
 
         Times in s, commands in SI units named in the header, each to be held until the next
         row; of a run that is closed over the vehicle, what the nominal one would command.
@@ -846,11 +688,13 @@ class Programme(_Accuracy):
         Returns
         -------
         tuple of Path
+            Tables, and the sea-trial card of each beside it.
         """
         place = make_folder(folder)
-        written = []
+        written: list[Path] = []
         for number, run in enumerate(self.runs, start=1):
             word = "".join(c if c.isalnum() else "_" for c in run.name)
             path = place / f"{number:02d}_{word}.csv"
-            written.append(write_commands(path, self.model, run.experiment))
+            safe = self.assurances.get(run.name)
+            written += write_run(path, TrialCard.of(self.model, run.experiment, safe, self.sea))
         return tuple(written)

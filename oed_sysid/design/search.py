@@ -19,26 +19,19 @@ subject to the linearised limits of every sample, with one elastic variable,
 
 within bounds :math:`\rho` around the present commands that shrink where the steps swing back and
 grow where they go on. A step counts where the merit :math:`\varphi - \pi \max(h, 0)` rises by a
-part of what was predicted. Zigzags that are closed over the vehicle are searched at random, then
-locally: there is no gradient through a switch.
+part of what was predicted.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import islice, product
 
 import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
-from oed_sysid.design.vehicles import motion
 from oed_sysid.design.waveforms import Grid
-from oed_sysid.errors import DesignError
-from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.manoeuvres import ZigZagLike
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal
 
 # Amplitudes tried, as shares of the actuator range, until the limits are kept.
@@ -432,126 +425,3 @@ def refine_all(
         if found is not None and found.value > best.value:
             best = found
     return SearchResult(best, nearest, tuple(values), (*rough, best))
-
-
-# Shares of the largest angles of the command, and of the attitude.
-_SIZES = (0.03, 0.1, 0.25, 0.5, 1.0)
-
-
-@dataclass(frozen=True)
-class ZigZags:
-    """Zigzags that reverse on a measured attitude, each swing with its own angles.
-
-    Being closed over the vehicle, they keep attitude limits also when the
-    model is wrong, and they work for vehicles that are unstable on their own.
-    The search is random, then local; there is no gradient through a switch.
-
-    Parameters
-    ----------
-    feedback : str
-        Attitude on which the command reverses.
-    largest_switch : float
-        Largest switching angle, rad.
-    n_swings : int
-        Swings with angles of their own; the last pair is repeated.
-    n_trials : int
-        Simulations in all.
-    """
-
-    feedback: str
-    largest_switch: float
-    n_swings: int = 4
-    n_trials: int = 250
-
-    @property
-    def name(self) -> str:
-        """Name for reports."""
-        return f"zigzag of {self.n_swings} free swings on {self.feedback}"
-
-
-def search_zigzags(
-    family: ZigZags,
-    objective: Objective,
-    grid: Grid,
-    model: Model,
-    *,
-    sign: int,
-    constants: Mapping[str, float],
-    initial: Mapping[str, float],
-    rng: np.random.Generator,
-) -> tuple[Score | None, Score | None, Experiment | None]:
-    """Return the best zigzag within the limits, the nearest one, and its experiment.
-
-    Where uncertain vehicles are to keep the limits, each closes the loop itself.
-
-    Raises
-    ------
-    DesignError
-        If several inputs are to be designed.
-    """
-    if len(grid.inputs) != 1:
-        raise DesignError(
-            f"A zigzag commands one input, not {', '.join(grid.inputs)}. Give inputs=[one of them] "
-            "and constants for the others."
-        )
-    n, neutral = family.n_swings, float(grid.neutral[0])
-    span = float(min(grid.upper[0] - neutral, neutral - grid.lower[0]))
-    rate = None if not np.isfinite(grid.rates[0]) else float(grid.rates[0])
-    scenarios = objective.scenarios
-
-    def plan(numbers: np.ndarray) -> Experiment:
-        sizes = np.maximum(numbers, 0.02)
-        shape = ZigZagLike(
-            grid.inputs[0], tuple((span * sizes[:n]).tolist()),
-            tuple((family.largest_switch * sizes[n:]).tolist()), feedback=(family.feedback,),
-            rate=rate, sign=sign, start=grid.step, neutral=neutral, reference=None,
-        )  # fmt: skip
-        return Experiment(
-            "designed zigzag", shape, duration=float(grid.times[-1]), sample_time=grid.step,
-            constants=constants, initial=initial, feedback="true",
-        )  # fmt: skip
-
-    def fails(index: int, run: Experiment) -> bool:
-        assert scenarios is not None
-        made = motion(scenarios.models[index], run)
-        return made is None or scenarios.run(index, made.inputs).excess > 0
-
-    def is_safe(run: Experiment) -> bool:
-        """Whether enough of the uncertain vehicles, each closing the loop, keep the limits."""
-        if scenarios is None:
-            return True
-        failing = (i for i in range(len(scenarios)) if fails(i, run))
-        return next(islice(failing, scenarios.n_waived, None), None) is None
-
-    def drawn(number: int) -> np.ndarray:
-        """Numbers of one trial: regular zigzags, then random ones, then near the best."""
-        if number < len(regular):
-            return np.repeat(regular[number], n)
-        if best is None or number < n_random:
-            return rng.uniform(0.05, 1.0, 2 * n)
-        moved = rng.random(2 * n) < max(0.3, 1.0 / n)
-        step = width * moved * rng.standard_normal(2 * n)
-        return np.clip(best.numbers + step, 0.02, 1.0)
-
-    best: Score | None = None
-    nearest: Score | None = None
-    width = 0.3
-    # Regular zigzags of all sizes first: swings of their own pay only near a good one.
-    regular = list(product(_SIZES, _SIZES))
-    n_random = len(regular) + family.n_trials // 4
-    for number in range(family.n_trials):
-        is_local, numbers = number >= n_random, drawn(number)
-        made = motion(model, plan(numbers))
-        score = None
-        if made is not None:
-            score = objective.score(numbers, commands=made.inputs, with_scenarios=False)
-        if score is None or not np.isfinite(score.value):
-            continue
-        nearest = score if nearest is None else min(nearest, score, key=lambda one: one.excess)
-        better = score.feasible and (best is None or score.value > best.value)
-        if better and is_safe(plan(numbers)):
-            best = score
-            width = min(0.4, 1.3 * width) if is_local else width
-        elif is_local:
-            width = max(0.03, 0.97 * width)
-    return best, nearest, None if best is None else plan(best.numbers)

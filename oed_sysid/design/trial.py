@@ -14,16 +14,14 @@ import numpy as np
 
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.knowledge import ExpectedInformation
-from oed_sysid.design.library import as_piecewise
+from oed_sysid.design.library import ZigZags, as_piecewise
 from oed_sysid.design.objective import Objective, Score, VehicleInformation
-from oed_sysid.design.search import ZigZags
 from oed_sysid.design.vehicles import (
     Caution,
     LimitBounds,
     Robust,
     Scenarios,
     draw_models,
-    draw_structures,
     in_waves,
 )
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape
@@ -226,8 +224,8 @@ class Task:
         if robust is not None:
             models = (model, *draw_models(model, robust.spread, robust.n_sets, known, rng))
         if caution is not None:
-            scenarios = draw_structures(
-                model, caution.others, caution.spread, caution.n_sets, known, rng
+            scenarios = draw_models(
+                model, caution.spread, caution.n_sets, known, rng, caution.others
             )
         task = cls(
             expected, trial, grid, LimitBounds.of(model, trial.limits, trial.end),
@@ -318,8 +316,8 @@ class Task:
         caution = self.caution
         if caution is None:
             return self
-        more = draw_structures(
-            self.model, caution.others, caution.spread, caution.n_sets, self.expected.prior, rng
+        more = draw_models(
+            self.model, caution.spread, caution.n_sets, self.expected.prior, rng, caution.others
         )
         grown = self.n_waived * (1 + len(more) / len(self.scenarios))
         share = (1 - caution.probability) / max(1 - found.probability, 1e-3)

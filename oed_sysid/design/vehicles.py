@@ -46,6 +46,7 @@ from oed_sysid.errors import DesignError, OedSysidError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
 from oed_sysid.experiments.trajectory import state_names
+from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.realisation import at_sea
@@ -258,6 +259,8 @@ class LimitBounds:
 
 # Fresh vehicles that judge runs that are chosen from several.
 CHECKED = 200
+# How wrong coefficients may be where neither priors nor a fit tell, as a share of their values.
+UNCERTAINTY = ASSUMED
 # How much wider than declared a prior may be: one that says 8 % where 25 % is true.
 DOUBT = 3.0
 
@@ -316,89 +319,57 @@ def draw_models(
     n_sets: int,
     prior: Information | None,
     rng: np.random.Generator,
+    others: Sequence[Model] = (),
 ) -> tuple[Model, ...]:
     """Return the model at sampled values.
 
     Parameters
     ----------
     model : Model
-        At the nominal values.
+        At the nominal values; the prior is about its parameters.
     spread : float or None
-        Relative half-width of uniform draws; None draws from what is known.
+        Relative half-width of uniform draws; None draws from what is known, and coefficients of
+        which nothing is known up to :data:`UNCERTAINTY` off.
     n_sets : int
         How many.
     prior : Information or None
         What is known besides the parameters' ``prior_std``.
     rng : numpy.random.Generator
-
-    Raises
-    ------
-    DesignError
-        If draws from the prior are wanted but there is none.
-    """
-    names = model.free_names
-    values = np.array([model.values[name] for name in names])
-    lower, upper = np.array([(p.lower, p.upper) for p in model.free_parameters]).reshape(-1, 2).T
-    found = []
-    deviations = _deviations(model, prior) if spread is None else None
-    for number in range(n_sets):
-        if deviations is None:
-            drawn = values * (1 + (spread or 0.0) * rng.uniform(-1, 1, len(names)))
-        else:
-            wide = DOUBT if prior is None and number % 2 else 1.0
-            drawn = values + wide * deviations @ rng.standard_normal(len(names))
-        inside = np.clip(drawn, lower, upper).tolist()
-        found.append(model.with_values(dict(zip(names, inside, strict=True))))
-    return tuple(found)
-
-
-def draw_structures(
-    model: Model,
-    others: Sequence[Model],
-    spread: float | None,
-    n_sets: int,
-    prior: Information | None,
-    rng: np.random.Generator,
-) -> tuple[Model, ...]:
-    """Return sampled vehicles of several structures in turn.
-
-    Parameters
-    ----------
-    model : Model
-        The nominal one, whose parameters the prior is about.
     others : sequence of Model
-        Other structures; what the prior does not know of them stays at its value.
-    spread, n_sets, prior, rng
-        See :func:`draw_models`; ``n_sets`` over all structures.
+        Other structures, taken in turn; what the prior does not know of them stays at its value.
     """
     structures = (model, *others)
-    n = len(structures)
-    drawn = [
-        draw_models(one, spread, len(range(i, n_sets, n)), prior, rng)
-        for i, one in enumerate(structures)
-    ]
-    return tuple(drawn[i % n][i // n] for i in range(n_sets))
+    found: dict[int, Model] = {}
+    for first, one in enumerate(structures):
+        names = one.free_names
+        values = np.array([one.values[name] for name in names])
+        ends = np.array([(p.lower, p.upper) for p in one.free_parameters]).reshape(-1, 2).T
+        far = np.full(len(names), spread or 0.0)
+        deviations = np.zeros((len(names), len(names)))
+        if spread is None:
+            deviations = _deviations(one, prior)
+            far = np.where(deviations.any(axis=1), 0.0, UNCERTAINTY)
+        for number in range(first, n_sets, len(structures)):
+            wide = DOUBT if prior is None and number // len(structures) % 2 else 1.0
+            drawn = values.copy()
+            if deviations.any():
+                drawn += wide * deviations @ rng.standard_normal(len(names))
+            if far.any():
+                drawn += values * far * rng.uniform(-1, 1, len(names))
+            inside = np.clip(drawn, *ends).tolist()
+            found[number] = one.with_values(dict(zip(names, inside, strict=True)))
+    return tuple(found[number] for number in range(n_sets))
 
 
 def _deviations(model: Model, prior: Information | None) -> np.ndarray:
-    """Root of the covariance of what is known, shape ``(n_free, n_free)``."""
+    """Root of the covariance of what is known, ``(n_free, n_free)``; zero where nothing is."""
     names = model.free_names
     root = np.diag([parameter.prior_spread or 0.0 for parameter in model.free_parameters])
     if prior is not None:
-        covariance = prior.covariance
-        if not np.all(np.isfinite(covariance)):
-            raise DesignError(
-                "The prior does not determine all parameters, so nothing can be drawn from it. "
-                "Give a spread, as in Robust(spread=0.3)."
-            )
+        covariance = np.where(np.isfinite(prior.covariance), prior.covariance, 0.0)
         rows = [names.index(name) for name in prior.names]
         values, vectors = np.linalg.eigh(covariance)
         root[np.ix_(rows, rows)] = vectors * np.sqrt(np.maximum(values, 0.0))
-    if not root.any():
-        raise DesignError(
-            "Nothing is known about the spread of the parameters. Give a spread, as in "
-            "Robust(spread=0.3) or Caution(spread=0.3), prior_std on the parameters, or a fit."
-        )
     return root
 
 
@@ -593,7 +564,6 @@ class Scenarios:
         n_waived: int = 0,
         waves: Sequence[tuple[Model, np.ndarray]] = (),
     ) -> None:
-        self.models = tuple(models)
         vehicles = [vehicle for vehicle, _ in waves] or list(models)
         self.kernels = [kernel(model) for model in vehicles]
         self.values = [model.value_vector for model in vehicles]

@@ -169,53 +169,79 @@ class Levels:
 
     def on(self, grid: Grid) -> Shape:
         """Return the family on a grid."""
-        n_samples = len(grid.times) - 1
-        n_levels = self.n_levels or int(np.clip(n_samples // 4, 2, 60))
-        if n_levels > n_samples:
+        n_times = len(grid.times)
+        n_levels = self.n_levels or int(np.clip((n_times - 1) // 4, 2, 60))
+        if n_levels > n_times - 1:
             raise DesignError(
-                f"{n_levels} levels do not fit in {n_samples} samples. Ask for fewer levels, a "
+                f"{n_levels} levels do not fit in {n_times - 1} samples. Ask for fewer levels, a "
                 "shorter sample_time or a longer duration."
             )
-        return _LevelShape(grid, n_levels, self.interpolation == "linear")
-
-
-class _LevelShape:
-    def __init__(self, grid: Grid, n_levels: int, linear: bool) -> None:
-        self._grid = grid
-        self._n_levels = n_levels
-        n_times = len(grid.times)
-        if linear:
+        index = np.arange(n_times)
+        if self.interpolation == "linear":
             knots = np.linspace(0, n_times - 1, n_levels + 1)
-            position = np.arange(n_times)
-            weights = np.stack([np.interp(position, knots, row) for row in np.eye(n_levels + 1)])
-            self._neutral_weight, self._weights = weights[0], weights[1:]
             edges = np.floor(knots[:-1]).astype(int)
+            waves = np.stack([np.interp(index, knots, row) for row in np.eye(n_levels + 1)[1:]])
         else:
             # The sample at 0 is neutral; level i begins at sample edges[i].
             edges = 1 + np.floor(np.arange(n_levels) * (n_times - 1) / n_levels).astype(int)
-            owner = np.searchsorted(edges, np.arange(n_times), side="right") - 1
-            self._weights = (owner == np.arange(n_levels)[:, None]).astype(float)
-            self._neutral_weight = (owner < 0).astype(float)
-        self.edges = np.unique(np.concatenate([[0], edges]))
+            owner = np.searchsorted(edges, index, side="right") - 1
+            waves = (owner == np.arange(n_levels)[:, None]).astype(float)
+        # What no level takes is neutral.
+        taken = waves.sum(axis=0)[:, None]
+        middle = 0.5 * (grid.lower + grid.upper)
+        offset = taken * middle + (1.0 - taken) * grid.neutral
+        return _LinearShape(grid, waves, offset, np.unique(np.concatenate([[0], edges])))
+
+
+class _LinearShape:
+    """Waves ``(n_waves, n_times)`` of free heights in half ranges about an offset.
+
+    The offset is ``(n_times, n_inputs)``, or ``(n_inputs,)``; ``clean`` makes commands smaller
+    as a whole in the place of clipping them.
+    """
+
+    def __init__(
+        self,
+        grid: Grid,
+        waves: np.ndarray,
+        offset: np.ndarray,
+        edges: np.ndarray,
+        *,
+        clean: bool = False,
+    ) -> None:
+        self._grid, self._waves, self._offset, self._clean = grid, waves, offset, clean
+        self._half = 0.5 * (grid.upper - grid.lower)
+        self.edges = edges
 
     @property
     def size(self) -> int:
-        return self._n_levels * len(self._grid.inputs)
+        return len(self._waves) * len(self._grid.inputs)
 
     def commands(self, numbers: np.ndarray) -> np.ndarray:
+        shape = (-1, len(self._waves), len(self._grid.inputs))
+        heights = 2 * np.atleast_2d(numbers).reshape(shape) - 1
+        wave = np.einsum("bli,lt->bti", heights, self._waves) * self._half
+        if self._clean:
+            wave *= self._room(wave)
+        return self._grid.limited(self._offset + wave)
+
+    def _room(self, wave: np.ndarray) -> np.ndarray:
+        """Factors ``(n_batch, 1, n_inputs)`` up to 1 that keep range and rate without clipping."""
         grid = self._grid
-        share = np.atleast_2d(numbers).reshape(-1, self._n_levels, len(grid.inputs))
-        levels = grid.lower + share * (grid.upper - grid.lower)
-        orders = np.einsum("bli,lt->bti", levels, self._weights)
-        orders += self._neutral_weight[:, None] * grid.neutral
-        return grid.limited(orders)
+        # The first sample is neutral, so the second is a step from there.
+        steps = np.abs(np.diff(np.concatenate([0 * wave[:, :1], wave[:, 1:]], axis=1), axis=1))
+        shares = (
+            wave[:, 1:].max(axis=1) / (grid.upper - grid.neutral),
+            -wave[:, 1:].min(axis=1) / (grid.neutral - grid.lower),
+            steps.max(axis=1) / (grid.rates * grid.step),
+        )
+        return 1.0 / np.maximum(1.0, np.max(shares, axis=0))[:, None]
 
     def start(self, commands: np.ndarray) -> np.ndarray | None:
-        grid = self._grid
-        wanted = commands - self._neutral_weight[:, None] * grid.neutral
-        levels, *_ = np.linalg.lstsq(self._weights.T, wanted, rcond=None)
-        share = (levels - grid.lower) / (grid.upper - grid.lower)
-        return np.clip(share, 0.0, 1.0).ravel()
+        # The first sample is neutral whatever the numbers are.
+        wanted = ((commands - self._offset) / self._half)[1:]
+        heights, *_ = np.linalg.lstsq(self._waves.T[1:], wanted, rcond=None)
+        return np.clip(0.5 * (heights + 1), 0.0, 1.0).ravel()
 
 
 @dataclass(frozen=True)
@@ -344,52 +370,7 @@ class Multisines:
         kept = [k for k in wanted if k in allowed]
         missing = [k for k in allowed if k not in kept]
         multiples = np.sort([*kept, *missing[: self.n_lines - len(kept)]])
-        return _SineShape(grid, multiples / duration, clean=bool(self.forbidden))
-
-
-class _SineShape:
-    def __init__(self, grid: Grid, frequencies: np.ndarray, *, clean: bool = False) -> None:
-        self._grid = grid
-        self._clean = clean
-        self._frequencies = frequencies
-        self.edges = np.array([0])
-        angles = 2 * np.pi * np.outer(frequencies, grid.times - grid.times[0])
-        self._waves = np.cos(angles), np.sin(angles)
-
-    @property
-    def size(self) -> int:
-        return 2 * len(self._frequencies) * len(self._grid.inputs)
-
-    def commands(self, numbers: np.ndarray) -> np.ndarray:
-        grid = self._grid
-        n_lines = len(self._frequencies)
+        angles = 2 * np.pi * np.outer(multiples / duration, grid.times - grid.times[0])
         # Cosine and sine amplitudes: smooth where amplitude and phase are not.
-        parts = 2 * np.atleast_2d(numbers).reshape(-1, 2, n_lines, len(grid.inputs)) - 1
-        span = 0.5 * (grid.upper - grid.lower)
-        cosine, sine = self._waves
-        wave = np.einsum("bli,lt->bti", parts[:, 0], cosine)
-        wave += np.einsum("bli,lt->bti", parts[:, 1], sine)
-        wave *= span
-        if self._clean:
-            wave *= self._room(wave)
-        return grid.limited(grid.neutral + wave)
-
-    def _room(self, wave: np.ndarray) -> np.ndarray:
-        """Factors ``(n_batch, 1, n_inputs)`` up to 1 that keep range and rate without clipping."""
-        grid = self._grid
-        # The first sample is neutral, so the second is a step from there.
-        steps = np.abs(np.diff(np.concatenate([0 * wave[:, :1], wave[:, 1:]], axis=1), axis=1))
-        shares = (
-            wave[:, 1:].max(axis=1) / (grid.upper - grid.neutral),
-            -wave[:, 1:].min(axis=1) / (grid.neutral - grid.lower),
-            steps.max(axis=1) / (grid.rates * grid.step),
-        )
-        return 1.0 / np.maximum(1.0, np.max(shares, axis=0))[:, None]
-
-    def start(self, commands: np.ndarray) -> np.ndarray | None:
-        grid = self._grid
-        span = 0.5 * (grid.upper - grid.lower)
-        # The first sample is neutral whatever the sines are.
-        basis = np.vstack(self._waves).T[1:]
-        parts, *_ = np.linalg.lstsq(basis, (commands[1:] - grid.neutral) / span, rcond=None)
-        return np.clip(0.5 * (parts + 1), 0.0, 1.0).ravel()
+        waves = np.vstack([np.cos(angles), np.sin(angles)])
+        return _LinearShape(grid, waves, grid.neutral, np.array([0]), clean=bool(self.forbidden))

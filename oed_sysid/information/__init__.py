@@ -9,18 +9,13 @@ from oed_sysid.information.bound import (
 from oed_sysid.information.identifiability import (
     Structure,
     Subset,
-    collinear_groups,
     collinearity_index,
     identifiable_subset,
     structural_identifiability,
 )
 from oed_sysid.information.linear import (
-    Bode,
     Nomoto,
-    Spectrum,
     Stability,
-    bode,
-    excitation_spectrum,
     nomoto,
     nomoto_of,
     straight_line_stability,
@@ -42,7 +37,12 @@ __all__ = exported(globals())
 __getattr__ = _respelled_names(
     __name__,
     {
+        "Bode": "control.FrequencyResponseData",
         "Noise": "numpy.ndarray",
+        "Spectrum": "scipy.signal.periodogram",
+        "bode": "control.frequency_response(linearise(model, point))",
+        "collinear_groups": "identifiable_subset",
+        "excitation_spectrum": "scipy.signal.periodogram",
         "fitted_colour": "MultipleShooting(...).fit(...).noise",
         "information_of_each": "information_of",
     },

@@ -19,7 +19,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import LinAlgError, cholesky
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
@@ -35,10 +34,6 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import TWO_SIDED_95, Report, Section, Table, as_dict, as_text
-
-# Squared conditioning up to which normal equations keep ten digits of the factor.
-_SAFE_SQUARED_CONDITION = 1e5
-
 
 # Coloured sensors have one description.
 COLOURED = {"coloured": "noise=NoiseModel(..., colour=..., colour_time=...)"}
@@ -158,7 +153,7 @@ class RunInformation:
             rows, _ = innovations.rows(play, outputs=self._outputs, changes=moved)
             return eliminated(model, rows, self._start)
         assert response is not None
-        present = response.present
+        present = play.present
         if self._outputs is not None:
             present = present & [name in self._outputs for name in model.output_names]
         jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=play.noise)
@@ -245,32 +240,10 @@ def eliminated(
 def triangle(rows: np.ndarray) -> np.ndarray:
     """Upper-triangular ``R`` with ``R'R = rows' rows``, shape ``(n, n)``.
 
-    Well-conditioned rows take the quicker way over the normal equations;
-    others keep all digits in a QR factorisation, so that null directions stay
-    null.
+    By Householder reflections, so that null directions stay null.
     """
     n = rows.shape[1]
-    if n == 0:
-        return np.zeros((0, 0))
-    squares = rows.T @ rows
-    norms = np.sqrt(np.diag(squares))
-    if np.all(norms > 0):
-        equilibrated = squares / norms[:, None] / norms
-        values = np.linalg.eigvalsh(equilibrated)
-        if values[0] * _SAFE_SQUARED_CONDITION > values[-1]:
-            try:
-                return cholesky(equilibrated) * norms
-            except LinAlgError:
-                pass
-    # Householder block by block (a tall factorisation in cache), then once over the triangles.
-    size = 512
-    n_blocks = len(rows) // size
-    if n_blocks > 1:
-        blocks = rows[: n_blocks * size].reshape(n_blocks, size, n)
-        triangles = np.asarray(np.linalg.qr(blocks, mode="r")).reshape(-1, n)
-        rows = np.vstack([triangles, rows[n_blocks * size :]])
-    if len(rows) < n:
-        rows = np.vstack([rows, np.zeros((n - len(rows), n))])
+    rows = np.vstack([rows, np.zeros((max(n - len(rows), 0), n))])
     return np.asarray(np.linalg.qr(rows, mode="r"))
 
 

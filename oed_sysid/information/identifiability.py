@@ -61,25 +61,10 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     return float(1.0 / smallest) if smallest > 1e-14 else float(np.inf)
 
 
-def collinear_groups(
-    information: Information, *, size: int = 2, limit: float = COLLINEARITY_LIMIT
-) -> tuple[tuple[tuple[str, ...], float], ...]:
-    """Sets of ``size`` parameters whose collinearity index passes a limit, worst first.
-
-    A set that contains a smaller one that already passes is still listed;
-    look at pairs first, then at triples.
-    """
-    found = [
-        (group, collinearity_index(information, group))
-        for group in combinations(information.names, size)
-    ]
-    return tuple(sorted((f for f in found if f[1] > limit), key=lambda f: -f[1]))
-
-
 # Up to here all sets are looked at that could be larger than the best one found: 2^17 at most.
 ENUMERATED = 17
-# A parameter without a prior is fixed at a value that is wrong by this share.
-ASSUMED = 0.25
+# A parameter of which nothing is known has a value that is wrong by this share.
+ASSUMED = 0.3
 # Two motions keep nearly one ratio where the cosine between them is this large.
 ALIKE = 0.9
 
@@ -96,7 +81,7 @@ class Place:
     error : float
         Relative standard error if it is estimated with the set, parameters outside it fixed.
     assumed : float
-        Relative error of the value at which it would be fixed: its prior, else a quarter.
+        Relative error of the value at which it would be fixed: its prior, else 30 %.
     bias : float
         Largest relative change of another parameter of the set if it is fixed so wrong.
     biased : str
@@ -223,7 +208,7 @@ def identifiable_subset(
     values: Mapping[str, float],
     *,
     limit: float = COLLINEARITY_LIMIT,
-    largest_error: float = np.inf,
+    largest_error: float | None = None,
     assumed: Mapping[str, float] | None = None,
     motions: Mapping[str, np.ndarray] | None = None,
 ) -> Subset:
@@ -252,9 +237,10 @@ def identifiable_subset(
     limit : float
         Largest collinearity index.
     largest_error : float
-        Largest relative standard error that any of them may have.
+        Largest relative standard error that any of them may have; by default what is assumed of
+        each: data that know less than that do not determine it.
     assumed : mapping of str to float, optional
-        How wrong each would be if it were fixed, in its unit; a quarter of the value by default.
+        How wrong each would be if it were fixed, in its unit; 30 % of the value by default.
     motions : mapping of str to numpy.ndarray, optional
         States and inputs in the runs ``(n_times,)``, to say which of them keep one ratio.
 
@@ -268,10 +254,11 @@ def identifiable_subset(
     sizes = np.where(sizes > 0, sizes, information.scales)
     relative = information.factor / information.scales * sizes
     norms = np.linalg.norm(relative, axis=0)
-    search = _Search(relative / np.where(norms > 0, norms, 1.0), norms, limit, largest_error)
-    chosen = search.best()
     wrong = np.array([(assumed or {}).get(name, np.nan) for name in names]) / sizes
     wrong = np.where(np.isfinite(wrong), wrong, ASSUMED)
+    errors = wrong if largest_error is None else np.full(len(names), largest_error)
+    search = _Search(relative / np.where(norms > 0, norms, 1.0), norms, limit, errors)
+    chosen = search.best()
     places = [_place(relative, names, chosen, index, wrong[index]) for index in range(len(names))]
     places.sort(key=lambda place: (not place.free, place.error))
     reasons = [
@@ -284,11 +271,13 @@ def identifiable_subset(
 class _Search:
     """Sets of columns whose smallest singular value stays above a bound."""
 
-    def __init__(self, unit: np.ndarray, norms: np.ndarray, limit: float, error: float) -> None:
+    def __init__(
+        self, unit: np.ndarray, norms: np.ndarray, limit: float, errors: np.ndarray
+    ) -> None:
         self.gram = unit.T @ unit
         self.norms = norms
         self.least = limit**-2.0
-        self.error = error
+        self.errors = errors
         self.candidates = [i for i in range(len(norms)) if norms[i] > 0 and self._of([[i]])[0] > 0]
 
     def _smallest(self, sets: Sequence[Sequence[int]]) -> np.ndarray:
@@ -300,11 +289,11 @@ class _Search:
         """Smallest eigenvalue of every set of one size, 0 where it may not be estimated."""
         smallest = self._smallest(sets)
         fine = smallest >= self.least * (1.0 - 1e-9)
-        if np.isfinite(self.error) and fine.any():
+        if fine.any():
             index = np.asarray(sets, dtype=int)[fine]
             inverse = np.linalg.inv(self.gram[index[:, :, None], index[:, None, :]])
             variances = np.diagonal(inverse, axis1=1, axis2=2) / self.norms[index] ** 2
-            fine[fine] = np.all(variances <= self.error**2, axis=1)
+            fine[fine] = np.all(variances <= self.errors[index] ** 2, axis=1)
         return np.where(fine, smallest, 0.0)
 
     def best(self) -> list[int]:

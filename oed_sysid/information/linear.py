@@ -1,6 +1,7 @@
-"""Linear views of a model: frequency response, spectrum of an excitation, stability.
+"""Linear views of a model: stability on a straight course, Nomoto's indices.
 
-Nomoto's indices from a sway-yaw model.
+Frequency responses are those of :func:`oed_sysid.experiments.simulation.linearise`, a
+``control.StateSpace``.
 """
 
 from __future__ import annotations
@@ -9,37 +10,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.signal import periodogram
 
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.simulation import Equilibrium, linearise
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, as_dict, as_text
-
-
-@dataclass(frozen=True, eq=False)
-class Bode:
-    """Frequency response from one input to one output.
-
-    Attributes
-    ----------
-    input, output : str
-    frequencies : ndarray (n,)
-        Angular frequencies, rad/s.
-    gain : ndarray (n,)
-        Magnitude, output unit per input unit.
-    phase : ndarray (n,)
-        In rad, without jumps.
-    poles : ndarray of complex
-        Of the linear model, 1/s.
-    """
-
-    input: str
-    output: str
-    frequencies: np.ndarray
-    gain: np.ndarray
-    phase: np.ndarray
-    poles: np.ndarray
 
 
 def _place(model: Model, kind: str, name: str, known: Sequence[str]) -> int:
@@ -49,91 +24,6 @@ def _place(model: Model, kind: str, name: str, known: Sequence[str]) -> int:
             f"Model {model.name!r} has no {kind} {name!r}. It has {', '.join(known)}."
         )
     return known.index(name)
-
-
-def bode(
-    model: Model,
-    point: Equilibrium,
-    *,
-    input: str,
-    output: str,
-    frequencies: np.ndarray | None = None,
-) -> Bode:
-    """Frequency response of the model linearised at an equilibrium.
-
-    Parameters
-    ----------
-    model : Model
-        The model.
-    point : Equilibrium
-        From :func:`oed_sysid.experiments.simulation.equilibrium`.
-    input, output : str
-        Names.
-    frequencies : ndarray (n,), optional
-        Angular frequencies, rad/s; by default two decades to either side of the poles.
-    """
-    column = _place(model, "input", input, model.input_names)
-    linear = linearise(model, point, outputs=[output])
-    poles = np.asarray(linear.poles())
-    if frequencies is None:
-        sizes = np.abs(poles)[np.abs(poles) > 1e-9]
-        low, high = (sizes.min(), sizes.max()) if len(sizes) else (0.1, 0.1)
-        frequencies = np.geomspace(0.01 * low, 100 * high, 400)
-    frequencies = np.asarray(frequencies, dtype=float)
-    single = linear[0, column]
-    response = np.atleast_1d(np.squeeze(single(1j * frequencies)))
-    return Bode(input, output, frequencies, np.abs(response), np.unwrap(np.angle(response)), poles)
-
-
-@dataclass(frozen=True, eq=False)
-class Spectrum:
-    """Power density of a command.
-
-    Attributes
-    ----------
-    frequencies : ndarray (n,)
-        Angular frequencies above zero, rad/s.
-    density : ndarray (n,)
-        Power per rad/s, squared unit of the command.
-    share : ndarray (n,)
-        Cumulative share of the power, from 0 to 1.
-    """
-
-    frequencies: np.ndarray
-    density: np.ndarray
-    share: np.ndarray
-
-    def band(self, part: float = 0.9) -> tuple[float, float]:
-        """Angular frequencies between which the middle ``part`` of the power lies."""
-        edges = np.interp([0.5 * (1 - part), 0.5 * (1 + part)], self.share, self.frequencies)
-        return float(edges[0]), float(edges[1])
-
-
-def excitation_spectrum(times: np.ndarray, commands: np.ndarray) -> Spectrum:
-    """Where in frequency the power of a command lies, its mean removed.
-
-    Parameters
-    ----------
-    times : ndarray (n_times,)
-        Uniform times, s.
-    commands : ndarray (n_times,)
-        Command.
-
-    Examples
-    --------
-    >>> times = np.arange(0, 200, 0.5)
-    >>> spectrum = excitation_spectrum(times, np.sin(0.5 * times))
-    >>> round(float(spectrum.frequencies[np.argmax(spectrum.density)]), 2)
-    0.5
-    """
-    steps = np.diff(times)
-    if len(times) < 8 or np.ptp(steps) > 1e-6 * steps.mean():
-        raise DesignError("A spectrum needs 8 or more uniform samples. Resample the command.")
-    frequencies, density = periodogram(commands, fs=1 / steps.mean(), detrend="constant")
-    frequencies, density = 2 * np.pi * frequencies[1:], density[1:] / (2 * np.pi)
-    total = np.cumsum(density)
-    share = total / total[-1] if total[-1] > 0 else np.linspace(0, 1, len(total))
-    return Spectrum(frequencies, density, share)
 
 
 @dataclass(frozen=True, eq=False)

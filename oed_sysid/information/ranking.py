@@ -7,24 +7,22 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError, SimulationError, respelled
+from oed_sysid.errors import DesignError, respelled
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information.bound import COLOURED, RunInformation, information_of
+from oed_sysid.information.bound import COLOURED, RunInformation
 from oed_sysid.information.identifiability import Subset, identifiable_subset
-from oed_sysid.information.noise import Levels, noise_of
-from oed_sysid.information.response import Play, Run, plays, respond
+from oed_sysid.information.noise import Levels
+from oed_sysid.information.response import Play, Run, plays
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain, share
 from oed_sysid.runtime.threads import single_threaded
-
-# An error of the estimate beyond this share of the value counts as not determined.
-POOR = 0.5
 
 
 @dataclass(frozen=True)
@@ -104,37 +102,6 @@ class SensitivityRanking:
             raise DesignError(f"{name!r} was not ranked; ranked are {ranked}.")
         return self.rows[self.by_information.index(name)]
 
-    @property
-    def disagreements(self) -> tuple[str, ...]:
-        """Sentences about parameters on which the two views differ."""
-        n = len(self.rows)
-        if n < 3:
-            return ()
-        change_rank = {name: i for i, name in enumerate(self.by_output_change)}
-        median = float(np.median([row.output_change for row in self.rows]))
-        usual = float(np.median([row.inflation for row in self.rows]))
-        words = []
-        for rank, row in enumerate(self.rows):
-            place = change_rank[row.name]
-            far = abs(rank - place) >= max(2, n // 4)
-            if row.output_change >= median and (row.error > POOR or (far and rank > place)):
-                words.append(
-                    f"{row.name} moves the outputs (place {place + 1}) but its std. error is "
-                    f"still {100 * row.error:.2g} % of its value (place {rank + 1}): other "
-                    f"unknowns mimic it, its error is {row.inflation:.3g} times that of known ones"
-                )
-            elif row.output_change < median and far and rank < place and row.error <= POOR:
-                reason = (
-                    "others mimic it less than usual"
-                    if row.inflation < usual
-                    else "it acts where the noise is low"
-                )
-                words.append(
-                    f"{row.name} moves the outputs little (place {place + 1}) but its std. error "
-                    f"is only {100 * row.error:.2g} % of its value (place {rank + 1}): {reason}"
-                )
-        return tuple(words)
-
     def document(self, *, title: str = "") -> Report:
         """Return the ranking, and which parameters can be estimated together."""
         change_rank = {name: i + 1 for i, name in enumerate(self.by_output_change)}
@@ -184,11 +151,10 @@ class SensitivityRanking:
     report = as_text
 
     def _remarks(self) -> list[str]:
-        lines = [f"Disagreement: {text}." for text in self.disagreements]
-        return lines + [f"Not determined: {text}." for text in self.information.null_directions()]
+        return [f"Not determined: {text}." for text in self.information.null_directions()]
 
     to_dict = as_dict(
-        "runs", "signals", "change", "by_information", "by_output_change", "disagreements",
+        "runs", "signals", "change", "by_information", "by_output_change",
         parameters=lambda self: [plain(row) | {"inflation": row.inflation} for row in self.rows],
         null_directions=lambda self: self.information.null_directions(),
     )  # fmt: skip
@@ -200,7 +166,7 @@ def rank_parameters(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
-    noise: Levels = None,
+    noise: Levels | NoiseModel | Fit = None,
     priors: str | Mapping[str, float] | Information | None = None,
     start: str | Mapping[str, float] = "unknown",
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
@@ -324,15 +290,11 @@ class Drop:
         parameter the data do not notice (Akaike).
     predicted_rms : float
         Root mean square change of the outputs that this means, in noise units.
-    rms : mapping of str to float
-        Change of each output as a share of its own rms deviation from the
-        start value, dropped parameters at zero and the others as they were.
     """
 
     name: str
     cost: float
     predicted_rms: float
-    rms: Mapping[str, float]
 
     to_dict = as_dict()
 
@@ -368,18 +330,16 @@ class Reduction:
 
     def document(self) -> Report:
         """Return the order of dropping and its cost as a table."""
-        outputs = self.full.output_names
         title = (
             f"{self.full.name}: {self.n_dropped} of {len(self.drops)} parameters dropped "
             f"({', '.join(self.dropped) or 'none'})"
         )
         rows = [
             (str(index), drop.name, f"{drop.cost:.3g}", f"{drop.predicted_rms:.3g}",
-             *(share(drop.rms[name]) for name in outputs), "x" if index > self.n_dropped else "")
+             "x" if index > self.n_dropped else "")
             for index, drop in enumerate(self.drops, start=1)
         ]  # fmt: skip
-        headers = ("", "dropped", "chi-square", "rms/noise", *outputs, "kept")
-        table = Table(headers, rows, "changes of outputs, others unchanged", words=(1,))
+        table = Table(("", "dropped", "chi-square", "rms/noise", "kept"), rows, words=(1,))
         return Report(title, sections=(Section("Order of dropping", tables=(table,)),))
 
     report = as_text
@@ -392,17 +352,16 @@ def reduce_model(
     model: Model,
     runs: Run | Dataset | Iterable[Run],
     *,
-    noise: Levels = None,
+    noise: Levels | NoiseModel | Fit = None,
     initial_states: Sequence[Mapping[str, float] | np.ndarray] | None = None,
     keep: Sequence[str] = (),
-    largest_rms: float | None = None,
 ) -> Reduction:
     r"""Drop free parameters one by one, the least missed first.
 
     With the others refitted, setting the parameters of a set :math:`D` to zero
     raises the sum of squares by :math:`p_D' C_{DD}^{-1} p_D`, where :math:`C`
-    is the bound. No simulation is needed for the order; each step is then
-    simulated to say what it costs if nothing is refitted.
+    is the bound: neither simulation nor refit is needed for the order. They go as long as the sum
+    of squares grows by less than 2 per dropped parameter (Akaike).
 
     Parameters
     ----------
@@ -410,91 +369,48 @@ def reduce_model(
         See :func:`~oed_sysid.information.bound.information_of`; start states
         are refitted.
     keep : sequence of str
-        Parameters that stay in any case.
-    largest_rms : float, optional
-        Drop as long as the predicted rms change of the outputs stays below
-        this, in units of the noise; by default as long as the sum of squares
-        grows by less than 2 per dropped parameter.
+        Parameters that stay in any case, as do those whose bounds leave zero out.
     """
     played = plays(model, runs, initial_states=initial_states)
-    own = [play.initial for play in played]
-    information = information_of(model, runs, noise=noise, priors=None, initial_states=own)
+    expected = RunInformation(model, noise)
+    information = expected.joint([expected.factor(play) for play in played], None)
     n_samples = sum(int(play.present.sum()) for play in played)
-    fisher = information.matrix
-    values = np.array([model.values[name] for name in information.names])
-    base = [respond(model, play).outputs for play in played]
-    spans = [noise_of(model, noise, changed=play.noise) for play in played]
-    order = _dropping(fisher, values, [n not in keep for n in information.names])
-    drops: list[Drop] = []
-    n_dropped, open_ended = 0, True
-    for count, (_, cost) in enumerate(order, start=1):
-        names = [information.names[i] for i, _ in order[:count]]
-        reduced = _without(model, names)
-        rms = float(np.sqrt(cost / n_samples))
-        drops.append(Drop(names[-1], cost, rms, _changes(reduced, model, played, base, spans)))
-        fits = rms <= largest_rms if largest_rms is not None else cost <= 2.0 * count
-        open_ended = open_ended and fits and reduced is not None
-        n_dropped += open_ended
+    values = np.array([model.values[name] for name in information.names]) / information.scales
+    may = [
+        name not in keep and (one := model.parameter(name)).lower <= 0.0 <= one.upper
+        for name in information.names
+    ]
+    order = _dropping(information.factor, values, may)
+    drops = tuple(
+        Drop(information.names[i], cost, float(np.sqrt(cost / n_samples))) for i, cost in order
+    )
+    # The first that is missed ends it: costs grow faster than the number of parameters.
+    missed = (i for i, drop in enumerate(drops) if drop.cost > 2.0 * (i + 1))
+    n_dropped = next(missed, len(drops))
     names = [drop.name for drop in drops[:n_dropped]]
     small = model.with_values(dict.fromkeys(names, 0.0)).fix(*names)
     named = replace(small, name=f"{model.name}, reduced")
-    return Reduction(named, model, tuple(drops), n_dropped, n_samples)
+    return Reduction(named, model, drops, n_dropped, n_samples)
 
 
 def _dropping(
-    fisher: np.ndarray, values: np.ndarray, may_go: Sequence[bool]
+    factor: np.ndarray, values: np.ndarray, may_go: Sequence[bool]
 ) -> list[tuple[int, float]]:
     """Parameters in the order in which they are missed least, and the cost of all up to each."""
     gone: list[int] = []
     found = []
     rest = [i for i, one in enumerate(may_go) if one]
     while rest:
-        costs = [_cost(fisher, values, [*gone, candidate]) for candidate in rest]
+        costs = [_cost(factor, values, [*gone, candidate]) for candidate in rest]
         best = int(np.argmin(costs))
         gone.append(rest.pop(best))
-        found.append((gone[-1], max(float(costs[best]), 0.0)))
+        found.append((gone[-1], costs[best]))
     return found
 
 
-def _cost(fisher: np.ndarray, values: np.ndarray, gone: list[int]) -> float:
+def _cost(factor: np.ndarray, values: np.ndarray, gone: list[int]) -> float:
     """Increase of the sum of squares when ``gone`` are zero and the others refitted."""
     rest = [i for i in range(len(values)) if i not in gone]
-    schur = fisher[np.ix_(gone, gone)]
-    if rest:
-        mixed = fisher[np.ix_(rest, gone)]
-        inner = fisher[np.ix_(rest, rest)]
-        scale = 1 / np.sqrt(np.maximum(np.diag(inner), 1e-300))
-        solved = np.linalg.lstsq(
-            inner * scale[:, None] * scale, mixed * scale[:, None], rcond=1e-13
-        )
-        schur = schur - mixed.T @ (solved[0] * scale[:, None])
-    return float(values[gone] @ schur @ values[gone])
-
-
-def _without(model: Model, names: Sequence[str]) -> Model | None:
-    """The model with parameters at zero; None where a bound forbids it."""
-    bounds = [model.parameter(name) for name in names]
-    may = all(p.lower <= 0.0 <= p.upper for p in bounds)
-    return model.with_values(dict.fromkeys(names, 0.0)) if may else None
-
-
-def _changes(
-    reduced: Model | None,
-    model: Model,
-    played: Sequence[Any],
-    base: Sequence[np.ndarray],
-    spans: Sequence[np.ndarray],
-) -> dict[str, float]:
-    """Relative rms change of each output; infinite where the reduced model diverges."""
-    lost = dict.fromkeys(model.output_names, float("inf"))
-    if reduced is None:
-        return lost
-    change, size = np.zeros(len(model.outputs)), np.zeros(len(model.outputs))
-    for play, outputs, span in zip(played, base, spans, strict=True):
-        try:
-            new = respond(reduced, play).outputs
-        except SimulationError:
-            return lost
-        change += ((new - outputs) ** 2).sum(axis=0)
-        size += np.maximum(((outputs - outputs[0]) ** 2).sum(axis=0), len(outputs) * span**2)
-    return dict(zip(model.output_names, map(float, np.sqrt(change / size)), strict=True))
+    lost = factor[:, gone] @ values[gone]
+    refit = np.linalg.lstsq(factor[:, rest], lost, rcond=None)[0]
+    return float(np.sum((lost - factor[:, rest] @ refit) ** 2))

@@ -55,33 +55,17 @@ class Response:
 
     Attributes
     ----------
-    name : str
-        Name of the experiment or record.
-    times : ndarray (n_times,)
-    inputs : ndarray (n_times, n_inputs)
-    initial : ndarray (n_own,)
-        The model's own states at the first sample.
     outputs : ndarray (n_times, n_outputs)
         Noise-free outputs.
     states : ndarray (n_times, n_full)
         Full states.
-    present : ndarray of bool (n_times, n_outputs)
-        Which samples are (or will be) measured.
     jacobian : ndarray (n_times, n_outputs, n_own + n_free)
         Derivatives of the outputs by own start states, then by free parameters.
-    noise : mapping of str to float
-        Noise levels that differ from the model's in this run.
     """
 
-    name: str
-    times: np.ndarray = field(repr=False)
-    inputs: np.ndarray = field(repr=False)
-    initial: np.ndarray
-    outputs: np.ndarray = field(repr=False)
-    states: np.ndarray = field(repr=False)
-    present: np.ndarray = field(repr=False)
-    jacobian: np.ndarray = field(repr=False)
-    noise: Mapping[str, float] = field(default_factory=dict)
+    outputs: np.ndarray
+    states: np.ndarray
+    jacobian: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,7 +79,9 @@ class Play:
     inputs : ndarray (n_times, n_inputs)
     initial : ndarray (n_own,)
     present : ndarray of bool (n_times, n_outputs)
+        Which samples are (or will be) measured.
     noise : mapping of str to float
+        Noise levels that differ from the model's in this run.
     """
 
     name: str
@@ -160,17 +146,8 @@ def respond(model: Model, play: Play) -> Response:
         # The simulator says in words which state grew and what to do.
         simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
         raise DesignError(f"The sensitivities of run {play.name!r} are not finite. Shorten it.")
-    return Response(
-        name=play.name,
-        times=play.times,
-        inputs=play.inputs,
-        initial=play.initial,
-        outputs=run.outputs,
-        states=run.states,
-        present=play.present,
-        jacobian=by_unknowns(run.output_sensitivities, dz, runner.n_own),
-        noise=play.noise,
-    )
+    jacobian = by_unknowns(run.output_sensitivities, dz, runner.n_own)
+    return Response(run.outputs, run.states, jacobian)
 
 
 def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:

@@ -11,7 +11,6 @@ from oed_sysid.results.design_plots import (
     figure_design,
     figure_programme,
     plot_accuracy,
-    plot_bode,
     plot_orders,
     plot_output_change,
     plot_sensitivity,

@@ -16,9 +16,10 @@ from matplotlib.ticker import FuncFormatter
 
 from oed_sysid.design import Candidate, Design, Programme
 from oed_sysid.design.assurance import PredictedTracks
+from oed_sysid.design.card import TrialCard
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.information import Bode, SensitivityRanking, Spectrum
+from oed_sysid.information import SensitivityRanking
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results import style as draw
 from oed_sysid.runtime.display import share
@@ -214,37 +215,6 @@ def figure_design(design: Design) -> Figure:
     return figure
 
 
-def plot_bode(bode: Bode, *, spectrum: Spectrum | None = None, ax: Axes | None = None) -> Axes:
-    """Plot the gain of a model over frequency, and where an excitation has its power.
-
-    Parameters
-    ----------
-    bode : Bode
-        From :func:`~oed_sysid.information.bode`.
-    spectrum : Spectrum, optional
-        Of a command; its cumulative power is drawn on the right axis.
-    ax : Axes, optional
-        Where to draw.
-    """
-    ax = draw.new_axes(ax)
-    ax.loglog(
-        bode.frequencies, bode.gain, color=draw.COLOURS[1], label=f"{bode.output}/{bode.input}"
-    )
-    for pole in bode.poles:
-        if abs(pole) > 1e-9:
-            ax.axvline(abs(pole), color=draw.NEUTRAL, lw=0.8, ls=":")
-    if spectrum is not None:
-        other = ax.twinx()
-        other.plot(spectrum.frequencies, spectrum.share, color=draw.COLOURS[0], ls="--")
-        other.set(ylim=(0, 1.02), ylabel="share of the command's power below (dashed)")
-    return draw.done(
-        ax,
-        xlabel="angular frequency [rad/s]",
-        ylabel=f"gain from {draw.symbol_of(bode.input)} to {draw.symbol_of(bode.output)}",
-        xlim=(bode.frequencies[0], bode.frequencies[-1]),
-    )
-
-
 def _in_percent(ax: Axes) -> None:
     """Make the axis of shares logarithmic, and label it at 1, 2, 5, 10 ... per cent."""
     ax.set_xscale("log")
@@ -293,7 +263,7 @@ DANGER = "#b00020"
 _A4 = (8.27, 11.69)
 # Shares of the page that edges and pictures take, and the largest type, points.
 _EDGE, _PICTURES, _TYPE = 0.035, 0.26, 7.2
-_HEADS = ("SEA TRIAL CARD", "STOP THE RUN", "ACCURACY TO EXPECT", "MISSING PHYSICS")
+_HEADS = ("SEA TRIAL CARD", "STOP THE RUN", "ACCURACY TO EXPECT")
 # Orders above this number stand in two columns.
 _MANY = 14
 
@@ -304,14 +274,14 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
     Parameters
     ----------
     tracks : PredictedTracks
-        From :func:`~oed_sysid.design.predicted_tracks`.
+        Of :attr:`oed_sysid.design.Assurance.tracks`.
     ax : Axes, optional
         Where to draw.
     """
     ax = draw.new_axes(ax, size=(5.4, 4.6))
     # Tracks over ground: north up, starboard to the right; in depth: along to the right, down down.
     right, up = (0, 1) if tracks.is_vertical else (1, 0)
-    for number, track in enumerate(tracks.plausible):
+    for number, track in enumerate(tracks.plausible[:60]):
         ax.plot(track[:, right], track[:, up], color=draw.COLOURS[0], lw=0.5, alpha=0.35,
                 label="other vehicles" if number == 0 else None)  # fmt: skip
     own = tracks.nominal
@@ -330,12 +300,12 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
     return draw.done(ax, xlabel=words[0], ylabel=words[1])
 
 
-def plot_orders(design: Design, *, ax: Axes | None = None) -> Axes:
+def plot_orders(design: Design | TrialCard, *, ax: Axes | None = None) -> Axes:
     """Plot the designed commands over time, angles in degrees.
 
     Parameters
     ----------
-    design : Design
+    design : Design or TrialCard
     ax : Axes, optional
         Where to draw.
     """
@@ -369,20 +339,14 @@ def _folded(lines: list[str]) -> list[str]:
     return [*lines[:first], *head, *pairs, *tail, *lines[last:]]
 
 
-def figure_card(design: Design, tracks: PredictedTracks | None = None) -> Figure:
+def figure_card(card: TrialCard) -> Figure:
     """Compose the sea-trial card on one page of A4; danger in red above everything.
 
-    Parameters
-    ----------
-    design : Design
-    tracks : PredictedTracks, optional
-        Where the run goes; without them the orders take the whole width.
+    Without tracks the orders take the whole width.
     """
     figure = Figure(figsize=_A4)
     FigureCanvasAgg(figure)
-    lines = _folded(design.sea_trial_card().split("\n"))
-    if tracks is not None:
-        lines += ["", "SEA ROOM", *(f"  {words}" for words in tracks.words())]
+    lines, tracks = _folded(card.text().split("\n")), card.tracks
     height = 72 * _A4[1]
     size = min(_TYPE, height * (0.98 - 2 * _EDGE - _PICTURES) / (1.25 * len(lines)))
     alarming = 0
@@ -397,7 +361,7 @@ def figure_card(design: Design, tracks: PredictedTracks | None = None) -> Figure
         )  # fmt: skip
     low, tall, wide = 2 * _EDGE, _PICTURES - _EDGE, 0.94 - 2 * _EDGE
     left = 0.03 + _EDGE
-    plot_orders(design, ax=figure.add_axes((left, low, (0.47 if tracks else 1.0) * wide, tall)))
+    plot_orders(card, ax=figure.add_axes((left, low, (0.47 if tracks else 1.0) * wide, tall)))
     if tracks is not None:
         plot_tracks(tracks, ax=figure.add_axes((left + 0.62 * wide, low, 0.38 * wide, tall)))
     for ax in figure.axes:

@@ -24,7 +24,6 @@ from matplotlib.figure import Figure as Drawing
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.design import Design
-from oed_sysid.design.assurance import PredictedTracks
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.physics.model import Model
 from oed_sysid.results.style import finding, new_figure, signal_of
@@ -120,9 +119,9 @@ def page(result: Any, *arguments: Any, **options: Any) -> Report:
     return made
 
 
-def card_page(design: Design, tracks: PredictedTracks | None = None, *, title: str = "") -> Report:
-    """Return the sea-trial card as a page; see :meth:`oed_sysid.design.Design.card`."""
-    return design.card(tracks, title=title)
+def card_page(design: Design, *, title: str = "", length: float | None = None) -> Report:
+    """Return the sea-trial card as a page; see :class:`oed_sysid.design.TrialCard`."""
+    return design.card(length).document(title=title)
 
 
 def numbers_page(content: Mapping[str, Any]) -> Report:

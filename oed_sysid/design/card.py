@@ -1,0 +1,273 @@
+r"""The sea-trial card: one page of any run for the people who carry it out.
+
+Orders merge a ramp within the actuator's rate into one line. An order has the side to which the
+vehicle answers it: of the yaw and pitch rates :math:`r, q` along the run the one that follows the
+command :math:`\delta` most closely,
+
+.. math:: \rho = \frac{\sum_k (\delta_k - \delta_0)\, q_k}
+    {\sqrt{\sum_k (\delta_k - \delta_0)^2 \sum_k q_k^2}}
+
+with the sign of :math:`\rho`. Angles of orders are whole degrees, as people give them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from math import degrees
+from textwrap import wrap
+
+import numpy as np
+
+from oed_sysid.design.assurance import Assurance, PredictedTracks
+from oed_sysid.design.vehicles import between, outside, quantity, span, units_of
+from oed_sysid.experiments.experiment import Experiment, Limits
+from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.information.noise import sea_words
+from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import Figure, Report, Section, Table
+
+# Characters of a line of a printed card: A4 in a readable type.
+WIDTH = 92
+# Time that people need from one order to the next, s; quicker runs are for an autopilot.
+BY_HAND = 10.0
+# To which side a vehicle turns under a command, by the rate that follows it.
+_SIDES = {"r": ("to port", "to starboard"), "q": ("bow down", "bow up")}
+# Metres per second of a knot.
+_KNOT = 1852.0 / 3600.0
+NO_LIMIT = (
+    "NO LIMIT on the motion was given. Compare the ranges above with what depth, attitude and sea "
+    "room allow; in doubt design anew with limits (such as --max-pitch 20)."
+)
+NOT_SAFE = (
+    "That is NOT safe unless the coefficients are known better: stand by to stop, fly a gentler "
+    "run first, or design with --certainty 0.95."
+)
+STOP = (
+    "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run is useful."
+)
+NOTES = "Write down wind, sea, current, loading, battery, and anything touched during the run."
+
+
+@dataclass(frozen=True, eq=False)
+class TrialCard:
+    """What the people on board need of one run.
+
+    Attributes
+    ----------
+    model : Model
+        The nominal vehicle.
+    experiment : Experiment
+    trajectory : Trajectory
+        What the model does in it.
+    assurance : Assurance or None
+        How surely other vehicles keep the limits, and when to stop.
+    sea : NoiseModel or None
+        Disturbance forces that are expected.
+    active : tuple of str
+        Limits that are reached in the prediction, in words.
+    told : tuple of Section
+        What the run will tell.
+    length : float or None
+        Of the vehicle, m: the sea room is told in lengths, too.
+    """
+
+    model: Model
+    experiment: Experiment
+    trajectory: Trajectory
+    assurance: Assurance | None = None
+    sea: NoiseModel | None = None
+    active: Sequence[str] = ()
+    told: Sequence[Section] = ()
+    length: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        model: Model,
+        experiment: Experiment,
+        assurance: Assurance | None = None,
+        sea: NoiseModel | None = None,
+    ) -> TrialCard:
+        """Return the card of any run; one that reacts closes its loop on the model."""
+        made = simulate(model, replace(experiment, limits=Limits()), noise=False)
+        run = simulate_inputs(model, made.times, inputs=made.inputs, initial=experiment.initial)
+        return cls(model, experiment, run, assurance, sea)
+
+    @cached_property
+    def _units(self) -> dict[str, str]:
+        return units_of(self.model)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What stands first where limits are likely to be left."""
+        return [] if self.assurance is None else [*filter(None, [self.assurance.danger])]
+
+    def text(self) -> str:
+        """Return one page of text."""
+        lines = self.document().text().split("\n")
+        return "\n".join(folded(lines))
+
+    @property
+    def tracks(self) -> PredictedTracks | None:
+        """Where the run goes, where that is known."""
+        found = None if self.assurance is None else self.assurance.tracks
+        return None if found is None else replace(found, length=self.length)
+
+    def document(self, *, title: str = "") -> Report:
+        """Return the card as a page: danger first, then what to run and where it goes."""
+        run, safe, tracks = self.experiment, self.assurance, self.tracks
+        drawings = [Figure("plot_orders", self, "Orders over time.", size=(7.2, 2.6))]
+        room = [] if tracks is None else tracks.words()
+        if tracks is not None:
+            caption = f"Where the run goes: {'; '.join(room)}."
+            drawings.append(Figure("plot_tracks", tracks, caption, size=(5.4, 4.6)))
+        return Report(
+            title=title or self.model.name,
+            subtitle=f"Sea-trial card of {run.name!r}",
+            headline=f"SEA TRIAL CARD   {run.name}   ({self.model.name})",
+            warnings=self.warnings,
+            head=tuple(self._conditions()),
+            numbers=(
+                ("length", f"{run.duration:g} s"),
+                ("limits kept", "-" if safe is None else f"{safe.probability:.1%}"),
+                ("stopped", "-" if safe is None else f"{safe.any_fires:.1%}"),
+            ),
+            sections=(
+                self._orders(),
+                self._motion(),
+                Section("WATCH", self._watch(), heading=True, indent=2),
+                self._aborts(),
+                Section("SEA ROOM", room, heading=True, indent=2),
+                *self.told,
+                Section("WRITE DOWN", [NOTES], heading=True, indent=2),
+                Section("Orders and track", figures=drawings, only="page"),
+            ),
+        )
+
+    def _conditions(self) -> Iterable[tuple[str, str]]:
+        """How long, from where, what is held, and within which range orders stay."""
+        run, model, units = self.experiment, self.model, self._units
+        duration, first = float(run.duration or 0.0), run.initial
+        given = [f"{name} = {quantity(value, units[name])}" for name, value in first.items()]
+        speed = float(np.hypot(np.hypot(first.get("u", 0.0), first.get("v", 0.0)),
+                               first.get("w", 0.0)))  # fmt: skip
+        if {"u", "v", "w"} & {state.name for state in model.states}:
+            knots = f"speed {speed / _KNOT:.3g} knots"
+            given.insert(0, knots if speed else "rest (no speed)")
+        yield (
+            "length",
+            f"{duration:g} s ({duration / 60:.1f} min), one run; log every {run.sample_time:g} s "
+            "or faster, commands and measurements on one clock",
+        )
+        yield (
+            "start from",
+            f"{', '.join(given) or 'rest'}; controls neutral, steady; log 10 s or more before the "
+            "first order and after the last",
+        )
+        for name, value in run.constants.items():
+            yield "hold", f"{name} = {quantity(value, units[name])}"
+        for name, pair in run.limits.inputs.items():
+            if name not in run.constants:
+                rate = run.limits.rates.get(name)
+                most = "" if rate is None else f", at most {quantity(rate, units[name])}/s"
+                yield "orders of", f"{name}: {span(*pair, units[name])}{most}"
+        levels = [f"{o.name} {quantity(o.noise_std, o.unit)}" for o in model.outputs if o.noise_std]
+        yield "noise assumed", ", ".join(levels) or "none"
+        if self.sea is not None:
+            yield "disturbance forces", sea_words(self.sea)
+
+    def _orders(self) -> Section:
+        """When each order begins, where it leads, and when it is reached; or the law of the run."""
+        run, times, inputs = self.experiment, self.trajectory.times, self.trajectory.inputs
+        if run.reacts and run.excitation is not None:
+            return Section("RUN", [run.excitation.describe()], heading=True, indent=2)
+        found = []
+        for index, name in enumerate(self.model.input_names):
+            way = np.sign(np.diff(inputs[:, index]))
+            # A ramp within the rate limit is one order, not one for every sample.
+            begins = np.flatnonzero(np.diff(way, prepend=0.0))
+            for first, after in pairwise([*begins, len(way)]):
+                if way[first]:
+                    found.append((times[first + 1], times[after], self._order(name, after)))
+        if not found:
+            words = ["no orders: leave all controls as they are"]
+            return Section("RUN", words, heading=True, indent=2)
+        found.sort()
+        begun = np.unique([begin for begin, _, _ in found])
+        quick = float(np.diff(begun).min(initial=np.inf)) < BY_HAND
+        rows = [(f"{begin:.6g}", order, f"{end:.6g}") for begin, end, order in found]
+        rows.append((f"{times[-1]:.6g}", "end of the run: controls neutral, recover", ""))
+        table = Table(("at t [s]", "order", "reached [s]"), rows, words=(1,))
+        by = "AUTOPILOT ONLY, orders come within 10 s: " if quick else "By hand, or better: "
+        words = [f"{by}play the table of commands."]
+        return Section("RUN", words, (table,), heading=True, indent=2)
+
+    def _order(self, name: str, sample: int) -> str:
+        """An order in words; an angle in whole degrees with the side that the vehicle goes to."""
+        unit, run = self._units[name], self.trajectory
+        command = run.inputs[:, self.model.input_names.index(name)]
+        if unit != "rad":
+            return f"{name} to {quantity(command[sample], unit)}"
+        moved, answers = command - command[0], dict.fromkeys(_SIDES, 0.0)
+        for rate in {*_SIDES} & {*run.state_names}:
+            other = run.signal(rate)
+            size = float(np.linalg.norm(moved) * np.linalg.norm(other))
+            answers[rate] = float(moved @ other) / size if size else 0.0
+        rate = max(answers, key=lambda one: abs(answers[one]))
+        angle = round(degrees(command[sample]))
+        if not (angle and answers[rate]):
+            return f"{name} to {angle} deg"
+        return f"{name} to {abs(angle)} deg {_SIDES[rate][angle * answers[rate] > 0]}"
+
+    def _motion(self) -> Section:
+        """Predicted ranges, what other vehicles would do, and limits."""
+        model, safe = self.model, self.assurance
+        rows = []
+        for name in dict.fromkeys((*model.state_names, *model.output_names)):
+            values, unit = self.trajectory.signal(name), self._units[name]
+            other = None if safe is None else safe.ranges.get(name)
+            limit = self.experiment.limits.signals.get(name)
+            said = "-" if other is None else between(*other, unit)
+            ends = "" if limit is None else span(*limit, unit)
+            rows.append((name, between(values.min(), values.max(), unit), said, ends))
+        table = Table(("", "predicted", "95 % of vehicles", "limit"), rows, words=(1, 2, 3))
+        drawn = [] if safe is None else [f"vehicles: {safe.drawn}, {safe.n_checked} simulated"]
+        return Section("EXPECT", drawn, (table,), heading=True, indent=2)
+
+    def _watch(self) -> list[str]:
+        """What is reached, how surely limits are kept, and when to stop."""
+        limits, safe = self.experiment.limits.signals, self.assurance
+        words = [] if limits else [NO_LIMIT]
+        if safe is not None and limits:
+            words += [f"Certainty: {safe.report()}.", *([] if safe.is_safe else [NOT_SAFE])]
+        words += [f"reached in the prediction: {text}" for text in self.active]
+        return [*words, STOP] if limits else words
+
+    def _aborts(self) -> Section:
+        """Where the crew stops, and how often that happens."""
+        safe = self.assurance
+        title = "STOP THE RUN (controls neutral, recover) when"
+        if safe is None or not safe.rules:
+            return Section(title)
+        rows = [
+            (rule.signal, outside(rule.lower, rule.upper, self._units[rule.signal]),
+             "before its limit" if rule.limited else "outside what is expected",
+             f"{rule.fires:.1%}")
+            for rule in safe.rules
+        ]  # fmt: skip
+        table = Table(("signal", "is", "", "fires on"), rows, words=(1, 2))
+        words = [f"Any of these fires on {safe.any_fires:.1%} of {safe.n_checked} vehicles."]
+        return Section(title, words, (table,), heading=True, indent=2)
+
+
+def folded(lines: Sequence[str]) -> list[str]:
+    """Lines of a card at most :data:`WIDTH` characters long."""
+    found = []
+    for line in lines:
+        margin = " " * (len(line) - len(line.lstrip()) + 2)
+        found += wrap(line, WIDTH, subsequent_indent=margin) if len(line) > WIDTH else [line]
+    return found
