@@ -522,24 +522,32 @@ def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
     for _ in range(3):  # a term may vanish at one place by chance
         scope: dict[str, Any] = {name: rng.normal() for name in names}
         scope |= values | {"t": rng.uniform(0, 10), "h": model.step}
-        inner = dict(scope)
-        for line in texts:
-            if line.key not in (*effect.definitions, *effect.terms):
-                continue  # memories and states are anywhere
-            with np.errstate(all="ignore"):
-                value = expressions.to_numpy(line.text, inner, library)
-            if line.role == "value":
-                inner[line.key] = value
-                continue
-            expected = 0.0 if effect.stage in ("force", "inertia") else scope[str(line.key)]
-            gap = float(np.abs(value - expected))
-            if np.isfinite(gap) and gap > 1e-9 * (1.0 + abs(expected)):
-                present.setdefault(str(line.key), float(value) - expected)
+        present = _changed(effect, texts, scope, library) | present
     return tuple(
         f"with zero amplitudes ({', '.join(effect.amplitude_names)}) it still changes {key!r} by "
         f"{size:.3g}"
         for key, size in present.items()
     )
+
+
+def _changed(
+    effect: Effect, texts: Iterable[Line], scope: Mapping[str, Any], library: Mapping[str, Any]
+) -> dict[str, float]:
+    """What each term of an effect changes at one place, where that is more than rounding."""
+    inner, found = dict(scope), dict[str, float]()
+    for line in texts:
+        if line.key not in (*effect.definitions, *effect.terms):
+            continue  # memories and states are anywhere
+        with np.errstate(all="ignore"):
+            value = expressions.to_numpy(line.text, inner, library)
+        if line.role == "value":
+            inner[line.key] = value
+            continue
+        expected = 0.0 if effect.stage in ("force", "inertia") else scope[str(line.key)]
+        change = float(value) - expected
+        if math.isfinite(change) and abs(change) > 1e-9 * (1.0 + abs(expected)):
+            found[str(line.key)] = change
+    return found
 
 
 def faults(name: str, models: Mapping[str, Model], effects: tuple[Effect, ...]) -> tuple[str, ...]:
