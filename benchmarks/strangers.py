@@ -29,6 +29,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.harness import RESULTS, Row, Store, command, grouped, run_cases, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE, _at_most, _broken, read
+from benchmarks.other_vehicles.measures import accepted as named
 from benchmarks.rates import share, summary
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
@@ -188,7 +189,7 @@ def candidates(truth: Stranger, level: np.ndarray) -> dict[tuple[str, int], Effe
     found: dict[tuple[str, int], Effect] = {}
     drive, lag = np.abs(truth.gain) * 0.5, 2.0 * truth.sample
     for i in range(len(truth.gain)):
-        v, unit = f"v{i}", {"unit": "m/s^2"}
+        v = f"v{i}"
         power = {"quadratic": (f"{v}*abs({v})", level[i] ** 2), "offset": ("1", 1.0)}
         power |= {"cross": (f"v{i - 1}", level[i - 1])} if i else {}
         for kind, (text, size) in power.items():
@@ -196,7 +197,7 @@ def candidates(truth: Stranger, level: np.ndarray) -> dict[tuple[str, int], Effe
             own = Parameter(f"E_{kind}_{v}", 0.0, per, scale=0.1 * drive[i] / size)
             found[kind, i] = Force(f"{kind}_{v}", {v: f"{own.name}*{text}"}, (own,))
         found["friction", i] = forces.coulomb_friction(
-            f"friction_{v}", v, v, smooth=0.02, scale=0.1 * drive[i], **unit
+            f"friction_{v}", v, v, smooth=0.02, unit="m/s^2", scale=0.1 * drive[i]
         )
     for j in range(int(truth.lever.max()) + 1):
         u = f"u{j}"
@@ -264,8 +265,24 @@ def shown(
     )
 
 
-def judge(seed: int, number: int, limit: float) -> Row:
-    """Draw one case, improve its nominal model, compare with what is hidden."""
+def hidden_in(
+    listed: Mapping[tuple[str, int], Effect], count: int, rng: np.random.Generator
+) -> tuple[list[str], dict[tuple[str, int], float]]:
+    """Two kinds of effect, and what of them is hidden, with its sizes."""
+    there = {kind for kind, _ in listed}
+    kinds = list(rng.choice([kind for kind in KINDS if kind in there], 2, replace=False))
+    sizes = {}
+    for kind in kinds[:count]:
+        places = [key for key in listed if key[0] == kind]
+        key = places[int(rng.integers(len(places)))]
+        own = listed[key].parameters[0]
+        factor = np.exp(rng.uniform(*np.log(SIZES))) * (rng.choice([-1, 1]) if own.lower < 0 else 1)
+        sizes[key] = float(factor) * own.magnitude * (-1 if kind == "quadratic" else 1)
+    return kinds, sizes
+
+
+def drawn(seed: int, number: int) -> tuple[Row, Model, list[Record], list[Effect]]:
+    """One case: what is true, the nominal model, records, the last to validate, and candidates."""
     rng = np.random.default_rng([seed, number])
     what, excitation = PATTERN[number % len(PATTERN)], EXCITATIONS[int(rng.integers(4))]
     truth = Stranger.drawn(rng)
@@ -273,16 +290,7 @@ def judge(seed: int, number: int, limit: float) -> Row:
     plan = [(excitation, int(rng.integers(2**31))) for _ in range(RECORDS)]
     level = np.mean([truth.run(*one, {}, values)[1].std(axis=0) for one in plan], axis=0)
     listed = candidates(truth, level)
-    kinds = rng.choice([k for k in KINDS if any(k == of for of, _ in listed)], 2, replace=False)
-    chosen = []
-    for kind in kinds[: {"none": 0, "pair": 2}.get(what, 1)]:
-        places = [key for key in listed if key[0] == kind]
-        chosen.append(places[int(rng.integers(len(places)))])
-    sizes = {}
-    for key in chosen:
-        own = listed[key].parameters[0]
-        factor = np.exp(rng.uniform(*np.log(SIZES))) * (rng.choice([-1, 1]) if own.lower < 0 else 1)
-        sizes[key] = float(factor) * own.magnitude * (-1 if key[0] == "quadratic" else 1)
+    kinds, sizes = hidden_in(listed, {"none": 0, "pair": 2}.get(what, 1), rng)
     while True:  # what diverges, or stops the vehicle, is drawn again at half the size
         runs = [truth.run(*one, sizes, values) for one in plan]
         moved = np.mean([y.std(axis=0) for _, y in runs], axis=0) / level
@@ -298,20 +306,26 @@ def judge(seed: int, number: int, limit: float) -> Row:
     ]
     entry: Row = {
         "key": f"{seed}/{number}", "seed": seed, "what": what, "excitation": excitation,
-        "freedom": len(truth.gain), "effects": [listed[key].name for key in chosen],
+        "freedom": len(truth.gain), "effects": [listed[key].name for key in sizes],
         "sizes": {listed[key].parameters[0].name: size for key, size in sizes.items()},
         "detectable": shown(truth, plan, sizes, noise) > DETECTABLE,
     }  # fmt: skip
     offered = [e for key, e in listed.items() if what != "unlisted" or key[0] != kinds[0]]
+    return entry, model, records, offered
+
+
+def judge(seed: int, number: int, limit: float) -> Row:
+    """Draw one case, improve its nominal model, compare with what is hidden."""
+    entry, model, (*train, last), offered = drawn(seed, number)
     began = time.process_time()
     try:
         with _at_most(limit):
-            found = improve(model, Dataset(records[:-1]), Dataset(records[-1:]), candidates=offered)
+            found = improve(model, Dataset(tuple(train)), Dataset((last,)), candidates=offered)
         errors = found.fit.std_errors
         entry |= read(found) | {
             "remains": found.remains.kind,
             "inside": [
-                abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name]
+                bool(abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name])
                 for name, size in entry["sizes"].items()
                 if name in errors
             ],
@@ -322,12 +336,8 @@ def judge(seed: int, number: int, limit: float) -> Row:
 
 
 def accepted(row: Row) -> bool:
-    """Whether all that is hidden and nothing else is claimed, groups taken for one."""
-    steps = row.get("steps", ())
-    left = set(row["effects"])
-    for step in steps:
-        left -= {next(iter(left & set(step["group"])), "")}
-    return not left and len(steps) == len(row["effects"])
+    """Whether all that is hidden, itself or in a group, and nothing else is claimed."""
+    return named(row) and len(row.get("steps", ())) == len(row["effects"])
 
 
 def true_verdict(row: Row) -> bool:

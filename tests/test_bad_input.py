@@ -22,10 +22,9 @@ from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import list_problems, load_problem
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import ExtraState, Force
+from oed_sysid.physics import ExtraState, Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 DATA = yaw_data(0)
 MODEL = yaw_model()

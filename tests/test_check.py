@@ -642,6 +642,17 @@ def test_an_input_is_named_where_the_values_differ_from_the_nominal_ones(kind, c
     assert states["sign"] == ("found" if kind == "sign" else "tested")
 
 
+def test_inputs_that_never_move_could_not_be_tested(dives_inputs) -> None:  # type: ignore[no-untyped-def]
+    """Without any command nothing is claimed of inputs, and the table says so."""
+    problem, data = dives_inputs
+    still = Dataset(tuple(replace(r, inputs=0.0 * r.inputs + r.inputs[0]) for r in data))
+    found = check(still, problem)
+    assert not found.serious
+    rows = [one for one in found.judged if one.signal in problem.model.input_names]
+    assert {one.state for one in rows} == {"not tested"}
+    assert all(one.says for one in rows)
+
+
 def test_a_parameter_that_is_another_one_in_one_run_is_named(dives_inputs) -> None:  # type: ignore[no-untyped-def]
     """Eight per cent more restoring moment in one of four runs, and nothing in four alike."""
     problem, data = dives_inputs

@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
+from oed_sysid import Force, NoiseModel, Parameter, improve
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.claim import (
     FALSE_CLAIMS,
@@ -21,17 +22,14 @@ from oed_sysid.evidence.claim import (
     claim,
     independent_share,
 )
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.rank import rank, threshold
 from oed_sysid.evidence.score import two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.levels import Levels
-from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.smoother import Path
-from oed_sysid.physics import Force, sensor_bias
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics import sensor_bias
 from oed_sysid.physics.table import POLYNOMIAL
 
 BIASED = Force("push", {"r": "E_push"}, (Parameter("E_push", 0.0, "rad/s^2", scale=0.01),))

@@ -22,6 +22,7 @@ from oed_sysid.design import (
     Search,
     Servo,
     Trial,
+    TrialCard,
     ZigZags,
     assess_limits,
     campaign,
@@ -45,10 +46,9 @@ from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.physics import Force
+from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.results import figure_card
 from oed_sysid.results.design_plots import DANGER
 
@@ -511,3 +511,20 @@ def test_a_bag_plays_the_commands_at_their_times(design: Design, tmp_path) -> No
     np.testing.assert_allclose([value for _, value in told], inputs[:, 0], rtol=1e-12)
     with pytest.raises(FileError, match="exists already"):
         write_bag(path, design.model, times, inputs)
+
+
+def test_a_card_is_made_of_any_run_and_names_the_side_of_each_order() -> None:
+    """Orders are whole degrees with the side that the yaw rate follows; what is held has none."""
+    model = Model(
+        "boat",
+        (State("psi", "rad"), State("r", "rad/s")),
+        (Input("rudder", "rad"), Input("thrust", "N")),
+        (Output("psi", "rad", noise_std=0.01),),
+        {"psi": "r", "r": "(-0.1*rudder - r)/2 + 0*thrust"},
+    )
+    shape = Piecewise("rudder", [0.0, 5.0, 20.0], [0.0, 0.1, -0.2])
+    run = Experiment("steps", shape, duration=40.0, sample_time=0.5, constants={"thrust": 9.0})
+    orders = TrialCard.of(model, run).document().sections[0].tables[0].rows
+    assert [row[1] for row in orders[:2]] == [
+        "rudder to 6 deg to port", "rudder to 11 deg to starboard",
+    ]  # fmt: skip

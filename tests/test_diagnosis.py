@@ -39,10 +39,9 @@ from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, Sensor, sensor_bias
+from oed_sysid.physics import Force, Parameter, Sensor, sensor_bias
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.units import same_dimension
 
 NOMINAL = SHIP.with_values({"K": 0.5, "T": 4.0})

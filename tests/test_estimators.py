@@ -19,9 +19,9 @@ from oed_sysid.baselines import (
     OutputError,
     ParticleSwarm,
     SupportVectorRegression,
+    TotalLeastSquares,
 )
 from oed_sysid.baselines.benchmark import load_scenario
-from oed_sysid.baselines.least_squares import TotalLeastSquares
 from oed_sysid.baselines.online import KalmanStream
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
@@ -33,10 +33,9 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.multistart import Multistart
 from oed_sysid.likelihood.noise_levels import credible_levels, noise_floor, white_levels
-from oed_sysid.physics import Force
+from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_estimator
 
 YAW = Model(

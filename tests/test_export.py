@@ -26,10 +26,9 @@ from oed_sysid.export.c_code import self_test
 from oed_sysid.export.program import Example, example
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import actuator_lag, rate_limit, sensor_delay, sensor_lag
+from oed_sysid.physics import Parameter, actuator_lag, rate_limit, sensor_delay, sensor_lag
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 COMPILER = shutil.which("cc") or shutil.which("gcc")
 OCTAVE = shutil.which("octave-cli") or shutil.which("octave")

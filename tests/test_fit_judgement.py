@@ -12,8 +12,7 @@ from scipy.integrate import solve_ivp
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
 from oed_sysid.baselines import JointKalmanFilter
-from oed_sysid.cli import main
-from oed_sysid.cli.tasks import SUSPECT
+from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
@@ -23,9 +22,9 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import spike_masks, spike_sizes
+from oed_sysid.physics import Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import told
 
 WHITE = MultipleShooting(noise=NOISE, disturbances="none")

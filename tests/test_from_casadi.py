@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import pickle
+import runpy
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +15,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from oed_sysid.compiled.graph import build
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.improve import improve
@@ -22,10 +26,9 @@ from oed_sysid.export import export
 from oed_sysid.information import rank_parameters
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force
+from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 STATES = (State("psi", "rad"), State("r", "rad/s"))
 INPUTS = (Input("delta", "rad"),)
@@ -149,9 +152,20 @@ def test_without_c_the_interpreter_runs_it() -> None:
 
 
 def test_exports_say_what_they_cannot_hold(tmp_path: Path) -> None:
-    """An export of a model with a called function names the function."""
-    with pytest.raises(ModelError, match="lift"):
-        export(norrbin(linear_lift()), "c", tmp_path)
+    """What needs elementary operations names the function; CasADi and a linear model do without."""
+    model = norrbin(linear_lift())
+    with pytest.raises(ModelError, match=r"lift.*casadi, control or latex"):
+        export(model, "c", tmp_path)
+    files = {file.name: file for file in export(model, "casadi", tmp_path)}
+    rates = ca.Function.load(str(files["rates.casadi"]))
+    point = [0.1, 0.02], [0.2], model.value_vector, 0.0
+    found = np.array(rates(*point)).ravel()
+    assert found == pytest.approx(np.array(build(model).rates(*point)).ravel(), rel=1e-12)
+    assert found[0] == pytest.approx(0.02)
+    (linear,) = export(model, "control", tmp_path)
+    assert runpy.run_path(str(linear))["A"][0][1] == pytest.approx(1.0)
+    (page,) = export(model, "latex", tmp_path)
+    assert page.stat().st_size > 0
 
 
 @pytest.mark.parametrize(
@@ -170,3 +184,28 @@ def test_sizes_are_checked(change: dict, match: str) -> None:
     given = {"states": STATES, "inputs": INPUTS, "parameters": PARAMETERS, "outputs": OUTPUTS}
     with pytest.raises(ModelError, match=match):
         Model.from_casadi(f, h, **(given | change))
+
+
+def test_an_external_function_needs_derivatives(tmp_path: Path) -> None:
+    """Compiled code without derivatives is refused by name; with finite differences it runs."""
+    delta = ca.SX.sym("delta")
+    with contextlib.chdir(tmp_path):
+        ca.Function("lift", [delta], [delta * (1 - 0.3 * delta**2)]).generate("lift.c")
+    library = tmp_path / "lift.so"
+    command = ["cc", "-shared", "-fPIC", str(tmp_path / "lift.c"), "-o", str(library)]
+    if shutil.which("cc") is None or subprocess.run(command, check=False).returncode:
+        pytest.skip("no compiler")
+    x, u, p = columns()
+    for options, refused in (({}, True), ({"enable_fd": True}, False)):
+        lift = ca.external("lift", str(library), options)
+        f = ca.Function("f", [x, u, p], [ca.vertcat(x[1], (p[0] * lift(u) - x[1]) / p[1])])
+        parts = {"states": STATES, "inputs": INPUTS, "parameters": PARAMETERS}
+        if refused:
+            with pytest.raises(ModelError, match=r"no derivatives of 'f'.*enable_fd"):
+                Model.from_casadi(f, **parts)
+            continue
+        model = Model.from_casadi(f, **parts, step=0.5)
+        held = Experiment("held", None, duration=300.0, sample_time=1.0, constants={"delta": 0.3})
+        with pytest.warns(UserWarning, match="interpreter"):
+            turn = simulate(model, held, noise=False).outputs[-1, 1]
+        assert turn == pytest.approx(model.values["K"] * 0.3 * (1 - 0.3 * 0.3**2), rel=1e-6)

@@ -22,10 +22,9 @@ from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.archive import decode, encode
 from oed_sysid.likelihood.fit import ARCHIVED
-from oed_sysid.physics import Force
+from oed_sysid.physics import Force, Parameter
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text import expressions, notation, units
 from oed_sysid.text.dimensions import dimension_of
 from oed_sysid.text.units import OFFSETS, UNITS

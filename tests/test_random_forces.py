@@ -23,11 +23,10 @@ from oed_sysid.likelihood.prediction import unknown_series
 from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.windows import Windows
-from oed_sysid.physics import Sensor
+from oed_sysid.physics import Parameter, Sensor
 from oed_sysid.physics.bodies import rigid_body
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 FORCE, FORCE_TIME = 0.02, 1.0
 WHITE = MultipleShooting(disturbances="none", coloured="never")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from oed_sysid.evidence.forecasts import forecasts
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.preparation import coarser, prepared
 from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains
-from oed_sysid.evidence.residual_forces import _Part, _share, _standard_error
+from oed_sysid.evidence.residual_forces import _Part, _share, _standard_error, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import lagged_products
@@ -433,3 +434,31 @@ def test_a_long_log_is_searched_in_fewer_samples_and_the_effect_found(
     assert abs(row["value"] + 15.0) < 4 * row["std_error"]
     assert found.fit.dataset.n_samples == 900
     assert len(found.notes) >= 2
+
+
+def test_a_force_that_vanishes_on_validation_records_is_asked_on_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It follows the command on the training records, whatever the validation records hold."""
+    times = np.arange(0.0, 200.0, 0.5)
+    rng = np.random.default_rng(5)
+    parts = []
+    for _ in range(3):
+        command = np.repeat(rng.uniform(-1.0, 1.0, len(times) // 20), 20)
+        force = command**2 + 0.05 * rng.standard_normal(len(times))
+        parts.append(_Part(times, {"force r": force}, {"delta": command}))
+    parts[-1] = replace(parts[-1], series={})
+    fits = iter([parts[:2], parts[2:]])
+    monkeypatch.setattr("oed_sysid.evidence.residual_forces._series", lambda fit, unit: next(fits))
+    noise = SimpleNamespace(
+        places=("force r",), force_time=np.array([1.0]), colour_time=np.array([1.0])
+    )
+    study = SimpleNamespace(
+        unit=None,
+        train=SimpleNamespace(records=parts[:2]),
+        base=SimpleNamespace(output_names=("r",)),
+    )
+    fit = SimpleNamespace(noise=noise)
+    (found,) = repeated(study, fit, fit) or ()  # type: ignore[arg-type]
+    assert found.place == "force r"
+    assert found.signals == ("delta",)

@@ -31,10 +31,9 @@ from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel
 from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
-from oed_sysid.physics import wave_force
+from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 TRUE = {"K": 0.1, "T": 8.0}
 WHITE = np.array([5e-3, 2e-3])

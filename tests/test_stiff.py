@@ -14,10 +14,9 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.judgement import step_change
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import actuator_lag, sensor_lag
+from oed_sysid.physics import Parameter, actuator_lag, sensor_lag
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 
 # Robertson's kinetics: rates apart by nine decades.
 ROBERTSON = Model(

@@ -13,10 +13,9 @@ from oed_sysid import Function
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.archive import decode, encode
-from oed_sysid.physics import Actuator, ExtraState, Force, Sensor
+from oed_sysid.physics import Actuator, ExtraState, Force, Parameter, Sensor
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing import check_effect
 from oed_sysid.text import expressions, notation
 from oed_sysid.text.callables import interpolate
@@ -155,7 +154,9 @@ def test_same_dimension() -> None:
     assert not same_dimension("m", "rad")
 
 
-@pytest.mark.parametrize("unit", ["furlong", "m/furlong", "kg m)", "(m", "m,s", "deg C", "m/-"])
+@pytest.mark.parametrize(
+    "unit", ["furlong", "m/furlong", "kg m)", "(m", "m,s", "deg C", "m/-", "()", "m ( )", "m/()"]
+)
 def test_unknown_unit(unit: str) -> None:
     """An unknown unit is refused with the list of those accepted."""
     with pytest.raises(DataError, match=r"(?s)Unknown unit.*deg.*kg m\^2/s\^2"):

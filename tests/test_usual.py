@@ -28,11 +28,10 @@ from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Force, amplitude, quadratic_drag
+from oed_sysid.physics import Force, Parameter, amplitude, quadratic_drag
 from oed_sysid.physics.bodies import rigid_body
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.results import page as page_of
 from oed_sysid.results import plot_output
 from oed_sysid.testing import check_effect

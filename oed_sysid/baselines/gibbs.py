@@ -36,16 +36,6 @@ class Chains:
     coefficients: np.ndarray
     variances: np.ndarray
 
-    @property
-    def mean(self) -> np.ndarray:
-        """Posterior mean, shape ``(n,)``."""
-        return self.coefficients.mean(axis=(0, 1))
-
-    @property
-    def std(self) -> np.ndarray:
-        """Posterior standard deviation, shape ``(n,)``."""
-        return self.coefficients.reshape(-1, self.coefficients.shape[2]).std(axis=0)
-
 
 def split_r_hat(draws: np.ndarray) -> np.ndarray:
     """Potential scale reduction of half chains, one where they agree.

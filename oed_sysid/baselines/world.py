@@ -26,9 +26,9 @@ from oed_sysid.data.record import Record, closest
 from oed_sysid.errors import ProblemError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.disturbances import Place, with_disturbance_inputs
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.physics import Force
-from oed_sysid.physics.channels import Input, Output
+from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 
 # Correlation times, in samples.
@@ -120,18 +120,10 @@ class World:
         """The same commands with disturbance forces on every equation of motion."""
         levels = self._levels(model, clean, experiment)
         places, start = tuple(levels), _start(model, experiment)
-        pushes = [f"push_{i}" for i in range(len(places))]
-        # Forces of a model with actuators see these, not its inputs.
-        through = {name: name for name in pushes} if model.actuators else {}
-        pushed = replace(
-            model,
-            actuators={**model.actuators, **through},
-            inputs=(*model.inputs, *(Input(name, "1", interpolation="linear") for name in pushes)),
-            effects=(
-                *model.effects,
-                Force("random pushes", dict(zip(places, pushes, strict=True))),
-            ),
-        )
+        pushed = with_disturbance_inputs(model, [Place("force", place) for place in places])
+        pushes = pushed.inputs[len(model.inputs) :]
+        linear = (replace(push, interpolation="linear") for push in pushes)
+        pushed = replace(pushed, inputs=(*model.inputs, *linear))
         n = len(clean.times)
         fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), clean.times)
         columns = []

@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 from math import degrees
 from textwrap import wrap
 
@@ -189,7 +190,7 @@ class TrialCard:
             way = np.sign(np.diff(inputs[:, index]))
             # A ramp within the rate limit is one order, not one for every sample.
             begins = np.flatnonzero(np.diff(way, prepend=0.0))
-            for first, after in zip(begins, [*begins[1:], len(way)], strict=True):
+            for first, after in pairwise([*begins, len(way)]):
                 if way[first]:
                     found.append((times[first + 1], times[after], self._order(name, after)))
         if not found:

@@ -470,7 +470,7 @@ class Diagnosis:
     def best(self) -> Effect | None:
         """The likeliest effect, ready to be added; None where chance explains its gain."""
         for refit in self.ranking.refits[:1]:
-            if refit.gain >= self.ranking.needed(refit):
+            if refit.gain >= refit.needed:
                 return refit.score.effect.with_values(refit.fit.values)
         return None
 

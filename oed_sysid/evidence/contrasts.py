@@ -396,7 +396,7 @@ def contrasts(
         used = [k for k in here if shapes[k].keys() & {*relation.names}]
         _, usable = trace.filled(relation.signals)
         inner = {n: motion.raw[n] for n in relation.signals}
-        slopes = {n: partial(relation, inner, trace.times, n) for n in relation.asked}
+        slopes = _slopes(relation, inner, trace, {n for k in used for n in shapes[k]})
         direct = np.zeros((trace.times.size, len(used)))
         under = np.zeros((trace.times.size, len(used) + 1))
         under[:, 0] = right
@@ -441,7 +441,7 @@ def _pieces(
             for name, slope in slopes.items()
         }
         total = sum(power.values())
-        every = np.column_stack([*slopes.values()])[piece]
+        every = np.column_stack([np.zeros((trace.times.size, 0)), *slopes.values()])[piece]
         sums = relation.integral(times, every) if relation.is_rate else every
         sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
         waves = dct(means, axis=0, norm="ortho")[1:]
@@ -470,6 +470,14 @@ def _spacing(trace: Trace, name: str) -> float:
     """Median time between samples of a signal, s."""
     present = trace.times[np.isfinite(trace.values[name])]
     return float(np.median(np.diff(present)))
+
+
+def _slopes(
+    relation: Relation, inner: Mapping[str, np.ndarray], trace: Trace, touched: set[str]
+) -> dict[str, np.ndarray]:
+    """Derivatives of a right side by the signals that a fault touches, or that have noise."""
+    names = (n for n in relation.asked if n in touched or trace.noise[n] > 0.0)
+    return {n: partial(relation, inner, trace.times, n) for n in names}
 
 
 def partial(
@@ -890,7 +898,10 @@ def search(
         inside = np.union1d(np.arange(n_common), now).astype(int)
         system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
-        strained |= turn == 0 and bool(np.any(bench.beside(now)[0] > LOUDER * system.limits))
+        if turn == 0:
+            gain, size, _ = bench.beside(now)
+            far = (gain > LOUDER * system.limits) & (np.abs(size) > bench.of("material"))
+            strained = bool(np.any(far))
         found = scanned(undone, pieces, system, now, words.local) if single else []
         picked = [f for f in found if f not in place]
         chosen = bench.chosen(now)
@@ -956,7 +967,7 @@ def diagnosed(
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     relations = question.relations
     plain = search(traces, question, known=known)
-    if not (plain.strained or question.words.given):
+    if not plain.strained and not _nearer(traces, question):
         return [], plain
     found, start = misread([undo(t, known, relations) for t in traces], question)
     mended = [undo(t, [one.correction for one in found], relations) for t in traces]
@@ -1050,7 +1061,7 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
         coarse = list(traces)  # motion too fast for fewer samples
     late = [*_late(question.words)]
     found: list[Reading] = []
-    for _ in range(3):
+    for _ in range(3 if question.readings else 0):
         least, scored = _scored(coarse, question, late)
         best = scored[0]
         # What chance exceeds rarely, however many readings are tried.
@@ -1064,6 +1075,19 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
         found.append(replace(best, rivals=close))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
+
+
+def _nearer(traces: Sequence[Trace], question: Question) -> bool:
+    """Whether a reading tells more, the equations taken as they are; asked of nominal ones only.
+
+    Forces that are wrong in all can be so large that no fault with a size stands out of them.
+    """
+    if not question.words.given:
+        return False
+    coarse, relations = [trace.thinned(2 * MOST_BLOCKS) for trace in traces], question.relations
+    now = evidence(coarse, relations).sum()
+    changed = ([undo(t, (r.correction,), relations) for t in coarse] for r in question.readings)
+    return any(evidence(other, relations).sum() > now for other in changed)
 
 
 def _late(words: Dictionary) -> Iterator[Reading]:

@@ -17,7 +17,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
-from oed_sysid.evidence.claim import own_error
+from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.compare import SUSPECT_NOISE
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -34,6 +34,7 @@ from oed_sysid.evidence.remainder import Remains, remains
 from oed_sysid.evidence.search import (
     BOUGHT,
     Standing,
+    asked_again,
     eliminated,
     every_step,
     overgrown,
@@ -217,24 +218,39 @@ class _Run:
 
         A large missing effect makes forces grow until the records are likely and whole runs are
         not: the right effect does not lead out of that valley. What the other search finds is
-        claimed against what this one has, with disturbance forces in both.
+        claimed against what this one has, with disturbance forces in both. Where that is not
+        likelier, whole runs decide: a constant force, say, does not show beside forces that
+        wander, and process noise could not have left runs that are so much better.
         """
         calm = Standing(study, (), base, (base,))
         calm, first, last = searched(calm, self.max_effects, self.tell, self.keep, self.notes)
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
-        calm = eliminated(calm, found, noise, BOUGHT)
-        if not calm.added:
-            return end
-        records = study.train if study.validation is None else study.validation
-        here, there = own_error(found, present, records), own_error(study, calm.fit, records)
-        if not BOUGHT * there < here:
-            return end
-        self.notes.append(
-            "Process noise had grown over what is missing: whole runs of what was found without it "
-            f"are {here / there:.2g} times better."
+        fit = calm.added and found.estimate(
+            calm.effects, calm.fit.values, calm.fit, noise=noise, max_iterations=25
         )
-        state = replace(calm, decisions=(*end.state.decisions, *calm.decisions))
+        if not fit:
+            return end
+        more = sum(calm.needed(effect) for effect in calm.effects)
+        more -= sum(end.state.needed(effect) for effect in end.state.effects)
+        decided = claim(found, present, fit, calm.effects, more)
+        state = replace(calm, decisions=(*end.state.decisions, decided))
+        if decided.stands:
+            self.notes.append(
+                "Disturbance forces had grown over what is missing: it was searched for without "
+                "them, and is likelier with them, too."
+            )
+            state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
+            return _Ended(state, base, first, last, self._left(state), None)
+        state = eliminated(state, found, noise, BOUGHT)
+        records = study.train if study.validation is None else study.validation
+        here, there = own_error(found, present, records), own_error(study, state.fit, records)
+        if not BOUGHT * there < here:
+            return replace(end, state=replace(end.state, decisions=state.decisions))
+        self.notes.append(
+            "Disturbance forces had grown over what is missing: whole runs of what was found "
+            f"without them are {here / there:.2g} times better."
+        )
         return _Ended(state, base, first, last, self._left(state), None)
 
 

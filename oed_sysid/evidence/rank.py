@@ -102,10 +102,6 @@ class Ranking:
         refitted = [refit.name for refit in self.refits]
         return (*refitted, *(s.effect.name for s in self.scores if s.effect.name not in refitted))
 
-    def needed(self, refit: Refit) -> float:
-        """Statistic that a claim needs."""
-        return refit.needed
-
     def needed_by(self, score: Score) -> float:
         """Statistic that a claim of one candidate needs."""
         return threshold(len(self.scores), score.freedom, trials=score.trials)

@@ -337,8 +337,6 @@ def repeated(
     parts = [part for one in (fit, other) if one is not None for part in _series(one, study.unit)]
     if len(parts) < len(study.train.records):
         return None
-    if len(parts) == 1:
-        parts = parts[0].halves()
     names = set.intersection(*(set(part.signals) for part in parts))
     known = [name for name in parts[0].signals if name in names]
     noise, found = fit.noise, []
@@ -348,7 +346,10 @@ def repeated(
         for name, time in zip(study.base.output_names, noise.colour_time, strict=True)
     }
     for place in parts[0].series if known else ():
-        share, chosen = _followed(parts, place, float(times[place]), known)
+        # On validation records a force may have vanished; a record alone is asked by halves.
+        own = [part for part in parts if place in part.series]
+        own = own if len(own) > 1 else own[0].halves()
+        share, chosen = _followed(own, place, float(times[place]), known)
         if share > SHARE:
             found.append(Repeated(place, chosen, float(share)))
     return tuple(found)

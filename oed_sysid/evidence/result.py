@@ -124,13 +124,6 @@ class Finding:
         """Kind and signals in one word, such as ``"bias q"``."""
         return f"{self.kind} {', '.join(self.signals)}".strip()
 
-    @property
-    def amount(self) -> str:
-        """Size with its interval; empty where there is none."""
-        if self.size is None or self.interval is None:
-            return ""
-        return amount(self.size, self.interval, self.unit)
-
     def lines(self) -> list[str]:
         """Return the finding as sentences, the most important first."""
         gain = "" if self.gain is None else f" Likelihood-ratio statistic {self.gain:.0f}."
@@ -324,7 +317,6 @@ class LogCheck:
             sections=(
                 *self._listed("Suspect", suspect=True),
                 *self._listed("Good to know", suspect=False),
-                *self._table(),
                 Section(
                     "Equations between signals, and what is left of the left side's changes",
                     equations, figures=self._figures(), heading=True, indent=5,
@@ -338,7 +330,7 @@ class LogCheck:
     report = as_text
 
     def _listed(self, title: str, *, suspect: bool) -> list[Section]:
-        """Findings of one weight as a numbered list, in text."""
+        """Findings of one weight as a numbered list."""
         lines = []
         chosen = [one for one in self.findings if one.suspect is suspect]
         for number, one in enumerate(chosen, start=1):
@@ -346,29 +338,7 @@ class LogCheck:
             some = one.records and set(one.records) != set(self.records)
             where = f" ({', '.join(one.records)})" if some else ""
             lines += [f"{number:3d}. {first}{where}", *(f"     {text}" for text in rest)]
-        return [Section(title, lines, heading=True, only="text")]
-
-    def _table(self) -> list[Section]:
-        """Findings as a table, on a page."""
-        rows = [
-            (
-                one.says + (f" Or: {'; '.join(one.alternatives)}." if one.alternatives else ""),
-                one.amount,
-                "" if one.gain is None else f"{one.gain:.0f}",
-                one.changes,
-                one.fix,
-            )
-            for one in self.findings
-        ]
-        table = Table(
-            ("finding", "size, 95 % interval", "likelihood-ratio statistic", "left as it is",
-             "fix"),
-            rows,
-            caption="Suspect findings are stressed.",
-            words=(0, 3, 4),
-            marked=tuple(i for i, one in enumerate(self.findings) if one.suspect),
-        )  # fmt: skip
-        return [Section("Findings", tables=(table,), only="page")] if rows else []
+        return [Section(title, lines, heading=True)]
 
     def _judged(self) -> list[Section]:
         """Faults times signals: what was tested, from which size on, and what was found."""

@@ -308,8 +308,8 @@ def eliminated(
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
-    while len(state.added) > int(judge is None):
-        spare = [(one, *fits) for one in state.added if (fits := _spared(state, there, one, rise))]
+    while asked := state.added[:-1] if judge is None else state.added:
+        spare = [(one, *fits) for one in asked if (fits := _spared(state, there, one, rise))]
         if not spare:
             break
         one, fit, judged = min(spare, key=lambda found: found[1].objective)
@@ -403,14 +403,15 @@ def with_term(
     """
     options: list[tuple[float, Standing, Proposals]] = []
     tied: tuple[str, ...] = ()
-    for count in sorted({0, len(state.added)}, reverse=True):
-        proposals = propose(state.study, state.fit if count else state.path[0])
+    nominal = replace(state, added=(), fit=state.path[0])
+    for begun in (state, nominal) if state.added else (state,):
+        proposals = propose(state.study, begun.fit)
         if proposals.best is None:
             continue
-        if count == len(state.added):
+        if begun is state:
             tied = proposals.group[:3]
-        option = _beside(state, count, proposals)
-        if option is not None and len(option.added) <= max_effects + 1:
+        option = _beside(begun, proposals, max_effects)
+        if option is not None:
             cost = sum(state.needed(effect) for effect in option.effects)
             options.append((option.fit.objective + cost, option, proposals))
     if not options:
@@ -435,15 +436,13 @@ def with_term(
     return found, proposals, ()
 
 
-def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | None:
-    """The best term beside the effects of the first steps, less those not needed any more."""
+def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing | None:
+    """The best term beside the effects of a state, less those not needed any more."""
     assert proposals.best is not None
-    effect, study = proposals.best.effect, state.study
-    start = state.fit if count else state.path[0]
+    effect, study, start = proposals.best.effect, state.study, state.fit
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
-    kept = state.added[:count]
     found = wide.estimate(
-        [*(one.effect for one in kept), effect],
+        [*state.effects, effect],
         proposals.best.refit.fit.values,
         start,
         noise=study.loosened(start.noise),
@@ -453,7 +452,8 @@ def _beside(state: Standing, count: int, proposals: Proposals) -> Standing | Non
         return None
     decided = Claim(effect.name, start.objective - found.objective, np.nan, proposals.needed)
     term = Added(effect, decided, (effect.name,))
-    return eliminated(replace(state, study=wide, added=(*kept, term), fit=found))
+    option = eliminated(replace(state, study=wide, added=(*state.added, term), fit=found))
+    return option if len(option.added) <= max_effects + 1 else None
 
 
 def searched(

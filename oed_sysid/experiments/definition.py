@@ -515,22 +515,14 @@ def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
     rng = np.random.default_rng(0)
     absent = effect.absent().parameters
     values = model.values | {parameter.name: parameter.value for parameter in absent}
-    names = tuple(_signals(model, effect))
+    texts = tuple(effect_lines(model, effect))
+    names = sorted({name for line in texts for name in line.scope})
+    library = {**model.library, **effect.callable}
     present: dict[str, float] = {}
     for _ in range(3):  # a term may vanish at one place by chance
-        scope: dict[str, float] = {name: rng.normal() for name in names}
+        scope: dict[str, Any] = {name: rng.normal() for name in names}
         scope |= values | {"t": rng.uniform(0, 10), "h": model.step}
-        with np.errstate(all="ignore"):
-            inner = dict(scope)
-            for name, definition in effect.definitions.items():
-                inner[name] = expressions.to_numpy(definition, inner, effect.tables)  # type: ignore[assignment]
-        for key, text in effect.terms.items():
-            with np.errstate(all="ignore"):
-                value = expressions.to_numpy(text, inner, effect.tables)
-            expected = 0.0 if effect.stage in ("force", "inertia") else scope[str(key)]
-            gap = float(np.abs(value - expected))
-            if np.isfinite(gap) and gap > 1e-9 * (1.0 + abs(expected)):
-                present.setdefault(str(key), float(value) - expected)
+        present = _changed(effect, texts, scope, library) | present
     return tuple(
         f"with zero amplitudes ({', '.join(effect.amplitude_names)}) it still changes {key!r} by "
         f"{size:.3g}"
@@ -538,16 +530,24 @@ def presence_at_zero(effect: Effect, model: Model) -> tuple[str, ...]:
     )
 
 
-def _signals(model: Model, added: Effect) -> Iterator[str]:
-    """Every name that varies in a model with one effect more."""
-    yield from model.state_names
-    yield from model.input_names
-    yield from model.actuator_signals
-    yield from model.signals
-    yield from model.output_names
-    for effect in (*model.effects, added):
-        yield from (state.name for state in effect.states)
-        yield from (memory.name for memory in effect.memory)
+def _changed(
+    effect: Effect, texts: Iterable[Line], scope: Mapping[str, Any], library: Mapping[str, Any]
+) -> dict[str, float]:
+    """What each term of an effect changes at one place, where that is more than rounding."""
+    inner, found = dict(scope), dict[str, float]()
+    for line in texts:
+        if line.key not in (*effect.definitions, *effect.terms):
+            continue  # memories and states are anywhere
+        with np.errstate(all="ignore"):
+            value = expressions.to_numpy(line.text, inner, library)
+        if line.role == "value":
+            inner[line.key] = value
+            continue
+        expected = 0.0 if effect.stage in ("force", "inertia") else scope[str(line.key)]
+        change = float(value) - expected
+        if math.isfinite(change) and abs(change) > 1e-9 * (1.0 + abs(expected)):
+            found[str(line.key)] = change
+    return found
 
 
 def faults(name: str, models: Mapping[str, Model], effects: tuple[Effect, ...]) -> tuple[str, ...]:

@@ -27,6 +27,7 @@ import re
 import tomllib
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from string import Template
@@ -128,8 +129,6 @@ class Program:
         At its estimated values.
     identifier : str
         Its name as an identifier.
-    routines : tuple of Routine
-        Its functions.
     state_names : tuple of str
         The model's own states, then those of effects.
     n_own, n_actuator, n_sensor : int
@@ -142,7 +141,6 @@ class Program:
 
     model: Model
     identifier: str
-    routines: tuple[Routine, ...]
     state_names: tuple[str, ...]
     n_own: int
     n_actuator: int
@@ -150,6 +148,14 @@ class Program:
     free: tuple[str, ...]
     covariance: np.ndarray
     fit: Fit | None = None
+
+    @cached_property
+    def routines(self) -> tuple[Routine, ...]:
+        """Functions of the model, operation by operation."""
+        graph = build(self.model)
+        functions = [graph.actuate, graph.rates, graph.observe, graph.start]
+        functions += [_slopes(graph.rates)] if self.implicit else []
+        return tuple(map(_routine, functions))
 
     def routine(self, name: str) -> Routine:
         """Return one of the functions."""
@@ -301,16 +307,12 @@ def program_of(source: Fit | Model) -> Program:
     if not isinstance(model, Model):
         raise ModelError(f"A {type(source).__name__} cannot be exported. Give a Fit or a Model.")
     graph = build(model)
-    functions = [graph.actuate, graph.rates, graph.observe, graph.start]
-    if model.integrator != "explicit":
-        functions.append(_slopes(graph.rates))
     shared = [] if fit is None else [n for n in fit.names if not model.parameter(n).per_record]
     rows = [] if fit is None else [fit.names.index(name) for name in shared]
     covariance = np.zeros((0, 0)) if fit is None else fit.covariance[np.ix_(rows, rows)]
     return Program(
         model,
         identifier(model.name),
-        tuple(_routine(function) for function in functions),
         graph.state_names,
         graph.n_own,
         graph.n_actuator_memory,
@@ -371,8 +373,9 @@ def _routine(function: ca.Function) -> Routine:
             called = {one.name() for one in flat.find_functions()}
             raise ModelError(
                 f"The model calls CasADi's function {', '.join(sorted(called)) or 'of its own'}, "
-                "which has no elementary operations to export. Give its table or its formula, or "
-                "generate C with CasADi from kernel functions (oed_sysid.compiled.graph.build)."
+                "which has no elementary operations to export. Export it as casadi, control or "
+                "latex, give its table or its formula, or generate C with CasADi from kernel "
+                "functions (oed_sysid.compiled.graph.build)."
             )
         if word is None:
             raise ModelError(f"The model uses CasADi's operation {code}, which is not exported.")

@@ -170,12 +170,12 @@ class CaptiveTests:
         """
         self._check(model)
         moved = {state: _OWN.format(state) for state in model.axes.values()}
+        own = {s.name: moved.get(s.name, s.name) for s in model.states}
         signals = {
-            state: f"{own} + {TOWED}*({_HELD.format(state)} - {own})"
-            for state, own in moved.items()
+            state: f"{free} + {TOWED}*({_HELD.format(state)} - {free})"
+            for state, free in moved.items()
         }
-        inputs = [Input(TOWED, "1", "1 where the motion is given")]
-        inputs += [
+        held = [
             Input(_HELD.format(s.name), s.unit, f"given {s.label or s.name}")
             for s in model.states
             if s.name in moved
@@ -184,26 +184,26 @@ class CaptiveTests:
             replace(o, expression=moved[o.source]) if o.source in moved else o
             for o in model.outputs
         ]
-        outputs += [
-            Output(
-                _FORCE.format(axis),
-                "N" if axis in "XYZ" else "N m",
-                f"force of {axis}",
-                expression=f'force("{axis}")',
-                noise_std=self.noise[axis],
-            )
-            for axis in self.forces
-        ]
         return replace(
             model,
             name=f"{model.name}, towed",
-            states=tuple(replace(s, name=moved.get(s.name, s.name)) for s in model.states),
-            inputs=(*model.inputs, *inputs),
-            outputs=tuple(outputs),
+            states=tuple(replace(s, name=own[s.name]) for s in model.states),
+            inputs=(*model.inputs, Input(TOWED, "1", "1 where the motion is given"), *held),
+            outputs=(*outputs, *map(self._force, self.forces)),
             kinematics={s: f"(1 - {TOWED})*({text})" for s, text in model.kinematics.items()},
-            axes={axis: moved[state] for axis, state in model.axes.items()},
-            inertia={(axis, moved[s]): text for (axis, s), text in model.inertia.items()},
+            axes={axis: own[state] for axis, state in model.axes.items()},
+            inertia={(axis, own[s]): text for (axis, s), text in model.inertia.items()},
             signals={**signals, **model.signals},
+        )
+
+    def _force(self, axis: str) -> Output:
+        """What a towed model measures about an axis."""
+        return Output(
+            _FORCE.format(axis),
+            "N" if axis in "XYZ" else "N m",
+            f"force of {axis}",
+            expression=f'force("{axis}")',
+            noise_std=self.noise[axis],
         )
 
     def _check(self, model: Model) -> None:

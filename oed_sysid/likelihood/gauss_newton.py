@@ -50,7 +50,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.normal_equations import Blocks, gather
+from oed_sysid.compiled.normal_equations import Blocks
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -186,21 +186,10 @@ def gathered(shooting: Shooting, point: Point) -> Iterate | None:
     matrix, right = np.zeros((n, n)), np.zeros(n)
     squares = closed = defect = 0.0
     follows = []
-    for index, record in enumerate(shooting.records):
-        values = shooting.values(point.unknowns, index)
+    for index, starts in enumerate(shooting.starts):
         z0, dz0 = shooting.full_start(point.unknowns, index)
         nodes = np.vstack([z0[None], point.nodes[index]])
-        blocks = gather(
-            shooting.kernel,
-            record.times,
-            record.inputs,
-            values,
-            nodes,
-            record.outputs,
-            shooting.sigma,
-            starts=shooting.starts[index],
-            linked=True,
-        )
+        blocks = shooting.gathered(point.unknowns, index, nodes, starts)
         slopes = shooting.slopes(point.unknowns, index)
         n_own = shooting.layout.n_own
         part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)

@@ -120,21 +120,21 @@ def _uncertainty(
     slopes = layout.shared_values(unknowns)[1]
     prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
     told = _told_by_records(problem, point)
-    tests = [i for i, record in enumerate(shooting.records) if record.independent]
-    series = [i for i in range(layout.n_records) if i not in tests]
-    matrices = [told[i][0] for i in series]
-    known = prior + sum((told[i][0] for i in tests), np.zeros_like(prior))
-    whole = known + sum(matrices, np.zeros_like(prior))
+    tests = np.array([record.independent for record in shooting.records])
+    every = np.array([matrix for matrix, _ in told])
+    matrices, scores = every[~tests], [told[i][1] for i in np.flatnonzero(~tests)]
+    known = prior + every[tests].sum(axis=0)
+    whole = known + matrices.sum(axis=0)
     information = Information.from_matrix(
         layout.shared_names, whole, limits.scale[:n_shared] * slopes
     )
-    sources = sources_of(matrices, [told[i][1].sum(axis=0) for i in series], known)
+    sources = sources_of(list(matrices), [rows.sum(axis=0) for rows in scores], known)
     covariance = information.covariance
     if coloured == "never" or not n_shared:
         return information, covariance, sources, False
-    alone = _tests(shooting, tests, unknowns)
+    alone = _tests(shooting, np.flatnonzero(tests).tolist(), unknowns)
     scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
-    middle = prior + _middle(problem, point, [told[i][1] for i in series], whole - known)
+    middle = prior + _middle(problem, point, scores, whole - known)
     if alone is not None:
         middle += tests_middle(*alone.tests, covariance, scattered=scattered)
     return information, sandwich(covariance, middle), sources, scattered
@@ -178,7 +178,7 @@ def _middle(
     return sum(map(_summed, scores), np.zeros_like(told))
 
 
-def _tests(shooting: Shooting, tests: Sequence[int], unknowns: np.ndarray) -> Scores | None:
+def _tests(shooting: Shooting, tests: list[int], unknowns: np.ndarray) -> Scores | None:
     """Jacobian and residuals of independent tests; None without any."""
     if not tests:
         return None

@@ -45,12 +45,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import chain, islice
 from typing import Any, TypeVar
 
 import numpy as np
 from scipy.special import ndtr, stdtr
 
-from oed_sysid.compiled.kernels import kernel
+from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.likelihood.between_records import FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -64,7 +65,7 @@ from oed_sysid.likelihood.departures import (
     outputs_of,
     values_of,
 )
-from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
@@ -362,6 +363,17 @@ def _swings(fit: Estimate) -> Iterator[Found]:
 
 def _colours(fit: Estimate) -> Iterator[Found]:
     """One-step errors that remember, after all the noise that the fit knows."""
+    found = [one for name, tests in fit.whiteness().items() if (one := _memory(fit, name, tests))]
+    swinging = {peak.output for peak in _peaks(fit)} if found else set()
+    yield from (one for one in found if one.signal not in swinging)
+
+
+def _memory(fit: Estimate, name: str, tests: Sequence[Whiteness]) -> Found | None:
+    """Correlated one-step errors of an output."""
+    n = sum(test.n_samples for test in tests)
+    effective = sum(test.effective_samples for test in tests)
+    if not n or effective > COLOUR_LIMIT * n or not _remember(tests, n):
+        return None
     todo = (
         "Standard errors are from the sandwich covariance, which needs noise that does not "
         "depend on the manoeuvre; look for what is missing with improve()."
@@ -369,19 +381,10 @@ def _colours(fit: Estimate) -> Iterator[Found]:
         else "Standard errors are too small; look for what is missing with improve(), or let "
         "disturbance forces in."
     )
-    found = {}
-    for name, tests in fit.whiteness().items():
-        n = sum(test.n_samples for test in tests)
-        if not n:
-            continue
-        effective = sum(test.effective_samples for test in tests)
-        if effective <= COLOUR_LIMIT * n and _remember(tests, n):
-            found[name] = Found(effective / n, name, facts={
-                "what": "Innovations" if fit.innovations is not None else "Residuals",
-                "n": n, "effective": effective, "todo": todo,
-            })  # fmt: skip
-    swinging = {peak.output for peak in _peaks(fit)} if found else set()
-    yield from (one for name, one in found.items() if name not in swinging)
+    what = "Innovations" if fit.innovations is not None else "Residuals"
+    return Found(effective / n, name, facts={
+        "what": what, "n": n, "effective": effective, "todo": todo,
+    })  # fmt: skip
 
 
 def _remember(tests: Sequence[Whiteness], n: int) -> bool:
@@ -454,11 +457,16 @@ def _spikes(fit: Estimate) -> Iterator[Found]:
 # -- delays, starts, inputs: simulations -------------------------------------------------
 
 
+def _own_residuals(fit: Estimate) -> bool:
+    """Whether the model's own residuals tell what parameters have bent to."""
+    return fit.innovations is None and bool(fit.names)
+
+
 def _delay(fit: Estimate) -> Iterator[Found]:
     """A delay of one signal: the one that explains most, others follow once it is mended."""
     # Disturbance forces absorb a delay: then what was found before them counts.
     best = None if fit.process_noise is None else fit.process_noise.delay
-    if best is None and fit.innovations is None and fit.names:
+    if best is None and _own_residuals(fit):
         best = clear_delay(fit, estimate_delays(fit))
     if best is not None:
         yield Found(best.seconds, best.signal, facts={
@@ -471,14 +479,12 @@ def _delay(fit: Estimate) -> Iterator[Found]:
 def _starts(fit: Estimate) -> Iterator[Found]:
     """Actuators that did not begin at their first command, the clearest record of each."""
     clear = () if fit.process_noise is None else fit.process_noise.actuator_starts
-    if not clear and fit.innovations is None and fit.names:
-        clear = clear_starts(fit)
+    clear = clear or (clear_starts(fit) if _own_residuals(fit) else ())
     units = {channel.name: channel.unit for channel in fit.model.inputs}
-    said = set()
+    first: dict[tuple[str, str], ActuatorStart] = {}
     for one in clear:
-        if (one.effect, one.signal) in said:
-            continue
-        said.add((one.effect, one.signal))
+        first.setdefault((one.effect, one.signal), one)
+    for one in first.values():
         more = len({other.record for other in clear if other.effect == one.effect}) - 1
         factor, shown = shown_unit(units.get(one.signal, ""))
         yield Found(one.size, one.signal, one.record, facts={
@@ -522,6 +528,11 @@ def _other_way(fit: Estimate) -> Iterator[Found]:
 
 def _runaway(fit: Estimate) -> Iterator[Found]:
     """The first value far beyond any scale."""
+    yield from islice(chain(_far_values(fit), _far_outputs(fit)), 1)
+
+
+def _far_values(fit: Estimate) -> Iterator[Found]:
+    """Parameters beyond what can be physical."""
     for name, value in fit.values.items():
         parameter = fit.model.parameter(name)
         scale = parameter.scale or 0.0
@@ -533,17 +544,30 @@ def _runaway(fit: Estimate) -> Iterator[Found]:
         if not abs(value) <= max(limit, 1.0):
             facts = {"value": value, "unit": f" {parameter.unit}".rstrip()}
             yield Found(abs(value) / (scale or 1.0), name, facts=facts)
-            return
+
+
+def _far_outputs(fit: Estimate) -> Iterator[Found]:
+    """Outputs of the model, or innovations, beyond all that was measured."""
     spread = signal_spread(fit.dataset)
     highest = np.nanmax(np.abs(np.vstack([r.outputs for r in fit.dataset])), axis=0, initial=0.0)
     # An unstable vehicle leaves every scale on its own; what counts is the filter's error.
     parts = fit.predictions if fit.innovations is None else fit.innovations
     tops = np.max([np.max(np.abs(np.nan_to_num(p)), axis=0, initial=0.0) for p in parts], axis=0)
     sizes = tops / np.max([highest, spread, fit.sigma], axis=0)
-    for column in np.flatnonzero(sizes > RUNAWAY)[:1]:
+    for column in np.flatnonzero(sizes > RUNAWAY):
         output = fit.model.outputs[column]
         facts = {"value": tops[column], "unit": f" {output.unit}".rstrip()}
         yield Found(sizes[column], output.name, facts=facts)
+
+
+def _shown_noise(fit: Estimate) -> np.ndarray:
+    """Noise levels ``(n_outputs,)``, estimated ones no larger than what the records show."""
+    if not fit.sigma_estimated.any():
+        return fit.sigma
+    sigma = np.minimum(fit.sigma, white_levels(fit.dataset)[0])
+    # Filtered or exact records: a thousandth of the signal is no visible error.
+    least = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset))
+    return np.where(fit.sigma_estimated, least, fit.sigma)
 
 
 def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
@@ -553,39 +577,41 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     pieces of ``PIECE`` samples begin at the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
-    sigma = fit.sigma
-    if fit.sigma_estimated.any():
-        sigma = np.where(
-            fit.sigma_estimated, np.minimum(sigma, white_levels(fit.dataset)[0]), sigma
-        )
-        # Filtered or exact records: a thousandth of the signal is no visible error.
-        sigma = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset) * fit.sigma_estimated)
+    sigma = _shown_noise(fit)
     worst = (0.0, "", "")
     for index, record in enumerate(fit.dataset):
-        values, before = values_of(fit, index), fit.predictions[index]
-        states = fit.states[index]
-        whole = fit.innovations is None and fit.horizon is None
-        if whole or states.shape[1] != coarse.n_full:
-            after = outputs_of(fit, index, record.inputs, runner=fine)
-        else:
-            last = int(np.isfinite(states).all(axis=1).cumprod().sum())
-            starts = np.arange(0, record.n_samples, PIECE)
-            starts = starts[starts < last] if last else starts[:1]
-            before, after = (
-                one.run(record.times, record.inputs, values, states[starts], starts=starts).outputs
-                for one in (coarse, fine)
-            )
+        before, after = _both_steps(fit, index, coarse, fine)
         measured = np.isfinite(record.outputs).any(axis=0)
         known = np.isfinite(before).all(axis=1)
         if not known.any():
             continue
         with np.errstate(invalid="ignore", over="ignore"):
             change = np.sqrt(np.mean(((after - before)[known] / sigma) ** 2, axis=0))
-        change = np.where(np.isnan(change), np.inf, change)
-        for name, size, seen in zip(fit.model.output_names, change, measured, strict=True):
-            if seen and size > worst[0]:
-                worst = (float(size), name, record.name)
+        change = np.where(measured, np.nan_to_num(change, nan=np.inf, posinf=np.inf), 0.0)
+        column = int(np.argmax(change))
+        if change[column] > worst[0]:
+            worst = (float(change[column]), fit.model.output_names[column], record.name)
     return worst
+
+
+def _both_steps(
+    fit: Estimate, index: int, coarse: Kernel, fine: Kernel
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs of one record with both steps, whole or in pieces."""
+    record, states = fit.dataset[index], fit.states[index]
+    whole = fit.innovations is None and fit.horizon is None
+    if whole or states.shape[1] != coarse.n_full:
+        return fit.predictions[index], outputs_of(fit, index, record.inputs, runner=fine)
+    values = values_of(fit, index)
+    last = int(np.isfinite(states).all(axis=1).cumprod().sum())
+    starts = np.arange(0, record.n_samples, PIECE)
+    starts = starts[starts < last] if last else starts[:1]
+    runs = (
+        one.run(record.times, record.inputs, values, states[starts], starts=starts)
+        for one in (coarse, fine)
+    )
+    before, after = (run.outputs for run in runs)
+    return before, after
 
 
 def _integration(fit: Estimate) -> Iterator[Found]:
@@ -700,12 +726,11 @@ def _unexplained(fit: Estimate) -> Iterator[Found]:
     if not poor or not fit.dataset.channels.inputs:
         return
     moves = _Motion.of(fit).beyond(white_levels(fit.dataset)[0])
-    moving = dict(zip(fit.model.output_names, moves, strict=True))
+    moving = dict(zip(fit.model.output_names, moves | (len(poor) == len(shares)), strict=True))
     rest = "the noise is the rest"
     what = "disturbance forces hold the rest" if fit.innovations is not None else rest
-    for name in poor:
-        if len(poor) == len(shares) or moving[name]:
-            yield Found(shares[name], name, facts={"what": what})
+    for name in filter(moving.get, poor):
+        yield Found(shares[name], name, facts={"what": what})
 
 
 # -- unknowns ------------------------------------------------------------------------
@@ -739,24 +764,28 @@ def _follows(fit: Estimate) -> Iterator[Found]:
     names = fit.local_values[0] if fit.local_values else {}
     if n < FEWEST_RECORDS or not names:
         return
+    amplitudes = np.array([np.max(np.abs(r.inputs), axis=0) for r in fit.dataset]).T
     sizes = {
-        channel.name: np.array([np.max(np.abs(r.inputs[:, i])) for r in fit.dataset])
-        for i, channel in enumerate(fit.model.inputs)
+        name: size
+        for name, size in zip(fit.model.input_names, amplitudes, strict=True)
+        if np.ptp(size) > 1e-2 * np.max(size)
     }
-    sizes = {name: size for name, size in sizes.items() if np.ptp(size) > 1e-2 * np.max(size)}
-    for name in names:
+    for name in names if sizes else ():
         values = np.array([local[name] for local in fit.local_values])
-        if not sizes or not np.ptp(values) > 0:
-            continue
-        told = []
-        for signal, size in sizes.items():
-            correlation = float(np.corrcoef(values, size)[0, 1])
-            t = abs(correlation) * np.sqrt((n - 2) / max(1.0 - correlation**2, 1e-12))
-            told.append((2.0 * float(stdtr(n - 2, -t)), signal, correlation))
-        chance, signal, correlation = min(told)
-        if chance * len(sizes) <= FOLLOWS_CHANCE:
-            facts = {"follows": signal, "n": n, "chance": 100 * chance}
-            yield Found(correlation, name, facts=facts)
+        if np.ptp(values) > 0:
+            yield from _following(name, values, sizes)
+
+
+def _following(name: str, values: np.ndarray, sizes: Mapping[str, np.ndarray]) -> Iterator[Found]:
+    """The signal that values of records follow clearly."""
+    n = len(values)
+    told = {signal: float(np.corrcoef(values, size)[0, 1]) for signal, size in sizes.items()}
+    signal = max(told, key=lambda one: abs(told[one]))
+    t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
+    chance = 2.0 * float(stdtr(n - 2, -t))
+    if chance * len(sizes) <= FOLLOWS_CHANCE:
+        facts = {"follows": signal, "n": n, "chance": 100 * chance}
+        yield Found(told[signal], name, facts=facts)
 
 
 # The gravest first.

@@ -159,25 +159,28 @@ class MultipleShooting:
         if not isinstance(self.solver, Solver):
             raise ModelError(f"solver is {self.solver!r}. Write solver=Solver({self.solver!r}).")
         loss_by_name(self.loss)
-        forces = self.disturbances not in ("auto", "none")
         if self.horizon is not None:
             advice = "Give seconds above zero, or None, which predicts whole records."
             check_positive("horizon", self.horizon, advice)
-            if forces:
-                raise ModelError(
-                    f"disturbances={self.disturbances!r} needs whole records. Drop it or the "
-                    "horizon."
-                )
-            if self._white_only or self.interval is not None:
-                raise ModelError(
-                    "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
-                    "interval=None: its windows are the intervals."
-                )
-        if forces and self._white_only:
-            raise ModelError(
+        forces, ahead = self.disturbances not in ("auto", "none"), self.horizon is not None
+        for clash, words in (
+            (
+                ahead and forces,
+                f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon.",
+            ),
+            (
+                ahead and (self._white_only or self.interval is not None),
+                "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
+                "interval=None: its windows are the intervals.",
+            ),
+            (
+                forces and self._white_only,
                 f"disturbances={self.disturbances!r} goes with Solver('gauss-newton') and "
-                "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'."
-            )
+                "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'.",
+            ),
+        ):
+            if clash:
+                raise ModelError(words)
 
     @property
     def _white_only(self) -> bool:
@@ -304,7 +307,7 @@ class MultipleShooting:
                     "states of their own. Drop one of the two."
                 )
         if self.solver.method == "ipopt":
-            shooting = shooting.with_intervals(shooting.interval_samples)
+            shooting = shooting.with_every_node()
         return shooting, estimated
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
@@ -361,25 +364,18 @@ class MultipleShooting:
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
         for _ in range(SPIKE_ROUNDS):
-            if not all(np.isfinite(part).all() for part in again.predictions):
+            left = _left(again, before)
+            if left is None:
                 break
-            masks = spike_masks(
-                again.series,
-                declared=~again.sigma_estimated,
-                taken=before - _measured(again.dataset),
-            )
-            if not any(mask.any() for mask in masks):
-                break
-            left = without_spikes(again.dataset, masks)
             again = looking._fit(model, left, again, None, known_starts)
             iterations += again.iterations
         if again is fit:
             return fit
         again = plain._fit(model, again.dataset, again, None, known_starts)
-        after = _measured(again.dataset)
+        pairs = zip(before.tolist(), _measured(again.dataset).tolist(), strict=True)
         counts = {
-            name: (int(n - m), int(n))
-            for name, n, m in zip(model.output_names, before, after, strict=True)
+            name: (n - m, n)
+            for name, (n, m) in zip(model.output_names, pairs, strict=True)
             if m < n
         }
         return replace(again, iterations=iterations + again.iterations, excluded=counts)
@@ -394,7 +390,7 @@ class MultipleShooting:
         Fit or None
             The one with process noise; None where none acts, or its estimation failed.
         """
-        declared = [e.noise for e in random_effects(task.model.effects) if e.noise is not None]
+        declared = _declared(task.model)
         places, tests = self._places(task.model, declared), self._tests(task.model)
         if places is None:
             return fit, None
@@ -409,11 +405,8 @@ class MultipleShooting:
         if tests and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
-        found = None
-        for begun in (starts,) if carried is None else ([carried], starts):
-            found = self._estimated(fit, task, setting, begun, test, kernel) or found
-            if found is not None and not _no_likelier(found, fit):
-                break
+        begun = (starts,) if carried is None else ([carried], starts)
+        found = self._likelier(fit, task, setting, begun, test, kernel)
         if found is None:
             return _failed(fit, "diverged"), None
         if tests and _no_likelier(found, fit):
@@ -423,12 +416,7 @@ class MultipleShooting:
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
-        given = self.disturbances
-        asked: str | tuple[str, ...] = "all"  # also where there is nothing but a sea
-        if isinstance(given, str):
-            asked = "all" if given == "auto" else given
-        elif not isinstance(given, Sea):
-            asked = tuple(one for one in given if isinstance(one, str)) or "all"
+        asked = _asked(self.disturbances)
         try:
             places = () if asked == "none" else chosen_places(model, asked)
         except ModelError:
@@ -460,6 +448,23 @@ class MultipleShooting:
             any_sea=not seas,
             max_iterations=self.solver.max_iterations,
         )
+
+    def _likelier(
+        self,
+        fit: Fit,
+        task: _Task,
+        setting: Setting,
+        begun: Sequence[Sequence[Start]],
+        test: ScoreTest,
+        kernel: FilterKernel,
+    ) -> Fit | None:
+        """The first fit with process noise that is likelier, else the last; None if all fail."""
+        found = None
+        for starts in begun:
+            found = self._estimated(fit, task, setting, starts, test, kernel) or found
+            if found is not None and not _no_likelier(found, fit):
+                break
+        return found
 
     def _estimated(
         self,
@@ -536,6 +541,14 @@ class _Task:
     shooting: Shooting
     known_starts: KnownStarts | None
     how: Procedure
+
+
+def _asked(given: Disturbances) -> str | tuple[str, ...]:
+    """Places that disturbances are asked for; all where nothing but a sea is."""
+    if isinstance(given, str):
+        return "all" if given == "auto" else given
+    named = () if isinstance(given, Sea) else given
+    return tuple(one for one in named if isinstance(one, str)) or "all"
 
 
 def _after(end: Solution, *earlier: Solution) -> Solution:
@@ -639,14 +652,13 @@ def _score(
         test = score_test(model, fit.dataset, noisier, *at)
         if test.gain < CLEAR:
             return test
-    times = []
-    if carried is not None and (noise := carried.noise) is not None:
-        acting = (noise.force > 0) & (noise.force_time > 0)
-        times = sorted({float(time) for time in noise.force_time[acting]})
-    test = score_test(model, fit.dataset, quiet, *at, times=times)
-    if carried is not None and test.gain < CLEAR:
-        test = score_test(model, fit.dataset, quiet, *at)
-    return test
+    if carried is not None and carried.noise is not None:
+        noise = carried.noise
+        times = np.unique(noise.force_time[(noise.force > 0) & (noise.force_time > 0)]).tolist()
+        test = score_test(model, fit.dataset, quiet, *at, times=times)
+        if test.gain >= CLEAR:
+            return test
+    return score_test(model, fit.dataset, quiet, *at)
 
 
 def _before_absorbed(fit: Fit, statistic: float) -> ProcessNoiseTest:
@@ -655,6 +667,18 @@ def _before_absorbed(fit: Fit, statistic: float) -> ProcessNoiseTest:
         return ProcessNoiseTest(statistic)
     late, elsewhere = clear_delay(fit, estimate_delays(fit)), clear_starts(fit)
     return ProcessNoiseTest(statistic, delay=late, actuator_starts=elsewhere)
+
+
+def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
+    """The records without samples that stand out alone; None where none does, or it diverged.
+
+    ``before`` are the samples ``(n_outputs,)`` that were measured.
+    """
+    if not all(np.isfinite(part).all() for part in fit.predictions):
+        return None
+    taken = before - _measured(fit.dataset)
+    masks = spike_masks(fit.series, declared=~fit.sigma_estimated, taken=taken)
+    return without_spikes(fit.dataset, masks) if any(mask.any() for mask in masks) else None
 
 
 def _measured(dataset: Dataset) -> np.ndarray:
@@ -704,6 +728,11 @@ def with_levels(model: Model, noise: NoiseModel | None) -> Model:
             effect = replace(effect, noise=replace(process, level=level, time=time))
         effects.append(effect)
     return replace(model, effects=tuple(effects))
+
+
+def _declared(model: Model) -> list[RandomProcess]:
+    """Process noise that a model's own effects state."""
+    return [e.noise for e in random_effects(model.effects) if e.noise is not None]
 
 
 def _declared_levels(noise: NoiseModel, declared: Sequence[RandomProcess]) -> NoiseModel:

@@ -1,7 +1,7 @@
 """Multiple shooting as a nonlinear program for IPOPT.
 
-The same problem as :mod:`oed_sysid.likelihood.gauss_newton` solves, with every node an
-unknown and continuity an equality constraint, so that the exact Hessian can be
+The same problem as :mod:`oed_sysid.likelihood.gauss_newton` solves, with the state at every sample
+an unknown and continuity an equality constraint, so that the exact Hessian can be
 used and the user may add constraints. It is slower and needs
 no condensing; see Waechter & Biegler (2006) for the solver.
 
@@ -44,7 +44,7 @@ class NonlinearProgram:
     Parameters
     ----------
     shooting : Shooting
-        Cut into intervals of equal numbers of samples; the last may be shorter.
+        Cut at every sample.
     hessian : str
         ``"exact"`` or ``"gauss-newton"``.
     constraints : sequence of str
@@ -55,8 +55,6 @@ class NonlinearProgram:
         self, shooting: Shooting, *, hessian: str = "exact", constraints: Sequence[str] = ()
     ) -> None:
         self._graph = build(shooting.model)
-        self._length = shooting.interval_samples
-        self._intervals: dict[tuple[int, int, bool], ca.Function] = {}
         layout = shooting.layout
         self._scale = np.concatenate(
             [
@@ -138,51 +136,16 @@ class NonlinearProgram:
         """Scaled residuals of one record, the scaled jumps at its nodes, and the outputs."""
         record = shooting.records[index]
         z0 = self._graph.start(own, record.inputs[0], values, record.times[0])
-        starts = ca.horzcat(z0, nodes)
         data, steps = _samples(shooting, index)
-        n, length = data.shape[1], self._length
-        n_whole = n // length
-        residuals, ends, seen = [], [], []
-        uneven = bool(np.ptp(steps) > 0)
-        groups = [(0, n_whole, length)]
-        if n % length:
-            groups.append((n_whole, 1, n % length))
-        for first, count, size in groups:
-            if not count:
-                continue
-            function = self._interval(size, int(steps.max()), uneven)
-            part = data[:, first * length : first * length + count * size]
-            # One column per interval, the samples below each other.
-            stacked = part.T.reshape(count, -1).T
-            called = function.map(count)(
-                starts[:, first : first + count], ca.repmat(values, 1, count), ca.DM(stacked)
-            )
-            ends.append(called[0])
-            residuals.append(ca.vec(called[1]))
-            seen.append(ca.reshape(called[2], -1, count * size))
-        residual = ca.vertcat(*residuals) * ca.repmat(inverse_sigma, n, 1)
-        end = ca.horzcat(*ends)[:, : nodes.shape[1]]
-        scale = ca.repmat(ca.DM(shooting.state_scale), 1, nodes.shape[1])
-        return residual, ca.vec((end - nodes) / scale), ca.horzcat(*seen)
-
-    def _interval(self, length: int, n_steps: int, uneven: bool) -> ca.Function:
-        """One interval: ``(z, values, data) -> (z at its end, weighted residuals)``."""
-        key = (length, n_steps, uneven)
-        if key not in self._intervals:
-            step = _step(self._graph, n_steps, uneven, bool(self._user.of_outputs))
-            n_data = step.size1_in(2)
-            z = ca.MX.sym("z", self._graph.n_full)
-            values = ca.MX.sym("values", step.size1_in(1))
-            data = ca.MX.sym("data", n_data * length)
-            states, residuals, outputs = step.mapaccum(length)(
-                z, ca.repmat(values, 1, length), ca.reshape(data, n_data, length)
-            )
-            self._intervals[key] = ca.Function(
-                "interval",
-                [z, values, data],
-                [states[:, -1], ca.vec(residuals), ca.vec(outputs)],
-            )
-        return self._intervals[key]
+        n, n_nodes = data.shape[1], nodes.shape[1]
+        seen = bool(self._user.of_outputs)
+        step = _step(self._graph, int(steps.max()), bool(np.ptp(steps) > 0), seen)
+        after, residuals, outputs = step.map(n)(
+            ca.horzcat(z0, nodes), ca.repmat(values, 1, n), ca.DM(data)
+        )
+        scale = ca.repmat(ca.DM(shooting.state_scale), 1, n_nodes)
+        jumps = ca.vec((after[:, :n_nodes] - nodes) / scale)
+        return ca.vec(residuals) * ca.repmat(inverse_sigma, n, 1), jumps, outputs
 
     def solve(
         self,
@@ -398,12 +361,6 @@ class _Watcher(ca.Callback):
 
     def get_n_out(self) -> int:
         return 1
-
-    def get_name_in(self, i: int) -> str:
-        return ca.nlpsol_out(i)
-
-    def get_name_out(self, i: int) -> str:
-        return "ret"
 
     def get_sparsity_in(self, i: int) -> ca.Sparsity:
         sizes = {"x": self._n_x, "lam_x": self._n_x, "g": self._n_g, "lam_g": self._n_g}

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.start_guess import (
@@ -239,6 +240,23 @@ class Shooting(Posed):
             sensitivities=sensitivities,
         )
 
+    def gathered(
+        self,
+        unknowns: np.ndarray,
+        record: int,
+        nodes: np.ndarray,
+        starts: np.ndarray,
+        *,
+        stop: int | None = None,
+        linked: bool = True,
+    ) -> Blocks | None:
+        """Normal equations of the segments of a record that begin at ``starts``, up to ``stop``."""
+        data, values = self.records[record], self.values(unknowns, record)
+        return gather(
+            self.kernel, data.times[:stop], data.inputs[:stop], values, nodes, data.outputs[:stop],
+            self.sigma, starts=starts, linked=linked,
+        )  # fmt: skip
+
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""
         unknowns = np.zeros(self.layout.n_unknowns)
@@ -398,10 +416,11 @@ class Shooting(Posed):
             own[columns] = unknowns[self._columns[index]]
         return alone, own
 
-    def with_intervals(self, n_samples: int) -> Shooting:
-        """Return the same problem cut into intervals of ``n_samples`` samples."""
-        starts = (np.arange(0, len(r.times), n_samples, dtype=np.intc) for r in self.records)
-        return self._with(starts=tuple(starts))
+    def with_every_node(self) -> Shooting:
+        """Return the same problem cut at every sample."""
+        return self._with(
+            starts=tuple(np.arange(len(r.times), dtype=np.intc) for r in self.records)
+        )
 
     def with_loss(self, loss: Loss | None) -> Shooting:
         """Return the same problem with another loss."""

@@ -290,22 +290,24 @@ class Limits:
         parameters = model.free_parameters
         sizes = [1.0 if p.log else p.magnitude for p in parameters]
         scales = [*(s.scale for s in model.states), *sizes]
-        known = [p.prior_std is not None for p in parameters]
-        bounds = [layout.inward(np.array([getattr(p, end) for p in parameters]))
-                  for end in ("lower", "upper")]  # fmt: skip
+        bounds = [
+            layout.inward(np.array([getattr(p, end) for p in parameters]))
+            for end in ("lower", "upper")
+        ]
+        stds = np.array([np.inf if p.prior_std is None else p.prior_std for p in parameters])
+        known = np.isfinite(stds)
         means = layout.inward(
             np.array([1.0 if p.prior_mean is None else p.prior_mean for p in parameters])
         )
         for index in range(layout.n_records):
             columns = layout.record_columns(index)
-            free = columns[layout.n_own :]
+            own, free = columns[: layout.n_own], columns[layout.n_own :]
             scale[columns] = scales
             lower[free], upper[free] = bounds
-            mean[free[known]] = means[known]
-            weight[free[known]] = [p.prior_std**-2 for p in parameters if p.prior_std is not None]
+            mean[free[known]], weight[free[known]] = means[known], stds[known] ** -2.0
             if starts is None:
                 continue
-            own, value, std = columns[: layout.n_own], starts.mean[index], starts.std[index]
+            value, std = starts.mean[index], starts.std[index]
             exact, stated = std == 0.0, np.isfinite(std) & (std > 0)
             lower[own[exact]] = upper[own[exact]] = value[exact]
             mean[own[stated]], weight[own[stated]] = value[stated], std[stated] ** -2.0

@@ -27,7 +27,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.compiled.normal_equations import Elimination, eliminate, gather
+from oed_sysid.compiled.normal_equations import Elimination, eliminate
 from oed_sysid.data.record import Record
 from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Equations, Iterate, StepControl
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
@@ -210,16 +210,9 @@ class Windows:
         shooting = self.shooting
         record, n_full = shooting.records[part.record], shooting.kernel.n_full
         z0, by_unknowns = shooting.full_start(unknowns, part.record)
-        blocks = gather(
-            shooting.kernel,
-            record.times[: part.stop],
-            record.inputs[: part.stop],
-            shooting.values(unknowns, part.record),
-            z0[None] if record.independent else at,
-            record.outputs[: part.stop],
-            shooting.sigma,
-            starts=part.starts,
-            linked=False,
+        nodes = z0[None] if record.independent else at
+        blocks = shooting.gathered(
+            unknowns, part.record, nodes, part.starts, stop=part.stop, linked=False
         )
         if blocks is None:
             return None
@@ -258,13 +251,11 @@ class Windows:
         for part, at in zip(self.windows, point.nodes, strict=True):
             record = shooting.records[part.record]
             z0, _ = shooting.full_start(point.unknowns, part.record)
+            nodes = z0[None] if record.independent else at
             run = shooting.kernel.run(
-                record.times,
-                record.inputs,
-                shooting.values(point.unknowns, part.record),
-                z0[None] if record.independent else at,
+                record.times, record.inputs, shooting.values(point.unknowns, part.record), nodes,
                 starts=part.starts,
-            )
+            )  # fmt: skip
             stops = [*part.starts[1:], record.n_samples]
             for start, stop, counted in zip(part.starts, stops, part.counted, strict=True):
                 if counted:

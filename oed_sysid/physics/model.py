@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -160,10 +160,14 @@ class Model(Structure):
             "p": [one.name for one in parameters],
             "t": ["t"],
         }
+        _check_derivatives(f)
         rates = callables.elements(f, symbols, [one.name for one in states])
         if outputs is None:
             outputs = [Output(one.name, one.unit) for one in states]
-        seen = {} if h is None else callables.elements(h, symbols, [one.name for one in outputs])
+        seen = {}
+        if h is not None:
+            _check_derivatives(h)
+            seen = callables.elements(h, symbols, [one.name for one in outputs])
         return cls(
             name or f.name(),
             tuple(states),
@@ -200,33 +204,30 @@ class Model(Structure):
 
     def with_values(self, values: Mapping[str, float]) -> Model:
         """Return the model with some parameter values replaced."""
-        for name in values:
-            self.parameter(name)
-        return self._map(lambda p: p.with_value(values[p.name]) if p.name in values else p)
+        return self._changed(values, lambda p: p.with_value(values[p.name]))
 
     def fix(self, *names: str) -> Model:
         """Return the model with the named parameters held at their values."""
-        for name in names:
-            self.parameter(name)
-        return self._map(lambda p: replace(p, fixed=True) if p.name in names else p)
+        return self._changed(names, lambda p: replace(p, fixed=True))
 
     def free(self, *names: str) -> Model:
         """Return the model with the named parameters open to estimation."""
-        for name in names:
-            self.parameter(name)
-        return self._map(lambda p: replace(p, fixed=False) if p.name in names else p)
+        return self._changed(names, lambda p: replace(p, fixed=False))
 
     def with_parameter(self, parameter: Parameter) -> Model:
         """Return the model with one parameter replaced by another of the same name."""
-        self.parameter(parameter.name)
-        return self._map(lambda p: parameter if p.name == parameter.name else p)
+        return self._changed((parameter.name,), lambda p: parameter)
 
-    def _map(self, change: Callable[[Parameter], Parameter]) -> Model:
-        effects = (
-            with_parameters(effect, tuple(map(change, effect.parameters)))
-            for effect in self.effects
-        )
-        return with_parameters(self, tuple(map(change, self.parameters)), effects=tuple(effects))
+    def _changed(self, names: Collection[str], change: Callable[[Parameter], Parameter]) -> Model:
+        """The model with some of its parameters changed."""
+        for name in names:
+            self.parameter(name)
+
+        def changed(parts: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
+            return tuple(change(p) if p.name in names else p for p in parts)
+
+        effects = tuple(with_parameters(one, changed(one.parameters)) for one in self.effects)
+        return with_parameters(self, changed(self.parameters), effects=effects)
 
     # -- words ---------------------------------------------------------------------
 
@@ -323,6 +324,18 @@ class Model(Structure):
             tuple((f.name, *callables.digest(f)) for f in self.functions),
         )
         return hashlib.sha256(repr(parts).encode()).hexdigest()[:24]
+
+
+def _check_derivatives(function: ca.Function) -> None:
+    """Refuse a function that calls what cannot be differentiated."""
+    try:
+        function.jacobian()
+    except RuntimeError as error:
+        raise ModelError(
+            f"CasADi has no derivatives of {function.name()!r} ({str(error).splitlines()[-1]}). "
+            "Give an external function its forward and reverse derivatives, or make it with "
+            "{'enable_fd': True}."
+        ) from None
 
 
 def latex_lines(model: Model, values: Mapping[str, float] = MappingProxyType({})) -> list[str]:

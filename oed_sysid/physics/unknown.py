@@ -166,19 +166,7 @@ def UnknownInput(
     >>> effect.parameters[1].prior_std, effect.parameters[1].per_record
     (0.05, True)
     """
-    origin = f"begin_{signal}"
-    parameters = _parameters(signal, unit, duration, spacing, scale, change)
-    # A sampled effect gives the mean over a step: that at its middle.
-    return Actuator(
-        f"unknown_input_{signal}",
-        {signal: f"{signal} + {_series(parameters)}"},
-        parameters,
-        definitions={"node": f"(t + h/2 - {origin})/{spacing!r}"},
-        memory=(Memory(origin, origin, "t"),),
-        description=f"unknown part of {signal}, a node every {spacing:g} s",
-        source=SOURCE,
-        needs="outputs that answer to it faster than it changes",
-    )
+    return _estimated(Actuator, signal, unit, (duration, spacing, scale, change))
 
 
 def UnknownForce(
@@ -216,15 +204,27 @@ def UnknownForce(
     >>> len(effect.parameters), effect.states[0].initial
     (5, 't')
     """
-    origin = f"begin_{equation}"
-    parameters = _parameters(equation, unit, duration, spacing, scale, change)
-    return Force(
-        f"unknown_force_{equation}",
-        {equation: _series(parameters)},
+    return _estimated(Force, equation, unit, (duration, spacing, scale, change))
+
+
+def _estimated(
+    kind: type[Kind], place: str, unit: str, sizes: tuple[float, float, float, float | None]
+) -> Kind:
+    """Effect of a series of nodes, from the beginning of the record on."""
+    origin, spacing = f"begin_{place}", sizes[1]
+    parameters = _parameters(place, unit, *sizes)
+    sampled, word = kind is Actuator, "input" if kind is Actuator else "force"
+    # A sampled effect gives the mean over a step: that at its middle.
+    now = "t + h/2" if sampled else "t"
+    return kind(
+        f"unknown_{word}_{place}",
+        {place: f"{place} + {_series(parameters)}" if sampled else _series(parameters)},
         parameters,
-        definitions={"node": f"(t - {origin})/{spacing!r}"},
-        states=(ExtraState(origin, "0", "t"),),
-        description=f"unknown force in {equation}, a node every {spacing:g} s",
+        definitions={"node": f"({now} - {origin})/{spacing!r}"},
+        memory=(Memory(origin, origin, "t"),) if sampled else (),
+        states=() if sampled else (ExtraState(origin, "0", "t"),),
+        description=f"unknown {'part of' if sampled else 'force in'} {place}, a node every "
+        f"{spacing:g} s",
         source=SOURCE,
         needs="outputs that answer to it faster than it changes",
     )

@@ -58,7 +58,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     shown = [scores[name] for name in names]
     ax.plot(shown, rows, "D", ms=4.5, mfc="white", mec=draw.TRUTH, zorder=3,
             label="score before refit")  # fmt: skip
-    ax.plot([ranking.needed(one) for one in refits], [row_of[one.name] for one in refits], "|",
+    ax.plot([one.needed for one in refits], [row_of[one.name] for one in refits], "|",
             ms=18, mew=1.8, color=draw.TRUTH, zorder=4, label="needed for a claim")  # fmt: skip
     _readable_scale(ax, max([*(refit.gain for refit in ranking.refits), *shown, 1.0]))
     said = "No candidate was worth a refit."
@@ -66,7 +66,7 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         best = ranking.refits[0]
         said = (
             f"{best.name} has the largest likelihood-ratio statistic, {best.gain:.4g}; "
-            f"{ranking.needed(best):.3g} are needed."
+            f"{best.needed:.3g} are needed."
         )
     draw.legend_above(ax, fontsize=8.5, markerscale=0.6)
     return draw.done(ax, said, grid="x", xlabel="likelihood-ratio statistic [-]")

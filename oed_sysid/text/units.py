@@ -225,6 +225,8 @@ def _product(text: str, unit: str) -> Dimension:
     terms = _FACTOR.sub(factor, text).replace("·", "*")
     if left := re.sub(r"x\d+|[\s*/()]", "", terms):
         raise _unknown(left[0], unit)
+    if re.search(r"\(\s*\)", terms):
+        raise _unknown("()", unit)
     if alone := re.search(r"(?:^|[*/(])\s*([*/])|([*/])\s*(?:$|\))", terms):
         raise _dangling(alone[1] or alone[2], unit)
     depth = max(accumulate((letter == "(") - (letter == ")") for letter in terms))

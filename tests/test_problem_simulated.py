@@ -1,14 +1,78 @@
-"""REMUS in six degrees of freedom: the thesis's tables, its instability, the hidden effects."""
+"""Simulated problems: the catamaran and REMUS in six degrees of freedom."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from oed_sysid import MultipleShooting, improve, load_problem, simulate
+from oed_sysid import MultipleShooting, improve, load_problem, simulate, simulate_inputs
 from oed_sysid.text import expressions
 
-PROBLEM = load_problem("remus_6dof")
+PROBLEM = load_problem("catamaran")
+
+
+def steady(port: float, starboard: float, seconds: float = 60.0) -> dict[str, float]:
+    """States after a while at constant revolutions."""
+    times = np.arange(0.0, seconds, 0.1)
+    run = simulate_inputs(
+        PROBLEM.model,
+        times,
+        inputs={"n_port": port, "n_starboard": starboard},
+        initial={"u": 1.0},
+    )
+    return dict(zip(PROBLEM.model.state_names, run.states[-1], strict=True))
+
+
+def test_equal_thrusts_run_straight_at_the_speed_of_their_balance() -> None:
+    """Two equal propellers give the speed at which drag equals twice the thrust."""
+    end, values = steady(70.0, 70.0), PROBLEM.model.values
+    thrust = 2 * values["k_n"] * 70.0**2
+    drag = -values["X_u"] * end["u"] - values["X_absuu"] * end["u"] ** 2
+    assert drag == pytest.approx(thrust, rel=1e-6)
+    assert abs(end["psi"]) < 1e-9
+
+
+def test_more_on_port_turns_to_starboard_by_the_lever_of_the_hulls() -> None:
+    """A turn is to the side of the weaker propeller, and mirrored thrusts mirror it."""
+    right, left = steady(80.0, 60.0), steady(60.0, 80.0)
+    assert right["r"] > 0.1
+    assert left["r"] == pytest.approx(-right["r"], rel=1e-9)
+    assert left["u"] == pytest.approx(right["u"], rel=1e-9)
+
+
+def test_commands_swing_about_cruise() -> None:
+    """No manoeuvre commands a propeller far from 70 rad/s, and each begins there."""
+    for experiment in PROBLEM.experiments.values():
+        commands = experiment.commands(PROBLEM.model.input_names)
+        assert commands.min() >= 40.0
+        assert commands.max() <= 100.0
+
+
+def test_records_fit_with_what_is_hidden() -> None:
+    """With lag and asymmetry the fit reaches the noise and holds the truth."""
+    train = PROBLEM.data().split(test=["turns"])[0]
+    hidden = [PROBLEM.effect(name) for name in ("propeller_lag", "thrust_asymmetry")]
+    fit = MultipleShooting().fit(PROBLEM.model + hidden, train)
+    noise = np.array([output.noise_std for output in PROBLEM.model.outputs])
+    rms = np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2, axis=0))
+    np.testing.assert_allclose(rms, noise, rtol=0.1)
+    for name in fit.values:
+        low, high = fit.interval(name, 0.9999)
+        assert low < PROBLEM.truth[name] < high, name
+
+
+@pytest.mark.slow
+def test_hidden_effects_are_found() -> None:
+    """Improvement names the lag of the propellers and the weaker one, and nothing false."""
+    train, test = PROBLEM.data().split(test=["turns"])
+    found = improve(PROBLEM.model, train, test, candidates=PROBLEM.effects)
+    assert set(found.model.effect_names) - set(PROBLEM.model.effect_names) == {
+        "propeller_lag",
+        "thrust_asymmetry",
+    }
+
+
+PROBLEM_6DOF = load_problem("remus_6dof")
 AXES = "XYZKMN"
 # Prestero (2001), tables B.1 and B.2: products of two velocities, and fins.
 TABLE_B = {
@@ -41,7 +105,7 @@ TABLE_B = {
 
 def forces(**motion: float) -> np.ndarray:
     """Forces on six axes of water, hull and fins; ``ds`` and ``dr`` may be given."""
-    model = PROBLEM.model
+    model = PROBLEM_6DOF.model
     scope = model.values | dict.fromkeys((*"uvwpqr", "ds", "dr", "T"), 0.0) | motion
     scope |= {f"{v}_r": scope[v] for v in "uvw"}
     total = np.zeros(6)
@@ -82,8 +146,8 @@ def test_combined_coefficients_of_the_thesis(name: str) -> None:
 
 def test_propeller_torque_heels_the_vehicle() -> None:
     """At cruise the torque of 0.543 N m balances z_G W sin(phi)."""
-    experiment = PROBLEM.experiment("cruise")
-    record = simulate(PROBLEM.model, experiment, noise=False)
+    experiment = PROBLEM_6DOF.experiment("cruise")
+    record = simulate(PROBLEM_6DOF.model, experiment, noise=False)
     mean = float(np.mean(record.output("phi")))
     assert mean == pytest.approx(-np.arcsin(0.543 / (0.0196 * 299)), abs=0.02)
 
@@ -94,7 +158,7 @@ def test_hull_is_unstable_in_pitch() -> None:
 
     from oed_sysid.compiled.graph import build
 
-    model, graph = PROBLEM.model, build(PROBLEM.model)
+    model, graph = PROBLEM_6DOF.model, build(PROBLEM_6DOF.model)
     names = list(graph.state_names)
     state = np.zeros(len(names))
     state[names.index("u")] = 1.54
@@ -104,30 +168,32 @@ def test_hull_is_unstable_in_pitch() -> None:
     plane = [names.index(name) for name in ("u", "w", "q", "theta")]
     poles = np.linalg.eigvals(jacobian[np.ix_(plane, plane)])
     worst = poles[np.argmax(poles.real)]
-    assert worst.real == pytest.approx(PROBLEM.published["pitch_poles"][0].real, abs=0.02)
-    assert abs(worst.imag) == pytest.approx(PROBLEM.published["pitch_poles"][0].imag, abs=0.02)
+    assert worst.real == pytest.approx(PROBLEM_6DOF.published["pitch_poles"][0].real, abs=0.02)
+    assert abs(worst.imag) == pytest.approx(PROBLEM_6DOF.published["pitch_poles"][0].imag, abs=0.02)
 
 
 @pytest.mark.slow
-def test_records_fit_with_what_is_hidden() -> None:
+def test_records_fit_with_what_is_hidden_6dof() -> None:
     """With lag and current the fit reaches the noise, and the truth lies within its errors."""
-    train = PROBLEM.data().split(test=["wide"])[0]
-    model = PROBLEM.model + PROBLEM.effect("fin_lag") + PROBLEM.effect("current")
+    train = PROBLEM_6DOF.data().split(test=["wide"])[0]
+    model = PROBLEM_6DOF.model + PROBLEM_6DOF.effect("fin_lag") + PROBLEM_6DOF.effect("current")
     fit = MultipleShooting().fit(model, train)
     noise = np.array([output.noise_std for output in model.outputs])
     rms = np.sqrt(np.mean(np.concatenate(fit.residuals) ** 2, axis=0))
     np.testing.assert_allclose(rms, noise, rtol=0.1)
     for name, value in fit.values.items():
         low, high = fit.interval(name, 0.9999)
-        assert low < PROBLEM.truth.get(name, PROBLEM.model.values.get(name, value)) < high, name
+        assert (
+            low < PROBLEM_6DOF.truth.get(name, PROBLEM_6DOF.model.values.get(name, value)) < high
+        ), name
 
 
 @pytest.mark.slow
-def test_hidden_effects_are_found() -> None:
+def test_hidden_effects_are_found_6dof() -> None:
     """Improvement names the lag of the fins and the current, and nothing false."""
-    train, test = PROBLEM.data().split(test=["wide"])
-    found = improve(PROBLEM.model, train, test, candidates=PROBLEM.effects)
-    assert set(found.model.effect_names) - set(PROBLEM.model.effect_names) == {
+    train, test = PROBLEM_6DOF.data().split(test=["wide"])
+    found = improve(PROBLEM_6DOF.model, train, test, candidates=PROBLEM_6DOF.effects)
+    assert set(found.model.effect_names) - set(PROBLEM_6DOF.model.effect_names) == {
         "fin_lag",
         "current",
     }
