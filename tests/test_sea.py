@@ -391,7 +391,7 @@ def test_wave_is_named_where_it_acts(
     found = ranked(problem, sizes, axis, omega)
     best = found.refits[0]
     assert best.name == f"wave_{axis}"
-    assert best.gain > found.needed(best)
+    assert best.gain > best.needed
     assert [one.name for one in found.group()] == [f"wave_{axis}"]
     assert best.fit.values[f"omega_wave_{axis}"] == pytest.approx(omega, abs=0.004)
     # The score alone is most of the refit's gain: its frequency was not missed.
@@ -402,7 +402,7 @@ def test_wave_is_named_where_it_acts(
 def test_no_wave_is_found_where_there_is_none(problem: object, sizes: dict[str, float]) -> None:
     """The best of many frequencies gains by chance; what a claim needs counts them."""
     found = ranked(problem, sizes, "", 0.0)
-    assert all(one.gain < found.needed(one) for one in found.refits)
+    assert all(one.gain < one.needed for one in found.refits)
     for score in found.scores:
         assert score.trials == pytest.approx(0.48 * 400.0 / (2 * np.pi), rel=0.01)
         assert found.needed_by(score) > threshold_forces(len(sizes), score.freedom)

@@ -164,7 +164,7 @@ def test_what_does_not_belong_is_refused() -> None:
         ([{}, {}], "2 mappings for 1 records"),
         ({"x": (1.0, -0.1)}, "standard deviation"),
         ({"x": (1.0, 0.1, 2.0)}, "standard deviation"),
-        ({"x": float("nan")}, "held"),
+        ({"x": float("nan")}, "a number or a pair"),
     ):
         with pytest.raises(DataError, match=words):
             ESTIMATOR.fit(oscillator(), data, start_states=starts)  # type: ignore[arg-type]

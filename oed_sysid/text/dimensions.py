@@ -49,9 +49,9 @@ class Deduction:
     --------
     >>> from oed_sysid.text.units import dimension
     >>> units = Deduction()
-    >>> known = {"U": Dimension(dimension("m/s")), "v": Dimension(dimension("m/s"))}
+    >>> known = {"U": dimension("m/s"), "v": dimension("m/s")}
     >>> force = units.form("0.5*1025*2500*U*v", known, where="hull")
-    >>> units.equal(force, Dimension(dimension("N")))
+    >>> units.equal(force, dimension("N"))
     True
     >>> units.notes()
     ('hull: 0.5*1025*2500 is read as kg/m.',)
