@@ -24,6 +24,7 @@ from oed_sysid.evidence.claim import (
 )
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
+from oed_sysid.evidence.residual_forces import repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -113,7 +114,7 @@ def rounds(
         yield state, ranking
         chosen, decisions = keep.once("choice", partial(choice, state, ranking))
         state = replace(state, decisions=(*state.decisions, *decisions))
-        rival = 0.0 if chosen is None else chosen[1].statistic
+        rival = None if chosen is None else chosen[1]
         state, at_sea = keep.once("a sea", partial(with_waves, state, rival))
         yield state, ranking
         if at_sea:
@@ -134,10 +135,12 @@ def rounds(
         yield state, ranking
 
 
-def with_waves(state: Standing, rival: float) -> tuple[Standing, bool]:
+def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
     """Ask a sea in the place of forces of first order, as any effect; whether it is taken.
 
-    It is where it is claimed and no effect's statistic, ``rival``, is larger.
+    It is where it is claimed and its forces follow neither motion nor commands, those of first
+    order that it replaces included; and where what would be added else, ``rival``, has neither a
+    larger statistic nor whole runs that are much better: noise leaves those as they are.
     """
     study, fit, setting = state.study, state.fit, state.study.setting
     places = [place for place in setting.at_sea if place in fit.noise.places]
@@ -149,12 +152,20 @@ def with_waves(state: Standing, rival: float) -> tuple[Standing, bool]:
     # A level in each place, a period that is the best of many, and a width.
     needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
     decided = replace(claim(study, fit, found, (), needed), name="a sea")
-    if decided.stands and decided.statistic <= rival:
-        return state, False  # asked again beside what explains more
+    if decided.stands and rival is not None:
+        if decided.statistic <= rival.statistic or BOUGHT * rival.after < decided.after:
+            return state, False  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
-    if not decided.stands:
+    # A force that follows motion or commands is physics, whatever its period.
+    if not decided.stands or _follows(study, fit) or _follows(study, found):
         return state, False
     return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
+
+
+def _follows(study: Study, fit: FilteredSolution) -> bool:
+    """Whether the forces of a fit follow motion or commands, in the validation records too."""
+    records = study.validation
+    return bool(repeated(study, fit, None if records is None else study.on_records(fit, records)))
 
 
 def calmed(state: Standing) -> Standing:
