@@ -152,9 +152,11 @@ def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
     # A level in each place, a period that is the best of many, and a width.
     needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
     decided = replace(claim(study, fit, found, (), needed), name="a sea")
-    if decided.stands and rival is not None:
-        if decided.statistic <= rival.statistic or BOUGHT * rival.after < decided.after:
-            return state, False  # asked again beside what explains more
+    explained = rival is not None and (
+        decided.statistic <= rival.statistic or BOUGHT * rival.after < decided.after
+    )
+    if decided.stands and explained:
+        return state, False  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
     # A force that follows motion or commands is physics, whatever its period.
     if not decided.stands or _follows(study, fit) or _follows(study, found):
