@@ -450,6 +450,7 @@ def test_the_published_vehicles_log_nothing_wrong(name: str) -> None:
     assert not check(data, problem).suspect
 
 
+@pytest.mark.slow
 def test_beside_fast_answers_faults_are_found() -> None:
     """Spikes anywhere, a wrong scale and a wrong sign of the same roll rate are named."""
     problem, data = published_log("sailboat")

@@ -135,6 +135,7 @@ def test_hidden_drag_is_found_as_by_the_prepared_vocabulary() -> None:
     assert made.final_error["test"] == pytest.approx(own.final_error["test"], rel=0.01)
 
 
+@pytest.mark.slow
 def test_an_equation_without_axes_gets_its_powers() -> None:
     """A heading model whose cubic damping is hidden: found among powers made from its signals."""
     found = improve(SHIP, dataset(11, -15.0), dataset(12, -15.0))
