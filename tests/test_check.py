@@ -50,6 +50,7 @@ from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
+from oed_sysid.physics import sensor_bias, sensor_scale
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -212,8 +213,6 @@ def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
 
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
     """A bias that the model allows for is told, but does not make the log suspect."""
-    from oed_sysid.physics import sensor_bias
-
     model = DIVER.model + sensor_bias("bias_q", "q", "rad/s", scale=0.01)
     data = diving_log(Fault("bias", ("q",), 0.008))
     records = tuple(replace(record, channels=model.channels) for record in data)
@@ -679,6 +678,35 @@ def test_values_far_from_their_priors_make_a_log_suspect(dives_inputs) -> None: 
     moved = fit.model.with_values({first.name: first.prior_mean + 1.2 * FAR * first.prior_std})
     gate = with_estimates(log, replace(fit, model=moved))
     assert [(one.kind, one.signals) for one in gate.serious] == [("far", (first.name,))]
+
+
+def test_a_claim_that_puts_the_log_right_answers_its_findings() -> None:
+    """A scale of x reads as one of v in x' = v: undone with its estimate, nothing is left of it."""
+    model = Model(
+        "sled",
+        (State("x", "m"), State("v", "m/s")),
+        (Input("u", "1"),),
+        (Output("x", "m", noise_std=0.02), Output("v", "m/s", noise_std=0.01)),
+        {"x": "v", "v": "b*u - d*v"},
+        parameters=(Parameter("b", 0.3, "m/s^2"), Parameter("d", 0.4, "1/s")),
+        step=0.1,
+    )
+    rng = np.random.default_rng(5)
+    times, commands = np.arange(400) * 0.1, np.repeat(rng.choice([-1.0, 1.0], 20), 20)
+    v = np.zeros(400)
+    for k in range(399):  # exact for a held command
+        v[k + 1] = 0.75 * commands[k] + (v[k] - 0.75 * commands[k]) * np.exp(-0.04)
+    x = np.cumsum(np.append(0.0, 0.75 * commands[:-1] * 0.1 - np.diff(v) / 0.4))
+    seen = np.column_stack([0.8 * x, v]) + rng.standard_normal((400, 2)) * [0.02, 0.01]
+    data = Dataset((Record("run", times, commands[:, None], seen, model.channels),))
+    log = check(data, model)
+    assert [one.name for one in log.serious] == ["scale v"]
+    for right, effect in (
+        (True, sensor_scale("scale_x", "x", scale=0.1)),
+        (False, sensor_bias("bias_v", "v", "m/s", scale=0.1)),
+    ):
+        fit = MultipleShooting(disturbances="none").fit(model + effect, data)
+        assert with_estimates(log, fit, [effect]).ok is right
 
 
 def test_a_guess_says_where_it_is_lost(dives_inputs) -> None:  # type: ignore[no-untyped-def]
