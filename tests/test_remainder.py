@@ -276,6 +276,7 @@ def test_a_stop_is_no_sea(model: Model) -> None:
     assert force.share > 0.4
 
 
+@pytest.mark.slow
 def test_a_sea_follows_nothing(model: Model) -> None:
     """A disturbance force stays one."""
     found = improved(model, sea=3.0)
