@@ -300,19 +300,24 @@ def with_estimates(
         single records (``run``).
     """
     sensors = [one for one in claimed if one.stage == "sensor"]
-    findings = [*log.findings]
-    if log.suspect and sensors:
-        bare = fit.model.without(*(one.name for one in sensors))
-        again = check(_without(fit, records or fit.dataset, sensors), bare, inputs=False)
-        left = {one.name for one in again.serious}
-        # Exact coincidences of what was logged stay what they are.
-        asked = [f for f in findings if f.suspect and (f.gain or f.kind == "unexplained")]
-        findings = [f for f in findings if f not in asked or f.name in left]
+    findings = _left(log, fit, records or fit.dataset, sensors) if sensors else [*log.findings]
     for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
         findings.append(said("other_way", (one.channel.name,), log.records, row))
     findings += [*_far(fit, log.records), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
+
+
+def _left(log: LogCheck, fit: Fit, records: Dataset, sensors: Sequence[Effect]) -> list[Finding]:
+    """Findings that the records still show where some effects of the sensors are undone."""
+    # Exact coincidences of what was logged stay what they are.
+    asked = [f for f in log.serious if f.gain or f.kind == "unexplained"]
+    if not asked:
+        return [*log.findings]
+    bare = fit.model.without(*(one.name for one in sensors))
+    again = check(_without(fit, records, sensors), bare, inputs=False)
+    shown = {one.name for one in again.serious}
+    return [f for f in log.findings if f not in asked or f.name in shown]
 
 
 def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:
