@@ -23,6 +23,7 @@ from oed_sysid.experiments.base import (
     Numbers,
     Rule,
     Stepwise,
+    Timed,
     above_zero,
     each_positive,
     feedback_of,
@@ -74,7 +75,7 @@ class SlopeLimit:
         return self._command
 
 
-class _Reversing(Stepwise):
+class _Reversing(Stepwise, Timed):
     """What both zigzags share."""
 
     def controller(self) -> Controller:
@@ -157,9 +158,7 @@ class ZigZag(_Reversing):
     feedback: abc.Sequence[str] = ("psi",)
     rate: float | None = None
     first: int = 1
-    start: float = 0.0
     sign: int = 1
-    neutral: float = 0.0
     reference: float | None = None
     lead: float = 0.0
     keep_gain: float = 0.0
@@ -240,9 +239,7 @@ class ZigZagLike(_Reversing):
     feedback: abc.Sequence[str] = ("theta",)
     rate: float | None = None
     first: int = 1
-    start: float = 0.0
     sign: int = -1
-    neutral: float = 0.0
     reference: float | None = 0.0
 
     @property
@@ -332,7 +329,7 @@ def _ending(manoeuvre: ZigZag | ZigZagLike) -> str:
 
 
 @dataclass(frozen=True)
-class ReverseSpiral(Stepwise):
+class ReverseSpiral(Stepwise, Timed):
     """Reverse (Bech) spiral: steer a sequence of constant yaw rates.
 
     The mean command at each rate gives the steady curve also where the vehicle
@@ -376,8 +373,6 @@ class ReverseSpiral(Stepwise):
     limit: float
     feedback: abc.Sequence[str] = ("r",)
     sign: int = 1
-    start: float = 0.0
-    neutral: float = 0.0
 
     @property
     def duration(self) -> float | None:

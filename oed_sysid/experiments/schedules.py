@@ -23,6 +23,7 @@ from oed_sysid.experiments.base import (
     Numbers,
     OpenLoop,
     Rule,
+    Timed,
     Waveform,
     above_zero,
     finite,
@@ -88,11 +89,6 @@ def about(neutral: float, swing: Waveform) -> Waveform:
     return swing if neutral == 0.0 else lambda moments: neutral + swing(moments)
 
 
-def centre(neutral: float) -> str:
-    """Return words for a neutral command that is not zero."""
-    return f", about {neutral:g}" if neutral else ""
-
-
 def within(start: float, end: float, inside: Waveform) -> Waveform:
     """Return ``inside`` of the time since ``start``, and zero outside start to end [s]."""
 
@@ -126,11 +122,8 @@ class Constant(OpenLoop):
         return f"{self.input} constant at {self.value:g}"
 
 
-class Scheduled(OpenLoop):
+class Scheduled(OpenLoop, Timed):
     """A manoeuvre that is a schedule of orders about a neutral command."""
-
-    start: float
-    neutral: float
 
     @abstractmethod
     def schedule(self) -> tuple[Numbers, Numbers]:
@@ -169,9 +162,7 @@ class TurningCircle(Scheduled):
     rules: ClassVar[Mapping[str, Rule]] = {"amplitude": not_zero("Its sign is the side.")}
     amplitude: float
     _: KW_ONLY
-    start: float = 0.0
     rate: float | None = None
-    neutral: float = 0.0
 
     def schedule(self) -> tuple[Numbers, Numbers]:
         """Return times since ``start`` and orders."""
@@ -211,9 +202,7 @@ class PullOut(Scheduled):
     amplitude: float
     _: KW_ONLY
     turn_duration: float
-    start: float = 0.0
     rate: float | None = None
-    neutral: float = 0.0
 
     @property
     def duration(self) -> float | None:
@@ -298,9 +287,7 @@ class Doublet(Pulses):
     amplitude: float
     _: KW_ONLY
     pulse_time: float
-    start: float = 0.0
     first: int = 1
-    neutral: float = 0.0
 
     @property
     def unit(self) -> float:
@@ -311,7 +298,7 @@ class Doublet(Pulses):
         """Return one line in words."""
         return (
             f"doublet of {self.input}: {self.height:+.4g} then {-self.height:+.4g}, "
-            f"{self.pulse_time:g} s each, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.pulse_time:g} s each{self._when}"
         )
 
 
@@ -351,9 +338,7 @@ class ThreeTwoOneOne(Pulses):
     amplitude: float
     _: KW_ONLY
     unit_time: float
-    start: float = 0.0
     first: int = 1
-    neutral: float = 0.0
 
     @property
     def unit(self) -> float:
@@ -364,7 +349,7 @@ class ThreeTwoOneOne(Pulses):
         """Return one line in words."""
         return (
             f"3-2-1-1 of {self.input}: {self.height:+.4g} first, unit "
-            f"{self.unit_time:g} s, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.unit_time:g} s{self._when}"
         )
 
 
@@ -395,9 +380,7 @@ class Spiral(Scheduled):
     angles: Numbers
     _: KW_ONLY
     hold: float
-    start: float = 0.0
     rate: float | None = None
-    neutral: float = 0.0
 
     @classmethod
     def direct(
@@ -612,7 +595,7 @@ def maximum_length_sequence(order: int, *, seed: int = 1) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class PRBS(OpenLoop):
+class PRBS(OpenLoop, Timed):
     """Pseudo-random binary sequence of maximum length, repeated.
 
     Its spectrum is flat up to about ``0.44 / bit_time`` [Hz] (half power); the
@@ -655,8 +638,6 @@ class PRBS(OpenLoop):
     bit_time: float
     order: int = 7
     seed: int = 1
-    start: float = 0.0
-    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -694,5 +675,5 @@ class PRBS(OpenLoop):
         """Return one line in words."""
         return (
             f"PRBS of {self.input}: +-{self.amplitude:.4g}, {2**self.order - 1} bits of "
-            f"{self.bit_time:g} s, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.bit_time:g} s{self._when}"
         )

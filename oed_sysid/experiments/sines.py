@@ -33,20 +33,21 @@ from oed_sysid.experiments.base import (
     Numbers,
     OpenLoop,
     Rule,
+    Timed,
     Waveform,
     increasing,
     numbers,
     one_of,
     positive,
 )
-from oed_sysid.experiments.schedules import about, centre, within
+from oed_sysid.experiments.schedules import about, within
 
 _OVERSAMPLING = 64  # grid points in the shortest cycle of a multisine
 _MOST_HARMONICS = 20_000  # beyond, a multisine counts as not periodic
 
 
 @dataclass(frozen=True)
-class Multisine(OpenLoop):
+class Multisine(OpenLoop, Timed):
     r"""Sum of cosines at chosen frequencies.
 
     .. math:: u(t) = \sum_k a_k \cos(2 \pi f_k (t - t_0) + \varphi_k)
@@ -92,8 +93,6 @@ class Multisine(OpenLoop):
     amplitudes: Numbers | None = None
     phases: Numbers | None = None
     peak: float | None = None
-    start: float = 0.0
-    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -164,7 +163,7 @@ class Multisine(OpenLoop):
         return (
             f"multisine of {self.input}: {len(self.frequencies)} lines from "
             f"{self.frequencies[0]:.4g} to {self.frequencies[-1]:.4g} Hz, at most "
-            f"{self.largest:.4g}, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.largest:.4g}{self._when}"
         )
 
     def _sum(self, elapsed: FloatArray) -> FloatArray:
@@ -191,7 +190,7 @@ def schroeder_phases(amplitudes: Numbers) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Chirp(OpenLoop):
+class Chirp(OpenLoop, Timed):
     """Sine of a frequency that sweeps from one value to another, then zero.
 
     Parameters
@@ -227,8 +226,6 @@ class Chirp(OpenLoop):
     last_frequency: float
     sweep_time: float
     law: str = "linear"
-    start: float = 0.0
-    neutral: float = 0.0
 
     @property
     def duration(self) -> float | None:
@@ -244,8 +241,8 @@ class Chirp(OpenLoop):
         """Return one line in words."""
         return (
             f"{self.law} chirp of {self.input}: +-{self.amplitude:.4g}, "
-            f"{self.first_frequency:g} to {self.last_frequency:g} Hz in {self.sweep_time:g} s, "
-            f"from {self.start:g} s{centre(self.neutral)}"
+            f"{self.first_frequency:g} to {self.last_frequency:g} Hz in {self.sweep_time:g} s"
+            f"{self._when}"
         )
 
     def _sweep(self, elapsed: FloatArray) -> FloatArray:
@@ -304,8 +301,8 @@ def orthogonal_multisines(
     ... )
     >>> set(rudder.frequencies) & set(propeller.frequencies)
     set()
-    >>> round(peak_factor(rudder), 2), round(peak_factor(propeller), 2)
-    (1.02, 1.07)
+    >>> round(rudder.crest_factor, 2), round(propeller.crest_factor, 2)
+    (1.44, 1.52)
     """
     for given in (spectra, neutral):
         if peaks and (unknown := [name for name in given or {} if name not in peaks]):
@@ -377,11 +374,3 @@ def low_peak_phases(lines: np.ndarray, amplitudes: np.ndarray) -> FloatArray:
         phases = np.angle(np.fft.rfft(clipped)[lines])
     found: FloatArray = best
     return found
-
-
-def peak_factor(signal: Multisine) -> float:
-    """Half the range of a periodic multisine over that of a sine of equal power."""
-    if signal.period is None:
-        raise ModelError("The multisine has no period, so its peak factor is not known.")
-    values = signal._cycle(signal.period)
-    return float(np.ptp(values) / (2 * np.sqrt(2) * np.sqrt(np.mean(values**2))))
