@@ -16,20 +16,8 @@ from typing import ClassVar
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.base import (
-    Controller,
-    Excitation,
-    Manoeuvre,
-    Numbers,
-    Rule,
-    Stepwise,
-    Timed,
-    above_zero,
-    each_positive,
-    feedback_of,
-    numbers,
-    positive,
-)
+from oed_sysid.experiments import base
+from oed_sysid.experiments.base import Numbers, Rule
 from oed_sysid.experiments.schedules import interval
 
 _OTHER_SIDE = "Use first=-1 to begin to the other side."
@@ -75,10 +63,10 @@ class SlopeLimit:
         return self._command
 
 
-class _Reversing(Stepwise, Timed):
+class _Reversing(base.Stepwise, base.Timed):
     """What both zigzags share."""
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         return _Swings(self)  # type: ignore[arg-type]
 
@@ -149,8 +137,8 @@ class ZigZag(_Reversing):
 
     kind: ClassVar[str] = "zigzag"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitude": above_zero(_OTHER_SIDE),
-        "switch": above_zero(_SWITCH),
+        "amplitude": base.above_zero(_OTHER_SIDE),
+        "switch": base.above_zero(_SWITCH),
     }
     amplitude: float
     switch: float
@@ -167,7 +155,7 @@ class ZigZag(_Reversing):
         if self.lead < 0:
             raise ModelError(f"{self._owner} has lead {self.lead:g} s. Give zero or more.")
         more = ("its rate",) * (self.lead != 0) + ("the signal kept",) * (self.keep_gain != 0)
-        self._set(feedback=feedback_of(self._owner, self.feedback, more))
+        self._set(feedback=base.feedback_of(self._owner, self.feedback, more))
 
     @property
     def swings(self) -> Swings:
@@ -229,9 +217,9 @@ class ZigZagLike(_Reversing):
 
     kind: ClassVar[str] = "zigzag_like"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitudes": each_positive(_OTHER_SIDE),
-        "switches": each_positive(_SWITCH),
-        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+        "amplitudes": base.each_positive(_OTHER_SIDE),
+        "switches": base.each_positive(_SWITCH),
+        "feedback": lambda owner, _, signals: base.feedback_of(owner, signals),
     }
     amplitudes: float | Numbers
     switches: float | Numbers
@@ -255,7 +243,7 @@ class ZigZagLike(_Reversing):
         )
 
 
-class _Swings(Controller):
+class _Swings(base.Controller):
     """Reverse the order whenever the feedback's deviation reaches the switch."""
 
     def __init__(self, settings: ZigZag | ZigZagLike) -> None:
@@ -329,7 +317,7 @@ def _ending(manoeuvre: ZigZag | ZigZagLike) -> str:
 
 
 @dataclass(frozen=True)
-class ReverseSpiral(Stepwise, Timed):
+class ReverseSpiral(base.Stepwise, base.Timed):
     """Reverse (Bech) spiral: steer a sequence of constant yaw rates.
 
     The mean command at each rate gives the steady curve also where the vehicle
@@ -362,8 +350,8 @@ class ReverseSpiral(Stepwise, Timed):
 
     kind: ClassVar[str] = "reverse_spiral"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "gain": above_zero("Use sign=-1 for a reversed command."),
-        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+        "gain": base.above_zero("Use sign=-1 for a reversed command."),
+        "feedback": lambda owner, _, signals: base.feedback_of(owner, signals),
     }
     rates: Numbers
     _: KW_ONLY
@@ -379,7 +367,7 @@ class ReverseSpiral(Stepwise, Timed):
         """Until the last rate has been held [s]."""
         return self.start + self.hold * len(self.rates)
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         return _RateSteering(self)
 
@@ -391,7 +379,7 @@ class ReverseSpiral(Stepwise, Timed):
         )
 
 
-class _RateSteering(Controller):
+class _RateSteering(base.Controller):
     """Proportional-integral steering of a sequence of yaw rates."""
 
     def __init__(self, settings: ReverseSpiral) -> None:
@@ -421,7 +409,7 @@ class _RateSteering(Controller):
 
 
 @dataclass(frozen=True)
-class Combined(Excitation):
+class Combined(base.Excitation):
     """Several manoeuvres at the same time, each on an input of its own.
 
     Parameters
@@ -438,7 +426,7 @@ class Combined(Excitation):
     """
 
     kind: ClassVar[str] = "combined"
-    manoeuvres: abc.Sequence[Manoeuvre]
+    manoeuvres: abc.Sequence[base.Manoeuvre]
 
     def __post_init__(self) -> None:
         self._set(manoeuvres=_parts("Combined", self.manoeuvres))
@@ -465,7 +453,7 @@ class Combined(Excitation):
             (d for part in self.manoeuvres if (d := part.duration) is not None), default=None
         )
 
-    def controllers(self) -> dict[str, Controller]:
+    def controllers(self) -> dict[str, base.Controller]:
         """Return one fresh controller for each input; see :func:`command_all`."""
         return {part.input: part.controller() for part in self.manoeuvres}
 
@@ -475,7 +463,7 @@ class Combined(Excitation):
 
 
 @dataclass(frozen=True)
-class Sequence(Stepwise):
+class Sequence(base.Stepwise):
     """Manoeuvres on one input, one after another; each counts time from its own beginning.
 
     Parameters
@@ -497,7 +485,7 @@ class Sequence(Stepwise):
 
     kind: ClassVar[str] = "sequence"
     input: str = field(init=False)
-    manoeuvres: abc.Sequence[Manoeuvre]
+    manoeuvres: abc.Sequence[base.Manoeuvre]
     _: KW_ONLY
     durations: Numbers | None = None
 
@@ -521,9 +509,9 @@ class Sequence(Stepwise):
                         "Give durations, one for each manoeuvre."
                     )
             return
-        times = numbers(self._owner, "durations", self.durations)
+        times = base.numbers(self._owner, "durations", self.durations)
         for index, time in enumerate(times):
-            positive(self._owner, f"durations[{index}]", time)
+            base.positive(self._owner, f"durations[{index}]", time)
         if len(times) not in (len(parts), len(parts) - 1):
             raise ModelError(
                 f"{self._owner} has {len(parts)} manoeuvres but {len(times)} durations. Give one "
@@ -542,7 +530,7 @@ class Sequence(Stepwise):
         times = self._times()
         return None if len(times) < len(self.manoeuvres) else sum(times)
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         begins = [0.0, *accumulate(self._times()[: len(self.manoeuvres) - 1])]
         return _InTurn(self.manoeuvres, begins)
@@ -559,11 +547,11 @@ class Sequence(Stepwise):
 
 
 @dataclass(frozen=True)
-class _Shaped(Stepwise):
+class _Shaped(base.Stepwise):
     """A manoeuvre that shapes what another one orders."""
 
     input: str = field(init=False)
-    manoeuvre: Manoeuvre
+    manoeuvre: base.Manoeuvre
 
     def __post_init__(self) -> None:
         self._set(input=_parts(type(self).__name__, (self.manoeuvre,))[0].input)
@@ -606,12 +594,12 @@ class RateLimited(_Shaped):
     """
 
     kind: ClassVar[str] = "rate_limited"
-    rules: ClassVar[Mapping[str, Rule]] = {"rate": positive}
+    rules: ClassVar[Mapping[str, Rule]] = {"rate": base.positive}
     rate: float
     _: KW_ONLY
     initial: float = 0.0
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         limit = SlopeLimit(self.rate, initial=self.initial)
         return _Shaper(self.manoeuvre.controller(), limit.follow)
@@ -642,7 +630,7 @@ class Saturated(_Shaped):
     kind: ClassVar[str] = "saturated"
     limit: float
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         limit = self.limit
         return _Shaper(self.manoeuvre.controller(), lambda order, _: min(max(order, -limit), limit))
@@ -652,10 +640,10 @@ class Saturated(_Shaped):
         return f"{self.manoeuvre.describe()}, cut off at {self.limit:.4g}"
 
 
-class _InTurn(Controller):
+class _InTurn(base.Controller):
     """Run controllers one after another, each on its own clock."""
 
-    def __init__(self, parts: abc.Sequence[Manoeuvre], begins: list[float]) -> None:
+    def __init__(self, parts: abc.Sequence[base.Manoeuvre], begins: list[float]) -> None:
         self._controllers = [part.controller() for part in parts]
         self._begins = np.array(begins)
 
@@ -664,23 +652,25 @@ class _InTurn(Controller):
         return self._controllers[index].command(time - self._begins[index], signals)
 
 
-class _Shaper(Controller):
+class _Shaper(base.Controller):
     """Shape what another controller orders at each time."""
 
-    def __init__(self, ordering: Controller, shape: abc.Callable[[float, float], float]) -> None:
+    def __init__(
+        self, ordering: base.Controller, shape: abc.Callable[[float, float], float]
+    ) -> None:
         self._ordering, self._shape = ordering, shape
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         return self._shape(self._ordering.command(time, signals), time)
 
 
-def _parts(owner: str, manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[Manoeuvre, ...]:
+def _parts(owner: str, manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[base.Manoeuvre, ...]:
     """Return the manoeuvres as a tuple that is not empty."""
     parts = tuple(manoeuvres)
     if not parts:
         raise ModelError(f"{owner} has no manoeuvres. Give at least one.")
     for part in parts:
-        if not isinstance(part, Manoeuvre):
+        if not isinstance(part, base.Manoeuvre):
             raise ModelError(
                 f"{owner} got a {type(part).__name__}; it takes manoeuvres on one input each, "
                 "such as ZigZag or Constant."
@@ -688,6 +678,6 @@ def _parts(owner: str, manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[Manoeuvre, 
     return parts
 
 
-def _signals(manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[str, ...]:
+def _signals(manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[str, ...]:
     """Return the names of all measured signals, each once."""
     return tuple(dict.fromkeys(name for part in manoeuvres for name in part.feedback))

@@ -17,27 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.base import (
-    ROUNDING,
-    FloatArray,
-    Numbers,
-    OpenLoop,
-    Rule,
-    Timed,
-    Waveform,
-    above_zero,
-    finite,
-    not_zero,
-    one_of,
-    positive,
-)
+from oed_sysid.experiments import base
+from oed_sysid.experiments.base import FloatArray, Numbers, Rule, Waveform
 from oed_sysid.physics.channels import INTERPOLATIONS
 
 
 def interval(times: FloatArray, edges: NDArray[np.floating]) -> NDArray[np.intp]:
     """Return for each time how many of the increasing ``edges`` have passed."""
     # A switch at 0.1 * 3 s has happened on the sample at 0.3 s.
-    return np.searchsorted(edges, times + ROUNDING * (1 + np.abs(times)), side="right")
+    return np.searchsorted(edges, times + base.ROUNDING * (1 + np.abs(times)), side="right")
 
 
 def staircase(
@@ -100,7 +88,7 @@ def within(start: float, end: float, inside: Waveform) -> Waveform:
 
 
 @dataclass(frozen=True)
-class Constant(OpenLoop):
+class Constant(base.OpenLoop):
     """The same command at all times.
 
     Examples
@@ -110,7 +98,7 @@ class Constant(OpenLoop):
     """
 
     kind: ClassVar[str] = "constant"
-    rules: ClassVar[Mapping[str, Rule]] = {"value": finite}
+    rules: ClassVar[Mapping[str, Rule]] = {"value": base.finite}
     value: float
 
     def waveform(self) -> Waveform:
@@ -122,7 +110,7 @@ class Constant(OpenLoop):
         return f"{self.input} constant at {self.value:g}"
 
 
-class Scheduled(OpenLoop, Timed):
+class Scheduled(base.OpenLoop, base.Timed):
     """A manoeuvre that is a schedule of orders about a neutral command."""
 
     @abstractmethod
@@ -159,7 +147,7 @@ class TurningCircle(Scheduled):
     """
 
     kind: ClassVar[str] = "turning_circle"
-    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": not_zero("Its sign is the side.")}
+    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": base.not_zero("Its sign is the side.")}
     amplitude: float
     _: KW_ONLY
     rate: float | None = None
@@ -198,7 +186,7 @@ class PullOut(Scheduled):
     """
 
     kind: ClassVar[str] = "pull_out"
-    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": not_zero("Its sign is the side.")}
+    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": base.not_zero("Its sign is the side.")}
     amplitude: float
     _: KW_ONLY
     turn_duration: float
@@ -226,7 +214,7 @@ class Pulses(Scheduled):
 
     lengths: ClassVar[tuple[int, ...]]
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitude": above_zero("Use first=-1 to begin to the other side.")
+        "amplitude": base.above_zero("Use first=-1 to begin to the other side.")
     }
     amplitude: float
     first: int
@@ -408,8 +396,8 @@ class Spiral(Scheduled):
         (0.2, 0.1, 0.0, -0.1, -0.2, -0.1, 0.0, 0.1, 0.2)
         """
         owner = f"Spiral of {input!r}"
-        farthest = not_zero("Its sign is the side to begin with.")(owner, "largest", largest)
-        count = max(1, round(abs(farthest) / positive(owner, "step", step)))
+        farthest = base.not_zero("Its sign is the side to begin with.")(owner, "largest", largest)
+        count = max(1, round(abs(farthest) / base.positive(owner, "step", step)))
         across = [largest * index / count for index in range(count, -count - 1, -1)]
         return cls(input, (*across, *across[-2::-1]), hold=hold, rate=rate)
 
@@ -431,10 +419,10 @@ class Spiral(Scheduled):
         )
 
 
-class Tabulated(OpenLoop):
+class Tabulated(base.OpenLoop):
     """A command through the points of a table."""
 
-    rules: ClassVar[Mapping[str, Rule]] = {"interpolation": one_of(*INTERPOLATIONS)}
+    rules: ClassVar[Mapping[str, Rule]] = {"interpolation": base.one_of(*INTERPOLATIONS)}
     times: Numbers
     values: Numbers
     interpolation: str
@@ -595,7 +583,7 @@ def maximum_length_sequence(order: int, *, seed: int = 1) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class PRBS(OpenLoop, Timed):
+class PRBS(base.OpenLoop, base.Timed):
     """Pseudo-random binary sequence of maximum length, repeated.
 
     Its spectrum is flat up to about ``0.44 / bit_time`` [Hz] (half power); the
@@ -666,7 +654,7 @@ class PRBS(OpenLoop, Timed):
 
         def play(times: FloatArray) -> FloatArray:
             # Bits are counted, not multiplied out, so that no edge is lost to rounding.
-            bits = np.floor((times - self.start) / self.bit_time + ROUNDING).astype(int)
+            bits = np.floor((times - self.start) / self.bit_time + base.ROUNDING).astype(int)
             return np.where(bits < 0, 0.0, levels[bits % len(levels)])
 
         return about(self.neutral, play)

@@ -28,18 +28,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.base import (
-    FloatArray,
-    Numbers,
-    OpenLoop,
-    Rule,
-    Timed,
-    Waveform,
-    increasing,
-    numbers,
-    one_of,
-    positive,
-)
+from oed_sysid.experiments import base
+from oed_sysid.experiments.base import FloatArray, Numbers, Rule, Waveform
 from oed_sysid.experiments.schedules import about, within
 
 _OVERSAMPLING = 64  # grid points in the shortest cycle of a multisine
@@ -47,7 +37,7 @@ _MOST_HARMONICS = 20_000  # beyond, a multisine counts as not periodic
 
 
 @dataclass(frozen=True)
-class Multisine(OpenLoop, Timed):
+class Multisine(base.OpenLoop, base.Timed):
     r"""Sum of cosines at chosen frequencies.
 
     .. math:: u(t) = \sum_k a_k \cos(2 \pi f_k (t - t_0) + \varphi_k)
@@ -96,16 +86,18 @@ class Multisine(OpenLoop, Timed):
 
     def _validate(self) -> None:
         owner = self._owner
-        lines = increasing(owner, "frequencies", numbers(owner, "frequencies", self.frequencies))
-        positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
+        lines = base.increasing(
+            owner, "frequencies", base.numbers(owner, "frequencies", self.frequencies)
+        )
+        base.positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
         if self.amplitudes is None and self.peak is None:
             raise ModelError(f"{owner} has neither amplitudes nor a peak. Give one of them.")
         given = [1.0] * len(lines) if self.amplitudes is None else self.amplitudes
-        sizes = numbers(owner, "amplitudes", given)
+        sizes = base.numbers(owner, "amplitudes", given)
         for index, size in enumerate(sizes):
-            positive(owner, f"amplitudes[{index}]", size, "Use a phase of pi to invert it.")
+            base.positive(owner, f"amplitudes[{index}]", size, "Use a phase of pi to invert it.")
         angles = schroeder_phases(sizes) if self.phases is None else self.phases
-        angles = numbers(owner, "phases", angles)
+        angles = base.numbers(owner, "phases", angles)
         for name, values in (("amplitudes", sizes), ("phases", angles)):
             if len(values) != len(lines):
                 raise ModelError(
@@ -114,7 +106,7 @@ class Multisine(OpenLoop, Timed):
                 )
         self._set(frequencies=lines, amplitudes=sizes, phases=angles)
         if self.peak is not None:
-            factor = positive(owner, "peak", self.peak) / self.largest
+            factor = base.positive(owner, "peak", self.peak) / self.largest
             # Stored numbers that are already at the limit are kept as they are.
             if abs(factor - 1) > 1e-9:
                 self._set(amplitudes=tuple(factor * size for size in sizes))
@@ -190,7 +182,7 @@ def schroeder_phases(amplitudes: Numbers) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Chirp(OpenLoop, Timed):
+class Chirp(base.OpenLoop, base.Timed):
     """Sine of a frequency that sweeps from one value to another, then zero.
 
     Parameters
@@ -219,7 +211,7 @@ class Chirp(OpenLoop, Timed):
     """
 
     kind: ClassVar[str] = "chirp"
-    rules: ClassVar[Mapping[str, Rule]] = {"law": one_of("linear", "log")}
+    rules: ClassVar[Mapping[str, Rule]] = {"law": base.one_of("linear", "log")}
     amplitude: float
     _: KW_ONLY
     first_frequency: float
