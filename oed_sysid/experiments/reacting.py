@@ -509,9 +509,7 @@ class Sequence(base.Stepwise):
                         "Give durations, one for each manoeuvre."
                     )
             return
-        times = base.numbers(self._owner, "durations", self.durations)
-        for index, time in enumerate(times):
-            base.positive(self._owner, f"durations[{index}]", time)
+        times = base.each_positive("")(self._owner, "durations", self.durations)
         if len(times) not in (len(parts), len(parts) - 1):
             raise ModelError(
                 f"{self._owner} has {len(parts)} manoeuvres but {len(times)} durations. Give one "

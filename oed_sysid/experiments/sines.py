@@ -93,9 +93,7 @@ class Multisine(base.OpenLoop, base.Timed):
         if self.amplitudes is None and self.peak is None:
             raise ModelError(f"{owner} has neither amplitudes nor a peak. Give one of them.")
         given = [1.0] * len(lines) if self.amplitudes is None else self.amplitudes
-        sizes = base.numbers(owner, "amplitudes", given)
-        for index, size in enumerate(sizes):
-            base.positive(owner, f"amplitudes[{index}]", size, "Use a phase of pi to invert it.")
+        sizes = base.each_positive("Use a phase of pi to invert it.")(owner, "amplitudes", given)
         angles = schroeder_phases(sizes) if self.phases is None else self.phases
         angles = base.numbers(owner, "phases", angles)
         for name, values in (("amplitudes", sizes), ("phases", angles)):

@@ -190,13 +190,11 @@ def input_array(
                 f"{', '.join(inputs) or 'none'}. Give a value or an array for each."
             )
         columns = [np.broadcast_to(np.asarray(inputs[name], float), n_times) for name in names]
-        commands = np.column_stack(columns) if columns else np.empty((n_times, 0))
+        commands = np.column_stack([np.empty((n_times, 0)), *columns])
     else:
         commands = np.asarray(inputs, dtype=float)
-        if commands.ndim == 1 and len(names) == 1:
-            commands = commands[:, np.newaxis]
-        if not names and commands.size == 0:
-            commands = np.empty((n_times, 0))
+        if commands.ndim == 1 and commands.size == n_times * len(names) and len(names) < 2:
+            commands = commands.reshape(n_times, len(names))
     if commands.shape != (n_times, len(names)):
         raise SimulationError(
             f"Inputs have shape {commands.shape}; expected time first, ({n_times}, {len(names)}), "

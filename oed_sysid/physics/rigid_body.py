@@ -586,15 +586,16 @@ def rigid_body(
     velocity = [v if v in active else "0" for v in frames.VELOCITIES]
     through = [f"{v}_r" if v in "uvw" and v != "0" else v for v in velocity]
     drift = [f"({v} - {v}_r)" if v in active else "0" for v in "uvw"]
+    if metacentric_height is not None or heave_stiffness is not None:
+        restoring = _floating(constants, weight, metacentric_height, heave_stiffness, active)
+    else:
+        down = oriented.rotation[2]
+        restoring = _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
     effects = [
         *_coriolis("rigid_body", rigid, velocity, "PH", axes),
         *_coriolis("added_mass", added, through, "AB", axes, drift),
+        *restoring,
     ]
-    if metacentric_height is not None or heave_stiffness is not None:
-        effects += _floating(constants, weight, metacentric_height, heave_stiffness, active)
-    else:
-        down = oriented.rotation[2]
-        effects += _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
     return RigidBody(
         velocities=active,
         axes=axes,
@@ -705,24 +706,22 @@ def _moments(
 ) -> dict[str, Number]:
     """Moments and products of inertia by pair of letters."""
     known = ("xx", "yy", "zz", "xy", "xz", "yz")
+    turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in active]
     if isinstance(inertia, Mapping):
         if unknown := [key for key in inertia if key not in known]:
             raise ModelError(f"Inertia {unknown[0]!r} is not known. Choose {', '.join(known)}.")
         found = dict(inertia)
     elif isinstance(inertia, float | int | Parameter):
-        turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in active]
         if len(turning) != 1:
             raise ModelError(
                 f"One moment of inertia for {len(turning)} rotations. Give (I_xx, I_yy, I_zz)."
             )
         found = {turning[0]: inertia}
     else:
-        found = dict(zip(("xx", "yy", "zz"), _three("inertia", inertia), strict=True))
-    for letters, rate in (("xx", "p"), ("yy", "q"), ("zz", "r")):
-        value = found.get(letters, 0.0)
-        size = _size(value)
-        if rate in active and size <= 0.0:
-            raise ModelError(f"I_{letters} is {size:g}; a free rotation needs one above zero.")
+        found = dict(zip(known, _three("inertia", inertia), strict=False))
+    for pair in turning:
+        if (size := _size(found.get(pair, 0.0))) <= 0.0:
+            raise ModelError(f"I_{pair} is {size:g}; a free rotation needs one above zero.")
     return found
 
 

@@ -108,7 +108,7 @@ def walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callabl
         case ast.Name():
             return CONSTANTS[node.id] if node.id in CONSTANTS else scope[node.id]
         case ast.UnaryOp():
-            return _UNARY[type(node.op)](*of(node.operand), library)
+            return _UNARY[type(node.op)](of(node.operand)[0], library)
         case ast.BinOp():
             return _BINARY[type(node.op)](*of(node.left, node.right))
         case ast.Compare():
@@ -361,7 +361,7 @@ def check_calls(
     ``complete=False``: a function that is not known yet may be one that the model declares.
     """
     calls = [call for call in _calls(expression) if complete or call[0] in {*FUNCTIONS, *tables}]
-    for name in sorted({name for name, _ in calls} - set(FUNCTIONS) - set(tables)):
+    for name in sorted(set(dict(calls)) - set(FUNCTIONS) - set(tables)):
         raise ModelError(
             f"{where}: expression {expression!r} calls the unknown function {name!r}. "
             f"Known functions: {', '.join(FUNCTIONS)}."
