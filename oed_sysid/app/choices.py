@@ -16,14 +16,13 @@ import streamlit as st
 
 from oed_sysid.app import mapping, visit
 from oed_sysid.app.mapping import Stock
-from oed_sysid.app.trust import check_trusted, check_uploads, consent
+from oed_sysid.app.trust import check_trusted, check_uploads, consent, folder_of
 from oed_sysid.app.visit import chosen, kept
 from oed_sysid.cli.study import DEFAULT_MODEL, Study
 from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.data.logs import LogMapping
 from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem
 from oed_sysid.experiments.simulation import simulate
 
@@ -152,15 +151,6 @@ def _stamp(source: str) -> float:
         return 0.0
     files = [*folder.glob("*.py"), *folder.glob("data/*.csv")]
     return max((file.stat().st_mtime for file in files), default=0.0)
-
-
-def folder_of(source: str) -> Path:
-    """Folder of a shipped problem or of the user's own."""
-    shipped = catalogue_folder()
-    if shipped is not None and source in list_problems():
-        return shipped / source
-    own = Path(source).expanduser()
-    return own.parent if own.is_file() else own
 
 
 @st.cache_resource(show_spinner="Reading the problem", max_entries=20)

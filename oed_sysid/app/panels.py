@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
+from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
@@ -229,9 +230,8 @@ def download(
     label: str, content: Callable[[], str | bytes], file: str, *, wide: bool = False
 ) -> None:
     """Offer a file that is made when it is asked for."""
-    kind = {"zip": "application/zip", "html": "text/html", "csv": "text/csv"}
     st.download_button(
-        label, content, file, kind.get(file.rpartition(".")[2], "text/plain"), on_click="ignore",
+        label, content, file, guess_type(file)[0] or "text/plain", on_click="ignore",
         key=f"download:{file}", width="stretch" if wide else "content",
     )  # fmt: skip
 

@@ -10,8 +10,8 @@ from typing import Any
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.choices import folder_of
 from oed_sysid.app.panels import download, html_download, message, written, zipped
+from oed_sysid.app.trust import folder_of
 from oed_sysid.app.visit import Asked
 from oed_sysid.cli.script import whole
 from oed_sysid.cli.study import Outcome, Study, digest

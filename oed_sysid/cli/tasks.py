@@ -598,14 +598,11 @@ def _round(show: Shown, n_most: int, what: str) -> None:
         show.share((int(named[1]) - 1) / n_most, at_most=True)
 
 
-# Starts of a design that are finished, in up to twice the rounds of the others.
-_FINISHED = 3
-
-
 def _searching(show: Shown, n_starts: int, n_steps: int, now: Any) -> None:
     """Tell how far the search of a design is."""
     show.say(f"designing: start {now.start + 1}, round {now.round + 1}, {now.value:.4g}")
-    rounds = (n_starts + 2 * _FINISHED) * n_steps
+    # The three best starts are finished, in up to twice the rounds of the others.
+    rounds = (n_starts + 2 * 3) * n_steps
     done = min(now.start, n_starts) + 2 * max(now.start - n_starts, 0)
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
