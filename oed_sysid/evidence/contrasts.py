@@ -557,7 +557,7 @@ def _noise(
     ones = np.ones(y.size)
     # From the least noise there can be: under much noise the faults would be taken for it.
     variance = floor @ law
-    for _ in range(4):
+    for _ in range(4 if used.size else 1):  # what is left depends on the noise by the faults alone
         white = matrix / np.sqrt(variance)[:, None]
         inner = np.linalg.inv(white.T @ white + np.eye(used.size))
         hat = np.einsum("ij,jk,ik->i", white, inner, white)
