@@ -32,7 +32,7 @@ from oed_sysid.errors import FileError
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import cache_folder, private, private_cache
 
-_FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
+_FLAGS = ("-O2", "-march=native", "-fno-math-errno", "-fno-trapping-math", "-w")
 
 
 @lru_cache(maxsize=1)
