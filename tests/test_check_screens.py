@@ -481,6 +481,7 @@ def test_only_bad_samples_are_corrected_then() -> None:
     assert np.array_equal(copies[2].output("y"), -spoilt[2].output("y"))
 
 
+@pytest.mark.slow
 def test_fix_writes_what_was_logged_where_an_equation_fails(tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
     """The command says why it corrects nothing, and its copies equal the records."""
     problem = load_problem("remus_diving_plane")

@@ -211,7 +211,7 @@ def trained(rng: np.random.Generator) -> Fit:
     return MultipleShooting(disturbances="none").fit(ship(0.03), Dataset(logs))
 
 
-@pytest.mark.parametrize("rate", [5.0, 20.0])
+@pytest.mark.parametrize("rate", [5.0, pytest.param(20.0, marks=pytest.mark.slow)])
 def test_bands_hold_with_a_zigzag_that_was_read(rate: float) -> None:
     """Ten logs lie in the bands of replays whose zigzag was read from each of them."""
     fit = trained(np.random.default_rng(6))

@@ -399,6 +399,7 @@ def test_scores_are_those_of_the_wider_model() -> None:
     assert score.estimate == pytest.approx(float(inverse[at] @ right), abs=0.05 * score.std_error)
 
 
+@pytest.mark.slow
 def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     """The true term comes first, in its equation, near its value, and removes the misfit."""
     train, _, _ = records(4, lambda u, w, q, *_: (0.0, 0.0, -250.0 * q**3), duration=45.0)

@@ -287,6 +287,7 @@ SLOW: tuple[str, ...] = (
     "tanker_held_out_zigzag",
     "tanker_on_line",
     "tanker_turning_circle",
+    "tell_rivals_apart",
 )
 # Examples on measured data of third parties, which is not shipped.
 MEASURED = (

@@ -120,6 +120,7 @@ def test_rows_have_the_cells_of_their_table(path: Path) -> None:
     assert wrong == []
 
 
+@pytest.mark.slow
 @MEASURED
 def test_roll_decay_is_measured_again() -> None:
     """Restoring and damping are missing and found; at one amplitude neither is called for."""

@@ -191,6 +191,7 @@ def test_swarm_ends_at_the_optimum_and_states_its_errors() -> None:
     assert swarm.extras["evaluations"] == pytest.approx(40 * (swarm.iterations + 1), abs=5)
 
 
+@pytest.mark.slow
 def test_one_random_number_per_particle_converges_faster() -> None:
     """Over six seeds the draw per particle reaches a far lower cost than one per dimension."""
     data = Dataset((simulate(YAW, TEST, noise=False),))

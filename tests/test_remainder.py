@@ -255,6 +255,7 @@ def improved(model: Model, **hidden: float) -> Improvement:
     return improve(model, Dataset(runs[:2]), Dataset(runs[2:]), candidates=[damping])
 
 
+@pytest.mark.slow
 def test_a_spring_that_hardens_is_found(model: Model) -> None:
     """Powers of a position that a force knows are in the dictionary of terms."""
     found = improved(model, cubic=40.0)
@@ -264,6 +265,7 @@ def test_a_spring_that_hardens_is_found(model: Model) -> None:
     assert found.remains.kind == "adequate"
 
 
+@pytest.mark.slow
 def test_a_stop_is_no_sea(model: Model) -> None:
     """A force that no term holds is said to follow the depth."""
     found = improved(model, stop=60.0)
@@ -274,6 +276,7 @@ def test_a_stop_is_no_sea(model: Model) -> None:
     assert force.share > 0.4
 
 
+@pytest.mark.slow
 def test_a_sea_follows_nothing(model: Model) -> None:
     """A disturbance force stays one."""
     found = improved(model, sea=3.0)

@@ -297,6 +297,7 @@ def test_fit_says_that_a_rudder_began_elsewhere() -> None:
     assert estimate_starts(WHITE.fit(free, runs("lag", OFF, 0))) == ()
 
 
+@pytest.mark.slow
 def test_fit_with_random_forces_says_it_too_and_a_sea_is_no_start() -> None:
     """Disturbance forces absorb a start, so that it is looked for before they are admitted."""
     for kind, off in (("lag", OFF), ("play", 0.03)):

@@ -59,6 +59,7 @@ from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.departures import other_way
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 
@@ -214,7 +215,7 @@ def _steps(
         for row, size in zip(fault.rows, fault.sizes, strict=True)
         for share in (0.5 * (since[row] + since[row - 1]) / since[-1],)
     ]
-    some = tuple(r for r in equations if fault.signal in r.names)
+    some = Question(tuple(r for r in equations if fault.signal in r.names), ())
     mended = [undo(trace, fixes) for trace in here]
     before, after = (contrasts.evidence(one, some).sum() for one in (here, mended))
     return fixes if after > before else []
@@ -273,6 +274,7 @@ def with_estimates(
     fit: Fit,
     claimed: Sequence[Effect] = (),
     nominal: Mapping[str, float] | None = None,
+    records: Dataset | None = None,
 ) -> LogCheck:
     """The check of a log together with what a fit says about it: the gate of every certificate.
 
@@ -283,9 +285,12 @@ def with_estimates(
     fit : Fit
         Its values are held against their declared priors and against what the model began with.
     claimed : sequence of Effect
-        Effects that were claimed: a finding on a signal that one of them puts right is answered.
+        Effects that were claimed. What those of the sensors bring into the records is undone, and
+        what the equations between signals then no longer ask for is answered.
     nominal : mapping of str to float, optional
         Values that the model began with; those of the fit's own beginning if not given.
+    records : Dataset, optional
+        The records of the log, to undo what was claimed; those of the fit if not given.
 
     Returns
     -------
@@ -294,13 +299,40 @@ def with_estimates(
         otherwise than the start values say (``other_way``); with parameters that are others in
         single records (``run``).
     """
-    mended = {key for one in claimed if one.stage == "sensor" for key in one.terms}
-    findings = [f for f in log.findings if not (f.suspect and mended & set(f.signals))]
+    sensors = [one for one in claimed if one.stage == "sensor"]
+    findings = _left(log, fit, records or fit.dataset, sensors) if sensors else [*log.findings]
     for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
         findings.append(said("other_way", (one.channel.name,), log.records, row))
     findings += [*_far(fit, log.records), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
+
+
+def _left(log: LogCheck, fit: Fit, records: Dataset, sensors: Sequence[Effect]) -> list[Finding]:
+    """Findings that the records still show where some effects of the sensors are undone."""
+    # Exact coincidences of what was logged stay what they are.
+    asked = [f for f in log.serious if f.gain or f.kind == "unexplained"]
+    if not asked:
+        return [*log.findings]
+    bare = fit.model.without(*(one.name for one in sensors))
+    again = check(_without(fit, records, sensors), bare, inputs=False)
+    shown = {one.name for one in again.serious}
+    return [f for f in log.findings if f not in asked or f.name in shown]
+
+
+def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:
+    r"""Records as they would be without some effects, ``y - h(x, p) + h(x, p_0)``.
+
+    :math:`x, p` are those of whole runs, :math:`p_0` the same with the effects at nothing.
+    """
+    nothing = {p.name: 0.0 for effect in effects for p in effect.parameters}
+    undone = []
+    for run in whole_runs(fit.model, records, fit.sigma):
+        at = run.unknowns.copy()
+        run.shooting.fill(at, 0, np.full(len(run.states), np.nan), nothing)
+        changed = run.simulated(at) - run.outputs
+        undone.append(run.record.with_outputs(run.record.outputs + np.nan_to_num(changed)))
+    return Dataset(tuple(undone))
 
 
 def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:

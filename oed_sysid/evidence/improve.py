@@ -166,7 +166,7 @@ def improve(
     location = _kept(keep, "location", work, notes) or Located.nothing(end.base)
     tell("fits and errors of every step")
     nominal = {p.name: p.value for p in model.free_parameters}
-    result = keep.once("every step", lambda: _result(end, location, notes, log, nominal))
+    result = keep.once("every step", lambda: _result(end, location, notes, log, nominal, logs))
     found = (*_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*found, *result.notes))
 
@@ -311,6 +311,7 @@ def _result(
     notes: Sequence[str],
     log: LogCheck | None,
     nominal: Mapping[str, float],
+    logs: Dataset,
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
@@ -323,7 +324,7 @@ def _result(
     steps = _steps(state, fits, rms, errors)
     tested, terms = study.validation, [] if end.proposals is None else [end.proposals]
     if log is not None:
-        log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal)
+        log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal, logs)
     beyond = replace(
         end.left,
         training=fits[-1].whole_runs,

@@ -85,15 +85,12 @@ class Routine:
         Names and lengths, in order.
     operations : tuple of Operation
         Straight-line code.
-    n_work : int
-        Scalars that are needed.
     """
 
     name: str
     arguments: tuple[tuple[str, int], ...]
     results: tuple[tuple[str, int], ...]
     operations: tuple[Operation, ...] = field(repr=False)
-    n_work: int
 
 
 @dataclass(frozen=True)
@@ -185,15 +182,15 @@ class Program:
     def names(self) -> Names:
         """Names and units that may stand in code of any language."""
         model = self.model
-        parameters = _distinct(model.parameter_names)
+        parameters = distinct(model.parameter_names)
         of = dict(zip(model.parameter_names, parameters, strict=True))
         return Names(
-            _distinct(self.state_names),
-            _distinct(model.input_names),
-            _distinct(model.output_names),
+            distinct(self.state_names),
+            distinct(model.input_names),
+            distinct(model.output_names),
             parameters,
             tuple(of[name] for name in self.free),
-            _distinct(model.actuator_signals),
+            distinct(model.actuator_signals),
             tuple(safe_unit(one.unit) for one in model.inputs),
             tuple(safe_unit(one.unit) for one in model.outputs),
             tuple(safe_unit(model.parameter(name).unit) for name in model.parameter_names),
@@ -334,7 +331,7 @@ def identifier(name: str) -> str:
     return f"{text}_" if keyword.iskeyword(text) or text in _MATLAB_WORDS else text[:48]
 
 
-def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+def distinct(names: Iterable[str]) -> tuple[str, ...]:
     """Safe forms of names, no two alike."""
     found: list[str] = []
     for name in names:
@@ -364,9 +361,8 @@ def _routine(function: ca.Function) -> Routine:
         code = flat.instruction_id(k)
         inputs, outputs = flat.instruction_input(k), flat.instruction_output(k)
         if code == ca.OP_CONST:
-            operations.append(
-                Operation("const", tuple(outputs), (), float(flat.instruction_constant(k)))
-            )
+            value = float(flat.instruction_constant(k))
+            operations.append(Operation("const", tuple(outputs), (), value))
             continue
         word = {ca.OP_INPUT: "input", ca.OP_OUTPUT: "output"}.get(code, OPERATION_WORDS.get(code))
         if code == ca.OP_CALL:
@@ -385,7 +381,6 @@ def _routine(function: ca.Function) -> Routine:
         tuple((text, flat.nnz_in(i)) for i, text in enumerate(arguments)),
         tuple((text, flat.nnz_out(i)) for i, text in enumerate(results)),
         tuple(operations),
-        flat.sz_w(),
     )
 
 
@@ -438,6 +433,10 @@ def _formats(language: str) -> dict[str, str]:
     return _TABLE["every"] | {word: f"{prefix}{word}({{0}})" for word in _SAME} | own
 
 
+# Every language divides by zero and overflows alike, but spells infinity in its own way.
+_NOT_FINITE = {"inf": "(1e308*10)", "-inf": "(-1e308*10)", "nan": "(0.0/0.0)"}
+
+
 @dataclass(frozen=True)
 class Dialect:
     """How a language writes straight-line code.
@@ -446,8 +445,8 @@ class Dialect:
     ----------
     formats : mapping of str to str
         Right-hand side of every operation.
-    argument, result : callable
-        ``(name, length, index)`` to the text of an element of an argument or result.
+    element : callable
+        ``(name, index)`` to the text of an element of an argument or result.
     end : str
         End of a statement.
     """
@@ -474,21 +473,17 @@ class Dialect:
         """
         lines = []
         for one in routine.operations:
+            left, right = f"w{one.target[0]}", ""
             if one.word == "const":
-                right = repr(one.value)
-                if right in ("inf", "-inf", "nan"):
-                    right = {"inf": "(1e308*10)", "-inf": "(-1e308*10)"}.get(right, "(0.0/0.0)")
-                lines.append(f"w{one.target[0]} = {right}{self.end}")
+                right = _NOT_FINITE.get(repr(one.value), repr(one.value))
             elif one.word == "input":
-                text = self.element(routine.arguments[one.operands[0]][0], one.operands[1])
-                lines.append(f"w{one.target[0]} = {text}{self.end}")
+                right = self.element(routine.arguments[one.operands[0]][0], one.operands[1])
             elif one.word == "output":
-                text = self.element(routine.results[one.target[0]][0], one.target[1])
-                lines.append(f"{text} = w{one.operands[0]}{self.end}")
+                left = self.element(routine.results[one.target[0]][0], one.target[1])
+                right = f"w{one.operands[0]}"
             else:
-                operands = [f"w{index}" for index in one.operands]
-                right = self.formats[one.word].format(*operands)
-                lines.append(f"w{one.target[0]} = {right}{self.end}")
+                right = self.formats[one.word].format(*(f"w{index}" for index in one.operands))
+            lines.append(f"{left} = {right}{self.end}")
         return lines
 
     def function(self, routine: Routine) -> str:

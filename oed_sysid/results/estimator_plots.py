@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
@@ -319,8 +320,6 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
 
 # -- the benchmark ---------------------------------------------------------------------------
 
-# Errors beyond these are drawn at the edge, in per cent.
-LEAST, MOST = 1e-2, 1e4
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
@@ -341,30 +340,18 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
         Where to draw.
     """
     ax = draw.new_axes(ax)
-    able = [row for row in rows if not row.refused]
-    levels = sorted({row.noise for row in able if row.noise > 0})
+    levels: dict[float, list[Row]] = {}
     errors: dict[str, list[float]] = {}
-    for row in able:
-        if row.noise > 0:
+    for row in rows:
+        if row.noise > 0 and not row.refused:
+            levels.setdefault(row.noise, []).append(row)
             errors.setdefault(row.estimator, []).append(np.log(max(row.rmse_determined, 1e-9)))
     names = sorted(errors, key=lambda name: float(np.mean(errors[name])))  # the best on top
-    for number, level in enumerate(levels):
-        colour = draw.model_style(number).colour
-        of_level = {row.estimator: row for row in able if row.noise == level}
-        bound = next(iter(of_level.values())).bound
+    for number, level in enumerate(sorted(levels)):
+        look = {"color": draw.model_style(number).colour, "marker": MARKERS[number % len(MARKERS)]}
         shift = (number - (len(levels) - 1) / 2) * 0.22
-        ax.axvline(100.0 * bound, color=colour, lw=1.0, alpha=0.6, linestyle=":")
-        for name, row in of_level.items():
-            error = np.clip(100.0 * row.rmse_determined, LEAST, MOST)
-            ax.plot(
-                error, names.index(name) + shift, MARKERS[number % len(MARKERS)], ms=5.5,
-                color=colour, mfc="none" if row.n_failed else colour, clip_on=False,
-            )  # fmt: skip
-        # The legend shows full marks, whichever estimator comes first.
-        unit = UNITS[able[0].noise_unit]
-        ax.plot(
-            [], [], MARKERS[number % len(MARKERS)], color=colour, label=f"noise {level:g} {unit}"
-        )
+        places = dict(zip(names, np.arange(len(names)) + shift, strict=True))
+        _draw_level(ax, levels[level], places, look)
     if OURS in names:
         place = names.index(OURS)
         ax.axhspan(place - 0.45, place + 0.45, color=draw.NEUTRAL, alpha=0.18, lw=0)
@@ -373,6 +360,20 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
     ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     words = "error of determined parameters [%]"
     return draw.done(ax, ylim=(len(names) - 0.4, -0.6), xlabel=words)
+
+
+def _draw_level(
+    ax: Axes, rows: Sequence[Row], places: Mapping[str, float], look: dict[str, Any]
+) -> None:
+    """Draw errors at one noise level: a mark per estimator, and what can be reached at best."""
+    ax.axvline(100.0 * rows[0].bound, color=look["color"], lw=1.0, alpha=0.6, linestyle=":")
+    for row in rows:
+        error = np.clip(100.0 * row.rmse_determined, 1e-2, 1e4)  # beyond: at the edge
+        fill = "none" if row.n_failed else look["color"]
+        ax.plot(error, places[row.estimator], ms=5.5, mfc=fill, clip_on=False, **look)
+    # The legend shows full marks, whichever estimator comes first.
+    words = f"noise {rows[0].noise:g} {UNITS[rows[0].noise_unit]}"
+    ax.plot([], [], ls="", label=words, **look)
 
 
 def figure_benchmark(result: Benchmark) -> Figure:

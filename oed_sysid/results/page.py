@@ -23,7 +23,6 @@ from matplotlib.figure import Figure as Drawing
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.design import Design
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.physics.model import Model
 from oed_sysid.results.style import finding, new_figure, signal_of
@@ -31,9 +30,6 @@ from oed_sysid.runtime import files
 from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table, interval
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
-
-# Of a table on a page; the document has all.
-_MOST_ROWS = 30
 
 # A page is a document; its older name.
 Page = Report
@@ -117,11 +113,6 @@ def page(result: Any, *arguments: Any, **options: Any) -> Report:
     """
     made: Report = result.document(*arguments, **options)
     return made
-
-
-def card_page(design: Design, *, title: str = "", length: float | None = None) -> Report:
-    """Return the sea-trial card as a page; see :class:`oed_sysid.design.TrialCard`."""
-    return design.card(length).document(title=title)
 
 
 def numbers_page(content: Mapping[str, Any]) -> Report:
@@ -264,11 +255,12 @@ def notebook(thing: object) -> str:
     return f'<div class="oed-sysid"><p><b>{escape(str(thing))}</b></p>{before}{inner}</div>'
 
 
-def _shortened(table: Table) -> Table:
-    if len(table.rows) <= _MOST_ROWS:
+def _shortened(table: Table, most: int = 30) -> Table:
+    """The first rows of a table; the document has all."""
+    if len(table.rows) <= most:
         return table
-    said = f"{table.caption} (the first {_MOST_ROWS} of {len(table.rows)})".strip()
-    return replace(table, rows=table.rows[:_MOST_ROWS], caption=said)
+    said = f"{table.caption} (the first {most} of {len(table.rows)})".strip()
+    return replace(table, rows=table.rows[:most], caption=said)
 
 
 def parameter_table(model: Model) -> Table:
