@@ -520,7 +520,8 @@ def estimators(
 
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
-    from oed_sysid.baselines.benchmark import CONTESTANTS, benchmark
+    from oed_sysid.baselines.benchmark import benchmark
+    from oed_sysid.baselines.contest import CONTESTANTS
 
     chosen = list(CONTESTANTS) if names == ["all"] else names
     asked = {"problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling}

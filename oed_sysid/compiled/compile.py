@@ -80,14 +80,13 @@ def _generator_digest() -> str:
     return digest.hexdigest()
 
 
-def load(model: Model, *, selectable: bool = False, filtered: bool = False) -> ctypes.CDLL | None:
+def load(model: Model, *, filtered: bool = False) -> ctypes.CDLL | None:
     """Return the library of a model, compiling it if need be; None without a compiler.
 
-    With ``selectable`` the columns of the sensitivities are chosen at run time, with
-    ``filtered`` the library holds the Kalman filter too.
+    With ``filtered`` the library holds the Kalman filter too, and the columns of the sensitivities
+    are chosen at run time.
     """
-    options = {"select": selectable, "filter": filtered}
-    chosen = [name for name, wanted in options.items() if wanted]
+    chosen = ["select", "filter"] if filtered else []
     return load_source(
         "-".join([model.structure_key(), *chosen]),
         lambda: source(build(model)),

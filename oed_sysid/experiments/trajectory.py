@@ -348,7 +348,7 @@ def simulate_batch(
             outputs[member] = runner.run(moments, own_inputs, table[member], z).outputs
 
     # The interpreter keeps Python's lock; threads would only get in each other's way.
-    workers = (n_workers or os.cpu_count() or 1) if runner.is_compiled else 1
+    workers = (n_workers or os.cpu_count() or 1) if runner.library else 1
     if workers == 1 or n_batch == 1:
         run(range(n_batch))
         return outputs

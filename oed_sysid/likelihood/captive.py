@@ -20,10 +20,9 @@ remember, such as a rudder that lags, each test is a record of its own and begin
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
-from typing import Protocol
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError, UnitWarning
 from oed_sysid.likelihood.estimate import CaptiveErrors
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import EXACT
 from oed_sysid.likelihood.unknowns import StartState
@@ -42,19 +42,6 @@ TOWED = "towed"
 _FORCE = "force_{}"
 _HELD = "{}_held"
 _OWN = "{}_free"
-
-
-class Estimator(Protocol):
-    """What is asked of an estimator here."""
-
-    def fit(
-        self,
-        model: Model,
-        dataset: Dataset,
-        *,
-        start_states: Sequence[StartState] | None = None,
-    ) -> Fit:
-        """Estimate the free parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -338,7 +325,7 @@ class CaptiveTests:
         records = [self._free(model, towed, record) for record in dataset or ()]
         whole = Dataset((*records, *tests))
         known: list[StartState] = [{} for _ in records] + [still] * len(tests)
-        fit = estimator.fit(towed, whole, start_states=known)
+        fit = estimator.fit(towed, whole, start_states=known)  # type: ignore[call-arg]
         fitted = model.with_values(fit.model.values)
         fit = replace(fit, captive=self.errors(fitted))
         if dataset is None:

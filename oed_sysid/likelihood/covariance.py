@@ -59,6 +59,7 @@ from oed_sysid.likelihood.information import (
 from oed_sysid.likelihood.noise_levels import RARE
 from oed_sysid.likelihood.projection import BLIND, eliminate, inverse_of, share_of
 from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
+from oed_sysid.likelihood.unknowns import Posed
 
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
@@ -512,6 +513,44 @@ def _own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:
     return parts, stride
 
 
+def onto_shared(
+    problem: Posed, unknowns: np.ndarray, index: int, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Combinations that carry scores of one record to the shared parameters, by their values.
+
+    With :math:`M` the information of a record, :math:`s` its shared and :math:`o` its own unknowns,
+    :math:`T = D^{-1} [I, -M_{so} M_{oo}^{-1}]`, so that :math:`T M T'` is the information once the
+    own unknowns are estimated along.
+
+    Parameters
+    ----------
+    problem : Posed
+    unknowns : ndarray (n_unknowns,)
+    index : int
+        Of the record.
+    matrix : ndarray (n, n)
+        Of its start states and free parameters, or of the latter alone; what is known of its own
+        unknowns is added to it in place.
+
+    Returns
+    -------
+    onto : ndarray (n_shared, n)
+    own : ndarray of int
+        Positions of the own unknowns that are not held.
+    """
+    layout, limits = problem.layout, problem.limits
+    first = layout.n_own + len(layout.free_names) - len(matrix)
+    columns = layout.record_columns(index)[first:]
+    shared = layout.n_own + layout.shared - first
+    own = np.setdiff1d(np.arange(len(matrix)), shared)
+    own = own[~limits.held[columns[own]]]
+    matrix[own, own] += limits.prior_weight[columns[own]]
+    onto = np.zeros((len(shared), len(matrix)))
+    onto[:, shared] = np.eye(len(shared))
+    onto[:, own] = -share_of(matrix, shared, own)
+    return onto / layout.shared_values(unknowns)[1][:, None], own
+
+
 class ReducedFilter:
     r"""What innovations say of the shared parameters, everything else estimated along.
 
@@ -650,20 +689,15 @@ class ReducedFilter:
         Its start states and own parameters are estimated along; levels of the noise are as they
         are.
         """
-        layout, limits, part = self.problem.layout, self.problem.limits, self.passes[index]
-        columns = layout.record_columns(index)
-        size, width = layout.record_slopes(self.unknowns, index), len(columns)
+        limits, part = self.problem.limits, self.passes[index]
+        columns = self.problem.layout.record_columns(index)
+        size, width = self.problem.layout.record_slopes(self.unknowns, index), len(columns)
         matrix = part.gram[:width, :width] * size[:, None] * size
+        onto, own = onto_shared(self.problem, self.unknowns, index, matrix)
+        away = limits.prior_mean[columns[own]] - self.unknowns[columns[own]]
         right = -part.gram[:width, -1] * size
-        shared = layout.n_own + layout.shared
-        others = np.setdiff1d(np.arange(width), shared)
-        others = others[~limits.held[columns[others]]]
-        own = limits.prior_weight[columns[others]]
-        matrix[others, others] += own
-        right[others] += own * (limits.prior_mean - self.unknowns)[columns[others]]
-        share = share_of(matrix, shared, others)
-        information = matrix[np.ix_(shared, shared)] - share @ matrix[np.ix_(others, shared)]
-        return self._by_values(information), (right[shared] - share @ right[others]) / self._slopes
+        right[own] += limits.prior_weight[columns[own]] * away
+        return onto @ matrix @ onto.T, onto @ right
 
     @property
     def level_errors(self) -> dict[str, float]:

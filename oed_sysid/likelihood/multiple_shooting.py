@@ -461,33 +461,22 @@ class MultipleShooting:
         """The first fit with process noise that is likelier, else the last; None if all fail."""
         found = None
         for starts in begun:
-            found = self._estimated(fit, task, setting, starts, test, kernel) or found
-            if found is not None and not _no_likelier(found, fit):
+            try:
+                solution = fit_disturbed(
+                    task.model, setting, starts, test, kernel=kernel, progress=self.progress
+                )
+            except np.linalg.LinAlgError:  # equations without numbers: no way on from there
+                continue
+            if solution is None:
+                continue
+            iterations = fit.iterations + solution.iterations
+            how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
+            ends = solution.point.unknowns, solution.matrix, solution.right
+            found = summarise_filtered(solution, how)
+            found = replace(found, binding=binding(solution.problem, *ends))
+            if not _no_likelier(found, fit):
                 break
         return found
-
-    def _estimated(
-        self,
-        fit: Fit,
-        task: _Task,
-        setting: Setting,
-        starts: Sequence[Start],
-        test: ScoreTest,
-        kernel: FilterKernel,
-    ) -> Fit | None:
-        """The fit with process noise from some starts; None where it fails from each."""
-        try:
-            solution = fit_disturbed(
-                task.model, setting, starts, test, kernel=kernel, progress=self.progress
-            )
-        except np.linalg.LinAlgError:  # equations without numbers: no way on from there
-            return None
-        if solution is None:
-            return None
-        iterations = fit.iterations + solution.iterations
-        how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
-        ends = solution.point.unknowns, solution.matrix, solution.right
-        return replace(summarise_filtered(solution, how), binding=binding(solution.problem, *ends))
 
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""

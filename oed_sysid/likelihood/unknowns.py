@@ -155,16 +155,6 @@ class Layout:
         """Names of the shared free parameters."""
         return tuple(self.free_names[i] for i in self.shared)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of every unknown; local ones carry the record's index."""
-        names = list(self.shared_names)
-        for record in range(self.n_records):
-            names += [f"x0[{record}][{i}]" for i in range(self.n_own)]
-            names += [f"{self.free_names[i]}[{record}]" for i in self.local]
-        names += [f"noise[{i}]" for i in range(self.n_levels)]
-        return tuple(names)
-
 
 def on_its_turn(model: Model, record: Record, state: str, value: float) -> float:
     """Start value of a state, moved by full turns to the record's where a wrapped output sees it.
