@@ -69,8 +69,6 @@ FOURTH = 2
 # Frequencies of its two pairs over that of the peak, and the damping of the second: nearest, in
 # the divergence of Whittle, to JONSWAP spectra of peakedness 1 to 7.
 FIRST_PAIR, SECOND_PAIR, SECOND_DAMPING = 0.97, 1.67, 0.42
-# Change of the logarithm of a damping over which its derivative is taken.
-APART = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +227,8 @@ def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -
         powers = np.exp(values * angles) * (-values * angles if by_period else 1.0)
         return np.asarray((vectors * powers[:, None, :] @ inverse).real)
 
-    by_damping = (over(damping * np.exp(APART)) - over(damping * np.exp(-APART))) / (2 * APART)
+    step = 1e-5  # of the logarithm
+    by_damping = (over(damping * np.exp(step)) - over(damping * np.exp(-step))) / (2 * step)
     return np.stack([over(damping), over(damping, by_period=True), by_damping], axis=1)
 
 
@@ -651,8 +650,7 @@ class FilterKernel(Kernel):
         first = np.hstack(
             [dz0[kept][:, :n_own], dz0[kept][:, [self.n_own + index for index in chosen]]]
         )
-        kinds = np.array([kind for kind, _ in levels], dtype=np.intc)
-        indices = np.array([index for _, index in levels], dtype=np.intc)
+        kinds, indices = np.array([*levels], dtype=np.intc).reshape(-1, 2).T.copy()
         width = first.shape[1] + len(levels)
         n_random = len(noise.disturbances)
         size = self.n_full + n_random + len(noise.coloured)

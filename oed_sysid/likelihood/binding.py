@@ -54,10 +54,8 @@ def binding(
     columns = layout.record_columns(0)[layout.n_own :]
     values, slopes = layout.parameters(unknowns, 0), layout.slopes(unknowns[columns])
     found: list[tuple[str, float, np.ndarray]] = []
-    for index, name in enumerate(layout.free_names):
+    for index, name in zip(layout.shared, layout.shared_names, strict=True):
         parameter = model.parameter(name)
-        if parameter.per_record:
-            continue
         for sign, limit, relation in ((-1, parameter.lower, ">="), (1, parameter.upper, "<=")):
             gradient = np.zeros(len(unknowns))
             gradient[columns[index]] = sign * slopes[index]

@@ -83,9 +83,6 @@ WORSE, HALF = 1.2, 0.5
 # of a step before a side of a profile is open, and refinements of its end.
 MOST_ROUNDS = 12
 
-# Most rounds in which spikes are looked for; large ones hide small ones.
-SPIKE_ROUNDS = 4
-
 Minimiser = Callable[..., Solution | None]
 
 
@@ -363,7 +360,7 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
-        for _ in range(SPIKE_ROUNDS):
+        for _ in range(4):  # large ones hide small ones
             left = _left(again, before)
             if left is None:
                 break

@@ -32,9 +32,6 @@ from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
 
-# Draws of a band; those at once show whether one of first order would mislead.
-N_DRAWS = 200
-RUNAWAY = 1e100  # a draw beyond is no run of a vehicle
 # Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
 # inverse) first order misleads.
 MISLEADS = 1.2
@@ -83,14 +80,14 @@ class Spread:
         return np.clip(found, *self.bounds)
 
     def mean_square(
-        self, simulate: SimulateAll, outputs: np.ndarray, n_draws: int = N_DRAWS
+        self, simulate: SimulateAll, outputs: np.ndarray, n_draws: int = 200
     ) -> np.ndarray:
         """Mean square about ``outputs`` of runs that do not run away, ``(n_times, n_outputs)``."""
         rng = np.random.default_rng(0)  # the same draws for the same fit
         total, count = np.zeros_like(outputs), 0
         for done in range(0, n_draws, CHUNK):
             runs = simulate(self.draw(min(CHUNK, n_draws - done), rng), rng)
-            runs = runs[(np.abs(runs) < RUNAWAY).all(axis=(1, 2))]
+            runs = runs[(np.abs(runs) < 1e100).all(axis=(1, 2))]  # beyond, squares overflow
             total += ((runs - outputs) ** 2).sum(axis=0)
             count += len(runs)
         return total / count if count else np.full_like(outputs, np.inf)
@@ -278,13 +275,11 @@ def predict(
     way = "given" if isinstance(initial, Mapping) else initial
     if way not in WAYS:
         raise DataError(f"initial is {initial!r}. Choose 'fit', 'first' or give the states.")
-    if isinstance(initial, Mapping):
-        unknown = [name for name in initial if name not in model.state_names]
-        if unknown or len(initial) < len(model.states):
-            raise DataError(
-                f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
-                f"{', '.join(model.state_names)}."
-            )
+    if isinstance(initial, Mapping) and set(initial) != set(model.state_names):
+        raise DataError(
+            f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
+            f"{', '.join(model.state_names)}."
+        )
     parts = [_predict(model, r, covariance, noise, initial, way) for r in dataset]
     outputs, stds, starts, local = zip(*parts, strict=True)
     return Prediction(dataset, outputs, stds, noise.white.copy(), starts, way, local)
