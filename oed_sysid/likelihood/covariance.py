@@ -360,6 +360,7 @@ def _scores(
         return residual * loss(residual)[1]
 
     stacked, h = np.vstack(residuals), 1e-4
+    # H = J' J times the mean slope of the scores (Huber 1964), which is kept above zero.
     slopes = (score(stacked + h) - score(stacked - h)) / (2 * h)
     seen = np.isfinite(stacked)
     count = np.maximum(seen.sum(axis=0), 1)
@@ -442,6 +443,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
     )
     blocks = blocks[np.any(blocks, axis=1)]
     blocks = blocks / np.linalg.norm(blocks, axis=1, keepdims=True)
+    # Each block in units of its own power: a loud manoeuvre counts as one block.
     power, count = (np.abs(np.fft.rfft(blocks)) ** 2).sum(axis=0), len(blocks)
     first, last = FEWEST, length // FEWEST
     # Neighbouring frequencies on either side that are taken together.

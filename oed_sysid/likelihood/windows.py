@@ -37,8 +37,6 @@ from oed_sysid.likelihood.unknowns import Limits
 # What a start state of a window is known to before its samples where all of it is to be found, in
 # units of the state's scale.
 UNKNOWN = 30.0
-# The way in only has to arrive nearby: stop when an iteration gains less than this share.
-ENOUGH = 1e-2
 # Lengths, in samples, of the windows in the globalisation phase; beyond the
 # last one they triple until they reach the length of a shooting interval.
 LADDER = (2, 4, 10, 30)
@@ -323,7 +321,8 @@ def climb(
     begin = problem.at(problem.start)
     if begin is None:
         return unknowns
-    descent = Descent(begin, Windows.at, Convergence(0.0, share=ENOUGH), CAREFUL)
+    # The way in only has to arrive nearby: it ends with an iteration that gains less than a share.
+    descent = Descent(begin, Windows.at, Convergence(0.0, share=0.01), CAREFUL)
     descent.run(max_iterations)
     found = descent.now.point.unknowns.copy()
     n_own = shooting.layout.n_own
