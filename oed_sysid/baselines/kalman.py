@@ -30,8 +30,6 @@ KINDS = ("extended", "unscented")
 START_SPREAD = 10.0
 # A start value without a prior is known to this share of its magnitude.
 RELATIVE_PRIOR = 0.5
-# Of a normal distribution, as it enters the covariance of the points of the unscented filter.
-PEAKEDNESS = 2.0
 DIVERGED = Status(
     "diverged",
     "the filter diverged. Start closer, give smaller parameter_std, add process_std, or "
@@ -383,7 +381,7 @@ class JointFilter:
         away, change = points[1:] - points[0], outputs[1:] - outputs[0]
         weight = 0.5 / reach**2
         shift, expected = weight * away.sum(axis=0), weight * change.sum(axis=0)
-        both = PEAKEDNESS - reach**2 / n
+        both = 2.0 - reach**2 / n  # 2: peakedness of a normal distribution
         self.mean = points[0] + shift
         self.spread = weight * away.T @ away + both * np.outer(shift, shift)
         if row:

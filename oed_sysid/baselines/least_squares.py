@@ -106,11 +106,7 @@ class EquationError(RegressionEstimator):
         return f"equation error ({self.rule} derivatives{window})"
 
     def _solve(self, rows: Rows) -> Regression:
-        return solve_rows(rows, coloured=self.coloured)
-
-
-# Perturbed copies of the data that measure how noise enters the columns.
-COPIES = 12
+        return solve_rows(rows.form, rows.targets, rows.regressors, coloured=self.coloured)
 
 
 @dataclass(frozen=True)
@@ -182,7 +178,8 @@ class TotalLeastSquares(RegressionEstimator):
             for index in range(len(form.equations))
         ]
         targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
-        for _ in range(COPIES):
+        n_copies = 12  # of the data, to measure how noise enters the columns
+        for _ in range(n_copies):
             copies = [
                 record.with_outputs(
                     record.outputs + sigma * rng.standard_normal(record.outputs.shape)
@@ -196,7 +193,7 @@ class TotalLeastSquares(RegressionEstimator):
                 change = np.column_stack([by_regressor[:, index, columns], by_target[:, index]])
                 change = change[np.isfinite(change).all(axis=1)]
                 sums[index] = sums[index] + change.T @ change / max(len(change), 1)
-        return [total / COPIES for total in sums]
+        return [total / n_copies for total in sums]
 
 
 def generalised_tls(

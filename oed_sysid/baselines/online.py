@@ -13,8 +13,9 @@
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +25,6 @@ from oed_sysid.baselines.equations import (
     SPANS,
     WINDOW,
     Rates,
-    RegressionForm,
     Rows,
     check_rule,
     regression_form,
@@ -40,9 +40,10 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.baselines.support_vectors import (
     WEIGHT,
-    KernelFunction,
-    LinearKernel,
+    Kernel,
     check_weight,
+    dual_solution,
+    linear_kernel,
 )
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.likelihood.estimator import check_choice
@@ -287,7 +288,7 @@ class IncrementalLSSVM(OnlineMachine):
     ----------
     C : float
         Weight of the errors.
-    kernel : callable, optional
+    kernel : callable
         Linear by default.
     bias : bool
         Whether there is a constant.
@@ -327,7 +328,7 @@ class IncrementalLSSVM(OnlineMachine):
         self,
         *,
         C: float = WEIGHT,
-        kernel: KernelFunction | None = None,
+        kernel: Kernel = linear_kernel,
         bias: bool = True,
         method: str = "cholesky",
         window: int | None = None,
@@ -337,8 +338,7 @@ class IncrementalLSSVM(OnlineMachine):
         check_choice("method", method, ("cholesky", "inverse"))
         check_window(window)
         self.C, self.bias_wanted, self.method = C, bias, method
-        self.kernel = kernel or LinearKernel()
-        self.window, self.refresh = window, refresh
+        self.kernel, self.window, self.refresh = kernel, window, refresh
         self._warned = False
         self.forget()
 
@@ -388,7 +388,7 @@ class IncrementalLSSVM(OnlineMachine):
     def linear(self) -> tuple[np.ndarray, float]:
         """Coefficients of the features, of the linear kernel only, and the bias."""
         multipliers, bias = self.solution()
-        if not isinstance(self.kernel, LinearKernel):
+        if self.kernel is not linear_kernel:
             raise ModelError("Only the linear kernel has coefficients. Use predict.")
         return self._features.T @ multipliers, bias
 
@@ -436,8 +436,7 @@ class IncrementalLSSVM(OnlineMachine):
             solved = self._matrix @ columns
         else:
             solved = cho_solve((self._matrix, True), columns, check_finite=False)
-        bias = float(solved[:, 0].sum() / solved[:, 1].sum()) if self.bias_wanted else 0.0
-        return solved[:, 0] - bias * solved[:, 1], bias
+        return dual_solution(solved, self.bias_wanted)
 
     def _drop_oldest(self) -> None:
         old = self._matrix
@@ -554,6 +553,27 @@ class OnlineRegression(RegressionEstimator):
         )
 
 
+class Stream(ABC):
+    """What estimators on board have in common: what they know of the parameters by now."""
+
+    model: Model
+
+    @abstractmethod
+    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters as known by now."""
+        return dict(zip(self.model.free_names, self.estimate()[0].tolist(), strict=True))
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Their standard errors."""
+        stds = np.sqrt(np.maximum(np.diag(self.estimate()[1]), 0.0))
+        return dict(zip(self.model.free_names, stds.tolist(), strict=True))
+
+
 class Samples:
     """Samples of a run as they come, each later than the one before.
 
@@ -561,12 +581,10 @@ class Samples:
     ----------
     model : Model
         Whose inputs and outputs they are.
-    anew : str
-        What to do for a new run, for the message.
     """
 
-    def __init__(self, model: Model, anew: str = "Call start() for a new run.") -> None:
-        self.model, self.anew = model, anew
+    def __init__(self, model: Model) -> None:
+        self.model = model
         self.last: float | None = None
         self.count = 0
 
@@ -592,28 +610,11 @@ class Samples:
         if self.last is not None and not time > self.last:
             raise ModelError(
                 f"The sample at t = {time:g} s is not later than the one before, at "
-                f"{self.last:g} s. {self.anew}"
+                f"{self.last:g} s. Call start() for a new run."
             )
         self.last, self.count = time, self.count + 1
         inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
         return inputs, np.array([sample.get(name, np.nan) for name in self.model.output_names])
-
-
-def streamed_form(model: Model) -> RegressionForm:
-    """Targets and regressors of a model whose actuators keep no memory between samples.
-
-    Raises
-    ------
-    ModelError
-        If the equations are not linear in the free parameters, or an actuator has memory.
-    """
-    form = regression_form(model)
-    if form.graph.n_actuator_memory:
-        raise ModelError(
-            f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
-            "signals as inputs and leave the actuator effects out with model.without(...)."
-        )
-    return form
 
 
 @dataclass(frozen=True, eq=False)
@@ -660,18 +661,18 @@ class EquationStream:
     """
 
     def __init__(self, model: Model, *, rule: str = "trapezoid") -> None:
-        check_rule(rule, 9)
-        if rule not in SPANS:
-            raise ModelError(f"rule is {rule!r}. A stream knows {', '.join(SPANS)}.")
+        check_choice("rule", rule, tuple(SPANS))
         self.model, self.rule = model, rule
-        self.form, self._run = (
-            streamed_form(model),
-            Samples(model, "Start a new stream for a new run."),
-        )
+        self.form, self.run = regression_form(model), Samples(model)
+        if self.form.graph.n_actuator_memory:
+            raise ModelError(
+                f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
+                "signals as inputs and leave the actuator effects out with model.without(...)."
+            )
         # Positions of the free parameters that each equation holds.
         found = self.form.anywhere(8).transpose(1, 0, 2)
         self._owners = tuple(np.flatnonzero(block.any(axis=0)) for block in found)
-        self._samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)
+        self.samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)
 
     @property
     def equations(self) -> tuple[str, ...]:
@@ -683,7 +684,7 @@ class EquationStream:
         owners = self._owners[self.form.equations.index(equation)]
         return tuple(self.form.names[i] for i in owners)
 
-    def push(self, time: float, sample: dict[str, float]) -> list[StreamRow]:
+    def push(self, time: float, sample: Mapping[str, float]) -> list[StreamRow]:
         """Take one sample; return one row per equation as soon as there are enough.
 
         Parameters
@@ -693,23 +694,32 @@ class EquationStream:
         sample : mapping of str to float
             Measured outputs and commands by name; a missing output is NaN.
         """
-        self._samples.append((time, *self._run.read(time, sample)))
-        if len(self._samples) <= SPANS[self.rule]:
-            return []
-        times, inputs, outputs = (np.array(part) for part in zip(*self._samples, strict=True))
-        states = states_of(self.form, outputs)
-        rows = rows_from(self.form, times, states, inputs, self.rule)
-        targets, regressors = rows[0][-1], rows[1][-1]
         return [
-            StreamRow(equation, regressors[i, owners], float(targets[i]))
-            for i, (equation, owners) in enumerate(
-                zip(self.form.equations, self._owners, strict=True)
+            StreamRow(equation, row[owners], float(target))
+            for targets, regressors in self.rows(time, sample)
+            for equation, owners, target, row in zip(
+                self.form.equations, self._owners, targets, regressors, strict=True
             )
-            if np.isfinite(targets[i]) and np.isfinite(regressors[i, owners]).all()
+            if np.isfinite(target) and np.isfinite(row[owners]).all()
         ]
 
+    def rows(
+        self, time: float, sample: Mapping[str, float]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Targets ``(n_equations,)`` and regressors ``(n_equations, n_free)`` of a new sample."""
+        self.samples.append((time, *self.run.read(time, sample)))
+        if len(self.samples) > SPANS[self.rule]:
+            times, inputs, outputs = (np.array(part) for part in zip(*self.samples, strict=True))
+            states = states_of(self.form, outputs)
+            yield from zip(*rows_from(self.form, times, states, inputs, self.rule), strict=True)
 
-class KalmanStream:
+    def start(self) -> None:
+        """Begin a new run."""
+        self.samples.clear()
+        self.run.last = None
+
+
+class KalmanStream(Stream):
     """Parameters of a model while it sails: one :meth:`update` per sample.
 
     The same numbers, sample by sample, as :class:`JointKalmanFilter` plays back
@@ -771,14 +781,6 @@ class KalmanStream:
         """
         self._filter.take(time, *self._run.read(time, sample))
 
-    @property
-    def values(self) -> dict[str, float]:
-        """Parameters as known by now."""
-        values = self._filter.parameters[0]
-        return dict(zip(self.model.free_names, map(float, values), strict=True))
-
-    @property
-    def std_errors(self) -> dict[str, float]:
-        """Their standard errors."""
-        stds = np.sqrt(np.maximum(np.diag(self._filter.parameters[1]), 0.0))
-        return dict(zip(self.model.free_names, map(float, stds), strict=True))
+    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
+        return self._filter.parameters

@@ -71,12 +71,6 @@ UNFINISHED = Status(
 DIVERGED = Status("diverged", "every candidate diverged. Narrow the bounds, or reduce model.step.")
 
 
-# A diverging candidate costs this much, because the libraries want finite numbers.
-WORST = 1e30
-# Members simulated at once: bounds the memory of long records.
-CHUNK_BYTES = 64_000_000
-
-
 class TrajectoryCost:
     r"""Mean square of scaled residuals over all records, for many candidates at once.
 
@@ -132,8 +126,8 @@ class TrajectoryCost:
         return self.lower + shares * (self.upper - self.lower)
 
     def finite(self, population: np.ndarray) -> np.ndarray:
-        """Costs for libraries that want finite numbers: :data:`WORST` where the model diverges."""
-        return np.minimum(self(population), WORST)
+        """Costs for libraries that want finite numbers: 1e30 where the model diverges."""
+        return np.minimum(self(population), 1e30)
 
     def __call__(self, population: np.ndarray) -> np.ndarray:
         """Costs ``(n,)`` of candidates ``(n, n_free)``; infinite where the model diverges."""
@@ -147,7 +141,8 @@ class TrajectoryCost:
             weights = present / self.scales
             measured = np.where(present, record.outputs, 0.0)
             count += int(present.sum())
-            room = max(1, CHUNK_BYTES // (8 * record.outputs.size))
+            # Members simulated at once: 64 MB, whatever the length of the record.
+            room = max(1, 64_000_000 // (8 * record.outputs.size))
             for first in range(0, len(values), room):
                 part = slice(first, first + room)
                 found = simulate_batch(
@@ -269,12 +264,26 @@ def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, floa
     return peaks
 
 
+@dataclass(frozen=True, kw_only=True)
 class TrajectorySearch(ABC):
-    """Search of the least misfit of trajectories: settings and the way to a fit that all share."""
+    """Search of the least misfit of trajectories: settings and the way to a fit that all share.
 
-    scale: str | Mapping[str, float]
-    initial: Mapping[str, float] | None
-    n_workers: int | None
+    Parameters
+    ----------
+    scale : str or mapping of str to float
+        Scale of the residuals of each output, see :class:`TrajectoryCost`.
+    initial : mapping of str to float
+        Known start of some states; others are measured, or zero.
+    seed : int
+        Of the random numbers; the same seed gives the same result.
+    n_workers : int or None
+        Threads; all cores by default.
+    """
+
+    scale: str | Mapping[str, float] = "noise"
+    initial: Mapping[str, float] | None = None
+    seed: int = 0
+    n_workers: int | None = None
 
     @property
     @abstractmethod
@@ -302,13 +311,9 @@ class TrajectorySearch(ABC):
         cost = TrajectoryCost(
             model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
         )
+        found = self._search(cost)
         return fit_from_values(
-            model,
-            dataset,
-            self._search(cost),
-            estimator=self.name,
-            began=began,
-            known=cost.initial,
+            model, dataset, found, estimator=self.name, began=began, known=cost.initial
         )
 
 
@@ -340,18 +345,11 @@ class DifferentialSwarm(TrajectorySearch):
         Whether the two members of the difference must differ. The source does not say. Where they
         may be the same, now and then a particle moves on the line between its own best and the best
         of all, and the search converges many times faster (two problems, three seeds each).
-    scale : str or mapping of str to float
-        Scale of the residuals of each output, see
-        :class:`~oed_sysid.baselines.population.TrajectoryCost`.
-    initial : mapping of str to float
-        Known start of some states; others are measured, or zero.
     tolerance : float
         The swarm has converged when its costs differ by less than this share
         of the least one, or from it by less than this number.
-    seed : int
-        Of the random numbers; the same seed gives the same result.
-    n_workers : int or None
-        Threads; all cores by default.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
     progress : callable or None
         Called with the generation and the least cost.
 
@@ -368,11 +366,7 @@ class DifferentialSwarm(TrajectorySearch):
     omega: float = 1.0
     draw: str = "particle"
     distinct: bool = False
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
     tolerance: float = 1e-8
-    seed: int = 0
-    n_workers: int | None = None
     progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self) -> None:
@@ -426,13 +420,10 @@ class DifferentialSwarm(TrajectorySearch):
     def _moved(self, best: np.ndarray, leader: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """New positions ``(n_particles, n_free)``."""
         n, n_free = best.shape
-        columns = 1 if self.draw == "particle" else n_free
-        share = rng.uniform(size=(n, columns))
-        first = rng.integers(n, size=n)
+        share = rng.uniform(size=(n, 1 if self.draw == "particle" else n_free))
+        first, second = rng.integers(n, size=n), rng.integers(int(self.distinct), n, size=n)
         if self.distinct:
-            second = (first + rng.integers(1, n, size=n)) % n
-        else:
-            second = rng.integers(n, size=n)
+            second = (first + second) % n
         return share * best + (1 - share) * leader + self.omega * (best[first] - best[second])
 
 
@@ -460,12 +451,10 @@ class DifferentialEvolution(TrajectorySearch):
     ----------
     n_particles, n_generations : int
         Size of the population and number of generations.
-    scale, initial, n_workers
-        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
     tolerance : float
         Relative spread of the costs at which to stop.
-    seed : int
-        Of the random numbers.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
 
     References
     ----------
@@ -474,11 +463,7 @@ class DifferentialEvolution(TrajectorySearch):
 
     n_particles: int = 60
     n_generations: int = 400
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
     tolerance: float = 1e-6
-    seed: int = 0
-    n_workers: int | None = None
 
     @property
     def name(self) -> str:
@@ -515,8 +500,8 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         Most generations.
     spread : float
         First standard deviation, as a share of the bounds' distance.
-    scale, initial, n_workers, seed
-        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
 
     References
     ----------
@@ -526,10 +511,6 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
     n_particles: int | None = None
     n_generations: int = 400
     spread: float = 0.25
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
-    seed: int = 0
-    n_workers: int | None = None
 
     @property
     def name(self) -> str:
@@ -565,8 +546,8 @@ class ParticleSwarm(TrajectorySearch):
     ----------
     n_particles, n_generations : int
         Size of the swarm and number of moves.
-    scale, initial, n_workers, seed
-        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
 
     References
     ----------
@@ -576,10 +557,6 @@ class ParticleSwarm(TrajectorySearch):
 
     n_particles: int = 60
     n_generations: int = 400
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
-    seed: int = 0
-    n_workers: int | None = None
 
     @property
     def name(self) -> str:

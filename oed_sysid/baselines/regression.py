@@ -23,7 +23,13 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed_sysid.baselines.equations import WINDOW, Rows, regression_form, rows_of
+from oed_sysid.baselines.equations import (
+    WINDOW,
+    RegressionForm,
+    Rows,
+    regression_form,
+    rows_of,
+)
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
@@ -180,12 +186,6 @@ def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float
     return inside
 
 
-# Errors of an equation below this share of its target are rounding.
-ROUNDING = 1e-10
-# Most rounds of weighing equations by their own errors.
-ROUNDS = 20
-
-
 class RegressionEstimator(ABC):
     """An estimator of linear equations of motion, by rows whose rates come from its ``rule``.
 
@@ -270,66 +270,69 @@ def each_equation(rows: Rows, solve: Callable[[int], EquationSolution]) -> Regre
     return Regression(estimates, covariance, coloured=coloured, facts=extras)
 
 
-def weighed(
-    solve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], levels: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solve equations weighed by levels of their errors, which follow, until these settle.
-
-    Returns
-    -------
-    estimates : ndarray (n_free,)
-    levels : ndarray (n_equations,)
-    """
-    for _ in range(ROUNDS):
-        estimates, new = solve(levels)
-        change = np.abs(np.log(new / levels)).max()
-        levels = new
-        if change < 1e-6:
-            break
-    return estimates, levels
-
-
-def solve_rows(rows: Rows, *, coloured: str = "auto") -> Regression:
+def solve_rows(
+    form: RegressionForm,
+    runs_targets: Sequence[np.ndarray],
+    runs_regressors: Sequence[np.ndarray],
+    *,
+    coloured: str = "auto",
+    count: float | None = None,
+) -> Regression:
     """Solve all equations together, each weighted by the spread of its own errors.
 
     Where no parameter is shared this is ordinary least squares of each equation.
     Priors enter as observations; bounds are kept.
+
+    Parameters
+    ----------
+    form : RegressionForm
+        Equations and names.
+    runs_targets : sequence of ndarray (n_rows, n_equations)
+        One array per run; NaN where a measurement is missing.
+    runs_regressors : sequence of ndarray (n_rows, n_equations, n_free)
+    coloured : str
+        Whether errors that are correlated in time widen the covariance: ``"auto"``, ``"always"``
+        or ``"never"``.
+    count : float, optional
+        Independent numbers behind each equation; by default its rows.
     """
-    model, n_free, n_equations = rows.form.model, len(rows.form.names), len(rows.form.equations)
-    targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
+    model, n_free, n_equations = form.model, len(form.names), len(form.equations)
+    targets, regressors = np.vstack(runs_targets), np.vstack(runs_regressors)
     valid = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
     # A row with a gap is one of zeros, which says nothing.
     targets = np.where(valid, targets, 0.0)
     regressors = np.where(valid[:, :, None], regressors, 0.0)
     spread = np.sqrt((targets**2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1))
     levels = np.where(spread > 0, spread, 1.0)
-    floor = ROUNDING * levels
-    freedom = np.maximum(valid.sum(axis=0) - n_free / n_equations, 1.0)
+    floor = 1e-10 * levels  # below it errors of an equation are rounding
+    numbers = valid.sum(axis=0) if count is None else count
+    freedom = np.maximum(numbers - n_free / n_equations, 1.0)
     known, known_targets = prior_rows(model)
 
     def whitened(levels: np.ndarray) -> np.ndarray:
         return np.vstack([(regressors / levels[:, None]).reshape(-1, n_free), known])
 
-    def solve(levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    for _ in range(20):  # each equation weighed by its own errors, until these settle
         right = np.concatenate([(targets / levels).ravel(), known_targets])
-        found = bounded_least_squares(whitened(levels), right, model)
-        errors = targets - regressors @ found
-        return found, np.maximum(np.sqrt((errors**2).sum(axis=0) / freedom), floor)
-
-    estimates, levels = weighed(solve, levels)
+        estimates = bounded_least_squares(whitened(levels), right, model)
+        errors = targets - regressors @ estimates
+        before, levels = levels, np.maximum(np.sqrt((errors**2).sum(axis=0) / freedom), floor)
+        if np.abs(np.log(levels / before)).max() < 1e-6:
+            break
     scales = np.array([p.magnitude for p in model.free_parameters])
-    information = Information.from_jacobian(rows.form.names, whitened(levels), scales)
-    residuals = tuple(t - r @ estimates for t, r in zip(rows.targets, rows.regressors, strict=True))
+    information = Information.from_jacobian(form.names, whitened(levels), scales)
+    runs = zip(runs_targets, runs_regressors, strict=True)
+    residuals = tuple(target - regressor @ estimates for target, regressor in runs)
     scaled = [residual / levels for residual in residuals]
     use = coloured == "always" or (coloured == "auto" and are_coloured(scaled))
     covariance = information.covariance
     if use:
-        ends = np.cumsum([len(t) for t in rows.targets])[:-1]
+        ends = np.cumsum([len(target) for target in runs_targets])[:-1]
         jacobians = np.split(regressors / levels[:, None], ends)
         middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
         covariance = sandwich(covariance, middle)
     extras = {
-        "equation_errors": dict(zip(rows.form.equations, map(float, levels), strict=True)),
+        "equation_errors": dict(zip(form.equations, map(float, levels), strict=True)),
         "equation_residuals": residuals,
     }
     return Regression(estimates, covariance, information, use, facts=extras)

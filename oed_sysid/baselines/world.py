@@ -33,9 +33,6 @@ from oed_sysid.physics.model import Model
 
 # Correlation times, in samples.
 FORCE_TIME, NOISE_TIME = 4.0, 5.0
-SPIKE_SIZE = 20.0  # x noise
-# Least share of white noise, of the variance, where a bound is calculated: a filter needs some.
-LEAST_WHITE = 0.01
 # Steps per sample in which disturbance forces are drawn and integrated.
 SUBSTEPS = 4
 
@@ -108,7 +105,7 @@ class World:
         if self.spikes:
             struck = for_spikes.random(outputs.shape) < self.spikes
             signs = np.sign(for_spikes.standard_normal(outputs.shape))
-            outputs += struck * SPIKE_SIZE * std * signs
+            outputs += 20.0 * struck * std * signs
         if self.sparse > 1:
             kept = np.arange(len(outputs)) % self.sparse == 0
             outputs[~kept] = np.nan
@@ -176,7 +173,7 @@ class World:
             clean = simulate(model, experiment, noise=False)
             levels = self._levels(model, clean, experiment)
         return NoiseModel(
-            np.sqrt(max(1.0 - self.colour, LEAST_WHITE)) * std,
+            np.sqrt(max(1.0 - self.colour, 0.01)) * std,  # a filter needs some white noise
             np.sqrt(self.colour) * std,
             np.array(list(levels.values())),
             NOISE_TIME * experiment.sample_time,

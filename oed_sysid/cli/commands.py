@@ -523,7 +523,8 @@ def estimators(
 
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
-    from oed_sysid.baselines.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
+    from oed_sysid.baselines.benchmark import PROBLEMS, benchmark
+    from oed_sysid.baselines.contest import CONTESTANTS, QUICK
 
     chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
     with progress("Running") as show:

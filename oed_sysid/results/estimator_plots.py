@@ -24,7 +24,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from oed_sysid.baselines.benchmark import OURS, UNITS, Benchmark, Row
+from oed_sysid.baselines.benchmark import Benchmark, Row
+from oed_sysid.baselines.contest import OURS, UNITS
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multistart import SAME_OPTIMUM
