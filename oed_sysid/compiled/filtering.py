@@ -584,14 +584,6 @@ class FilterKernel(Kernel):
         own = np.arange(self.n_full) if own is None else own
         return None if self.library is None else _Part(self, self.library, model, own)
 
-    def simulate(
-        self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Outputs, full states and success of the undisturbed model."""
-        z0, _ = self.start(own, inputs[0], values, times[0])
-        run = self.run(times, inputs, values, z0)
-        return run.outputs, run.states, run.ok
-
     def filter(
         self,
         times: np.ndarray,

@@ -271,8 +271,7 @@ class CaptiveTests:
         parts = []
         for record in asked.records(model):
             own = np.zeros(compiled.n_own)
-            start, _ = compiled.start(own, record.inputs[0], values, 0.0)
-            run = compiled.run(record.times, record.inputs, values, start)
+            run = compiled.simulate(record.times, record.inputs, values, own)
             parts.append(run.outputs[np.isfinite(record.outputs).any(axis=1)])
         found, names = np.vstack(parts), towed.output_names
         return {axis: found[:, names.index(_FORCE.format(axis))] for axis in self.forces}

@@ -15,7 +15,6 @@ Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -128,15 +127,15 @@ def unknown_series(fit: Estimate, effect: str) -> tuple[tuple[np.ndarray, np.nda
     DataError
         If the model has no such effect.
     """
-    found = next((one for one in fit.model.effects if one.name == effect), None)
-    spacing = None if found is None else re.search(r"/([\d.e+-]+)$", found.definitions["node"])
-    if found is None or spacing is None:
-        names = [e.name for e in fit.model.effects if e.name.startswith("unknown_")]
+    inputs = {e.name: e for e in fit.model.effects if e.name.startswith("unknown_")}
+    if effect not in inputs:
         raise DataError(
-            f"The fit has no unknown input {effect!r}. It has {', '.join(names) or 'none'}."
+            f"The fit has no unknown input {effect!r}. It has {', '.join(inputs) or 'none'}."
         )
-    names = [parameter.name for parameter in found.parameters]
-    steps = np.arange(len(names)) * float(spacing[1])
+    names = [parameter.name for parameter in inputs[effect].parameters]
+    # Nodes are counted by (t - begin)/spacing.
+    spacing = float(inputs[effect].definitions["node"].rpartition("/")[2])
+    steps = np.arange(len(names)) * spacing
     values = fit.model.values
     return tuple(
         (record.times[0] + steps, np.cumsum([local.get(n, values[n]) for n in names]))
