@@ -15,17 +15,17 @@ import oed_sysid
 from oed_sysid.cli import SUSPECT
 from oed_sysid.cli.reading import read_records_of
 from oed_sysid.cli.study import Study
-from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted
+from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted, write_runs
 from oed_sysid.cli.tasks import band as band_of
 from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
 from oed_sysid.errors import DataError, DesignError, OedSysidError
-from oed_sysid.runtime.display import Figure, Table, counted
-from oed_sysid.runtime.files import check_place, make_folder
+from oed_sysid.runtime.display import Figure, Table, as_dict, counted
+from oed_sysid.runtime.files import check_place
 
 if TYPE_CHECKING:
     from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.cli.terminal import Shown
-    from oed_sysid.data.logs import Imported, Log, LogMapping
+    from oed_sysid.data.logs import Log, LogMapping
     from oed_sysid.design import Candidate
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
@@ -78,17 +78,11 @@ def _answer(text: str) -> None:
     answer(first, rest)
 
 
-def _summary(problem: Problem) -> dict[str, object]:
-    return {
-        "name": problem.name,
-        "title": problem.title,
-        "models": list(problem.variants),
-        "inputs": list(problem.model.input_names),
-        "outputs": list(problem.model.output_names),
-        "free_parameters": list(problem.model.free_names),
-        "candidates": [effect.name for effect in problem.effects],
-        "experiments": list(problem.experiments),
-    }
+_summary = as_dict(
+    "name", "title", models="variants", inputs="model.input_names", outputs="model.output_names",
+    free_parameters="model.free_names", experiments=lambda problem: [*problem.experiments],
+    candidates=lambda problem: [effect.name for effect in problem.effects],
+)  # fmt: skip
 
 
 def new(
@@ -190,18 +184,32 @@ def import_(
     named = problem or ("" if chosen is None else chosen.problem)
     if draft is not None and not listing:
         _draft(log, found, named, model, draft)
-        return
-    if listing or chosen is None:
+    elif listing or chosen is None:
         _list(log, found, find, json_file)
-        return
-    target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
-    result, files = _written(found, chosen, target, out)
-    for line in result.notes:
-        note(line)
+    else:
+        target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
+        _import(found, chosen, target, out, json_file, picture)
+
+
+def _import(
+    log: Log,
+    mapping: LogMapping,
+    problem: Problem | None,
+    out: Path,
+    json_file: Path | None,
+    picture: Path | None,
+) -> None:
+    """Write a CSV file for every record of a log, and say what its check found."""
     from oed_sysid.evidence.check import signal_check
 
+    result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
     dataset = result.dataset
-    own = None if target is None else target.model
+    if out.suffix.lower() == ".csv":
+        raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
+    files = write_runs(dataset, out, "--out", [log.path])
+    for line in result.notes:
+        note(line)
+    own = None if problem is None else problem.model
     checked = signal_check(dataset) if own is None else oed_sysid.quick_check(dataset, own)
     answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
     for file, record in zip(files, dataset, strict=True):
@@ -209,7 +217,7 @@ def import_(
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
     draw(Figure("figure_record", dataset.records[0], ""), picture)
-    facts = {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
+    facts = {"log": str(log.path), "files": list(map(str, files)), "notes": list(result.notes)}
     store({**facts, "check": checked.to_dict()}, json_file, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)
@@ -246,22 +254,6 @@ def _place(named: str, mapping: Path | None) -> str:
     if not Path(named).is_dir() and beside is not None and beside.is_dir():
         return str(beside)
     return named
-
-
-def _written(
-    log: Log, mapping: LogMapping, problem: Problem | None, out: Path
-) -> tuple[Imported, list[Path]]:
-    """Write a CSV file for every record."""
-    result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
-    if out.suffix.lower() == ".csv":
-        raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
-    files = [out / f"{record.name.replace('/', '_')}.csv" for record in result.dataset]
-    if log.path.resolve() in {file.resolve() for file in files}:
-        raise DataError(f"The records would overwrite {log.path}. Give another folder to --out.")
-    make_folder(out)
-    for record, file in zip(result.dataset, files, strict=True):
-        oed_sysid.write_csv(record, file)
-    return result, files
 
 
 def report(
@@ -430,25 +422,17 @@ def campaign(
     """
     from oed_sysid.design.decision import Logbook
 
-    if Logbook.exists(folder):
-        if problem is not None or goal:
-            raise DesignError(
-                f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
-                "on with it, or name another folder."
-            )
+    if _goes_on(folder, problem, goal):
         journal = Logbook.open(folder)
-    elif problem is None or not goal:
-        raise DesignError(
-            f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
-        )
     else:
-        study = Study.named(problem, model)
+        study = Study.named(str(problem), model)
         with progress("Making candidate runs") as show:
             runs = _candidates(study.problem, patterns, bounds, weather, turnaround, seed, show)
             journal = Logbook(
-                folder, study.problem.model, problem=problem, variant=model, candidates=runs,
-                goals={n: v / 100.0 for n, v in numbers("--goal", goal).items()}, hours=hours,
-                sea=weather.noise(study.problem, study.problem.model, show), seed=seed,
+                folder, study.problem.model, problem=study.source, variant=model, candidates=runs,
+                goals={n: v / 100.0 for n, v in numbers("--goal", goal or ()).items()},
+                hours=hours, seed=seed,
+                sea=weather.noise(study.problem, study.problem.model, show),
             )  # fmt: skip
             journal.write()
     if record is not None:
@@ -466,6 +450,23 @@ def campaign(
     if (path := journal.write_next(decision)) is not None:
         note(f"Written: {path}")
     store(decision.to_dict(), json_file)
+
+
+def _goes_on(folder: Path, problem: str | None, goal: Sequence[str] | None) -> bool:
+    """Whether a folder holds a campaign, of which problem and goals are then known."""
+    from oed_sysid.design.decision import Logbook
+
+    if held := Logbook.exists(folder):
+        if problem is not None or goal:
+            raise DesignError(
+                f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
+                "on with it, or name another folder."
+            )
+    elif problem is None or not goal:
+        raise DesignError(
+            f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
+        )
+    return held
 
 
 def _candidates(
@@ -492,11 +493,7 @@ def _candidates(
     )  # fmt: skip
 
 
-def app(
-    problem: str | None = None,
-    port: int = 8501,
-    no_browser: bool = False,
-) -> None:
+def app(problem: str | None = None, port: int = 8501, no_browser: bool = False) -> None:
     """Open the same in a browser, on this computer only. Needs the extra 'app'.
 
     [bold]Example[/bold]: oed-sysid app remus_diving_plane
@@ -523,10 +520,12 @@ def estimators(
 
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
-    from oed_sysid.baselines.benchmark import PROBLEMS, benchmark
-    from oed_sysid.baselines.contest import CONTESTANTS, QUICK
+    from oed_sysid.baselines.benchmark import benchmark
+    from oed_sysid.baselines.contest import CONTESTANTS
 
-    chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
+    chosen = list(CONTESTANTS) if names == ["all"] else names
+    asked = {"problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value}
     with progress("Running") as show:
 
         def tell(state: CellProgress) -> None:
@@ -534,10 +533,8 @@ def estimators(
             show.left(state.seconds_left)
 
         result = benchmark(
-            problems or list(PROBLEMS), chosen, seeds=seeds, sampling=sampling or [1],
-            noise=noise or [0.0, 0.5, 1.0, 3.0],
-            noise_unit="declared" if declared else "peak",
-            store=out / "runs", n_jobs=jobs, progress=tell,
+            seeds=seeds, noise_unit="declared" if declared else "peak", store=out / "runs",
+            n_jobs=jobs, progress=tell, **given,
         )  # fmt: skip
     text = result.report()
     answer(result.answer, text)

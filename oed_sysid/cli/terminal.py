@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 
 # A file name that means standard output.
 STANDARD = Path("-")
-# Promised decrease of the cost below which a fit ends.
-TOLERANCE = 1e-6
-
-
 # Seconds after which a calculation says how far it is, and then how often where lines stay.
 PATIENCE, EVERY = 2.0, 10.0
 # Bold red, and back.
@@ -186,7 +182,7 @@ class Shown:
             self._left, self._fitting = None, False
         self._tell()
 
-    def iteration(self, state: Progress) -> None:
+    def iteration(self, state: Progress, tolerance: float = 1e-6) -> None:
         """Tell how far a fit is; an estimator's ``progress``.
 
         The decrease that the next step promises falls about as fast from step to step, so its
@@ -199,7 +195,7 @@ class Shown:
         began, top = self._first
         if now > began and top - here > 1.0:
             speed = (top - here) / (now - began)
-            self._left = (now, max(0.0, (here - math.log(TOLERANCE)) / speed))
+            self._left = (now, max(0.0, (here - math.log(tolerance)) / speed))
             self._most, self._fitting = False, True
         self._tell()
 

@@ -179,7 +179,7 @@ def _variables(program: Program) -> list[Variable]:
     values = program.model.value_vector
     for name, unit, value in zip(names.parameters, names.parameter_units, values, strict=True):
         rows.append((name, unit, value, {"variability": "tunable", **exact}))
-    for name in names.states[: program.n_own]:
+    for name in names.states[: program.graph.n_own]:
         words = {"description": f"{name} at the start"}
         rows.append((f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words}))
     return [*rows, *((name, "", None, {"causality": "local", **moving}) for name in names.states)]

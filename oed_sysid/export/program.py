@@ -35,11 +35,12 @@ from string import Template
 import casadi as ca
 import numpy as np
 
-from oed_sysid.compiled.graph import GAMMA, STAGES, build
+from oed_sysid.compiled.graph import GAMMA, STAGES, Graph, build
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.trajectory import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.callables import OPERATION_WORDS
 from oed_sysid.text.typeset import safe, safe_unit
@@ -120,36 +121,45 @@ class Names:
 class Program:
     """Everything that a model needs to run elsewhere.
 
-    Attributes
+    Parameters
     ----------
     model : Model
         At its estimated values.
-    identifier : str
-        Its name as an identifier.
-    state_names : tuple of str
-        The model's own states, then those of effects.
-    n_own, n_actuator, n_sensor : int
-        Own states, and memory of actuators and sensors.
-    free : tuple of str
-        Estimated parameters that all records share.
-    covariance : ndarray (n_free, n_free)
-        Theirs; empty for a model without a fit.
+    fit : Fit, optional
+        Where these come from.
     """
 
     model: Model
-    identifier: str
-    state_names: tuple[str, ...]
-    n_own: int
-    n_actuator: int
-    n_sensor: int
-    free: tuple[str, ...]
-    covariance: np.ndarray
     fit: Fit | None = None
+
+    @property
+    def identifier(self) -> str:
+        """Name of the model as an identifier."""
+        return identifier(self.model.name)
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The model as functions, and what their arguments hold."""
+        return build(self.model)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Estimated parameters that all records share."""
+        names = () if self.fit is None else self.fit.names
+        return tuple(name for name in names if not self.model.parameter(name).per_record)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Theirs, ``(n_free, n_free)``; empty for a model without a fit."""
+        if self.fit is None:
+            return np.zeros((0, 0))
+        rows = [self.fit.names.index(name) for name in self.free]
+        return np.asarray(self.fit.covariance[np.ix_(rows, rows)])
 
     @cached_property
     def routines(self) -> tuple[Routine, ...]:
         """Functions of the model, operation by operation."""
-        graph = build(self.model)
+        graph = self.graph
         functions = [graph.actuate, graph.rates, graph.observe, graph.start]
         functions += [_slopes(graph.rates)] if self.implicit else []
         return tuple(map(_routine, functions))
@@ -157,11 +167,6 @@ class Program:
     def routine(self, name: str) -> Routine:
         """Return one of the functions."""
         return next(one for one in self.routines if one.name == name)
-
-    @property
-    def n_full(self) -> int:
-        """Length of the full state."""
-        return len(self.state_names) + self.n_actuator + self.n_sensor
 
     @property
     def n_signals(self) -> int:
@@ -185,7 +190,7 @@ class Program:
         parameters = distinct(model.parameter_names)
         of = dict(zip(model.parameter_names, parameters, strict=True))
         return Names(
-            distinct(self.state_names),
+            distinct(self.graph.state_names),
             distinct(model.input_names),
             distinct(model.output_names),
             parameters,
@@ -208,12 +213,12 @@ class Program:
     @property
     def head(self) -> dict[str, object]:
         """What templates of every language fill in: origin, names and sizes."""
-        name = self.identifier
+        name, graph = self.identifier, self.graph
         return {
-            **{"origin": self.origin, "name": name, "upper": name.upper()},
-            **{"step": repr(self.model.step), "own": self.n_own, "nz": self.n_full},
-            **{"na": self.n_actuator, "ns": self.n_sensor, "nx": len(self.state_names)},
-        }
+            "origin": self.origin, "name": name, "upper": name.upper(),
+            "step": repr(self.model.step), "own": graph.n_own, "nz": graph.n_full,
+            "na": graph.n_actuator_memory, "ns": graph.n_sensor_memory, "nx": graph.n_states,
+        }  # fmt: skip
 
     @property
     def std_errors(self) -> dict[str, float]:
@@ -225,8 +230,9 @@ class Program:
     def is_plain(self) -> bool:
         """Whether code can carry every name as it is."""
         model, records = self.model, () if self.fit is None else self.fit.dataset.names
-        names = (*self.state_names, *model.input_names, *model.output_names, *model.parameter_names)
-        return all(safe(name, "(),") == name for name in (model.name, *records, *names))
+        channels = (*model.input_names, *model.output_names, *model.parameter_names)
+        names = (model.name, *records, *self.graph.state_names, *channels)
+        return all(safe(name, "(),") == name for name in names)
 
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
@@ -238,24 +244,17 @@ class Program:
             "fitted_to": [] if self.fit is None else list(self.fit.dataset.names),
             "step": model.step,
             "integrator": model.integrator,
-            "states": list(self.state_names),
-            "inputs": [
-                {"name": one.name, "unit": one.unit, "interpolation": one.interpolation}
-                for one in model.inputs
-            ],
-            "outputs": [{"name": one.name, "unit": one.unit} for one in model.outputs],
+            "states": list(self.graph.state_names),
+            "inputs": list(map(as_dict("name", "unit", "interpolation"), model.inputs)),
+            "outputs": list(map(as_dict("name", "unit"), model.outputs)),
             "parameters": [
-                {
-                    "name": name,
-                    "value": float(value),
-                    "unit": model.parameter(name).unit,
-                    "std_error": std.get(name),
-                }
+                {"name": name, "value": float(value), "unit": model.parameter(name).unit,
+                 "std_error": std.get(name)}
                 for name, value in zip(model.parameter_names, model.value_vector, strict=True)
             ],
             "estimated": list(self.free),
             "covariance": self.covariance.tolist(),
-        }
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,28 +295,14 @@ def program_of(source: Fit | Model) -> Program:
     --------
     >>> from oed_sysid import load_problem
     >>> program = program_of(load_problem("nomoto_sparse_heading").model)
-    >>> [routine.name for routine in program.routines], program.n_full
+    >>> [routine.name for routine in program.routines], program.graph.n_full
     (['actuate', 'rates', 'observe', 'start'], 2)
     """
     fit = source if isinstance(source, Fit) else None
     model = fit.model if fit is not None else source
     if not isinstance(model, Model):
         raise ModelError(f"A {type(source).__name__} cannot be exported. Give a Fit or a Model.")
-    graph = build(model)
-    shared = [] if fit is None else [n for n in fit.names if not model.parameter(n).per_record]
-    rows = [] if fit is None else [fit.names.index(name) for name in shared]
-    covariance = np.zeros((0, 0)) if fit is None else fit.covariance[np.ix_(rows, rows)]
-    return Program(
-        model,
-        identifier(model.name),
-        graph.state_names,
-        graph.n_own,
-        graph.n_actuator_memory,
-        graph.n_sensor_memory,
-        tuple(shared),
-        covariance,
-        fit,
-    )
+    return Program(model, fit)
 
 
 def identifier(name: str) -> str:
@@ -404,7 +389,7 @@ def example(program: Program) -> Example:
         record = fit.dataset[0]
         keep = slice(0, 400)
         times, inputs = np.array(record.times[keep]), np.array(record.inputs[keep])
-        own = np.array(fit.initial_states[0][: program.n_own])
+        own = np.array(fit.initial_states[0][: program.graph.n_own])
         model = model.with_values(dict(fit.local_values[0])) if fit.local_values[0] else model
     else:
         times = np.arange(60) * 2.5 * model.step

@@ -26,7 +26,6 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.graph import build
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiments.steady import equilibrium, linearise
 from oed_sysid.export.program import IN_MATLAB, IN_PYTHON, Program, filled, template
@@ -88,7 +87,7 @@ def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:
     tuple of Path
         The files.
     """
-    graph = build(program.model)
+    graph = program.graph
     functions = (
         graph.rates,
         graph.actuate,

@@ -132,20 +132,26 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     entries = _part(content, "parameters", list)
     if not all(isinstance(one, dict) for one in entries):
         raise DataError("One of the 'parameters' of this file is no object: it is damaged.")
-    parameters = [
-        (str(one.get("name", "?")), *map(_number, (one.get("value"), one.get("std_error"))),
+    rows = [
+        (str(one.get("name", "?")), _number(one.get("value")), _number(one.get("std_error")),
          str(one.get("unit", "")))
         for one in entries
     ]  # fmt: skip
     noise, rms = _part(content, "noise", dict), _part(content, "rms", dict)
-    outputs = [(str(name), _number(rms.get(name)), _number(level)) for name, level in noise.items()]
+    levels = [(str(name), _number(rms.get(name)), _number(one)) for name, one in noise.items()]
     made = _object(content, "oed_sysid")
     trust = (
         "The estimation converged."
         if code == "converged"
         else f"The estimation did not converge ({code}). Do not use the values."
     )
-    columns = ("parameter", "value", "std. error", "unit")
+    origin = [
+        f"oed_sysid {made.get('version', 'of unknown version')}: "
+        f"{made.get('command', 'the command was not kept')}",
+        *(f"{name}: {digest}" for name, digest in _object(made, "records").items()),
+    ]
+    estimates = Table(("parameter", "value", "std. error", "unit"), rows, words=(0, 3))
+    outputs = Table(("output", "rms residual", "noise"), levels, words=(0,))
     return Report(
         title=str(_part(content, "model", str)),
         subtitle=f"Fitted by {content.get('estimator')}; numbers only",
@@ -156,23 +162,13 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
         ),
         numbers=(
             ("misfit", f"{_number(content.get('normalised_rms'))} × noise"),
-            ("parameters", str(len(parameters))),
+            ("parameters", str(len(rows))),
             ("status", code),
         ),
         sections=(
-            Section("Estimates", tables=(Table(columns, tuple(parameters), words=(0, 3)),)),
-            Section(
-                "Outputs",
-                tables=(Table(("output", "rms residual", "noise"), tuple(outputs), words=(0,)),),
-            ),
-            Section(
-                "Where it comes from",
-                paragraphs=(
-                    f"oed_sysid {made.get('version', 'of unknown version')}: "
-                    f"{made.get('command', 'the command was not kept')}",
-                    *(f"{name}: {digest}" for name, digest in _object(made, "records").items()),
-                ),
-            ),
+            Section("Estimates", tables=(estimates,)),
+            Section("Outputs", tables=(outputs,)),
+            Section("Where it comes from", paragraphs=origin),
         ),
     )
 

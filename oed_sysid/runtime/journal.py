@@ -395,30 +395,10 @@ class CellStore:
         entries = {key: _kept(self.path(key), pickle.loads) for key in keys}
         return {key: entry[1] for key, entry in entries.items() if entry is not None}
 
-    def read(self, key: str) -> Any:
-        """Return one result.
-
-        Raises
-        ------
-        DataError
-            If there is none.
-        """
-        found = self.find([key])
-        if not found:
-            raise DataError(f"The store {self.folder} holds no cell {key!r}.")
-        return found[key]
-
     def write(self, key: str, result: Any) -> None:
         """Keep a result."""
         content = pickle.dumps((key, result), protocol=pickle.HIGHEST_PROTOCOL)
         write_bytes(self.path(key), sealed(content))
-
-    def keys(self) -> Iterator[str]:
-        """Yield the names of all intact results."""
-        for path in sorted(self.folder.glob(f"*{_CELL}")):
-            entry = _kept(path, pickle.loads)
-            if entry is not None:
-                yield entry[0]
 
 
 def _kept(path: Path, load: Callable[[bytes], Any]) -> tuple[str, Any] | None:
