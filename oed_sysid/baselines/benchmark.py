@@ -466,8 +466,6 @@ def benchmark(
     OedSysidError
         If a name is unknown, or a problem cannot be benchmarked.
     """
-    if noise_unit not in UNITS:
-        raise ProblemError(f"The unit of noise is {noise_unit!r}. Choose {' or '.join(UNITS)}.")
     if seeds < 1 or min(sampling, default=0) < 1:
         raise ProblemError("Give at least one seed, and sampling factors of 1 or more.")
     for name in estimators:

@@ -210,11 +210,9 @@ def _check_measured(model: Model, needed: tuple[str, ...]) -> None:
             f"output measures. Measured are {', '.join(model.output_names)}. Add an output, or use "
             "MultipleShooting, which estimates states that are not measured."
         )
-    for effect in model.effects:
-        if effect.stage != "sensor" or not any(p.value for p in effect.parameters):
-            continue
-        touched = [name for name in needed if measured[name] in effect.terms]
-        if touched:
+    acting = [e for e in model.effects if any(p.value for p in e.parameters)]
+    for effect in (e for e in acting if e.stage == "sensor"):
+        if touched := [name for name in needed if measured[name] in effect.terms]:
             raise ModelError(
                 f"The measurement of {', '.join(touched)} passes the sensor effect "
                 f"{effect.name!r}, which regressions cannot undo. Use model.without"

@@ -99,8 +99,8 @@ def check_window(window: int | None) -> None:
         raise ModelError(f"window is {window}. Keep at least two samples.")
 
 
-class SquareRootMachine(OnlineMachine):
-    r"""Linear least squares whose state is a triangular factor, whatever was learnt.
+class RecursiveLeastSquares(OnlineMachine):
+    r"""Least squares, with exponential forgetting for parameters that drift.
 
     Of the rows :math:`(z, y)` learnt so far only ``R`` and ``d`` are kept, with
     :math:`\lVert R\theta - d\rVert^2` equal to their sum of squares but for a constant; a sample
@@ -110,106 +110,6 @@ class SquareRootMachine(OnlineMachine):
         Q^T\begin{bmatrix}\sqrt\lambda R & \sqrt\lambda d\\ z^T & y\end{bmatrix} =
         \begin{bmatrix}R' & d'\\ 0 & e\end{bmatrix} .
 
-    Bierman (1977), Factorization methods for discrete sequential estimation, sec. II.2 and V.
-    """
-
-    forgetting = 1.0
-    _factor: np.ndarray
-    n_samples: int
-
-    def _learn(self, row: np.ndarray, target: float) -> None:
-        """Add one row ``(n,)``; what was known before counts less by the factor of forgetting."""
-        rows = np.vstack([np.sqrt(self.forgetting) * self._factor, np.append(row, target)])
-        self._factor = np.asarray(np.linalg.qr(rows, mode="r"))[: row.size]
-        self.n_samples += 1
-
-    def _solved(self) -> np.ndarray:
-        """Values ``(n,)`` of least squares."""
-        return solve_triangular(self._factor[:, :-1], self._factor[:, -1])
-
-    @property
-    def inverse(self) -> np.ndarray:
-        """Inverse of the normal matrix ``(n, n)``.
-
-        Times the variance of the errors it is the covariance of the estimates.
-        """
-        self.linear()
-        root = solve_triangular(self._factor[:, :-1], np.eye(len(self._factor)))
-        return root @ root.T
-
-
-class RecursiveLSSVM(SquareRootMachine):
-    r"""The linear LS-SVM, bias included, as an exact recursion of flat cost.
-
-    The primal normal matrix of :math:`z = (x, 1)`,
-    :math:`A_t = \sum zz^T + \mathrm{diag}(I/C, 0)`, changes by one outer product
-    per sample, and its factor (:class:`SquareRootMachine`) by one row. It begins as
-    the square root of :math:`\mathrm{diag}(I/C, 0)`: the bias is known from the first
-    sample on. With a ``window`` the samples are kept, and the factor is made
-    anew of those when asked for: taking a row out of a factor loses digits.
-
-    Parameters
-    ----------
-    C : float
-        Weight of the errors.
-    window : int or None
-        Number of latest samples to learn from; all by default.
-
-    Notes
-    -----
-    Equal to the batch solution: with :math:`\Gamma = XX^T + I/C` and
-    :math:`w = X^T\alpha`, the condition :math:`1^T\alpha = 0` is the bias row of
-    ``A``, and :math:`X^T(y - 1b) = (X^TX + I/C)\,w` the others.
-
-    References
-    ----------
-    Sherman & Morrison (1950), Ann. Math. Statist. 21, for the update; Xu, Zou &
-    Yin (2012), J. Ship Mechanics 16(3), for the problem that it solves.
-
-    Examples
-    --------
-    >>> machine = RecursiveLSSVM(C=1e6)
-    >>> machine.start([[0.0], [1.0]], [1.0, 3.0])
-    >>> machine.update([2.0], 5.0)
-    >>> print(machine.coefficients.round(4), round(machine.bias, 4))
-    [2.] 1.0
-    """
-
-    def __init__(self, *, C: float = WEIGHT, window: int | None = None) -> None:
-        check_weight(C)
-        check_window(window)
-        self.C, self.window = C, window
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget all samples."""
-        self._factor = np.empty((0, 0))
-        self._kept: deque[tuple[np.ndarray, float]] = deque(maxlen=self.window)
-        self.n_samples = 0
-
-    def update(self, features: np.ndarray, target: float) -> None:
-        """Learn one sample, features ``(n_features,)``."""
-        row = np.append(np.asarray(features, dtype=float), 1.0)
-        if self.window is not None:
-            self._kept.append((row, target))
-            self.n_samples = 0
-        if not self.n_samples:
-            self._factor = np.diag([*np.full(row.size - 1, self.C**-0.5), 0.0])
-            self._factor = np.column_stack([self._factor, np.zeros(row.size)])
-        for known in self._kept if self.window is not None else ((row, target),):
-            self._learn(*known)
-
-    def linear(self) -> tuple[np.ndarray, float]:
-        """Coefficients and bias, at the cost of one solution."""
-        if not self.n_samples:
-            raise ModelError("The machine has learnt nothing yet. Call start or update.")
-        values = self._solved()
-        return values[:-1], float(values[-1])
-
-
-class RecursiveLeastSquares(SquareRootMachine):
-    r"""Least squares with exponential forgetting, for parameters that drift.
-
     A sample that is ``n`` samples old counts :math:`\lambda^n`.
 
     Parameters
@@ -217,7 +117,7 @@ class RecursiveLeastSquares(SquareRootMachine):
     values : ndarray (n_features,)
         Start values.
     std : float or ndarray (n_features,)
-        How uncertain they are, in units of the errors.
+        How uncertain they are, in units of the errors; infinite where nothing is known.
     forgetting : float
         :math:`\lambda`, at most 1; the memory is about ``1/(1 - forgetting)``
         samples.
@@ -227,6 +127,7 @@ class RecursiveLeastSquares(SquareRootMachine):
 
     References
     ----------
+    Bierman (1977), Factorization methods for discrete sequential estimation, sec. II.2 and V;
     Ljung (1999), System identification: theory for the user, sec. 11.2.
 
     Examples
@@ -250,20 +151,114 @@ class RecursiveLeastSquares(SquareRootMachine):
             raise ModelError(f"forgetting is {forgetting}. Give a factor above 0, at most 1.")
         start = np.array(values, dtype=float).ravel()
         known = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), start.shape)
-        self._factor = np.column_stack([np.diag(known), known * start])
+        self._factor = np.column_stack([np.diag(known), known * start])  # [R, d]
         self.forgetting, self.largest_std = forgetting, largest_std
         self.n_samples = 0
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
-        self._learn(np.asarray(features, dtype=float), float(target))
+        self.learn(np.append(np.asarray(features, dtype=float), float(target))[None])
         if self.forgetting < 1:
             excess = np.trace(self.inverse) / (len(self._factor) * self.largest_std**2)
             self._factor *= np.sqrt(max(excess, 1.0))
 
+    def learn(self, rows: np.ndarray) -> None:
+        """Learn samples that count alike, features and target ``(n_samples, n_features + 1)``."""
+        stack = np.vstack([np.sqrt(self.forgetting) * self._factor, rows])
+        self._factor = np.asarray(np.linalg.qr(stack, mode="r"))[: len(self._factor)]
+        self.n_samples += len(rows)
+
     def linear(self) -> tuple[np.ndarray, float]:
         """Present values; there is no constant but one among the features."""
-        return self._solved(), 0.0
+        return solve_triangular(self._factor[:, :-1], self._factor[:, -1]), 0.0
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Inverse of the normal matrix ``(n_features, n_features)``.
+
+        Times the variance of the errors it is the covariance of the estimates.
+        """
+        root = solve_triangular(self._factor[:, :-1], np.eye(len(self._factor)))
+        return root @ root.T
+
+
+class RecursiveLSSVM(OnlineMachine):
+    r"""The linear LS-SVM, bias included, as an exact recursion of flat cost.
+
+    It is :class:`RecursiveLeastSquares` of the features and a constant, whose coefficients begin at
+    zero with a standard deviation of :math:`\sqrt C` and whose bias begins unknown: the primal
+    normal matrix of :math:`z = (x, 1)`,
+
+    .. math:: A_t = \sum zz^T + \mathrm{diag}(I/C, 0).
+
+    With a ``window`` the samples are kept, and the recursion begins anew with those: taking a row
+    out of a factor loses digits.
+
+    Parameters
+    ----------
+    C : float
+        Weight of the errors.
+    window : int or None
+        Number of latest samples to learn from; all by default.
+
+    Notes
+    -----
+    Equal to the batch solution: with :math:`\Gamma = XX^T + I/C` and
+    :math:`w = X^T\alpha`, the condition :math:`1^T\alpha = 0` is the bias row of
+    ``A``, and :math:`X^T(y - 1b) = (X^TX + I/C)\,w` the others.
+
+    References
+    ----------
+    Xu, Zou & Yin (2012), J. Ship Mechanics 16(3), for the problem that it solves.
+
+    Examples
+    --------
+    >>> machine = RecursiveLSSVM(C=1e6)
+    >>> machine.start([[0.0], [1.0]], [1.0, 3.0])
+    >>> machine.update([2.0], 5.0)
+    >>> print(machine.coefficients.round(4), round(machine.bias, 4))
+    [2.] 1.0
+    """
+
+    def __init__(self, *, C: float = WEIGHT, window: int | None = None) -> None:
+        check_weight(C)
+        check_window(window)
+        self.C, self.window = C, window
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all samples."""
+        self._recursion: RecursiveLeastSquares | None = None
+        self._kept: deque[np.ndarray] = deque(maxlen=self.window or 1)
+
+    def update(self, features: np.ndarray, target: float) -> None:
+        """Learn one sample, features ``(n_features,)``."""
+        row = np.concatenate([np.asarray(features, dtype=float), [1.0, target]])
+        self._kept.append(row)  # the latest alone, where there is no window
+        if self._recursion is None or self.window is not None:
+            stds = np.append(np.full(row.size - 2, np.sqrt(self.C)), np.inf)
+            self._recursion = RecursiveLeastSquares(np.zeros(stds.size), std=stds)
+        self._recursion.learn(np.array(self._kept))
+
+    def _learnt(self) -> RecursiveLeastSquares:
+        if self._recursion is None:
+            raise ModelError("The machine has learnt nothing yet. Call start or update.")
+        return self._recursion
+
+    def linear(self) -> tuple[np.ndarray, float]:
+        """Coefficients and bias, at the cost of one solution."""
+        values, _ = self._learnt().linear()
+        return values[:-1], float(values[-1])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples learnt, or kept in the window."""
+        return 0 if self._recursion is None else self._recursion.n_samples
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Inverse of the normal matrix ``(n_features + 1, n_features + 1)``."""
+        return self._learnt().inverse
 
 
 # Relative residual of the dual system above which the solution is announced as lost. Rounding

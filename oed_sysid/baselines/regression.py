@@ -118,8 +118,7 @@ def fit_from_values(
     runs, initial = [], []
     for record in dataset:
         own = first_state(model, record, known)
-        z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
-        runs.append(runner.run(record.times, record.inputs, fitted.value_vector, z))
+        runs.append(runner.simulate(record.times, record.inputs, fitted.value_vector, own))
         initial.append(own)
     residuals = [record.outputs - run.outputs for record, run in zip(dataset, runs, strict=True)]
     declared, stacked = given_levels(model.outputs), np.vstack(residuals)
@@ -482,14 +481,13 @@ def scaled_equation(rows: Rows, index: int, scale: str | Mapping[str, float]) ->
         raise ModelError(f"No complete row is left for the equation of {equation}: all are NaN.")
     span, size = np.ptp(features, axis=0), np.abs(features).max(axis=0)
     is_constant = (span <= 1e-12 * size) & (size > 0)
-    if is_constant.sum() > 1:
-        several = [name for name, flag in zip(names, is_constant, strict=True) if flag]
+    constants = [names[i] for i in np.flatnonzero(is_constant)]
+    if len(constants) > 1:
         raise ModelError(
-            f"{', '.join(several)} are all constant terms of the equation of {equation}. Fix all "
+            f"{', '.join(constants)} are all constant terms of the equation of {equation}. Fix all "
             "but one."
         )
-    constant = names[int(np.argmax(is_constant))] if is_constant.any() else None
-    level = float(features[0, is_constant][0]) if constant else 1.0
+    level = float(features[0, is_constant][0]) if constants else 1.0
     kept = features[:, ~is_constant]
     if scale == "unit":
         target_unit = float(np.sqrt(np.mean(targets**2))) or 1.0
@@ -501,8 +499,8 @@ def scaled_equation(rows: Rows, index: int, scale: str | Mapping[str, float]) ->
     return ScaledEquation(
         features=kept / column_units,
         targets=targets / target_unit,
-        names=tuple(name for name, flag in zip(names, is_constant, strict=True) if not flag),
-        constant=constant,
+        names=tuple(name for name in names if name not in constants),
+        constant=constants[0] if constants else None,
         units=target_unit / column_units,
         constant_unit=target_unit / level,
         target_unit=target_unit,

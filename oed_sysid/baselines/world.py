@@ -139,13 +139,7 @@ class World:
 
     def _levels(self, model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
         """Standard deviation of the disturbance force on each equation, by axis or state."""
-        places = tuple(model.axes) or tuple(
-            state.name
-            for state in model.states
-            if state.name in model.kinematics and state.unit in ("rad/s", "m/s")
-        )
-        if not places:
-            raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
+        places = _equations_of_motion(model)
         sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
         probe = replace(
             model,
@@ -195,6 +189,15 @@ class World:
         off = {p.name: p.value * (1 + self.wrong * rng.uniform(-1.0, 1.0)) for p in known}
         bounded = {p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known}
         return model.with_values(bounded)
+
+
+def _equations_of_motion(model: Model) -> tuple[str, ...]:
+    """Axes of a model, or its states that are velocities and have a rate."""
+    speeds = (state.name for state in model.states if state.unit in ("rad/s", "m/s"))
+    places = tuple(model.axes) or tuple(name for name in speeds if name in model.kinematics)
+    if not places:
+        raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
+    return places
 
 
 def _start(model: Model, experiment: Experiment) -> dict[str, float]:
