@@ -151,6 +151,7 @@ def frequencies_of(
     """
     highest = 0.2 / period  # above it a difference is no rate any more
     low, high = band or (0.0 if _is_constant(form) else 0.5 / length, _fastest(form, highest))
+    # Only multiples of one over the length are independent of each other.
     multiples = np.arange(int(min(high, highest) * length) + 1) / length
     kept = multiples[multiples >= low - 1e-12]
     for lower, upper in without:
@@ -216,6 +217,7 @@ def summed(
     """
     steps, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
     whole = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
+    # A row between two samples acts at their middle, for as long as they are apart.
     turned = steps * np.exp(-2j * np.pi * np.outer(frequencies, middle))
     left = np.where(whole, targets, 0.0)
     right = np.where(whole[:, :, None], regressors, 0.0)
@@ -318,6 +320,7 @@ class FourierStream(Stream):
             times = np.array([before, time]) - self._start
             new = summed(self.frequencies, times, targets[None], regressors[None])
             self._sums = self._sums[0] + new[0], self._sums[1] + new[1]
+            # Differences whiten drifting signals, whose slow part would outweigh the rest.
             change = np.nan_to_num(np.concatenate(last) - np.concatenate(first))
             middle = np.exp(-2j * np.pi * self.frequencies * times.mean())
             self._signals += np.outer(middle, change)

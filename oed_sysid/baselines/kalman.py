@@ -323,6 +323,7 @@ class JointFilter:
         for name, value in self.settings.initial.items():
             own[model.state_names.index(name)] = value
         z, dz = self.kernel.start(own, inputs, self._all(values), time)
+        # Memory of actuators and sensors starts in equilibrium with states and parameters.
         shape = np.vstack([dz, np.eye(n_own + n_free)[n_own:]])
         spread = shape @ block_diag(np.diag(std**2), covariance) @ shape.T
         self.mean = np.concatenate([z, values]) / self.scale
@@ -351,6 +352,7 @@ class JointFilter:
         assert run.output_sensitivities is not None
         assert run.end_sensitivities is not None
         if row:
+            # Exact derivatives of the step; parameters stay as they are.
             transition = np.eye(len(full))
             transition[:n_z] = run.end_sensitivities[0]
             transition = transition * self.scale / self.scale[:, None]
@@ -395,6 +397,7 @@ class JointFilter:
         seen = np.flatnonzero(np.isfinite(innovation))
         if not len(seen):
             return
+        # S = C P C' + R, scaled to a unit diagonal: outputs differ by orders of magnitude.
         total = expected[np.ix_(seen, seen)] + np.diag(self.sigma[seen] ** 2)
         unit = np.sqrt(np.diag(total))
         scaled = total / unit[:, None] / unit
@@ -403,8 +406,10 @@ class JointFilter:
             return
         gain = np.linalg.solve(scaled, (cross[:, seen] / unit).T).T / unit
         self.mean = self.mean + gain @ innovation[seen]
+        # P - K C P, made symmetric against rounding.
         spread = self.spread - gain @ cross[:, seen].T
         self.spread = 0.5 * (spread + spread.T)
+        # A value beyond its bounds could not be simulated with.
         free = slice(self.n_z, None)
         self.mean[free] = np.clip(self.mean[free], self.lower / self.unit, self.upper / self.unit)
         self._squares += float(innovation[seen] @ np.linalg.solve(total, innovation[seen]))

@@ -229,6 +229,7 @@ def generalised_tls(
     values = np.maximum(values, 1e-14 * values[0])
     whitener = vectors.T / values
     scaled = errors / norms[:, None] / norms
+    # Largest eigenvalue of W in the metric of D'D: the least ratio without inverting W.
     inner = whitener.T @ scaled @ whitener
     found, directions = np.linalg.eigh(0.5 * (inner + inner.T))
     direction = whitener @ directions[:, -1] / norms
@@ -249,6 +250,7 @@ def _covariance(
     residual = target - regressors @ values
     variance = float(residual @ residual) / max(n - n_parameters, 1)
     norms = column_norms(regressors)
+    # Noise in the regressors adds n W to X'X, which says nothing of the parameters.
     curvature = regressors.T @ regressors - n * errors[:-1, :-1]
     bread = np.linalg.pinv(curvature / norms[:, None] / norms, hermitian=True)
     bread = bread / norms[:, None] / norms
@@ -331,6 +333,7 @@ class HeadingDifferences:
         errors = right - matrix @ [first, second]
         variance = float(errors @ errors) / max(len(right) - 2, 1)
         inner = variance * np.linalg.inv(matrix.T @ matrix)
+        # First-order propagation from (K/T, -1/T) to T and K.
         slopes = {
             self.time_constant: np.array([0.0, 1.0 / second**2]),
             self.gain: np.array([-1.0 / second, first / second**2]),

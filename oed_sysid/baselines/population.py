@@ -137,6 +137,7 @@ class TrajectoryCost:
         total = np.zeros(len(population))
         count = 0
         for own, record in zip(self._starts, self.dataset, strict=True):
+            # A missing sample weighs nothing.
             present = np.isfinite(record.outputs)
             weights = present / self.scales
             measured = np.where(present, record.outputs, 0.0)
@@ -476,7 +477,7 @@ class DifferentialEvolution(TrajectorySearch):
             lambda shares: cost.finite(cost.at(shares.T)),
             [(0.0, 1.0)] * n_free,
             maxiter=self.n_generations,
-            popsize=max(1, round(self.n_particles / n_free)),
+            popsize=max(1, round(self.n_particles / n_free)),  # SciPy counts per parameter
             tol=self.tolerance,
             rng=np.random.default_rng(self.seed),
             vectorized=True,
@@ -531,7 +532,7 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         # From the middle of the bounds.
         run = cma.CMAEvolutionStrategy(np.full(len(cost.lower), 0.5), self.spread, options)
         while not run.stop():
-            members = np.array(run.ask())
+            members = np.array(run.ask())  # a whole generation is simulated at once
             run.tell(list(members), list(cost.finite(cost.at(members))))
         best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
         status = UNFINISHED if "maxiter" in run.stop() else CONVERGED

@@ -166,6 +166,7 @@ def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:
 
 def information_from_covariance(model: Model, covariance: np.ndarray) -> Information:
     """Information whose covariance is the given one; nothing where that is infinite."""
+    # In units of the parameters' magnitudes, so that one tolerance of rank serves all of them.
     scales = np.array([p.magnitude for p in model.free_parameters])
     scaled = np.asarray(covariance) / scales[:, None] / scales
     finite = np.isfinite(np.diag(scaled))
@@ -302,6 +303,7 @@ def solve_rows(
     # A row with a gap is one of zeros, which says nothing.
     targets = np.where(valid, targets, 0.0)
     regressors = np.where(valid[:, :, None], regressors, 0.0)
+    # The first weights are sizes of the targets, as if the parameters were zero.
     spread = np.sqrt((targets**2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1))
     levels = np.where(spread > 0, spread, 1.0)
     floor = 1e-10 * levels  # below it errors of an equation are rounding
@@ -329,6 +331,7 @@ def solve_rows(
     if use:
         ends = np.cumsum([len(target) for target in runs_targets])[:-1]
         jacobians = np.split(regressors / levels[:, None], ends)
+        # A prior is one observation, and no series that could be correlated in time.
         middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
         covariance = sandwich(covariance, middle)
     extras = {
@@ -352,6 +355,7 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
     upper = np.array([p.upper for p in model.free_parameters])
     if np.all(solution >= lower) and np.all(solution <= upper):
         return solution
+    # SciPy wants a lower bound below the upper one, also where both hold a value.
     open_upper = np.where(upper > lower, upper, np.nextafter(lower, np.inf))
     result = lsq_linear(matrix * scale, right, (lower / scale, open_upper / scale))
     return np.clip(scale * result.x, lower, upper)
@@ -388,7 +392,7 @@ def are_coloured(residuals: Sequence[np.ndarray]) -> bool:
     for residual in residuals:
         for column in residual.T:
             n = int(np.isfinite(column).sum())
-            if n > 20:
+            if n > 20:  # of fewer samples no autocorrelation is known
                 effective += effective_sample_size(column)
                 total += n
     return total > 0 and effective < COLOUR_LIMIT * total
@@ -552,10 +556,12 @@ def equation_covariance(
     matrix = np.hstack([part.features, np.full((n, 1), float(with_bias))])
     weights = np.ones(n) if solution.weights is None else solution.weights
     errors = part.targets - part.features @ solution.coefficients - solution.bias
+    # Rows that were forgotten count for less than one degree of freedom.
     freedom = max(float(weights.sum()) - n_features - with_bias, 1.0)
     variance = float(weights @ errors**2) / freedom
     scale = 1.0 / column_norms(matrix)
     matrix = matrix * scale
+    # The ridge pulls the coefficients, not the bias.
     penalty = np.diag([*np.full(n_features, solution.ridge), 0.0]) * scale**2
     bread = np.linalg.pinv((matrix.T * weights) @ matrix + penalty, hermitian=True, rcond=1e-15)
     covariance, coloured = residual_covariance(bread, matrix * weights[:, None], errors, variance)
