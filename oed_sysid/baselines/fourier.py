@@ -31,7 +31,6 @@ E. A. Morelli, Real-time parameter estimation in the frequency domain, AIAA 99-4
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,10 +44,9 @@ from oed_sysid.baselines.equations import (
     states_of,
 )
 from oed_sysid.baselines.online import EquationStream, Stream
-from oed_sysid.baselines.regression import fit_from_values, solve_rows
+from oed_sysid.baselines.regression import Baseline, Regression, solve_rows
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import (
@@ -69,7 +67,7 @@ Band = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class FourierRegression:
+class FourierRegression(Baseline):
     """Equation error in a band of frequencies.
 
     Linear in the free parameters, every state of the equations measured. It needs no start values
@@ -103,17 +101,7 @@ class FourierRegression:
         band = "" if self.band is None else f", {self.band[0]:g} to {self.band[1]:g} Hz"
         return f"Fourier regression{band}"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters or a state is not measured.
-        DataError
-            If data and model do not belong together, or nothing of the band is left.
-        """
-        began = clock.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
         form, runs, count = regression_form(model), [], 0
         for record in dataset:
@@ -126,8 +114,7 @@ class FourierRegression:
             runs.append(real_rows(frequencies, *sums))
             count += len(frequencies)
         found = solve_rows(form, *zip(*runs, strict=True), coloured="never")
-        found = replace(found, facts={"n_frequencies": count})
-        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
+        return replace(found, facts={"n_frequencies": count})
 
 
 def frequencies_of(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,20 +15,19 @@ from oed_sysid.baselines.equations import (
     rows_of,
 )
 from oed_sysid.baselines.regression import (
+    Baseline,
     EquationSolution,
     Regression,
     RegressionEstimator,
     assumed_levels,
     column_norms,
     each_equation,
-    fit_from_values,
     residual_covariance,
     solve_rows,
 )
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 
@@ -261,7 +259,7 @@ SCHEMES = ("forward", "central")
 
 
 @dataclass(frozen=True)
-class HeadingDifferences:
+class HeadingDifferences(Baseline):
     r"""Least squares for :math:`T\ddot\psi + \dot\psi = K\delta` from sampled headings.
 
     With :math:`D` the sample time, the published ``"forward"`` scheme is
@@ -301,17 +299,7 @@ class HeadingDifferences:
         """Name and settings, for reports."""
         return f"heading differences ({self.scheme})"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate gain and time constant of a first-order Nomoto model.
-
-        Raises
-        ------
-        ModelError
-            If the model has other free parameters than the two.
-        DataError
-            If a record is not uniform, or its rows do not determine the two.
-        """
-        began = time.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
         if set(model.free_names) != {self.gain, self.time_constant}:
             raise ModelError(
@@ -340,8 +328,7 @@ class HeadingDifferences:
         }
         jacobian = np.array([slopes[name] for name in model.free_names])
         estimates = np.array([values[name] for name in model.free_names])
-        found = Regression(estimates, jacobian @ inner @ jacobian.T)
-        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
+        return Regression(estimates, jacobian @ inner @ jacobian.T)
 
     def _rows(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
         """Rows ``(n, 2)`` and right-hand sides ``(n,)`` of a record, as accelerations."""

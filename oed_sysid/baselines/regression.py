@@ -43,7 +43,7 @@ from oed_sysid.likelihood.information import (
     effective_sample_size,
 )
 from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
-from oed_sysid.likelihood.start_guess import check_channels, first_state
+from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 
 CONVERGED = Status("converged", "")
@@ -85,14 +85,46 @@ class Regression:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def fit_from_values(
-    model: Model,
-    dataset: Dataset,
-    found: Regression,
-    *,
-    estimator: str,
-    began: float,
-    known: Mapping[str, float] | None = None,
+class Baseline(ABC):
+    """An estimator whose kind says how values and their covariance are found.
+
+    What the model then predicts is found by simulating each record from its first measurements,
+    or from ``initial``, the known start of some states in all records, where a kind has it.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name and settings, for reports."""
+
+    @abstractmethod
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
+        """Values of the free parameters, and their covariance."""
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters from all records at once.
+
+        Divergence in simulation overrides the status of what was found.
+
+        Raises
+        ------
+        ModelError
+            If the method cannot treat the model; the message says why and what to do.
+        DataError
+            If data and model do not belong together, or do not determine the parameters.
+        """
+        began = time.perf_counter()
+        found = self._estimate(model, dataset)
+        known = getattr(self, "initial", None)
+        return replace(
+            simulated(model, dataset, found, known),
+            estimator=self.name,
+            seconds=time.perf_counter() - began,
+        )
+
+
+def simulated(
+    model: Model, dataset: Dataset, found: Regression, known: Mapping[str, float] | None
 ) -> Fit:
     """Simulate every record with the estimated values and build the result.
 
@@ -103,15 +135,10 @@ def fit_from_values(
     dataset : Dataset
         The records.
     found : Regression
-        Values and their covariance; divergence in simulation overrides its status.
-    estimator : str
-        Name for reports.
-    began : float
-        ``time.perf_counter()`` at the start.
+        Values and their covariance.
     known : mapping of str to float, optional
         Known start of some states in all records; others are measured, or zero.
     """
-    check_channels(model, dataset)
     names, values = model.free_names, np.asarray(found.estimates, dtype=float)
     fitted = model.with_values(_within_bounds(model, dict(zip(names, values, strict=True))))
     runner = kernel(fitted)
@@ -129,7 +156,7 @@ def fit_from_values(
     return Fit(
         model=fitted,
         dataset=dataset,
-        estimator=estimator,
+        estimator="",
         names=names,
         estimates=values,
         information=found.information or information_from_covariance(model, found.covariance),
@@ -145,7 +172,7 @@ def fit_from_values(
         cost=np.inf if diverged else 0.5 * float(np.nansum((stacked / sigma) ** 2)),
         status=Status("diverged", DIVERGED) if diverged else found.status,
         iterations=found.iterations,
-        seconds=time.perf_counter() - began,
+        seconds=0.0,
         posterior=found.posterior,
         extras=dict(found.facts),
     )
@@ -187,39 +214,23 @@ def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float
     return inside
 
 
-class RegressionEstimator(ABC):
+class RegressionEstimator(Baseline):
     """An estimator of linear equations of motion, by rows whose rates come from its ``rule``.
 
     A kind has the settings ``rule`` and, where it knows them, ``window`` (of a local cubic) and
-    ``rates``; its
-    ``apart`` says whether it solves each equation alone, so that none may share a parameter.
+    ``rates``; its ``apart`` says whether it solves each equation alone, so that none may share a
+    parameter. Models that are not linear in their free parameters, and states that are not
+    measured, are refused.
     """
 
     rule: str
     apart: ClassVar[bool] = True
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name and settings, for reports."""
-
     @abstractmethod
     def _solve(self, rows: Rows) -> Regression:
         """Solve the rows of all records."""
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters, a state is not measured, or
-            equations that are solved apart share a parameter; the message says which and what
-            to do.
-        DataError
-            If data and model do not belong together.
-        """
-        began = time.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         rows = rows_of(
             regression_form(model),
             dataset,
@@ -229,7 +240,7 @@ class RegressionEstimator(ABC):
         )
         if self.apart:
             rows.check_separate()
-        return fit_from_values(model, dataset, self._solve(rows), estimator=self.name, began=began)
+        return self._solve(rows)
 
 
 @dataclass(frozen=True, eq=False)
