@@ -26,7 +26,6 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
-from oed_sysid.information.response import by_unknowns
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
@@ -184,10 +183,9 @@ class TrajectoryCost:
         values[self._columns] = best
         jacobians, residuals, starts = [], [], []
         for own, record in zip(self._starts, self.dataset, strict=True):
-            z, dz = runner.start(own, record.inputs[0], values, record.times[0])
-            run = runner.run(record.times, record.inputs, values, z, sensitivities=True)
-            assert run.output_sensitivities is not None
-            slopes = by_unknowns(run.output_sensitivities, dz, runner.n_own)
+            run = runner.simulate(record.times, record.inputs, values, own, sensitivities=True)
+            slopes = run.output_sensitivities
+            assert slopes is not None
             residuals.append(record.outputs - run.outputs)
             seen = np.isfinite(residuals[-1])[:, :, None] & np.isfinite(slopes)
             by_start, by_free = np.split(np.where(seen, slopes, 0.0), [runner.n_own], axis=2)

@@ -145,8 +145,7 @@ def simulated(
     runs, initial = [], []
     for record in dataset:
         own = first_state(model, record, known)
-        z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
-        runs.append(runner.run(record.times, record.inputs, fitted.value_vector, z))
+        runs.append(runner.simulate(record.times, record.inputs, fitted.value_vector, own))
         initial.append(own)
     residuals = [record.outputs - run.outputs for record, run in zip(dataset, runs, strict=True)]
     declared, stacked = given_levels(model.outputs), np.vstack(residuals)

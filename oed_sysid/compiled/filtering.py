@@ -69,8 +69,6 @@ FOURTH = 2
 # Frequencies of its two pairs over that of the peak, and the damping of the second: nearest, in
 # the divergence of Whittle, to JONSWAP spectra of peakedness 1 to 7.
 FIRST_PAIR, SECOND_PAIR, SECOND_DAMPING = 0.97, 1.67, 0.42
-# Change of the logarithm of a damping over which its derivative is taken.
-APART = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,7 +227,8 @@ def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -
         powers = np.exp(values * angles) * (-values * angles if by_period else 1.0)
         return np.asarray((vectors * powers[:, None, :] @ inverse).real)
 
-    by_damping = (over(damping * np.exp(APART)) - over(damping * np.exp(-APART))) / (2 * APART)
+    step = 1e-5  # of the logarithm
+    by_damping = (over(damping * np.exp(step)) - over(damping * np.exp(-step))) / (2 * step)
     return np.stack([over(damping), over(damping, by_period=True), by_damping], axis=1)
 
 
@@ -358,7 +357,7 @@ class InterpretedFilter:
         record: Commands,
         measured: np.ndarray,
         first: np.ndarray,
-        chosen: Sequence[int],
+        chosen: np.ndarray,
         levels: Sequence[tuple[int, int]],
         n_active: int,
         found: FilterPass,
@@ -366,7 +365,7 @@ class InterpretedFilter:
     ) -> int:
         """Fill the results as the compiled loop does; -1, or the failing sample."""
         self.levels, self.found = levels, found
-        self.chosen = len(self.z) + np.array(chosen, dtype=int)
+        self.chosen = len(self.z) + chosen
         self.inside = [*range(n_active), *range(self.na, self.size)]
         nx, nl = first.shape[1], len(levels)
         self.big_x, self.p = np.zeros((self.size, nx)), np.zeros((self.size, self.size))
@@ -448,6 +447,7 @@ class InterpretedFilter:
             found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
         nx, nl, n_p = self.big_x.shape[1], len(self.levels), len(self.chosen)
         delta, second = np.zeros(self.size), np.zeros(noise.n_second)
+        # One scalar after the other: white noises of two sensors are independent.
         for i in range(len(y)):
             of_sensor = noise.coloured == i
             h = np.concatenate([dy[i, self.kept], dy[i, self.random], of_sensor, second])
@@ -456,6 +456,7 @@ class InterpretedFilter:
             found.variances[k, i] = s
             if not s > 0:
                 return False
+            # de = -h' X - dy/dp by columns, -h' dm by levels, and e itself behind them.
             row = np.zeros(nx + nl + 1)
             row[nx - n_p : nx] = -dy[i, self.chosen]
             row[:nx] -= h @ self.big_x
@@ -484,10 +485,12 @@ class InterpretedFilter:
         """Covariance, columns, tangents and sums after one scalar; ``q`` of the levels."""
         nx, e = self.big_x.shape[1], row[-1]
         own = [kind == WHITE_VARIANCE and index == output for kind, index in self.levels]
+        # With g = P h: dS = h' dP h + dr, and dK = (dP h - q g) / S.
         d_g = self.d_p @ h
         q = (d_g @ h + np.array(own, dtype=float)) / s
         self.big_x += np.outer(g, row[:nx]) / s
         self.d_m += ((d_g - np.outer(q, g)) * e + np.outer(row[nx:-1], g)) / s
+        # d(g g' / S) = (dg g' + g dg' - q g g') / S.
         cross = d_g[:, :, None] * g
         both = cross + np.swapaxes(cross, 1, 2)
         self.d_p -= (both - q[:, None, None] * np.outer(g, g)) / s
@@ -521,6 +524,7 @@ class InterpretedFilter:
         for level in range(len(self.levels)):
             kind = self.levels[level][0]
             self._predict_level(level, f, phi, by_damping if kind == SEA_DAMPING else by_time)
+        # P^- = F P F' + Q with Q = sigma^2 (I - Phi Phi'): stationary where nothing is measured.
         self.p = f @ self.p @ f.T
         self.p[extra, extra] += np.diag(self.tail) - phi * self.tail @ phi.T
         self.mean[extra] = phi @ self.mean[extra]
@@ -535,6 +539,7 @@ class InterpretedFilter:
             unit = np.diag(self._touched(kind, index).astype(float))
             d_p[extra, extra] += unit - phi @ unit @ phi.T
         elif kind != WHITE_VARIANCE:
+            # Of a time or damping: d(F P F' + Q) by dPhi, mean and covariance as before the step.
             change = np.where(self._touched(kind, index)[:, None], d_phi, 0.0)
             self.d_m[level, extra] += change @ self.mean[extra]
             moved = change @ (self.p[extra] @ f.T)
@@ -578,14 +583,6 @@ class FilterKernel(Kernel):
         """
         own = np.arange(self.n_full) if own is None else own
         return None if self.library is None else _Part(self, self.library, model, own)
-
-    def simulate(
-        self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Outputs, full states and success of the undisturbed model."""
-        z0, _ = self.start(own, inputs[0], values, times[0])
-        run = self.run(times, inputs, values, z0)
-        return run.outputs, run.states, run.ok
 
     def filter(
         self,
@@ -643,16 +640,13 @@ class FilterKernel(Kernel):
         n = len(times)
         begun = self._begun(times, inputs, values, own, measured, active, passing, longest_step)
         times, inputs, values, measured, z0, dz0, kept, longest_step = begun
-        chosen = [self._free[name] for name in names]
+        chosen = np.array([self._free[name] for name in names], dtype=int)
         random = [self._free[name] for name in noise.acting]
         self._check_processes(noise)
         n_active = len(kept) - len(passing)
-        n_own = self.n_own if own_columns else 0
-        first = np.hstack(
-            [dz0[kept][:, :n_own], dz0[kept][:, [self.n_own + index for index in chosen]]]
-        )
-        kinds = np.array([kind for kind, _ in levels], dtype=np.intc)
-        indices = np.array([index for _, index in levels], dtype=np.intc)
+        own_states = range(self.n_own if own_columns else 0)
+        first = dz0[np.ix_(kept, [*own_states, *(self.n_own + chosen)])]
+        kinds, indices = np.array([*levels], dtype=np.intc).reshape(-1, 2).T.copy()
         width = first.shape[1] + len(levels)
         n_random = len(noise.disturbances)
         size = self.n_full + n_random + len(noise.coloured)

@@ -12,7 +12,7 @@ The cache folder is ``$OED_SYSID_CACHE``, or ``~/.cache/oed_sysid``.
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -196,6 +196,64 @@ class Kernel:
         if failed >= 0 and dy is not None:
             dy[failed:] = np.nan
         return Run(y, z, dy, ends, dends, failed)
+
+    def simulate(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        own: np.ndarray,
+        *,
+        sensitivities: bool = False,
+    ) -> Run:
+        """Integrate a whole record from the model's own states.
+
+        Parameters
+        ----------
+        times, inputs, values, sensitivities
+            As of :meth:`run`.
+        own : ndarray (n_own,)
+            The model's own states at the first sample.
+
+        Returns
+        -------
+        Run
+            Derivatives of outputs are by own states and free parameters,
+            ``(n_times, n_outputs, n_own + n_free)``; there are none of its end.
+        """
+        z, dz = self.start(own, inputs[0], values, float(times[0]))
+        found = self.run(times, inputs, values, z, sensitivities=sensitivities)
+        if found.output_sensitivities is None:
+            return found
+        chained = by_unknowns(found.output_sensitivities, dz, self.n_own)
+        return replace(found, output_sensitivities=chained, end_sensitivities=None)
+
+
+def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:
+    """Chain derivatives by a full state with those of that state by the unknowns.
+
+    Parameters
+    ----------
+    by_start : ndarray (n_times, n_outputs, n_full + n_free)
+        Of the outputs of a run.
+    dz : ndarray (n_full, n_own + n_free)
+        Derivatives of the full state.
+    n_own : int
+        Number of the model's own states.
+
+    Returns
+    -------
+    ndarray (n_times, n_outputs, n_own + n_free)
+    """
+    n_full = len(dz)
+    n_times, n_outputs, n_columns = by_start.shape
+    if np.array_equal(dz, np.eye(*dz.shape)):
+        return by_start  # the full state is the model's own, the usual case without memory
+    flat = by_start.reshape(-1, n_columns)
+    with np.errstate(over="ignore", invalid="ignore"):  # an explosion is told by the states
+        jacobian = flat[:, :n_full] @ dz
+        jacobian[:, n_own:] += flat[:, n_full:]
+    return jacobian.reshape(n_times, n_outputs, -1)
 
 
 _CACHE: dict[tuple[str, float], Kernel] = {}

@@ -209,12 +209,12 @@ class CaptiveTests:
             (self.inputs, model.input_names, "input"),
             (self.forces, tuple(model.axes), "axis"),
         ):
-            if wrong := [name for name in what if name not in have]:
+            if wrong := sorted(set(what) - set(have)):
                 raise ModelError(
                     f"Captive tests {self.name!r} name {wrong[0]!r}, which is no {kind} of model "
                     f"{model.name!r}: {', '.join(have) or 'it has none'}."
                 )
-        if lacking := [name for name in model.input_names if name not in self.inputs]:
+        if lacking := sorted(set(model.input_names) - set(self.inputs)):
             raise ModelError(
                 f"Captive tests {self.name!r} do not say what the input {lacking[0]!r} was. Add it "
                 "to inputs; zero is a value too."
@@ -271,8 +271,7 @@ class CaptiveTests:
         parts = []
         for record in asked.records(model):
             own = np.zeros(compiled.n_own)
-            start, _ = compiled.start(own, record.inputs[0], values, 0.0)
-            run = compiled.run(record.times, record.inputs, values, start)
+            run = compiled.simulate(record.times, record.inputs, values, own)
             parts.append(run.outputs[np.isfinite(record.outputs).any(axis=1)])
         found, names = np.vstack(parts), towed.output_names
         return {axis: found[:, names.index(_FORCE.format(axis))] for axis in self.forces}

@@ -190,6 +190,7 @@ def _summed(rows: np.ndarray) -> np.ndarray:
     middle = rows.T @ rows
     reach = int(RELATED * len(rows)) + 1
     for lag in range(1, min(reach, len(rows) - 1) + 1):
+        # Weights of Bartlett: the sum stays positive semidefinite.
         related = rows[lag:].T @ rows[:-lag]
         middle += (1 - lag / (reach + 1)) * (related + related.T)
     return np.asarray(middle)

@@ -76,15 +76,8 @@ KNOWN, ENOUGH = 2, 0.7
 ENDED = ("converged", "enough")
 # Ends of a fit whose values are not returned where another fit has ended well.
 FAILED = ("stalled", "diverged", "runaway", "integration", "degenerate")
-# Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
-# leaves this share of an output's motion is doubted.
-WORSE, HALF = 1.2, 0.5
-# Most alternations between noise levels and parameters (three or four suffice as a rule), doublings
-# of a step before a side of a profile is open, and refinements of its end.
-MOST_ROUNDS = 12
-
-# Most rounds in which spikes are looked for; large ones hide small ones.
-SPIKE_ROUNDS = 4
+# Of two ends the one that converged is taken unless its cost is higher by this factor.
+WORSE = 1.2
 
 Minimiser = Callable[..., Solution | None]
 
@@ -363,7 +356,7 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
-        for _ in range(SPIKE_ROUNDS):
+        for _ in range(4):  # large ones hide small ones
             left = _left(again, before)
             if left is None:
                 break
@@ -549,7 +542,7 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
     """Alternate between noise levels and everything else until the levels stay."""
     shooting = end.shooting
     least = EXACT * signal_spread(shooting.dataset)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(12):  # three or four suffice as a rule
         sigma = np.where(estimated, np.maximum(end.levels, least), shooting.sigma)
         change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
         shooting = shooting.with_sigma(sigma)
@@ -702,7 +695,7 @@ def _explains(shooting: Shooting, solution: Solution | None) -> bool:
     if solution is None:
         return False
     spread, left = signal_spread(shooting.dataset), residual_levels(solution.residuals)
-    return bool(np.all((left < HALF * spread) | (left < GOOD * shooting.sigma)))
+    return bool(np.all((left < 0.5 * spread) | (left < GOOD * shooting.sigma)))
 
 
 def with_levels(model: Model, noise: NoiseModel | None) -> Model:

@@ -338,6 +338,7 @@ def _score_at(
     quiet = setting.noise(model, time)
     n_forces, n_outputs = len(quiet.force), len(quiet.white)
     one = replace(quiet, force=np.ones(n_forces), colour=quiet.white)
+    # Where every level but the white ones is zero, times have no slope.
     levels = Levels.of(
         quiet,
         one,
@@ -345,18 +346,16 @@ def _score_at(
         white=np.ones(n_outputs, dtype=bool),
         colour=np.full(n_outputs, setting.colour),
         force=np.ones(n_forces, dtype=bool),
-    )
+    ).only_variances()
     problem = Filtered(model, dataset, levels, kernel=kernel)
     found = problem.passes(problem.point(initial, local).unknowns, levels_only=True)
     vast = ScoreTest(np.inf, time, quiet, one)
     if not all(part.ok for part in found):
         return vast
-    # Where every level but the white ones is zero, times have no slope.
-    chosen, count = np.flatnonzero(levels.are_variances), int(levels.are_variances.sum())
-    size = levels.scale[chosen]
+    count, size = len(levels), levels.scale
     matrix = sum(part.gram[:-1, :-1] + part.level_information for part in found)
-    matrix = matrix[np.ix_(chosen, chosen)] * size[:, None] * size
-    right = -sum(part.gram[:-1, -1] + part.level_slope for part in found)[chosen] * size
+    matrix = matrix * size[:, None] * size
+    right = -sum(part.gram[:-1, -1] + part.level_slope for part in found) * size
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         return vast
     white = np.zeros(count, dtype=bool)
