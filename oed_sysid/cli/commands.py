@@ -17,7 +17,7 @@ from oed_sysid.cli.reading import read_records_of
 from oed_sysid.cli.study import Study
 from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted, write_runs
 from oed_sysid.cli.tasks import band as band_of
-from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
+from oed_sysid.cli.terminal import answer, asked, draw, note, progress, quiet, say, store, write
 from oed_sysid.errors import DataError, DesignError, OedSysidError
 from oed_sysid.runtime.display import Figure, Table, as_dict, counted
 from oed_sysid.runtime.files import check_place
@@ -36,14 +36,13 @@ if TYPE_CHECKING:
 def problems(
     problem: str | None = None,
     model: str | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """List the shipped problems, or describe one.
 
     [bold]Example[/bold]: oed-sysid problems remus_diving_plane
     """
     if problem is not None:
-        store(_described(oed_sysid.load_problem(problem, variant=model)), json_file)
+        store(_described(oed_sysid.load_problem(problem, variant=model)))
         return
     found = []
     for name in oed_sysid.list_problems():
@@ -58,7 +57,7 @@ def problems(
     else:
         headers = ("problem", "parameters", "candidates", "title")
         say("\n".join(Table(headers, rows, words=(3,)).lines()))
-    store({"problems": [_summary(one) for one in found]}, json_file)
+    store({"problems": [_summary(one) for one in found]})
 
 
 def _described(problem: Problem) -> dict[str, object]:
@@ -90,7 +89,6 @@ def new(
     template: str = "generic",
     log: Path | None = None,
     inputs: list[str] | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """Write a starter folder for a vehicle of your own.
 
@@ -100,7 +98,7 @@ def new(
     answer(f"Written: {made}")
     folder_word = shlex.quote(str(made))
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
-    store({"folder": str(made)}, json_file)
+    store({"folder": str(made)})
 
 
 def simulate(
@@ -111,8 +109,6 @@ def simulate(
     seed: int = 0,
     no_noise: bool = False,
     truth: bool = False,
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Simulate experiments of a problem and write what would be logged as CSV.
 
@@ -137,9 +133,9 @@ def simulate(
     for one, file in zip(wanted, files, strict=True):
         answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
     facts = {"files": list(map(str, files)), "seed": seed, "noise": not no_noise, "truth": truth}
-    store(facts, json_file, records=map(oed_sysid.Dataset, zip(records)))
-    draw(Figure("figure_record", records[0], ""), picture)
-    if picture is not None and len(records) > 1:
+    store(facts, records=map(oed_sysid.Dataset, zip(records)))
+    draw(Figure("figure_record", records[0], ""), asked("picture"))
+    if asked("picture") is not None and len(records) > 1:
         note(f"The picture shows {records[0].name}; choose another with --experiment.")
     if chosen.truth and not truth:
         note("Simulated with the nominal values; --truth simulates the problem's truth.")
@@ -167,8 +163,6 @@ def import_(
     problem: str | None = None,
     model: str | None = None,
     out: Path = Path("data"),
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
 
@@ -185,10 +179,10 @@ def import_(
     if draft is not None and not listing:
         _draft(log, found, named, model, draft)
     elif listing or chosen is None:
-        _list(log, found, find, json_file)
+        _list(log, found, find)
     else:
         target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
-        _import(found, chosen, target, out, json_file, picture)
+        _import(found, chosen, target, out)
 
 
 def _import(
@@ -196,8 +190,6 @@ def _import(
     mapping: LogMapping,
     problem: Problem | None,
     out: Path,
-    json_file: Path | None,
-    picture: Path | None,
 ) -> None:
     """Write a CSV file for every record of a log, and say what its check found."""
     from oed_sysid.evidence.check import signal_check
@@ -216,19 +208,19 @@ def _import(
         rate = record.n_samples / max(record.duration, 1e-9)
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
-    draw(Figure("figure_record", dataset.records[0], ""), picture)
+    draw(Figure("figure_record", dataset.records[0], ""), asked("picture"))
     facts = {"log": str(log.path), "files": list(map(str, files)), "notes": list(result.notes)}
-    store({**facts, "check": checked.to_dict()}, json_file, records=[dataset])
+    store({**facts, "check": checked.to_dict()}, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)
 
 
-def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:
+def _list(log: Path, found: Log, find: str) -> None:
     """Say which fields a log has."""
     _answer(found.describe(find))
     keys = ("field", "samples", "rate", "span", "unit", "range")
     rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
-    store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
+    store({"log": str(log), "kind": found.kind, "fields": rows})
 
 
 def _draft(log: Path, found: Log, named: str, model: str | None, place: Path) -> None:
@@ -260,8 +252,6 @@ def report(
     saved: Path,
     out: Path = Path("report.html"),
     validate: list[str] | None = None,
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Write the report on a saved fit, with its predictions of validation records.
 
@@ -277,12 +267,12 @@ def report(
             f"{saved} holds the numbers of a fit only. For pictures and predictions repeat the fit "
             "with --save FILE and report on that file."
         )
-        if validate or picture is not None:
+        if validate or asked("picture") is not None:
             raise DataError(
                 f"{saved} holds no model, so it predicts nothing. Repeat the fit with --save FILE, "
                 "or leave out --validate and --picture."
             )
-        store(content, json_file)
+        store(content)
         return
     kept = oed_sysid.Fit.load(saved)
     made = read_result(saved, "fit")[1]
@@ -295,9 +285,9 @@ def report(
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")
     facts = kept.to_dict() | ({"validation": comparison.to_dict()} if comparison else {})
-    store(facts, json_file)
+    store(facts)
     own = Figure("figure_fit", kept, "")
-    draw(own if comparison is None else predicted([comparison.best]), picture)
+    draw(own if comparison is None else predicted([comparison.best]), asked("picture"))
 
 
 def export(
@@ -305,7 +295,6 @@ def export(
     kind: str,
     out: Path = Path("model"),
     at: list[str] | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """Write a fitted model for another program, with the covariance of its parameters.
 
@@ -322,7 +311,7 @@ def export(
         say(str(file))
     if not result.status.ok:
         note(f"The fit ended as {result.status}")
-    store({"model": result.model.name, "kind": kind, "files": list(map(str, files))}, json_file)
+    store({"model": result.model.name, "kind": kind, "files": list(map(str, files))})
 
 
 def watch(
@@ -336,7 +325,6 @@ def watch(
     places: list[str] | None = None,
     silence: float = 10.0,
     model: str | None = None,
-    json_file: Path | None = None,
     html_file: Path | None = None,
 ) -> None:
     """Estimate while the run goes on: what is known by now, and whether to go on.
@@ -370,7 +358,7 @@ def watch(
     document = stream.document(title=study.problem.title, goal=goal / 100)
     _live_page(document, html_file, over=True)
     answer(document.answer, document.text())
-    store(stream.to_dict(), json_file)
+    store(stream.to_dict())
 
 
 def _stream(
@@ -406,7 +394,6 @@ def campaign(
     turnaround: float = 10.0,
     model: str | None = None,
     seed: int = 0,
-    json_file: Path | None = None,
     *,
     bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
     weather: Weather = Weather(),  # noqa: B008 (frozen)
@@ -449,7 +436,7 @@ def campaign(
     note(f"Decided in {decision.seconds:.2f} s.")
     if (path := journal.write_next(decision)) is not None:
         note(f"Written: {path}")
-    store(decision.to_dict(), json_file)
+    store(decision.to_dict())
 
 
 def _goes_on(folder: Path, problem: str | None, goal: Sequence[str] | None) -> bool:
@@ -513,8 +500,6 @@ def estimators(
     seeds: int = 3,
     jobs: int = 2,
     out: Path = Path("out/benchmark"),
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Compare estimators: errors, bias, coverage, prediction, time, and who cannot or fails.
 
@@ -524,8 +509,8 @@ def estimators(
     from oed_sysid.baselines.contest import CONTESTANTS
 
     chosen = list(CONTESTANTS) if names == ["all"] else names
-    asked = {"problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling}
-    given: dict[str, Any] = {name: value for name, value in asked.items() if value}
+    said = {"problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling}
+    given: dict[str, Any] = {name: value for name, value in said.items() if value}
     with progress("Running") as show:
 
         def tell(state: CellProgress) -> None:
@@ -541,16 +526,15 @@ def estimators(
     write(text, out / "benchmark.md")
     write(result.to_csv(), out / "benchmark.csv")
     if any(row.noise > 0 and not row.refused for row in result.rows):
-        for file in (out / "benchmark.png", picture):
+        for file in (out / "benchmark.png", asked("picture")):
             draw(Figure("figure_benchmark", result, ""), file)
-    store(result.to_dict(), json_file)
+    store(result.to_dict())
 
 
 def missing_physics(
     plan: str = "",
     jobs: int = 2,
     out: Path | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """Hide effects in simulated vehicles and count how often the right one is found.
 
@@ -575,4 +559,4 @@ def missing_physics(
     answer(f"{found['n_cases']} cases: {'; '.join(rates)}.", text)
     if out is not None:
         write(text + "\n", out / "missing_physics.md")
-    store(found, json_file)
+    store(found)

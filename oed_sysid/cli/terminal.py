@@ -101,7 +101,7 @@ def deliver(outcome: Outcome, records: Iterable[Dataset | None] = (), *, text: s
         out(outcome.said.latex())
     else:
         answer(outcome.said.answer, text or outcome.said.text())
-    store(outcome.facts, asked("json_file"), records=records)
+    store(outcome.facts, records=records)
     if (place := asked("html_file")) is not None:
         note(f"Written: {outcome.document().write(place)}")
     if outcome.figure is not None:
@@ -343,7 +343,7 @@ def journal(folder: Path | None, fresh: bool = False, *, keeping: bool = True) -
 
 
 def store(
-    result: Mapping[str, Any], path: Path | None, *, records: Iterable[Dataset | None] = ()
+    result: Mapping[str, Any], path: Path | None = None, *, records: Iterable[Dataset | None] = ()
 ) -> None:
     """Write a result as JSON where the user asked for it, and beside it how it was made.
 
@@ -353,12 +353,12 @@ def store(
     ----------
     result : mapping
         The result.
-    path : Path or None
-        The file; ``None`` writes nothing.
+    path : Path, optional
+        The file, by default that of ``--json``; nothing is written where that is not given.
     records : iterable of Dataset or None
         What the result depends on; their hashes are written.
     """
-    if path is None:
+    if (path := path or asked("json_file")) is None:
         return
     from oed_sysid.likelihood.archive import made_by
 

@@ -130,9 +130,8 @@ class LiveParameters:
         self.names = tuple(names)
         self._units, self._references = dict(units or {}), dict(references or {})
         self._file, self._every, self._clock = file, every, clock
-        self._times: list[float] = []
-        self._values: list[list[float]] = []
-        self._stds: list[list[float]] = []
+        # Time, values and standard errors of every update.
+        self._rows: list[tuple[float, list[float], list[float]]] = []
         self._drawn_at = -np.inf
         self.n_drawings = 0
         if figure is None:
@@ -146,7 +145,7 @@ class LiveParameters:
     @property
     def n_samples(self) -> int:
         """Updates so far."""
-        return len(self._times)
+        return len(self._rows)
 
     def update(
         self, t: float, values: Mapping[str, float], stds: Mapping[str, float] | None = None
@@ -165,13 +164,12 @@ class LiveParameters:
             raise DataError(
                 f"The live plot has no parameter {unknown[0]!r}, only {', '.join(self.names)}."
             )
-        if self._times and not t > self._times[-1]:
-            raise DataError(
-                f"The estimates at t = {t:g} s are not later than those at {self._times[-1]:g} s."
-            )
-        self._times.append(float(t))
-        for kept, given in ((self._values, values), (self._stds, stds)):
-            kept.append([float(given.get(name, np.nan)) for name in self.names])
+        if self._rows and not t > (last := self._rows[-1][0]):
+            raise DataError(f"The estimates at t = {t:g} s are not later than those at {last:g} s.")
+        row, half = (
+            [float(one.get(name, np.nan)) for name in self.names] for one in (values, stds)
+        )
+        self._rows.append((float(t), row, half))
         if self._clock() - self._drawn_at >= self._every:
             self.draw()
 
@@ -211,13 +209,13 @@ class LiveParameters:
             moving.save(part, writer=PillowWriter(fps=per_second), dpi=80)
 
     def _draw_until(self, count: int) -> tuple[Axes, ...]:
-        times = np.array(self._times[:count])
-        values = np.array(self._values[:count]).reshape(count, len(self.names))
-        stds = np.array(self._stds[:count]).reshape(count, len(self.names))
+        rows = self._rows[:count]
+        times = np.array([t for t, _, _ in rows])
         for index, (name, ax) in enumerate(zip(self.names, self._axes, strict=True)):
             ax.clear()
+            known = np.array([(row[index], half[index]) for _, row, half in rows]).reshape(-1, 2)
             plot_history(
-                times, values[:, index], stds[:, index], name=name, ax=ax,
+                times, *known.T, name=name, ax=ax,
                 unit=self._units.get(name, ""), reference=self._references.get(name),
             )  # fmt: skip
         self._axes[-1].set_xlabel("time [s]")
