@@ -150,6 +150,7 @@ class Verdict:
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
     """Aggregate runs over seeds; rows keep the order of settings, the best first in each."""
+    # Estimators are compared within a setting only: problem, sampling, noise and world.
     settings: dict[tuple[str, int, float, str], dict[str, list[Outcome]]] = {}
     for outcome in outcomes:
         cell = outcome.cell
@@ -173,6 +174,7 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
             continue
         own = mine[row.setting]
         ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
+        # Pairs of runs on the same records: what these have in common cancels.
         logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
         outcome = _outcome(ratio, logs)
         found.append(
@@ -199,9 +201,7 @@ def _outcome(ratio: float, logs: np.ndarray) -> str:
 
 def _row(runs: Sequence[Outcome]) -> Row:
     cell = runs[0].cell
-    # One run without estimates is as wrong as knowing nothing.
-    errors = np.array([[run.errors.get(name, -1.0) for name in run.bounds] for run in runs])
-    bounds = np.sqrt(np.mean(np.square([list(run.bounds.values()) for run in runs]), axis=0))
+    errors, bounds = _errors_and_bounds(runs)
     known = bounds < DETERMINED
     each = np.sqrt(np.mean(errors**2, axis=0))
     covered = [held for run in runs for held in run.covered.values()]
@@ -233,6 +233,14 @@ def _row(runs: Sequence[Outcome]) -> Row:
         by_seed=tuple(map(_root_mean_square, errors[:, known])),
         world=cell.world,
     )
+
+
+def _errors_and_bounds(runs: Sequence[Outcome]) -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors ``(n_runs, n_parameters)``, root mean square of the Cramer-Rao bounds."""
+    # One run without estimates is as wrong as knowing nothing.
+    errors = np.array([[run.errors.get(name, -1.0) for name in run.bounds] for run in runs])
+    bounds = np.array([list(run.bounds.values()) for run in runs])
+    return errors, np.sqrt(np.mean(bounds**2, axis=0))
 
 
 def _median(runs: Sequence[Outcome], name: str) -> float:

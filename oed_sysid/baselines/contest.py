@@ -140,6 +140,7 @@ def load_scenario(problem: str) -> Scenario:
             "be relative to it. Fix the parameter or give it a value."
         )
     outputs = [simulate(model, experiment, noise=False).outputs for experiment in train]
+    # Excursions from the start: an absolute depth or heading would hide small motions.
     peaks = np.max([np.abs(one - one[0]).max(axis=0) for one in outputs], axis=0)
     return Scenario(problem, model, train, test, peaks)
 
@@ -365,6 +366,7 @@ class Cell:
 
     def rng(self, purpose: str) -> np.random.Generator:
         """Random numbers that all estimators and noise levels share."""
+        # Neither estimator nor noise level is in the seed: all are given the same draws.
         word = f"{self.problem} {purpose} {self.sampling}"
         return np.random.default_rng([zlib.crc32(word.encode()), self.seed])
 
@@ -423,6 +425,7 @@ def run_cell(cell: Cell) -> Outcome:
     rng, noisy = cell.rng("noise"), bool(sigma.any())
     dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
     noise = [world.noise(model, run) for run in runs]
+    # Cramer-Rao bounds at the truth, with all that is random told.
     bounds = dict(zip(model.free_names, _bounds(model, dataset, noise), strict=True))
     contestant = contestant_by_name(cell.estimator)
     handed = world.believed(_away(model, cell, world.start), cell.rng("known"))

@@ -31,7 +31,6 @@ E. A. Morelli, Real-time parameter estimation in the frequency domain, AIAA 99-4
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -45,10 +44,9 @@ from oed_sysid.baselines.equations import (
     states_of,
 )
 from oed_sysid.baselines.online import EquationStream, Stream
-from oed_sysid.baselines.regression import fit_from_values, solve_rows
+from oed_sysid.baselines.regression import Baseline, Regression, solve_rows
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import (
@@ -69,7 +67,7 @@ Band = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class FourierRegression:
+class FourierRegression(Baseline):
     """Equation error in a band of frequencies.
 
     Linear in the free parameters, every state of the equations measured. It needs no start values
@@ -103,17 +101,7 @@ class FourierRegression:
         band = "" if self.band is None else f", {self.band[0]:g} to {self.band[1]:g} Hz"
         return f"Fourier regression{band}"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters or a state is not measured.
-        DataError
-            If data and model do not belong together, or nothing of the band is left.
-        """
-        began = clock.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
         form, runs, count = regression_form(model), [], 0
         for record in dataset:
@@ -126,8 +114,7 @@ class FourierRegression:
             runs.append(real_rows(frequencies, *sums))
             count += len(frequencies)
         found = solve_rows(form, *zip(*runs, strict=True), coloured="never")
-        found = replace(found, facts={"n_frequencies": count})
-        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
+        return replace(found, facts={"n_frequencies": count})
 
 
 def frequencies_of(
@@ -151,6 +138,7 @@ def frequencies_of(
     """
     highest = 0.2 / period  # above it a difference is no rate any more
     low, high = band or (0.0 if _is_constant(form) else 0.5 / length, _fastest(form, highest))
+    # Only multiples of one over the length are independent of each other.
     multiples = np.arange(int(min(high, highest) * length) + 1) / length
     kept = multiples[multiples >= low - 1e-12]
     for lower, upper in without:
@@ -216,6 +204,7 @@ def summed(
     """
     steps, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
     whole = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
+    # A row between two samples acts at their middle, for as long as they are apart.
     turned = steps * np.exp(-2j * np.pi * np.outer(frequencies, middle))
     left = np.where(whole, targets, 0.0)
     right = np.where(whole[:, :, None], regressors, 0.0)
@@ -318,6 +307,7 @@ class FourierStream(Stream):
             times = np.array([before, time]) - self._start
             new = summed(self.frequencies, times, targets[None], regressors[None])
             self._sums = self._sums[0] + new[0], self._sums[1] + new[1]
+            # Differences whiten drifting signals, whose slow part would outweigh the rest.
             change = np.nan_to_num(np.concatenate(last) - np.concatenate(first))
             middle = np.exp(-2j * np.pi * self.frequencies * times.mean())
             self._signals += np.outer(middle, change)

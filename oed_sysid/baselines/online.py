@@ -157,6 +157,7 @@ class RecursiveLeastSquares(OnlineMachine):
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
+        # A prior of standard deviation s is a row 1/s; forgetting lowers all rows alike.
         self.learn(np.append(np.asarray(features, dtype=float), float(target))[None])
         if self.forgetting < 1:
             excess = np.trace(self.inverse) / (len(self._factor) * self.largest_std**2)
@@ -347,6 +348,7 @@ class IncrementalLSSVM(OnlineMachine):
         """Learn one sample, features ``(n_features,)``."""
         row, matrix, n = np.asarray(features, dtype=float).reshape(1, -1), self._matrix, len(self)
         known = self._features.reshape(n, row.size)
+        # Gamma grows by the inner products of the new sample with those known.
         border = self.kernel(known, row)
         corner = self.kernel(row, row) + 1.0 / self.C
         if self.method == "inverse":
@@ -538,6 +540,7 @@ class OnlineRegression(RegressionEstimator):
                 machine.update(columns[k], targets[k])
             # A machine that forgets has the constant among its coefficients.
             track[k] = np.append(*machine.linear())[: n + 1]
+        # Weights that the samples had in the end, for the stated errors.
         age = np.arange(len(targets))[::-1]
         if self.method == "forgetting":
             ridge, weights = 0.0, self.forgetting**age
@@ -665,6 +668,7 @@ class EquationStream:
                 "signals as inputs and leave the actuator effects out with model.without(...)."
             )
         # Positions of the free parameters that each equation holds.
+        # Eight random motions: a column that is zero in all of them is none of the equation.
         found = self.form.anywhere(8).transpose(1, 0, 2)
         self._owners = tuple(np.flatnonzero(block.any(axis=0)) for block in found)
         self.samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,10 +15,10 @@ from scipy.optimize import differential_evolution
 from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
+    Baseline,
     Regression,
     are_coloured,
     assumed_levels,
-    fit_from_values,
     root_mean_square,
     sandwich,
 )
@@ -29,7 +28,6 @@ from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.start_guess import check_channels, first_state
@@ -136,6 +134,7 @@ class TrajectoryCost:
         total = np.zeros(len(population))
         count = 0
         for own, record in zip(self._starts, self.dataset, strict=True):
+            # A missing sample weighs nothing.
             present = np.isfinite(record.outputs)
             weights = present / self.scales
             measured = np.where(present, record.outputs, 0.0)
@@ -263,7 +262,7 @@ def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, floa
 
 
 @dataclass(frozen=True, kw_only=True)
-class TrajectorySearch(ABC):
+class TrajectorySearch(Baseline):
     """Search of the least misfit of trajectories: settings and the way to a fit that all share.
 
     Parameters
@@ -276,6 +275,11 @@ class TrajectorySearch(ABC):
         Of the random numbers; the same seed gives the same result.
     n_workers : int or None
         Threads; all cores by default.
+
+    Notes
+    -----
+    All free parameters need finite bounds. ``extras["evaluations"]`` of a fit says how many
+    candidates were simulated.
     """
 
     scale: str | Mapping[str, float] = "noise"
@@ -283,35 +287,16 @@ class TrajectorySearch(ABC):
     seed: int = 0
     n_workers: int | None = None
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name and settings, for reports."""
-
     @abstractmethod
     def _search(self, cost: TrajectoryCost) -> Regression:
         """Search the region for the least cost."""
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Search the free parameters within their bounds.
-
-        Returns
-        -------
-        Fit
-            ``extras["evaluations"]`` says how many candidates were simulated.
-
-        Raises
-        ------
-        ModelError
-            If a free parameter has no finite bounds, or an optional library is not installed.
-        """
-        began = time.perf_counter()
-        cost = TrajectoryCost(
-            model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
-        )
-        found = self._search(cost)
-        return fit_from_values(
-            model, dataset, found, estimator=self.name, began=began, known=cost.initial
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
+        """Search the free parameters within their bounds."""
+        return self._search(
+            TrajectoryCost(
+                model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
+            )
         )
 
 
@@ -474,7 +459,7 @@ class DifferentialEvolution(TrajectorySearch):
             lambda shares: cost.finite(cost.at(shares.T)),
             [(0.0, 1.0)] * n_free,
             maxiter=self.n_generations,
-            popsize=max(1, round(self.n_particles / n_free)),
+            popsize=max(1, round(self.n_particles / n_free)),  # SciPy counts per parameter
             tol=self.tolerance,
             rng=np.random.default_rng(self.seed),
             vectorized=True,
@@ -529,7 +514,7 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         # From the middle of the bounds.
         run = cma.CMAEvolutionStrategy(np.full(len(cost.lower), 0.5), self.spread, options)
         while not run.stop():
-            members = np.array(run.ask())
+            members = np.array(run.ask())  # a whole generation is simulated at once
             run.tell(list(members), list(cost.finite(cost.at(members))))
         best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
         status = UNFINISHED if "maxiter" in run.stop() else CONVERGED

@@ -43,7 +43,7 @@ from oed_sysid.likelihood.information import (
     effective_sample_size,
 )
 from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
-from oed_sysid.likelihood.start_guess import check_channels, first_state
+from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 
 CONVERGED = Status("converged", "")
@@ -85,14 +85,46 @@ class Regression:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def fit_from_values(
-    model: Model,
-    dataset: Dataset,
-    found: Regression,
-    *,
-    estimator: str,
-    began: float,
-    known: Mapping[str, float] | None = None,
+class Baseline(ABC):
+    """An estimator whose kind says how values and their covariance are found.
+
+    What the model then predicts is found by simulating each record from its first measurements,
+    or from ``initial``, the known start of some states in all records, where a kind has it.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name and settings, for reports."""
+
+    @abstractmethod
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
+        """Values of the free parameters, and their covariance."""
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters from all records at once.
+
+        Divergence in simulation overrides the status of what was found.
+
+        Raises
+        ------
+        ModelError
+            If the method cannot treat the model; the message says why and what to do.
+        DataError
+            If data and model do not belong together, or do not determine the parameters.
+        """
+        began = time.perf_counter()
+        found = self._estimate(model, dataset)
+        known = getattr(self, "initial", None)
+        return replace(
+            simulated(model, dataset, found, known),
+            estimator=self.name,
+            seconds=time.perf_counter() - began,
+        )
+
+
+def simulated(
+    model: Model, dataset: Dataset, found: Regression, known: Mapping[str, float] | None
 ) -> Fit:
     """Simulate every record with the estimated values and build the result.
 
@@ -103,15 +135,10 @@ def fit_from_values(
     dataset : Dataset
         The records.
     found : Regression
-        Values and their covariance; divergence in simulation overrides its status.
-    estimator : str
-        Name for reports.
-    began : float
-        ``time.perf_counter()`` at the start.
+        Values and their covariance.
     known : mapping of str to float, optional
         Known start of some states in all records; others are measured, or zero.
     """
-    check_channels(model, dataset)
     names, values = model.free_names, np.asarray(found.estimates, dtype=float)
     fitted = model.with_values(_within_bounds(model, dict(zip(names, values, strict=True))))
     runner = kernel(fitted)
@@ -128,7 +155,7 @@ def fit_from_values(
     return Fit(
         model=fitted,
         dataset=dataset,
-        estimator=estimator,
+        estimator="",
         names=names,
         estimates=values,
         information=found.information or information_from_covariance(model, found.covariance),
@@ -144,7 +171,7 @@ def fit_from_values(
         cost=np.inf if diverged else 0.5 * float(np.nansum((stacked / sigma) ** 2)),
         status=Status("diverged", DIVERGED) if diverged else found.status,
         iterations=found.iterations,
-        seconds=time.perf_counter() - began,
+        seconds=0.0,
         posterior=found.posterior,
         extras=dict(found.facts),
     )
@@ -165,6 +192,7 @@ def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:
 
 def information_from_covariance(model: Model, covariance: np.ndarray) -> Information:
     """Information whose covariance is the given one; nothing where that is infinite."""
+    # In units of the parameters' magnitudes, so that one tolerance of rank serves all of them.
     scales = np.array([p.magnitude for p in model.free_parameters])
     scaled = np.asarray(covariance) / scales[:, None] / scales
     finite = np.isfinite(np.diag(scaled))
@@ -185,39 +213,23 @@ def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float
     return inside
 
 
-class RegressionEstimator(ABC):
+class RegressionEstimator(Baseline):
     """An estimator of linear equations of motion, by rows whose rates come from its ``rule``.
 
     A kind has the settings ``rule`` and, where it knows them, ``window`` (of a local cubic) and
-    ``rates``; its
-    ``apart`` says whether it solves each equation alone, so that none may share a parameter.
+    ``rates``; its ``apart`` says whether it solves each equation alone, so that none may share a
+    parameter. Models that are not linear in their free parameters, and states that are not
+    measured, are refused.
     """
 
     rule: str
     apart: ClassVar[bool] = True
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name and settings, for reports."""
-
     @abstractmethod
     def _solve(self, rows: Rows) -> Regression:
         """Solve the rows of all records."""
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters, a state is not measured, or
-            equations that are solved apart share a parameter; the message says which and what
-            to do.
-        DataError
-            If data and model do not belong together.
-        """
-        began = time.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         rows = rows_of(
             regression_form(model),
             dataset,
@@ -227,7 +239,7 @@ class RegressionEstimator(ABC):
         )
         if self.apart:
             rows.check_separate()
-        return fit_from_values(model, dataset, self._solve(rows), estimator=self.name, began=began)
+        return self._solve(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,6 +313,7 @@ def solve_rows(
     # A row with a gap is one of zeros, which says nothing.
     targets = np.where(valid, targets, 0.0)
     regressors = np.where(valid[:, :, None], regressors, 0.0)
+    # The first weights are sizes of the targets, as if the parameters were zero.
     spread = np.sqrt((targets**2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1))
     levels = np.where(spread > 0, spread, 1.0)
     floor = 1e-10 * levels  # below it errors of an equation are rounding
@@ -328,6 +341,7 @@ def solve_rows(
     if use:
         ends = np.cumsum([len(target) for target in runs_targets])[:-1]
         jacobians = np.split(regressors / levels[:, None], ends)
+        # A prior is one observation, and no series that could be correlated in time.
         middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
         covariance = sandwich(covariance, middle)
     extras = {
@@ -351,6 +365,7 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
     upper = np.array([p.upper for p in model.free_parameters])
     if np.all(solution >= lower) and np.all(solution <= upper):
         return solution
+    # SciPy wants a lower bound below the upper one, also where both hold a value.
     open_upper = np.where(upper > lower, upper, np.nextafter(lower, np.inf))
     result = lsq_linear(matrix * scale, right, (lower / scale, open_upper / scale))
     return np.clip(scale * result.x, lower, upper)
@@ -387,7 +402,7 @@ def are_coloured(residuals: Sequence[np.ndarray]) -> bool:
     for residual in residuals:
         for column in residual.T:
             n = int(np.isfinite(column).sum())
-            if n > 20:
+            if n > 20:  # of fewer samples no autocorrelation is known
                 effective += effective_sample_size(column)
                 total += n
     return total > 0 and effective < COLOUR_LIMIT * total
@@ -551,10 +566,12 @@ def equation_covariance(
     matrix = np.hstack([part.features, np.full((n, 1), float(with_bias))])
     weights = np.ones(n) if solution.weights is None else solution.weights
     errors = part.targets - part.features @ solution.coefficients - solution.bias
+    # Rows that were forgotten count for less than one degree of freedom.
     freedom = max(float(weights.sum()) - n_features - with_bias, 1.0)
     variance = float(weights @ errors**2) / freedom
     scale = 1.0 / column_norms(matrix)
     matrix = matrix * scale
+    # The ridge pulls the coefficients, not the bias.
     penalty = np.diag([*np.full(n_features, solution.ridge), 0.0]) * scale**2
     bread = np.linalg.pinv((matrix.T * weights) @ matrix + penalty, hermitian=True, rcond=1e-15)
     covariance, coloured = residual_covariance(bread, matrix * weights[:, None], errors, variance)

@@ -226,6 +226,7 @@ class LeastSquaresSVM(RegressionEstimator):
         def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
             machine = train(features, targets, C=self.C, form=self.form, bias=bias)
             assert machine.coefficients is not None  # the kernel is linear
+            # Of Gamma = X X' + I/C in the dual; the primal's rows have its root.
             spectrum = np.linalg.svd(features, compute_uv=False)
             condition = 1.0 + self.C * float(spectrum[0]) ** 2
             return SeparateSolution(
@@ -304,6 +305,7 @@ class SupportVectorRegression(RegressionEstimator):
                 tol=1e-6,
                 max_iter=self.max_iterations,
             )
+            # The bias is free, so that centred targets change the solver's way alone.
             centre = targets.mean() if bias else 0.0
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # reported in the status

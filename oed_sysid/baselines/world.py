@@ -130,6 +130,7 @@ class World:
             else:
                 held = np.searchsorted(clean.times, fine * (1 + 1e-12) + 1e-12, side="right") - 1
                 columns.append(values[np.clip(held, 0, n - 1)])
+        # Forces run linearly through the fine points, so that substeps see no jumps.
         push = np.array(list(levels.values())) * _gauss_markov(
             (len(fine), len(places)), FORCE_TIME * SUBSTEPS, rng
         )
@@ -141,6 +142,7 @@ class World:
         """Standard deviation of the disturbance force on each equation, by axis or state."""
         places = _equations_of_motion(model)
         sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
+        # The same vehicle whose only outputs are its forces, or accelerations.
         probe = replace(
             model,
             outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
