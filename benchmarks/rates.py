@@ -1,18 +1,31 @@
-"""Hidden effects, whoever simulates: what a search claims, what could be found, how often it is."""
+"""Hidden effects, whoever simulates: what a search claims, what could be found, how often it is.
+
+:func:`searched` runs and reads a search, :func:`settled` runs the cases of a benchmark that are
+not in its store, and :func:`as_markdown` tells its measures. A benchmark brings its cases, what
+could have been found in them (``detectable``), and the rates that it wants.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+import signal
+import time
+import traceback
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, markdown
+from benchmarks.harness import Row, Store, markdown, run_cases, write_page
+from oed_sysid import Dataset, Model, improve
 from oed_sysid.evidence.improvement import Improvement
+from oed_sysid.physics import Effect
 
 Entry = Mapping[str, Any]
 LARGEST_GROUP = 3
+AS_GOOD = 1.05  # error of a model over that of the true structure, up to which it is as good
 TWO_SIDED_95 = 1.96
 
 
@@ -96,6 +109,67 @@ def read(found: Improvement) -> Row:
         "base_error": {k: finite(v) for k, v in found.base_error.items()},
         "final_error": {k: finite(v) for k, v in found.final_error.items()},
     }
+
+
+@contextmanager
+def at_most(seconds: float) -> Iterator[None]:
+    """Raise :class:`TimeoutError` in the main thread when that much processor time is spent."""
+
+    def stop(number: int, frame: object) -> None:
+        raise TimeoutError(f"not finished after {seconds:g} s of processor time")
+
+    before = signal.signal(signal.SIGPROF, stop)
+    signal.setitimer(signal.ITIMER_PROF, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+        signal.signal(signal.SIGPROF, before)
+
+
+def searched(
+    model: Model,
+    train: Dataset,
+    test: Dataset,
+    candidates: Iterable[Effect] | None,
+    *,
+    limit: float = 600.0,
+) -> tuple[Improvement | None, Row]:
+    """Search for what is missing: what was found, and all that benchmarks want to know of it.
+
+    A search that breaks, or takes more than ``limit`` seconds of processor time, is a result
+    too: ``error`` and ``traceback`` in place of what :func:`read` tells.
+    """
+    began, processor = time.perf_counter(), time.process_time()
+    found, told = None, {}
+    try:
+        with at_most(limit):
+            found = improve(
+                model, train, test, candidates=None if candidates is None else list(candidates)
+            )
+        told = read(found)
+    except Exception as error:
+        text = "".join(traceback.format_exception(error))
+        told = {"error": f"{type(error).__name__}: {error}", "traceback": text[-4000:]}
+    told["seconds"] = time.perf_counter() - began
+    told["processor_seconds"] = time.process_time() - processor
+    return found, told
+
+
+def settled(
+    store: Path,
+    keys: Iterable[str],
+    jobs: Callable[..., Iterable[Callable[[], Row]]],
+    *,
+    n_jobs: int = 1,
+    minutes: float = 1e9,
+    say: Callable[[str], None] = print,
+) -> list[Row]:
+    """All wanted cases that are finished, after those that are not in the store have run."""
+    deadline = time.time() + 60.0 * minutes
+    return run_cases(
+        Store(store), list(keys), jobs, n_jobs=n_jobs, deadline=deadline, tell=summary, say=say
+    )
 
 
 def detectable(gains: Iterable[float], needed: float) -> bool:
@@ -213,6 +287,13 @@ def as_markdown(
         lines += ["", "Cases that broke:", ""]
         lines += [f"- {row['case']}: {row['error']}" for row in found["broken"]]
     return "\n".join(lines)
+
+
+def told(text: str, page: Path | None) -> None:
+    """Print measures, and write them between the marks of a page where one is named."""
+    print(text)
+    if page:
+        write_page(page, text)
 
 
 def _cell(value: Any) -> str:

@@ -15,13 +15,15 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.harness import ROOT, command, markdown, write_page
-from oed_sysid.baselines.benchmark import OURS, WORLDS, Row, benchmark
+from oed_sysid.baselines.benchmark import Row, benchmark
 from oed_sysid.baselines.contest import (
     BELIEVERS,
+    OURS,
     OURS_BELIEVING,
     OURS_DISTURBED,
     OURS_DISTURBED_BELIEVING,
 )
+from oed_sysid.baselines.world import WORLDS
 
 PAGE = ROOT / "docs" / "benchmark_estimators.md"
 PROBLEMS = ("online_ship", "auv_diving_plane", "remus_diving_plane")

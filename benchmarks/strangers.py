@@ -17,7 +17,6 @@ rates of older seeds stay in the store.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -27,10 +26,10 @@ from pathlib import Path
 import numpy as np
 from scipy.integrate import solve_ivp
 
-from benchmarks.harness import RESULTS, Row, Store, command, grouped, run_cases, tabulate
-from benchmarks.other_vehicles.judge import DETECTABLE, _at_most, _broken, read
+from benchmarks.harness import RESULTS, Row, command, grouped, tabulate
+from benchmarks.other_vehicles.judge import DETECTABLE
 from benchmarks.other_vehicles.measures import accepted as named
-from benchmarks.rates import share, summary
+from benchmarks.rates import searched, settled, share
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import (
     Dataset,
@@ -41,7 +40,6 @@ from oed_sysid import (
     Parameter,
     Record,
     State,
-    improve,
 )
 from oed_sysid.physics import Effect, forces, signals
 from oed_sysid.runtime.display import TWO_SIDED_95
@@ -317,22 +315,17 @@ def drawn(seed: int, number: int) -> tuple[Row, Model, list[Record], list[Effect
 def judge(seed: int, number: int, limit: float) -> Row:
     """Draw one case, improve its nominal model, compare with what is hidden."""
     entry, model, (*train, last), offered = drawn(seed, number)
-    began = time.process_time()
-    try:
-        with _at_most(limit):
-            found = improve(model, Dataset(tuple(train)), Dataset((last,)), candidates=offered)
+    data = Dataset(tuple(train)), Dataset((last,))
+    found, told = searched(model, *data, offered, limit=limit)
+    if found is not None:
         errors = found.fit.std_errors
-        entry |= read(found) | {
-            "remains": found.remains.kind,
-            "inside": [
-                bool(abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name])
-                for name, size in entry["sizes"].items()
-                if name in errors
-            ],
-        }
-    except Exception as error:  # a case that breaks is a result too
-        entry |= _broken(error)
-    return entry | {"processor_seconds": time.process_time() - began}
+        told["remains"] = found.remains.kind
+        told["inside"] = [
+            bool(abs(found.fit.values[name] - size) < TWO_SIDED_95 * errors[name])
+            for name, size in entry["sizes"].items()
+            if name in errors
+        ]
+    return entry | told
 
 
 def accepted(row: Row) -> bool:
@@ -401,10 +394,10 @@ def main(
     minutes : float
         wait for no case after that
     """
-    rows = run_cases(
-        Store(store), [f"{seed}/{number}" for number in range(cases)],
-        lambda left: (partial(judge, seed, int(str(key).split("/")[1]), limit) for key in left),
-        n_jobs=jobs, deadline=time.time() + 60.0 * minutes, tell=summary,
+    rows = settled(
+        store, [f"{seed}/{number}" for number in range(cases)],
+        lambda left: (partial(judge, seed, int(key.split("/")[1]), limit) for key in left),
+        n_jobs=jobs, minutes=minutes,
     )  # fmt: skip
     print(table(rows))
 

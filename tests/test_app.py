@@ -202,7 +202,8 @@ def test_uploads_are_checked_as_on_the_command_line(ship: Path, tmp_path: Path, 
     path.write_bytes(content)
     assert main(["fit", str(ship), str(path)]) == BAD_INPUT
     said = capsys.readouterr().err.removeprefix("Error: ").strip()
-    records, refused, _ = read_uploads(load_problem(ship), {"log.csv": content})
+    stock = read_uploads(load_problem(ship), {"log.csv": content})
+    records, refused = stock.records, stock.refused
     assert records is None
     assert refused["log.csv"] == said.replace(f"{tmp_path}/", "")
 
@@ -439,7 +440,8 @@ def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -
     problem = load_problem(ship)
     good = (ship / "data" / "turning_circle.csv").read_bytes()
     names = ["../../out.csv", "..", "a/b\\c.csv", "x\0y.csv", "n" * 300 + ".csv"]
-    records, refused, _ = read_uploads(problem, dict.fromkeys(names, good))
+    stock = read_uploads(problem, dict.fromkeys(names, good))
+    records, refused = stock.records, stock.refused
     assert records is not None
     assert refused == {}
     assert not any(set("/\\\0") & set(name) for name in records.names)

@@ -87,7 +87,8 @@ def test_columns_become_channels() -> None:
             "r": Source("run.gyro [deg/s]", sign=-1),
         },
     )
-    records, refused, _ = mapping.imported(opened, asked, CHANNELS)
+    stock = mapping.imported(opened, asked, CHANNELS)
+    records, refused = stock.records, stock.refused
     assert refused == {}
     assert records is not None
     assert records.names == ("run", "again")
@@ -106,7 +107,8 @@ def test_a_wrong_unit_is_refused_for_its_file_only() -> None:
                                  "c.csv": b""})  # fmt: skip
     still = {"rudder": Source(constant=0.0, unit="rad")}
     asked = LogMapping(still, {"psi": Source("a.compass [deg]")})
-    records, refused, _ = mapping.imported(opened, asked, CHANNELS)
+    stock = mapping.imported(opened, asked, CHANNELS)
+    records, refused = stock.records, stock.refused
     assert records is not None, refused
     assert records.names == ("a",)
     assert set(refused) == {"b.csv", "c.csv"}

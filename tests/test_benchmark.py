@@ -17,18 +17,14 @@ from turning_ship import SHIP, record
 from benchmarks.disjoint import PAGE, simulated
 from benchmarks.harness import between
 from oed_sysid.baselines.benchmark import (
-    CONTESTANTS,
     PROBLEMS,
     Benchmark,
-    Cell,
-    Outcome,
     benchmark,
-    load_scenario,
     measure,
-    run_cell,
     verdict_table,
     verdicts,
 )
+from oed_sysid.baselines.contest import CONTESTANTS, Cell, Outcome, load_scenario, run_cell
 from oed_sysid.cli import BAD_INPUT, DONE, main
 from oed_sysid.errors import ModelError, ProblemError
 from oed_sysid.results.estimator_plots import figure_benchmark

@@ -9,14 +9,9 @@ import numpy as np
 import pytest
 
 from benchmarks.real_world import table
-from oed_sysid.baselines.benchmark import (
-    WORLDS,
-    Benchmark,
-    Cell,
-    benchmark,
-    load_scenario,
-    run_cell,
-)
+from oed_sysid.baselines.benchmark import Benchmark, benchmark
+from oed_sysid.baselines.contest import Cell, load_scenario, run_cell
+from oed_sysid.baselines.world import WORLDS
 from oed_sysid.errors import ProblemError
 from oed_sysid.experiments.simulation import simulate
 

@@ -11,27 +11,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from kinematic_logs import DIVER, SHIP, Fault, Vehicle, log, match, motions
 from marks import slow
 from scipy.fft import dct
 from scipy.signal import lfilter
 
-from benchmarks.compatibility import (
-    DIVER,
-    ESSO,
-    HSVA,
-    SHIP,
-    SPOILS,
-    Fault,
-    Vehicle,
-    free_running,
-    hidden_effect_cases,
-    log,
-    match,
-    motions,
-    named_as,
-    read_filled,
-    spoil,
-)
+from benchmarks.kinematics import ESSO, HSVA, free_running, hidden_effect_cases, read_filled
+from benchmarks.spoilt_logs import COPIES as SPOILS
+from benchmarks.spoilt_logs import named_as, spoil
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.evidence.check import (
     FAR,

@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from kinematic_logs import DIVER, SHIP, Vehicle, log, motions
 
-from benchmarks.compatibility import DIVER, SHIP, Vehicle, log, motions
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError

@@ -21,7 +21,7 @@ from oed_sysid.baselines import (
     SupportVectorRegression,
     TotalLeastSquares,
 )
-from oed_sysid.baselines.benchmark import load_scenario
+from oed_sysid.baselines.contest import load_scenario
 from oed_sysid.baselines.online import KalmanStream
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError

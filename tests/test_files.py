@@ -281,7 +281,6 @@ def test_foreign_cell_is_never_unpickled(tmp_path: Path) -> None:
     body = pickle.dumps(("theirs", Bomb(trace)))
     cells.path("theirs").write_bytes(hashlib.sha256(body).digest() + body)
     assert cells.find(["ours", "theirs"]) == {"ours": 1.5}
-    assert list(cells.keys()) == ["ours"]
     assert not trace.exists()
 
 

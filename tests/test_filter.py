@@ -42,7 +42,7 @@ GAIN, TIME = 0.5, 4.0
 def interpreted(kernel: FilterKernel) -> FilterKernel:
     """The same filter in NumPy, as a machine without a compiler has it."""
     other = object.__new__(FilterKernel)  # copies of a kernel are the kernel itself
-    other.__dict__.update(kernel.__dict__, _library=None)
+    other.__dict__.update(kernel.__dict__, library=None)
     return other
 
 
@@ -140,7 +140,7 @@ def test_compiled_filter_is_the_interpreted_one(
     kernel = filter_kernel(disturbed_model(AUV, AUV_FORCES))
     if _compiler() is None:
         pytest.skip("no compiler")
-    assert kernel._library is not None
+    assert kernel.library is not None
     times, inputs, measured = auv_record()
     values = kernel.model.value_vector
     own = np.array([1.5, 0.02, 0.0, 0.05, 2.0])

@@ -26,7 +26,7 @@ from test_walks import mapping_of, write_log
 from turning_ship import CANDIDATES, SHIP, dataset, improved
 
 import oed_sysid
-from benchmarks.compatibility import spoil
+from benchmarks.spoilt_logs import spoil
 from oed_sysid import Dataset, DOptimal, Limits, design_experiment, improve, new_problem
 from oed_sysid.cli import main
 from oed_sysid.cli.application import app

@@ -325,7 +325,7 @@ for _ in range(2):
     kernel = Kernel(model)
     start = np.array([0.3, 0.0])
     run = kernel.run(times, 0 * times[:, None], model.value_vector, start, sensitivities=True)
-print(kernel.is_compiled, repr(float(run.outputs.sum() + run.output_sensitivities.sum())))
+print(kernel.library is not None, repr(float(run.outputs.sum() + run.output_sensitivities.sum())))
 """
 
 

@@ -120,7 +120,7 @@ def line(ax: Axes, name: str) -> np.ndarray:
 
 def test_output_plot_shows_data_model_and_band(fit: Fit, data: Dataset) -> None:
     """The dots are the record, the line the prediction, the band 1.96 noise levels."""
-    ax = report.plot_output(fit, "psi", record="circle")
+    ax = report.plot_prediction(fit, "psi", record="circle", labels=["model"])
     predicted = np.degrees(fit.predictions[1][:, 2])
     np.testing.assert_allclose(line(ax, "measured"), np.degrees(data["circle"].output("psi")))
     np.testing.assert_allclose(line(ax, "model"), predicted)
@@ -128,16 +128,17 @@ def test_output_plot_shows_data_model_and_band(fit: Fit, data: Dataset) -> None:
     heights = band.get_paths()[0].vertices[:, 1]
     assert heights.max() == pytest.approx(predicted.max() + 1.96 * np.degrees(0.003))
     assert ax.get_ylabel() == "heading $\\psi$ [deg]"
-    size = fit.rms["psi"] / fit.sigma[2]
-    assert report.finding(ax) == f"circle: residuals of psi are {size:.3g} times its noise."
+    size = np.sqrt(np.mean((fit.residuals[1][:, 2] / fit.sigma[2]) ** 2))
+    assert float(report.finding(ax).split()[-4]) == pytest.approx(size, rel=5e-3)
     assert ax.get_xlabel() == "time $t$ [s]"
 
 
-def test_residual_plot_has_the_noise_band(fit: Fit) -> None:
-    """The residuals are measured minus predicted."""
-    ax = report.plot_residual(fit, "r", record="zigzag")
-    np.testing.assert_allclose(line(ax, "measured − model"), np.degrees(fit.residuals[0][:, 3]))
-    assert "[deg/s]" in ax.get_ylabel()
+def test_error_of_a_fit_is_drawn_in_units_of_the_noise(fit: Fit) -> None:
+    """The residuals are measured minus predicted; in the figure of a fit they have their unit."""
+    drawn = line(report.plot_prediction_error(fit, "r", record="zigzag"), "model 1")
+    np.testing.assert_allclose(drawn, fit.residuals[0][:, 3] / fit.sigma[3])
+    (own,) = [ax for ax in report.figure_fit(fit).axes if ax.get_ylabel() == "residual [deg/s]"]
+    np.testing.assert_allclose(line(own, "model"), np.degrees(fit.residuals[0][:, 3]))
 
 
 def test_autocorrelation_leaves_the_band_only_for_the_wrong_model(fit: Fit, better: Fit) -> None:
@@ -206,9 +207,10 @@ def test_track_keeps_proportions(fit: Fit, data: Dataset) -> None:
 
 def test_phase_plane_shows_one_signal_over_another(fit: Fit, data: Dataset) -> None:
     """Yaw rate over heading, both in degrees, measured and as the model goes."""
-    ax = report.plot_phase(data["zigzag"], [fit], across="psi", along="r")
+    ax = report.plot_track(data["zigzag"], [fit], across="psi", along="r")
     np.testing.assert_allclose(line(ax, "measured"), np.degrees(data["zigzag"].output("r")))
     np.testing.assert_allclose(line(ax, "model 1"), np.degrees(fit.predictions[0][:, 3]))
+    assert ax.get_aspect() == "auto"
     assert "[deg]" in ax.get_xlabel()
     assert "[deg/s]" in ax.get_ylabel()
 
@@ -276,8 +278,8 @@ def test_plots_use_given_axes_and_leave_settings_alone(fit: Fit, data: Dataset) 
     before, figures = dict(mpl.rcParams), plt.get_fignums()
     figure, axes = report.style.new_figure(2, 3, size=(9, 6))
     places = axes.flat
-    assert report.plot_output(fit, "r", ax=places[0]) is places[0]
-    report.plot_residual(fit, "r", ax=places[1])
+    assert report.plot_prediction(fit, "r", ax=places[0]) is places[0]
+    report.plot_prediction_error(fit, "r", ax=places[1])
     report.plot_autocorrelation(fit, "r", ax=places[2])
     report.plot_intervals(fit, ax=places[3])
     report.plot_correlation(fit, ax=places[4])

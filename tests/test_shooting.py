@@ -53,7 +53,7 @@ def test_jacobian_is_that_of_the_simulation(interval: float | None) -> None:
         exact = lin.jacobians[0][:, :, column]
         seen = np.isfinite(slope)
         size = np.abs(exact).max() + 1e-6
-        assert np.allclose(slope[seen], exact[seen], atol=2e-5 * size), shooting.layout.names
+        assert np.allclose(slope[seen], exact[seen], atol=2e-5 * size)
 
 
 def test_residuals_are_those_of_a_hand_written_simulator() -> None:
@@ -113,8 +113,6 @@ def test_layout_gives_every_unknown_one_place() -> None:
     layout = Shooting(model, yaw_data(), NOISE).layout
     assert layout.n_unknowns == 2 + 3 * (2 + 1)
     assert layout.shared_names == ("T", "alpha")
-    assert [name for name in layout.names if name.startswith("K")] == ["K[0]", "K[1]", "K[2]"]
-    assert len(set(layout.names)) == layout.n_unknowns
     columns = [set(layout.record_columns(i)) for i in range(3)]
     assert columns[0] & columns[1] == columns[1] & columns[2] == {0, 1}
     assert set.union(*columns) == set(range(layout.n_unknowns))
@@ -125,7 +123,9 @@ def test_values_of_local_parameters_become_their_mean() -> None:
     model = yaw_model(K=Parameter("K", 0.1, per_record=True, lower=0.0, upper=0.3))
     shooting = Shooting(model, yaw_data(), NOISE)
     unknowns = shooting.start_unknowns()
-    positions = [shooting.layout.names.index(f"K[{i}]") for i in range(3)]
+    layout = shooting.layout
+    own = layout.n_own + layout.free_names.index("K")
+    positions = [layout.record_columns(i)[own] for i in range(3)]
     unknowns[positions] = [0.1, 0.2, 0.3]
     assert shooting.layout.means(model, unknowns)["K"] == pytest.approx(0.2)
 

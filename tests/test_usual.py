@@ -33,7 +33,7 @@ from oed_sysid.physics.bodies import rigid_body
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.results import page as page_of
-from oed_sysid.results import plot_output
+from oed_sysid.results import plot_prediction
 from oed_sysid.testing import check_effect
 from oed_sysid.text.expressions import to_numpy
 
@@ -627,7 +627,7 @@ def test_comparison_counts_tests_whole_and_looks_at_no_time() -> None:
 
 def test_plot_of_tests_joins_nothing() -> None:
     """Rows are drawn by number, without a line from one to the next."""
-    ax = plot_output(SORTED, "force_Y")
+    ax = plot_prediction(SORTED, "force_Y")
     assert ax.get_xlabel() == "test"
     assert all(line.get_linestyle() == "None" for line in ax.get_lines())
     assert ax.get_lines()[0].get_xdata() == pytest.approx(np.arange(1, 106))

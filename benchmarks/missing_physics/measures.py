@@ -7,6 +7,7 @@ from typing import Any
 
 from benchmarks.missing_physics.cases import DATA
 from benchmarks.rates import (
+    AS_GOOD,
     Entry,
     Rate,
     by_effect,
@@ -19,9 +20,6 @@ from benchmarks.rates import (
     share,
 )
 from benchmarks.rates import as_markdown as tables
-
-# Error of a model over that of the true structure, up to which it is as good.
-AS_GOOD = 1.05
 
 
 def measures(entries: Sequence[Entry]) -> dict[str, Any]:

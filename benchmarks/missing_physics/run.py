@@ -7,18 +7,17 @@ Finished cases are kept as lines of JSON and never computed again.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Hashable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from benchmarks.harness import RESULTS as FOLDER
-from benchmarks.harness import Row, Store, run_cases, write_page
-from benchmarks.missing_physics.cases import Draw, draws, simulate_draws
+from benchmarks.harness import Row, Store
+from benchmarks.missing_physics.cases import draws, simulate_draws
 from benchmarks.missing_physics.judge import judge
 from benchmarks.missing_physics.measures import as_markdown, measures
-from benchmarks.rates import summary
+from benchmarks.rates import settled, told
 
 RESULTS = FOLDER / "missing_physics.jsonl"
 PLAN = (
@@ -34,7 +33,7 @@ def run(
     *,
     results: Path = RESULTS,
     n_jobs: int = 2,
-    deadline: float | None = None,
+    minutes: float = 1e9,
     tell: Callable[[str], None] = print,
 ) -> dict[str, Any]:
     """Run all cases of a plan that are not on disk yet, and measure all that are.
@@ -43,8 +42,8 @@ def run(
     ----------
     plan : str
         See :func:`benchmarks.missing_physics.cases.draws`.
-    results, n_jobs, deadline, tell
-        See :func:`benchmarks.harness.run_cases`.
+    results, n_jobs, minutes, tell
+        See :func:`benchmarks.rates.settled`.
 
     Returns
     -------
@@ -53,20 +52,14 @@ def run(
     """
     wanted = {draw.key: draw for draw in draws(plan)}
 
-    def jobs(left: Sequence[Hashable]) -> Iterator[Callable[[], Row]]:
+    def jobs(left: Sequence[str]) -> Iterator[Callable[[], Row]]:
         """Simulated a batch at a time."""
-        chosen: list[Draw] = [wanted[str(key)] for key in left]
-        for first in range(0, len(chosen), BATCH):
-            batch = chosen[first : first + BATCH]
+        for first in range(0, len(left), BATCH):
+            batch = [wanted[key] for key in left[first : first + BATCH]]
             for draw, (case, records) in zip(batch, simulate_draws(batch), strict=True):
                 yield partial(judge, draw, case, records)
 
-    return measures(
-        run_cases(
-            Store(results), list(wanted), jobs,
-            n_jobs=n_jobs, deadline=deadline, tell=summary, say=tell,
-        )
-    )  # fmt: skip
+    return measures(settled(results, wanted, jobs, n_jobs=n_jobs, minutes=minutes, say=tell))
 
 
 def main(
@@ -95,12 +88,9 @@ def main(
     table : Path
         write the measures there as Markdown
     """
-    if measure:
-        found = measures(Store(results).rows())
-    else:
-        found = run(plan, results=results, n_jobs=jobs,
-                    deadline=time.time() + 60.0 * minutes)  # fmt: skip
-    text = as_markdown(found)
-    print(text)
-    if table:
-        write_page(table, text)
+    found = (
+        measures(Store(results).rows())
+        if measure
+        else run(plan, results=results, n_jobs=jobs, minutes=minutes)
+    )
+    told(as_markdown(found), table)

@@ -2,19 +2,14 @@
 
 from __future__ import annotations
 
-import signal
-import time
-import traceback
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
 from benchmarks.other_vehicles.cases import Case, Draw, draw_case
 from benchmarks.other_vehicles.models.base import Nominal
-from benchmarks.rates import detectable, finite, read
-from oed_sysid import Dataset, Model, MultipleShooting, Record, compare, improve
+from benchmarks.rates import at_most, detectable, finite, searched
+from oed_sysid import Dataset, Model, MultipleShooting, Record, compare
 
 # Expected gain in twice the log-likelihood from which an effect counts as detectable. A claim
 # among 40 candidates needs about 14; 36 is six standard deviations of one amplitude, so that
@@ -84,23 +79,11 @@ def judge(draw: Draw, *, limit: float = 600.0, prepared: bool = True) -> dict[st
         "sizes": {k: np.asarray(v).tolist() for k, v in case.hidden.items()},
         **_detectability(case),
     }
-    began, processor = time.perf_counter(), time.process_time()
+    offered = nominal(draw.vehicle).effects(case.lacking) if prepared else None
+    found, told = searched(model, train, validation, offered, limit=limit)
+    entry |= told
     try:
-        with _at_most(limit):
-            found = improve(
-                model,
-                train,
-                validation,
-                candidates=nominal(draw.vehicle).effects(case.lacking) if prepared else None,
-            )
-        entry |= read(found)
-    except Exception as error:  # a case that breaks is a result too
-        entry |= _broken(error)
-        found = None
-    entry["seconds"] = time.perf_counter() - began
-    entry["processor_seconds"] = time.process_time() - processor
-    try:
-        with _at_most(limit):
+        with at_most(limit):
             entry |= _against_truth(case, found, train, validation)
     except Exception as error:
         entry["truth_error"] = f"{type(error).__name__}: {error}"
@@ -127,24 +110,3 @@ def _against_truth(
         models["found"] = found.model
     compared = compare(models, validation)
     return {f"{part.label}_validation": finite(part.relative) for part in compared.models}
-
-
-def _broken(error: Exception) -> Mapping[str, str]:
-    text = "".join(traceback.format_exception(error))
-    return {"error": f"{type(error).__name__}: {error}", "traceback": text[-4000:]}
-
-
-@contextmanager
-def _at_most(seconds: float) -> Iterator[None]:
-    """Raise :class:`TimeoutError` in the main thread when that much processor time is spent."""
-
-    def stop(number: int, frame: object) -> None:
-        raise TimeoutError(f"not finished after {seconds:g} s of processor time")
-
-    before = signal.signal(signal.SIGPROF, stop)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        signal.signal(signal.SIGPROF, before)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
+from benchmarks.harness import grouped, tabulate
 from benchmarks.rates import (
+    AS_GOOD,
     LARGEST_GROUP,
     Entry,
     Rate,
@@ -188,3 +190,38 @@ def as_markdown(found: Mapping[str, Any]) -> str:
             },
         ),
     )  # fmt: skip
+
+
+def unprepared_table(rows: Sequence[Entry]) -> str:
+    """Rates by vehicle where no candidate was named, as Markdown."""
+    groups = grouped(rows, lambda row: row["vehicle"])
+    return "\n".join(tabulate(groups | {"all": list(rows)}, UNPREPARED))
+
+
+def _hidden(group: Sequence[Entry], *, detectable: bool) -> list[Entry]:
+    """Cases that hide something which shows, or does not."""
+    return [row for row in group if row["effects"] and row["detectable"] is detectable]
+
+
+def _right(group: Sequence[Entry]) -> int:
+    """Cases in which what was found predicts as well as the true structure."""
+    return sum(ratio(row) <= AS_GOOD for row in group)
+
+
+UNPREPARED: dict[str, Callable[..., object]] = {
+    "vehicle": lambda vehicle, _: vehicle,
+    "hidden and detectable": lambda _, group: len(_hidden(group, detectable=True)),
+    "right": lambda _, group: _right(_hidden(group, detectable=True)),
+    "claims, mean": lambda _, group: "{:.2f}".format(
+        np.mean([len(row.get("steps", ())) for row in _hidden(group, detectable=True)] or [0])
+    ),
+    "right where not detectable": lambda _, group: (
+        f"{_right(weak)} of {len(weak)}" if (weak := _hidden(group, detectable=False)) else "-"
+    ),
+    "nothing hidden": lambda _, group: sum(not row["effects"] for row in group),
+    "claims there": lambda _, group: sum(claims(row) and not row["effects"] for row in group),
+    "aborted": lambda _, group: sum(map(aborted, group)),
+    "processor s, median": lambda _, group: "{:.0f}".format(
+        np.median([row["processor_seconds"] for row in group])
+    ),
+}

@@ -1,26 +1,28 @@
 """Run the improvement on vehicles that nobody tuned for, and tabulate how often it is right.
 
     OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles coaster motor --cases 20 --jobs 1
+    OMP_NUM_THREADS=1 python -m benchmarks.other_vehicles --cases 18 --unprepared
 
-Finished cases are kept as lines of JSON in the store and never computed again.
+Finished cases are kept as lines of JSON in the store and never computed again. ``--unprepared``
+names no candidate: `improve` makes its own from the model and the records. Names differ from
+those of the truth then, so that a case is judged by what the found model predicts: *right* is an
+error of whole validation runs of at most 1.05 times that of the true structure fitted to the same
+records.
 """
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Any
 
-from benchmarks.harness import RESULTS, Row, Store, run_cases, write_page
-from benchmarks.other_vehicles.cases import Draw, draws
+from benchmarks.harness import RESULTS, Row, Store
+from benchmarks.other_vehicles.cases import draws
 from benchmarks.other_vehicles.judge import judge
-from benchmarks.other_vehicles.measures import as_markdown, measures
+from benchmarks.other_vehicles.measures import as_markdown, measures, unprepared_table
 from benchmarks.other_vehicles.truth import VEHICLES
-from benchmarks.rates import summary
+from benchmarks.rates import settled, told
 
-STORE = RESULTS / "other_vehicles.jsonl"
 CASES = 60
 
 
@@ -29,13 +31,14 @@ def run(
     *,
     cases: int = CASES,
     only: Sequence[int] = (),
-    store: Path = STORE,
+    store: Path = RESULTS / "other_vehicles.jsonl",
     n_jobs: int = 1,
     limit: float = 600.0,
-    deadline: float | None = None,
+    minutes: float = 1e9,
+    prepared: bool = True,
     tell: Callable[[str], None] = print,
-) -> dict[str, Any]:
-    """Run all cases that are not in the store yet, and measure all that are.
+) -> list[Row]:
+    """Run all cases that are not in the store yet, and return all that are finished.
 
     Parameters
     ----------
@@ -45,36 +48,24 @@ def run(
         Cases of every vehicle.
     only : sequence of int
         Numbers of cases, where not all are wanted.
-    store, n_jobs, deadline, tell
-        See :func:`benchmarks.harness.run_cases`.
+    store, n_jobs, minutes, tell
+        See :func:`benchmarks.rates.settled`.
     limit : float
         Longest processor time that one improvement may take, s.
-
-    Returns
-    -------
-    dict
-        Measures, see :func:`benchmarks.other_vehicles.measures.measures`.
+    prepared : bool
+        Whether candidates are named.
     """
-    wanted = draws(vehicles, max((cases, *(number + 1 for number in only))))
-    if only:
-        wanted = [draw for draw in wanted if draw.number in only]
-    return measures(judged(wanted, store, n_jobs, deadline, tell, limit=limit))
-
-
-def judged(
-    wanted: Sequence[Draw],
-    store: Path,
-    n_jobs: int = 1,
-    deadline: float | None = None,
-    tell: Callable[[str], None] = print,
-    **settings: Any,
-) -> list[Row]:
-    """The wanted cases that are finished, after those that were missing have run."""
-    by_key = {draw.key: draw for draw in wanted}
-    return run_cases(
-        Store(store), list(by_key),
-        lambda left: (partial(judge, by_key[str(key)], **settings) for key in left),
-        n_jobs=n_jobs, deadline=deadline, tell=summary, say=tell,
+    wanted = {
+        draw.key: draw
+        for draw in draws(vehicles, max((cases, *(number + 1 for number in only))))
+        if not only or draw.number in only
+    }
+    # Candidates are named unless it is said, so that cases of a store are what they were.
+    settings = {"limit": limit} | ({} if prepared else {"prepared": False})
+    return settled(
+        store, wanted,
+        lambda left: (partial(judge, wanted[key], **settings) for key in left),
+        n_jobs=n_jobs, minutes=minutes, say=tell,
     )  # fmt: skip
 
 
@@ -84,10 +75,11 @@ def main(
     cases: int = CASES,
     only: Sequence[int] = (),
     jobs: int = 1,
-    store: Path = STORE,
+    store: Path | None = None,
     limit: float = 600.0,
     minutes: float = 1e9,
     measure: bool = False,
+    unprepared: bool = False,
     table: Path | None = None,
 ) -> None:
     """Run what is missing and print the measures.
@@ -110,17 +102,18 @@ def main(
         wait for no case after that
     measure : bool
         run nothing: measure what is there
+    unprepared : bool
+        name no candidate
     table : Path
         write the measures there as Markdown
     """
+    name = "unprepared" if unprepared else "other_vehicles"
+    place = store or RESULTS / f"{name}.jsonl"
     if measure:
-        found = measures([e for e in Store(store).rows() if e["vehicle"] in vehicles])
+        rows = [row for row in Store(place).rows() if row["vehicle"] in vehicles]
     else:
-        found = run(
-            vehicles, cases=cases, only=only, store=store, n_jobs=jobs, limit=limit,
-            deadline=time.time() + 60.0 * minutes,
+        rows = run(
+            vehicles, cases=cases, only=only, store=place, n_jobs=jobs, limit=limit,
+            minutes=minutes, prepared=not unprepared,
         )  # fmt: skip
-    text = as_markdown(found)
-    print(text)
-    if table:
-        write_page(table, text)
+    told(unprepared_table(rows) if unprepared else as_markdown(measures(rows)), table)

@@ -54,7 +54,6 @@ COMMANDED = "#6b737b"
 DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
 # Samples of one line that a browser draws without stutter.
 _MOST = 4000
-_ROW = 150  # px
 
 
 def name_of(channel: Input | Output | State) -> str:
@@ -117,7 +116,13 @@ def signals(
             line={"color": COMMANDED, "width": 1.5, "shape": shape}, name="commanded",
             legendgroup="commanded", showlegend=row == len(outputs) + 1, row=row, col=1,
         )  # fmt: skip
-    channels: tuple[Input | Output, ...] = (*outputs, *inputs)
+    _name_rows(figure, (*outputs, *inputs))
+    figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
+    return laid_out(figure, 150 * (rows + 1))
+
+
+def _name_rows(figure: go.Figure, channels: Sequence[Input | Output]) -> None:
+    """Write symbol and unit beside each row, and above it what the signal is called."""
     for row, signal in enumerate(channels, start=1):
         words = f"{signal.name} [{_unit(signal)}]"
         figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
@@ -126,8 +131,6 @@ def signals(
                 text=signal.label, xref="x domain", yref="y domain", x=0.0, y=1.0, xanchor="left",
                 yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
             )  # fmt: skip
-    figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
-    return laid_out(figure, _ROW * (rows + 1))
 
 
 def line_of_model(index: int) -> tuple[str, str]:
@@ -235,7 +238,7 @@ def _box(located: Located, place: Place, top: float) -> str:
     best = " best" if place.name == located.best else ""
     level = 4 if place.name in located.group else 0
     if not level and gain > CLEAR:
-        level = 1 + sum(behind < share * top for share in _NEAR)
+        level = 1 + (behind < 0.5 * top) + (behind < 0.1 * top)  # three strengths of one colour
     said = "best" if best else f"{behind:,.0f} behind" if gain > CLEAR else "chance"
     size = located.levels.get(place.name, 0.0)
     tip = f"{place.name}: likelihood-ratio statistic {gain:.0f}; size {size:.2g} {place.unit}"
@@ -245,8 +248,6 @@ def _box(located: Located, place: Place, top: float) -> str:
     )
 
 
-# Shares of the best gain that a place may be behind for the two stronger colours.
-_NEAR = (0.1, 0.5)
 # Stages of the chain, and what they are called.
 _STAGES = {
     "command": "command", "actuator": "actuator", "flow": "flow", "force": "forces",

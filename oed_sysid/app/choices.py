@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -15,14 +15,14 @@ import numpy as np
 import streamlit as st
 
 from oed_sysid.app import mapping, visit
-from oed_sysid.app.trust import check_trusted, check_uploads, consent
+from oed_sysid.app.mapping import Stock
+from oed_sysid.app.trust import check_trusted, check_uploads, consent, folder_of
 from oed_sysid.app.visit import chosen, kept
 from oed_sysid.cli.study import DEFAULT_MODEL, Study
 from oed_sysid.data.dataset import Dataset, read_csv
 from oed_sysid.data.logs import LogMapping
 from oed_sysid.data.third_party import data_folder, registered
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.problem import Problem, list_problems, load_problem
 from oed_sysid.experiments.simulation import simulate
 
@@ -48,20 +48,6 @@ def agreed() -> dict[str, bool]:
 def agree(source: str) -> None:
     """Let a problem be run in this session."""
     agreed()[consent(source)] = True
-
-
-@dataclass(frozen=True, eq=False)
-class Stock:
-    """Records to choose from; what was refused, and what looks odd."""
-
-    records: Dataset | None
-    refused: dict[str, str]
-    notes: tuple[str, ...] = ()
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the records."""
-        return () if self.records is None else self.records.names
 
 
 def problem_of(source: str, variant: str) -> Problem:
@@ -167,15 +153,6 @@ def _stamp(source: str) -> float:
     return max((file.stat().st_mtime for file in files), default=0.0)
 
 
-def folder_of(source: str) -> Path:
-    """Folder of a shipped problem or of the user's own."""
-    shipped = catalogue_folder()
-    if shipped is not None and source in list_problems():
-        return shipped / source
-    own = Path(source).expanduser()
-    return own.parent if own.is_file() else own
-
-
 @st.cache_resource(show_spinner="Reading the problem", max_entries=20)
 def _loaded(source: str, variant: str, stamp: float) -> Problem:
     return load_problem(source, variant=None if variant == DEFAULT_MODEL else variant)
@@ -194,14 +171,14 @@ def _mapped(source: str, problem: Problem) -> Stock:
 
 @st.cache_resource(show_spinner="Making records", max_entries=10)
 def _imported(source: str, asked: tuple[Any, ...], _made: LogMapping, _problem: Problem) -> Stock:
-    return Stock(*mapping.imported(mapping.opened_logs(source), _made, _problem.channels))
+    return mapping.imported(mapping.opened_logs(source), _made, _problem.channels)
 
 
 @st.cache_resource(show_spinner="Reading the files", max_entries=10)
 def _uploaded(source: str, variant: str, stamp: float, edition: str) -> Stock:
     files: dict[str, bytes] = st.session_state.get(visit.FILES + source, {})
     check_uploads(files)
-    return Stock(*read_uploads(_loaded(source, variant, stamp), files))
+    return read_uploads(_loaded(source, variant, stamp), files)
 
 
 @st.cache_resource(show_spinner="Reading the records", max_entries=10)
@@ -213,9 +190,7 @@ def _shipped(source: str, variant: str, stamp: float, origin: str) -> Dataset:
 # -- records -----------------------------------------------------------------------------
 
 
-def read_uploads(
-    problem: Problem, files: Mapping[str, bytes]
-) -> tuple[Dataset | None, dict[str, str], tuple[str, ...]]:
+def read_uploads(problem: Problem, files: Mapping[str, bytes]) -> Stock:
     """Read uploaded CSV files with the checks and messages of :func:`read_csv`.
 
     Parameters
@@ -227,19 +202,14 @@ def read_uploads(
 
     Returns
     -------
-    records : Dataset or None
-        Of the files that can be used.
-    refused : dict of str to str
-        Why the others cannot, by file name.
-    notes : tuple of str
-        What looks odd in those that can.
+    Stock
+        Its notes say what looks odd in the files that can be used.
     """
     with warnings.catch_warnings(record=True) as odd:
         warnings.simplefilter("always", UserWarning)
         found, refused = mapping.read_each(files, lambda path: read_csv(path, problem.channels))
-    notes = tuple(str(one.message) for one in odd if issubclass(one.category, UserWarning))
-    records = tuple(record for dataset in found.values() for record in dataset)
-    return (Dataset(records) if records else None), refused, notes
+    notes = (str(one.message) for one in odd if issubclass(one.category, UserWarning))
+    return Stock.of(chain.from_iterable(found.values()), refused, notes)
 
 
 def simulated(problem: Problem, *, seed: int = 0) -> Dataset:

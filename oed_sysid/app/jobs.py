@@ -24,7 +24,6 @@ import weakref
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +33,7 @@ from oed_sysid.cli.study import DEFAULT_MODEL, Study
 from oed_sysid.cli.terminal import Shown
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
-from oed_sysid.runtime.journal import CellStore
-from oed_sysid.runtime.version import __version__
+from oed_sysid.runtime.journal import CellStore, package_digest
 
 # Results held in memory and on disk; the longest unused go first.
 _HELD, _STORED = 40, 400
@@ -273,15 +271,7 @@ def said_of(error: Exception) -> str:
 
 def _name(key: str) -> str:
     """Name of a result: what was asked, and the program that answered."""
-    return f"{key} {_edition()}"
-
-
-@cache
-def _edition() -> str:
-    """Version of the package, and when its files were last changed."""
-    root = Path(__file__).parents[1]
-    newest = max((file.stat().st_mtime_ns for file in root.rglob("*.py")), default=0)
-    return f"{__version__} {newest}"
+    return f"{key} {package_digest()}"
 
 
 def _prune(folder: Path) -> None:

@@ -11,7 +11,7 @@ import io
 import json
 import re
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
@@ -181,9 +181,29 @@ def field_in(log: Log, name: str) -> str:
     return tails.get(name.partition(".")[2], "")
 
 
-def imported(
-    opened: Opened, mapping: LogMapping, channels: Channels
-) -> tuple[Dataset | None, dict[str, str], tuple[str, ...]]:
+@dataclass(frozen=True, eq=False)
+class Stock:
+    """Records to choose from; why files were refused, by their names; what looks odd."""
+
+    records: Dataset | None
+    refused: Mapping[str, str]
+    notes: tuple[str, ...] = ()
+
+    @classmethod
+    def of(
+        cls, records: Iterable[Record], refused: Mapping[str, str], notes: Iterable[str]
+    ) -> Stock:
+        """Return what there is; none is no dataset, and nothing is said twice."""
+        found = tuple(records)
+        return cls(Dataset(found) if found else None, refused, tuple(dict.fromkeys(notes)))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the records."""
+        return () if self.records is None else self.records.names
+
+
+def imported(opened: Opened, mapping: LogMapping, channels: Channels) -> Stock:
     """Make records of all files.
 
     Parameters
@@ -197,12 +217,8 @@ def imported(
 
     Returns
     -------
-    records : Dataset or None
-        Of the files that can be used.
-    refused : dict of str to str
-        Why the others cannot, by file name.
-    notes : tuple of str
-        What was done to the numbers.
+    Stock
+        Its notes say what was done to the numbers.
     """
     records: list[Record] = []
     refused = dict(opened.refused)
@@ -218,7 +234,7 @@ def imported(
             again = f"{Path(name).stem}_{record.name}"
             records.append(record.rename(again) if record.name in taken else record)
         notes += made.notes
-    return (Dataset(tuple(records)) if records else None), refused, tuple(dict.fromkeys(notes))
+    return Stock.of(records, refused, notes)
 
 
 def plain_name(name: str) -> str:
@@ -524,19 +540,23 @@ def _read_mapping(source: str) -> None:
         state[f"mapping refused:{source}"] = str(error)
         return
     for name, one in {**made.inputs, **made.outputs}.items():
-        fixed, si = to_si(one.constant or 0.0, one.unit or "1")
-        found = {
-            "field": one.field or NOT_LOGGED, "unit": one.unit or "", "flip": one.sign == -1,
-            "wrap": one.wrap, "constant": float(fixed) * shown_unit(si)[0],
-            **{fact: float(getattr(one, fact)) for fact in ("factor", "trim", "delay")},
-        }  # fmt: skip
-        state.update({_place(source, name, fact): value for fact, value in found.items()})
-    cuts: dict[str, Any] = {}
+        facts = _answers(one)
+        state.update({_place(source, name, fact): value for fact, value in facts.items()})
+    how, cuts = WHOLE, dict[str, Any]()
     if made.cuts:
-        cuts = dict(zip(_SPAN, (made.cuts[0].start, made.cuts[0].stop), strict=True))
-        state[visit.kept("map", source, "cuts")] = BY_TIME
+        how, cuts = BY_TIME, dict(zip(_SPAN, (made.cuts[0].start, made.cuts[0].stop), strict=True))
     if (by := made.by_commands) is not None:
-        cuts = {name: getattr(by, name) for name in _AROUND}
-        state[visit.kept("map", source, "cuts")] = BY_COMMANDS
+        how, cuts = BY_COMMANDS, {name: getattr(by, name) for name in _AROUND}
+    state[visit.kept("map", source, "cuts")] = how
     state.update({visit.kept("map", source, name): float(one) for name, one in cuts.items()})
     visit.files_changed()
+
+
+def _answers(one: Source) -> dict[str, Any]:
+    """What would have been answered about a channel; see :func:`_source`."""
+    fixed, si = to_si(one.constant or 0.0, one.unit or "1")
+    return {
+        "field": one.field or NOT_LOGGED, "unit": one.unit or "", "flip": one.sign == -1,
+        "wrap": one.wrap, "constant": float(fixed) * shown_unit(si)[0],
+        **{fact: float(getattr(one, fact)) for fact in ("factor", "trim", "delay")},
+    }  # fmt: skip

@@ -54,6 +54,11 @@ def show() -> None:
     if len(problem.variants) > 1:
         variant = right.selectbox("Model", problem.variants, key=visit.kept("variant", source))
         problem = choices.problem_of(source, variant)
+    _describe(problem, source, variant)
+
+
+def _describe(problem: Problem, source: str, variant: str) -> None:
+    """Show what a problem holds, and ask for its records."""
     st.header(problem.title)
     if problem.description:
         st.write(problem.description)
@@ -181,15 +186,7 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         "correlation in time included."
     )
     right.toggle("Noise levels are known", key=visit.kept("known_noise", source), help=says)
-    if origin == choices.UPLOADED:
-        columns = ", ".join(
-            f"{one.column or one.name} [{shown_unit(one.unit)[1] or '-'}]"
-            for one in problem.channels.all
-        )
-        words = f"Columns: t [s], {columns}. Other units in the header are converted."
-        mapping.take_files(words, source, ("csv",))
-    elif origin == choices.MAPPED:
-        mapping.show(problem, source)
+    _ask_files(origin, problem, source)
     try:
         stock = choices.stock(source, variant, origin)
     except NothingMappedError as error:
@@ -202,15 +199,32 @@ def _records(problem: Problem, source: str, variant: str) -> None:
         st.caption(f"*{choices.MAPPED}* takes files with other names of columns, units and signs.")
     if stock.notes:
         st.info("  \n".join(stock.notes))
-    if stock.records is None:
-        return
+    if stock.records is not None:
+        _share_out(stock, source, variant, origin)
+        look_at(stock.records, f"{source}:{origin}")
+
+
+def _share_out(stock: mapping.Stock, source: str, variant: str, origin: str) -> None:
+    """Ask which records are for training and which for validation."""
     try:
         choices.selection(source, variant, origin, stock.names)
     finally:
         for column, (side, label, says) in zip(st.columns(2), _SIDES, strict=True):
             key = visit.kept(side, source, variant, origin)
             column.multiselect(label, stock.names, key=key, help=says, wrap=True)
-    look_at(stock.records, f"{source}:{origin}")
+
+
+def _ask_files(origin: str, problem: Problem, source: str) -> None:
+    """Ask for the user's own records, as CSV files or as logs."""
+    if origin == choices.UPLOADED:
+        columns = ", ".join(
+            f"{one.column or one.name} [{shown_unit(one.unit)[1] or '-'}]"
+            for one in problem.channels.all
+        )
+        words = f"Columns: t [s], {columns}. Other units in the header are converted."
+        mapping.take_files(words, source, ("csv",))
+    elif origin == choices.MAPPED:
+        mapping.show(problem, source)
 
 
 def _candidates(problem: Problem) -> Table:

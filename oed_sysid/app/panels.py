@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from html import escape
+from mimetypes import guess_type
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,6 @@ from oed_sysid.cli.tasks import TASKS
 from oed_sysid.results import style_sheet
 from oed_sysid.runtime.display import Report, Section
 
-_POLL = 0.5  # s between looks at a running job
 Pictures = Mapping[str, Callable[[], None]]
 
 
@@ -60,14 +60,14 @@ def ask(
         Of the widget.
     """
     row = row_of(task, name)
-    option = next(one for one in options_of(TASKS[task].run) if one.name == name)
-    several, kind = str(option.kind).startswith("tuple"), str(option.kind)
+    option = {one.name: one for one in options_of(TASKS[task].run)}[name]
+    kind = str(option.kind)
     words = row.label or row.help.partition(".")[0]
     offered = list(row.choices if choices is None else choices)
     key = visit.kept(study.source, study.variant, task, name)
     settings = {"key": key, "help": row.help, "placeholder": "as usual", **settings}
     begin = option.default if first is None else first
-    if several:
+    if kind.startswith("tuple"):
         visit.preset(key, list(begin))
         return tuple(place.multiselect(words, offered, **settings))
     if offered:
@@ -79,9 +79,8 @@ def ask(
             format_func=lambda one: row.words.get(str(one), str(one)), **settings,
         )  # fmt: skip
     visit.preset(key, begin)
-    whole = "int" in kind
-    least = row.least if whole or row.least is None else float(row.least)
-    form = "%d" if whole else "%.4g"
+    number, form = (int, "%d") if "int" in kind else (float, "%.4g")
+    least = None if row.least is None else number(row.least)
     return place.number_input(words, min_value=least, format=form, **settings)
 
 
@@ -144,13 +143,12 @@ def _work(
     """Offer work, show its progress, and return its outcome once there is one."""
     name, desk = visit.study_id(), visit.desk()
     key = f"{getattr(request.task, 'name', '')} {digest(repr(request.options), *study.key)}"
-    job = desk.find(name, key)
-    if job is None and unasked:
-        job = desk.ask(name, key, request)
+    job = desk.find(name, key) or (desk.ask(name, key, request) if unasked else None)
     asked = visit.asked()
-    if job is not None and (job.at_work or unasked):
+    if unasked:
         asked[key] = about
     if job is not None and job.at_work:
+        asked[key] = about
         _progress(job)
         return None
     if job is not None and job.state == "done" and key in asked:
@@ -175,7 +173,7 @@ def _say_ended(job: Job | None, *, asked: bool) -> None:
         st.info("Stopped. Press again to begin anew.")
 
 
-@st.fragment(run_every=_POLL)
+@st.fragment(run_every=0.5)  # s between looks at a running job
 def _progress(job: Job) -> None:
     """What a job is doing; the whole page is drawn anew at its end."""
     if not job.at_work:
@@ -232,9 +230,8 @@ def download(
     label: str, content: Callable[[], str | bytes], file: str, *, wide: bool = False
 ) -> None:
     """Offer a file that is made when it is asked for."""
-    kind = {"zip": "application/zip", "html": "text/html", "csv": "text/csv"}
     st.download_button(
-        label, content, file, kind.get(file.rpartition(".")[2], "text/plain"), on_click="ignore",
+        label, content, file, guess_type(file)[0] or "text/plain", on_click="ignore",
         key=f"download:{file}", width="stretch" if wide else "content",
     )  # fmt: skip
 

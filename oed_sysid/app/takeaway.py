@@ -10,14 +10,13 @@ from typing import Any
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.choices import folder_of
 from oed_sysid.app.panels import download, html_download, message, written, zipped
+from oed_sysid.app.trust import folder_of
 from oed_sysid.app.visit import Asked
 from oed_sysid.cli.script import whole
 from oed_sysid.cli.study import Outcome, Study, digest
-from oed_sysid.cli.tasks import TASKS, Played
+from oed_sysid.cli.tasks import TASKS, Played, write_runs
 from oed_sysid.cli.terminal import Shown
-from oed_sysid.data.dataset import write_csv
 from oed_sysid.design import Design
 from oed_sysid.errors import OedSysidError
 from oed_sysid.export import export
@@ -181,9 +180,8 @@ def model_archive(fit: Fit, kind: str, trim: Mapping[str, float] | None = None) 
 def write_records(study: Study, folder: Path) -> None:
     """Write the folders ``train`` and ``test``, one CSV file per record."""
     for part, dataset in (("train", study.train), ("test", study.test)):
-        for record in dataset or ():
-            make_folder(folder / part)
-            write_csv(record, folder / part / f"{record.name.replace('/', '_')}.csv")
+        if dataset is not None:
+            write_runs(dataset, folder / part)
 
 
 def problem_archive(study: Study, fits: Mapping[str, Fit]) -> bytes:

@@ -17,19 +17,27 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from oed_sysid.errors import OedSysidError
+from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.problem import list_problems
 from oed_sysid.runtime.files import private
 
 # The secret of this run, from who starts the server to the script that it executes.
 SECRET = "OED_SYSID_APP_SECRET"
-# Files of code of a folder that are looked at.
-_MOST_FILES = 1000
 # Uploads of one session: files, and bytes together.
 MOST_UPLOADS, MOST_BYTES = 500, 400 * 1024**2
 
 
 class NotTrustedError(OedSysidError):
     """A problem's file is not run before the user agrees."""
+
+
+def folder_of(source: str) -> Path:
+    """Folder of a shipped problem or of the user's own."""
+    shipped = catalogue_folder()
+    if shipped is not None and source in list_problems():
+        return shipped / source
+    own = Path(source).expanduser()
+    return own.parent if own.is_file() else own
 
 
 def code_of(source: str) -> dict[Path, str]:
@@ -40,14 +48,10 @@ def code_of(source: str) -> dict[Path, str]:
     source : str
         Shipped name, folder, or ``problem.py`` itself.
     """
-    if source in list_problems():
+    place, folder = Path(source).expanduser(), folder_of(source)
+    if source in list_problems() or not (place.is_file() or (folder / "problem.py").is_file()):
         return {}
-    place = Path(source).expanduser()
-    folder = place.parent if place.is_file() else place
-    if not place.is_file() and not (folder / "problem.py").is_file():
-        return {}
-    files = sorted(folder.glob("*.py"))[:_MOST_FILES]
-    files += sorted(folder.glob("*/*.py"))[:_MOST_FILES]
+    files = [one for form in ("*.py", "*/*.py") for one in sorted(folder.glob(form))[:1000]]
     return {path: path.read_text(encoding="utf-8", errors="replace") for path in files}
 
 

@@ -25,66 +25,28 @@ import numpy as np
 
 from oed_sysid.baselines.contest import (
     BELIEVERS,
-    CONTESTANTS,
     OURS,
     OURS_BELIEVING,
-    POPULATIONS,
     QUICK,
     UNITS,
     Cell,
-    Contestant,
     Outcome,
-    Scenario,
     contestant_by_name,
     load_scenario,
     run_cell,
 )
-from oed_sysid.baselines.world import IDEAL, WORLDS, World, world_by_name
+from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.errors import ProblemError
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.runtime.parallel import CellProgress, run_cells
 
-__all__ = [
-    "CONTESTANTS",
-    "OURS",
-    "POPULATIONS",
-    "PROBLEMS",
-    "QUICK",
-    "UNITS",
-    "WORLDS",
-    "Benchmark",
-    "Cell",
-    "Contestant",
-    "Outcome",
-    "Row",
-    "Scenario",
-    "Verdict",
-    "World",
-    "as_csv",
-    "as_markdown",
-    "benchmark",
-    "load_scenario",
-    "measure",
-    "run_cell",
-    "verdicts",
-]
+__all__ = ["PROBLEMS", "Benchmark", "Row", "Verdict", "benchmark", "measure", "verdicts"]
 
 # A parameter counts as determined where the data allow a standard error below this share.
 DETERMINED = 0.25
-
-
-# Two estimators are not told apart where their errors differ by less than this share.
+# Two estimators are not told apart where their errors differ by less than this share; they are
+# called alike where even the scatter of the runs leaves no room for more than twice as much.
 EQUAL = 0.05
-
-
-# They are called alike where even the scatter of the runs leaves no room for more than this.
-ALIKE = 2 * EQUAL
-
-
-# From so many runs on their scatter is known well enough to be used.
-MANY = 5
-
-
 # Less than this no measurement is about.
 EXACT = 1e-6
 
@@ -188,6 +150,7 @@ class Verdict:
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
     """Aggregate runs over seeds; rows keep the order of settings, the best first in each."""
+    # Estimators are compared within a setting only: problem, sampling, noise and world.
     settings: dict[tuple[str, int, float, str], dict[str, list[Outcome]]] = {}
     for outcome in outcomes:
         cell = outcome.cell
@@ -211,6 +174,7 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
             continue
         own = mine[row.setting]
         ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
+        # Pairs of runs on the same records: what these have in common cancels.
         logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
         outcome = _outcome(ratio, logs)
         found.append(
@@ -226,21 +190,18 @@ def _outcome(ratio: float, logs: np.ndarray) -> str:
     """
     low, high = float(logs.min()), float(logs.max())
     told_apart = low >= -np.log(1 + EQUAL) or high <= np.log(1 + EQUAL)
-    if len(logs) >= MANY:
+    if len(logs) >= 5:  # their scatter is known well enough to be used
         two_errors = 2.0 * float(np.std(logs, ddof=1)) / np.sqrt(len(logs))
         low, high = np.mean(logs) - two_errors, np.mean(logs) + two_errors
         told_apart = low > 0 or high < 0
     if abs(np.log(ratio)) > np.log(1 + EQUAL) and told_apart:
         return "better" if ratio > 1 else "worse"
-    return "equal" if max(-low, high) < np.log(1 + ALIKE) else "undecided"
+    return "equal" if max(-low, high) < np.log(1 + 2 * EQUAL) else "undecided"
 
 
 def _row(runs: Sequence[Outcome]) -> Row:
     cell = runs[0].cell
-    names = tuple(runs[0].bounds)
-    # One run without estimates is as wrong as knowing nothing.
-    errors = np.array([[run.errors.get(name, -1.0) for name in names] for run in runs])
-    bounds = np.sqrt(np.mean([[run.bounds[n] ** 2 for n in names] for run in runs], axis=0))
+    errors, bounds = _errors_and_bounds(runs)
     known = bounds < DETERMINED
     each = np.sqrt(np.mean(errors**2, axis=0))
     covered = [held for run in runs for held in run.covered.values()]
@@ -259,7 +220,7 @@ def _row(runs: Sequence[Outcome]) -> Row:
         refused=refused,
         rmse_determined=_root_mean_square(each[known]),
         n_determined=int(known.sum()),
-        n_parameters=len(names),
+        n_parameters=len(bounds),
         rmse=_root_mean_square(each),
         median_rmse=float(np.median(each)),
         bound=_root_mean_square(bounds[known]),
@@ -269,9 +230,17 @@ def _row(runs: Sequence[Outcome]) -> Row:
         seconds=_median(runs, "seconds"),
         iterations=_median(runs, "iterations"),
         reason="" if refused else max(failures, key=failures.count, default=""),
-        by_seed=tuple(_root_mean_square(run[known]) for run in errors),
+        by_seed=tuple(map(_root_mean_square, errors[:, known])),
         world=cell.world,
     )
+
+
+def _errors_and_bounds(runs: Sequence[Outcome]) -> tuple[np.ndarray, np.ndarray]:
+    """Relative errors ``(n_runs, n_parameters)``, root mean square of the Cramer-Rao bounds."""
+    # One run without estimates is as wrong as knowing nothing.
+    errors = np.array([[run.errors.get(name, -1.0) for name in run.bounds] for run in runs])
+    bounds = np.array([list(run.bounds.values()) for run in runs])
+    return errors, np.sqrt(np.mean(bounds**2, axis=0))
 
 
 def _median(runs: Sequence[Outcome], name: str) -> float:
@@ -505,8 +474,6 @@ def benchmark(
     OedSysidError
         If a name is unknown, or a problem cannot be benchmarked.
     """
-    if noise_unit not in UNITS:
-        raise ProblemError(f"The unit of noise is {noise_unit!r}. Choose {' or '.join(UNITS)}.")
     if seeds < 1 or min(sampling, default=0) < 1:
         raise ProblemError("Give at least one seed, and sampling factors of 1 or more.")
     for name in estimators:

@@ -14,21 +14,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from oed_sysid.baselines import (
-    CovarianceMatrixAdaptation,
-    DifferentialEvolution,
-    DifferentialSwarm,
-    EquationError,
-    GibbsRegression,
-    HeadingDifferences,
-    JointKalmanFilter,
-    LeastSquaresSVM,
-    OnlineRegression,
-    OutputError,
-    ParticleSwarm,
-    SupportVectorRegression,
-    TotalLeastSquares,
-)
+from oed_sysid import baselines as methods
 from oed_sysid.baselines.kalman import RELATIVE_PRIOR
 from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.data.dataset import Dataset
@@ -154,6 +140,7 @@ def load_scenario(problem: str) -> Scenario:
             "be relative to it. Fix the parameter or give it a value."
         )
     outputs = [simulate(model, experiment, noise=False).outputs for experiment in train]
+    # Excursions from the start: an absolute depth or heading would hide small motions.
     peaks = np.max([np.abs(one - one[0]).max(axis=0) for one in outputs], axis=0)
     return Scenario(problem, model, train, test, peaks)
 
@@ -268,22 +255,24 @@ CONTESTANTS: Mapping[str, Contestant] = {
     OURS_DISTURBED: Contestant(AUTOMATIC),
     OURS_BELIEVING: Contestant(PLAIN, believes=True),
     OURS_DISTURBED_BELIEVING: Contestant(AUTOMATIC, believes=True),
-    "output_error": Contestant(OutputError()),
-    "equation_error": Contestant(EquationError()),
-    "equation_error_simpson": Contestant(EquationError(rule="simpson")),
-    "total_least_squares": Contestant(TotalLeastSquares()),
-    "ls_svm": Contestant(LeastSquaresSVM()),
-    "online_ls_svm": Contestant(OnlineRegression(C=3e5)),
-    "svr": Contestant(SupportVectorRegression()),
-    "gibbs": Contestant(GibbsRegression(n_draws=500, burn_in=200)),
-    "ekf": Contestant(JointKalmanFilter()),
-    "ukf": Contestant(JointKalmanFilter(kind="unscented")),
-    "heading_differences": Contestant(HeadingDifferences()),
-    "heading_differences_central": Contestant(HeadingDifferences("central")),
-    "differential_swarm": Contestant(DifferentialSwarm(n_workers=1), knows_start=True),
-    "differential_evolution": Contestant(DifferentialEvolution(n_workers=1), knows_start=True),
-    "cma_es": Contestant(CovarianceMatrixAdaptation(n_workers=1), knows_start=True),
-    "particle_swarm": Contestant(ParticleSwarm(n_workers=1), knows_start=True),
+    "output_error": Contestant(methods.OutputError()),
+    "equation_error": Contestant(methods.EquationError()),
+    "equation_error_simpson": Contestant(methods.EquationError(rule="simpson")),
+    "total_least_squares": Contestant(methods.TotalLeastSquares()),
+    "ls_svm": Contestant(methods.LeastSquaresSVM()),
+    "online_ls_svm": Contestant(methods.OnlineRegression(C=3e5)),
+    "svr": Contestant(methods.SupportVectorRegression()),
+    "gibbs": Contestant(methods.GibbsRegression(n_draws=500, burn_in=200)),
+    "ekf": Contestant(methods.JointKalmanFilter()),
+    "ukf": Contestant(methods.JointKalmanFilter(kind="unscented")),
+    "heading_differences": Contestant(methods.HeadingDifferences()),
+    "heading_differences_central": Contestant(methods.HeadingDifferences("central")),
+    "differential_swarm": Contestant(methods.DifferentialSwarm(n_workers=1), knows_start=True),
+    "differential_evolution": Contestant(
+        methods.DifferentialEvolution(n_workers=1), knows_start=True
+    ),
+    "cma_es": Contestant(methods.CovarianceMatrixAdaptation(n_workers=1), knows_start=True),
+    "particle_swarm": Contestant(methods.ParticleSwarm(n_workers=1), knows_start=True),
 }
 
 
@@ -321,8 +310,6 @@ def with_beliefs(model: Model) -> Model:
     return _changed(model, believed)
 
 
-# Raised whenever the same cell would give another result.
-FORMAT, WORLD_FORMAT = 1, 3
 # What numerical methods end with on hard data; everything else is a fault of a program, which
 # has no place in a table of methods.
 GAVE_UP = (ValueError, ArithmeticError, RuntimeError, np.linalg.LinAlgError)
@@ -367,8 +354,9 @@ class Cell:
         if self.world == IDEAL:  # as runs were named before there were worlds
             del fields["world"]
         else:
-            fields["world"] = (world_by_name(self.world), WORLD_FORMAT)
-        content = f"{FORMAT} {fields} {load_scenario(self.problem).digest} {settings!r}"
+            fields["world"] = (world_by_name(self.world), 3)
+        # Numbers (1 here, 3 of worlds) are raised whenever the same cell would give another result.
+        content = f"1 {fields} {load_scenario(self.problem).digest} {settings!r}"
         digest = hashlib.sha256(content.encode()).hexdigest()[:12]
         world = "" if self.world == IDEAL else f"{self.world} "
         return (
@@ -378,6 +366,7 @@ class Cell:
 
     def rng(self, purpose: str) -> np.random.Generator:
         """Random numbers that all estimators and noise levels share."""
+        # Neither estimator nor noise level is in the seed: all are given the same draws.
         word = f"{self.problem} {purpose} {self.sampling}"
         return np.random.default_rng([zlib.crc32(word.encode()), self.seed])
 
@@ -436,6 +425,7 @@ def run_cell(cell: Cell) -> Outcome:
     rng, noisy = cell.rng("noise"), bool(sigma.any())
     dataset = Dataset(tuple(world.record(model, run, rng=rng, noise=noisy) for run in runs))
     noise = [world.noise(model, run) for run in runs]
+    # Cramer-Rao bounds at the truth, with all that is random told.
     bounds = dict(zip(model.free_names, _bounds(model, dataset, noise), strict=True))
     contestant = contestant_by_name(cell.estimator)
     handed = world.believed(_away(model, cell, world.start), cell.rng("known"))

@@ -130,6 +130,7 @@ def regression_form(model: Model) -> RegressionForm:
     if not model.free_parameters:
         raise ModelError(f"Model {model.name!r} has no free parameter. Free some with model.free.")
     check_together(model, "a regression")
+    # Inertia times rate minus forces: its derivatives by the parameters are the regressors.
     graph = build(model)
     x, rate, d, p, t = (graph.balance.sx_in(i) for i in range(5))
     p_free = p[list(graph.free_indices), 0]
@@ -142,6 +143,7 @@ def regression_form(model: Model) -> RegressionForm:
     regressors = -slope[rows.tolist(), :]
     # The target is what is left when every free parameter is zero.
     target = ca.substitute(residual[rows.tolist(), 0], p_free, ca.DM.zeros(len(names)))
+    # Only states that the rows hold have to be measured; a position, say, may be left out.
     both = ca.vertcat(target, ca.vec(regressors))
     needed = tuple(
         name
@@ -155,6 +157,7 @@ def regression_form(model: Model) -> RegressionForm:
         {"cse": True},
     )
     _check_measured(model, needed)
+    _check_sensors(model, needed)
     return RegressionForm(
         model=model,
         names=names,
@@ -167,13 +170,9 @@ def regression_form(model: Model) -> RegressionForm:
 
 def _check_linear(model: Model, graph: Graph, slope: ca.SX, p_free: ca.SX) -> None:
     """Raise where a parameter acts elsewhere than linearly in the equations of motion."""
-    names, free = model.free_names, list(graph.free_indices)
+    names = model.free_names
     in_motion = (np.array(ca.DM(slope.sparsity(), 1.0)) != 0).any(axis=0)
-    in_actuators = np.zeros(len(names), dtype=bool)
-    if graph.actuate.size1_out(0):
-        for output in range(2):
-            pattern = np.array(ca.DM(graph.actuate.jac_sparsity(output, 2), 1.0))
-            in_actuators |= (pattern[:, free] != 0).any(axis=0)
+    in_actuators = _act_on_actuators(graph)
     for index, name in enumerate(names):
         if in_actuators[index]:
             raise ModelError(
@@ -185,6 +184,7 @@ def _check_linear(model: Model, graph: Graph, slope: ca.SX, p_free: ca.SX) -> No
                 f"{name} of model {model.name!r} does not appear in the equations of motion (it "
                 f"belongs to a sensor, a start value or nothing): {INSTEAD}."
             )
+    # Linear in all together: no derivative may hold any of the parameters.
     wrong = [name for i, name in enumerate(names) if ca.depends_on(slope, p_free[i])]
     if wrong:
         states = [
@@ -200,9 +200,20 @@ def _check_linear(model: Model, graph: Graph, slope: ca.SX, p_free: ca.SX) -> No
         )
 
 
+def _act_on_actuators(graph: Graph) -> np.ndarray:
+    """Whether each free parameter changes an actuator's signal or memory, ``(n_free,)``."""
+    free = list(graph.free_indices)
+    acts = np.zeros(len(free), dtype=bool)
+    if graph.actuate.size1_out(0):
+        for output in range(2):  # signals, then memory
+            pattern = np.array(ca.DM(graph.actuate.jac_sparsity(output, 2), 1.0))
+            acts |= (pattern[:, free] != 0).any(axis=0)
+    return acts
+
+
 def _check_measured(model: Model, needed: tuple[str, ...]) -> None:
-    """Raise where a state of the equations is not measured as it is."""
-    measured = {output.source: output.name for output in model.outputs}
+    """Raise where a state of the equations is not measured."""
+    measured = {output.source for output in model.outputs}
     missing = [name for name in needed if name not in measured]
     if missing:
         raise ModelError(
@@ -210,10 +221,15 @@ def _check_measured(model: Model, needed: tuple[str, ...]) -> None:
             f"output measures. Measured are {', '.join(model.output_names)}. Add an output, or use "
             "MultipleShooting, which estimates states that are not measured."
         )
+
+
+def _check_sensors(model: Model, needed: tuple[str, ...]) -> None:
+    """Raise where a state of the equations is measured otherwise than as it is."""
+    measured = {output.source: output.name for output in model.outputs}
     for effect in model.effects:
-        if effect.stage != "sensor" or not any(p.value for p in effect.parameters):
-            continue
-        touched = [name for name in needed if measured[name] in effect.terms]
+        # At zero a sensor effect is absent.
+        acts = effect.stage == "sensor" and any(p.value for p in effect.parameters)
+        touched = [name for name in needed if acts and measured[name] in effect.terms]
         if touched:
             raise ModelError(
                 f"The measurement of {', '.join(touched)} passes the sensor effect "
@@ -438,6 +454,7 @@ def actuator_signals(
     if not size:
         return after, before
     if graph.n_actuator_memory == 0:
+        # Without memory all moments are independent, and one call takes them all.
         steps = np.diff(times, append=2 * times[-1] - times[-2])
         empty = np.empty((0, len(times)))
         h = np.minimum(steps, model.step)
@@ -451,6 +468,7 @@ def actuator_signals(
         before[:] = after
         before[1:] = signals(np.vstack([ends, inputs[-1:]]))[:-1]
         return after, before
+    # With memory the actuators are integrated alone, in the steps of the simulation.
     z = np.array(graph.start(np.zeros(graph.n_own), inputs[0], values, times[0])).ravel()
     memory = z[graph.n_states : graph.n_states + graph.n_actuator_memory]
 
@@ -469,7 +487,7 @@ def actuator_signals(
             begin, end, now = inputs[k] + i * slope, inputs[k] + (i + 1) * slope, time + i * h
             if i + 1 == n_steps and k + 1 < len(times):
                 before[k + 1] = actuate(end, now, h)[0]
-            memory = actuate((begin + end) / 2, now, h)[1]
+            memory = actuate((begin + end) / 2, now, h)[1]  # command at the middle of the step
     before[0] = after[0]
     return after, before
 
@@ -500,6 +518,7 @@ def local_cubic(times: np.ndarray, series: np.ndarray, window: int) -> tuple[np.
     first = np.clip(np.arange(n) - width // 2, 0, n - width)
     index = first[:, None] + np.arange(width)
     offset = times[index] - times[:, None]
+    # Offsets of unit size keep the powers of the cubic comparable.
     scale = np.abs(offset).max(axis=1)
     basis = (offset / scale[:, None])[:, :, None] ** np.arange(min(4, width))
     weights = np.linalg.pinv(basis)  # (n, order, width)

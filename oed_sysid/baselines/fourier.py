@@ -31,9 +31,8 @@ E. A. Morelli, Real-time parameter estimation in the frequency domain, AIAA 99-4
 
 from __future__ import annotations
 
-import time as clock
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -44,12 +43,10 @@ from oed_sysid.baselines.equations import (
     rows_from,
     states_of,
 )
-from oed_sysid.baselines.online import Samples, streamed_form
-from oed_sysid.baselines.regression import Regression, fit_from_values, prior_rows, weighed
+from oed_sysid.baselines.online import EquationStream, Stream
+from oed_sysid.baselines.regression import Baseline, Regression, solve_rows
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import (
@@ -63,10 +60,6 @@ from oed_sysid.runtime.display import (
     share,
 )
 
-# Widest band: above this share of the sampling frequency a difference is no rate any more.
-SMOOTH = 0.2
-# The band reaches so far beyond the fastest motion of the nominal model.
-BEYOND = 2.0
 # Neighbouring frequencies of one value of the coherence; its bias is one over them.
 NEIGHBOURS = 5
 
@@ -74,7 +67,7 @@ Band = tuple[float, float]
 
 
 @dataclass(frozen=True)
-class FourierRegression:
+class FourierRegression(Baseline):
     """Equation error in a band of frequencies.
 
     Linear in the free parameters, every state of the equations measured. It needs no start values
@@ -108,31 +101,20 @@ class FourierRegression:
         band = "" if self.band is None else f", {self.band[0]:g} to {self.band[1]:g} Hz"
         return f"Fourier regression{band}"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters or a state is not measured.
-        DataError
-            If data and model do not belong together, or nothing of the band is left.
-        """
-        began = clock.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
-        form = regression_form(model)
-        total = Moments.none(form)
+        form, runs, count = regression_form(model), [], 0
         for record in dataset:
             length = float(record.times[-1] - record.times[0])
             period = float(np.median(np.diff(record.times)))
             frequencies = frequencies_of(form, length, period, self.band, self.without)
             states = states_of(form, record.outputs)
-            targets, regressors = rows_from(form, record.times, states, record.inputs, "trapezoid")
-            spectra = Spectra.none(form, frequencies)
-            spectra = spectra.plus(record.times - record.times[0], targets, regressors)
-            total = total.plus(spectra, factor=1.0)
-        found = Regression(*total.solve(model), facts={"n_frequencies": total.n_frequencies})
-        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
+            rows = rows_from(form, record.times, states, record.inputs, "trapezoid")
+            sums = summed(frequencies, record.times - record.times[0], *rows)
+            runs.append(real_rows(frequencies, *sums))
+            count += len(frequencies)
+        found = solve_rows(form, *zip(*runs, strict=True), coloured="never")
+        return replace(found, facts={"n_frequencies": count})
 
 
 def frequencies_of(
@@ -154,8 +136,9 @@ def frequencies_of(
     DataError
         If fewer frequencies are left than there are parameters of one equation.
     """
-    highest = SMOOTH / period
+    highest = 0.2 / period  # above it a difference is no rate any more
     low, high = band or (0.0 if _is_constant(form) else 0.5 / length, _fastest(form, highest))
+    # Only multiples of one over the length are independent of each other.
     multiples = np.arange(int(min(high, highest) * length) + 1) / length
     kept = multiples[multiples >= low - 1e-12]
     for lower, upper in without:
@@ -196,121 +179,51 @@ def _fastest(form: RegressionForm, highest: float) -> float:
         block = jacobian[np.ix_(rows, rows)]
         if np.isfinite(block).all() and len(rows):
             poles.append(float(np.abs(np.linalg.eigvals(block)).max()))
-    found = BEYOND * max(poles) / (2 * np.pi)
+    found = 2.0 * max(poles) / (2 * np.pi)
     return min(found, highest) if found > 0 else highest
 
 
-@dataclass(frozen=True, eq=False)
-class Spectra:
-    """Sums of one run over its rows.
+def summed(
+    frequencies: np.ndarray, times: np.ndarray, targets: np.ndarray, regressors: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums ``Y`` and ``X`` over rows of an equation between samples; gaps count not.
 
-    Attributes
+    Parameters
     ----------
     frequencies : ndarray (n_frequencies,)
         Hz.
+    times : ndarray (n_times,)
+        Of the samples, s.
+    targets : ndarray (n_times - 1, n_equations)
+    regressors : ndarray (n_times - 1, n_equations, n_free)
+
+    Returns
+    -------
     targets : ndarray of complex (n_frequencies, n_equations)
     regressors : ndarray of complex (n_frequencies, n_equations, n_free)
-    length : float
-        Of what has been summed, s.
     """
-
-    frequencies: np.ndarray
-    targets: np.ndarray
-    regressors: np.ndarray
-    length: float = 0.0
-
-    @classmethod
-    def none(cls, form: RegressionForm, frequencies: np.ndarray) -> Spectra:
-        """Nothing summed yet."""
-        shape = (len(frequencies), len(form.equations))
-        return cls(
-            frequencies, np.zeros(shape, complex), np.zeros((*shape, len(form.names)), complex)
-        )
-
-    def plus(self, times: np.ndarray, targets: np.ndarray, regressors: np.ndarray) -> Spectra:
-        """Return the sums with the rows between samples at ``times`` (n_times,); gaps count not."""
-        steps, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
-        whole = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
-        turned = steps * np.exp(-2j * np.pi * np.outer(self.frequencies, middle))
-        left = np.where(whole, targets, 0.0)
-        right = np.where(whole[:, :, None], regressors, 0.0)
-        return Spectra(
-            self.frequencies,
-            self.targets + turned @ left,
-            self.regressors + np.tensordot(turned, right, axes=1),
-            self.length + float(steps.sum()),
-        )
+    steps, middle = np.diff(times), 0.5 * (times[1:] + times[:-1])
+    whole = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
+    # A row between two samples acts at their middle, for as long as they are apart.
+    turned = steps * np.exp(-2j * np.pi * np.outer(frequencies, middle))
+    left = np.where(whole, targets, 0.0)
+    right = np.where(whole[:, :, None], regressors, 0.0)
+    return turned @ left, np.tensordot(turned, right, axes=1)
 
 
-@dataclass(frozen=True, eq=False)
-class Moments:
-    """Normal equations of every equation of motion, summed over runs.
+def real_rows(
+    frequencies: np.ndarray, *sums: np.ndarray, factor: float = 1.0
+) -> tuple[np.ndarray, ...]:
+    r"""Real and imaginary parts as rows, each counting by a factor, one if independent.
 
-    Attributes
-    ----------
-    matrix : ndarray (n_equations, n_free, n_free)
-    right : ndarray (n_equations, n_free)
-    square : ndarray (n_equations,)
-        Of the targets.
-    n_frequencies : int
-        Of all runs.
-    count : float
-        Real numbers behind each equation.
+    :math:`\Re(X^* X) = \Re X^T \Re X + \Im X^T \Im X`; at zero there is no imaginary part.
     """
-
-    matrix: np.ndarray
-    right: np.ndarray
-    square: np.ndarray
-    n_frequencies: int
-    count: float
-
-    @classmethod
-    def none(cls, form: RegressionForm) -> Moments:
-        """No run yet."""
-        n, m = len(form.equations), len(form.names)
-        return cls(np.zeros((n, m, m)), np.zeros((n, m)), np.zeros(n), 0, 0.0)
-
-    def plus(self, spectra: Spectra, *, factor: float) -> Moments:
-        """Return the sums with a run whose frequencies count by ``factor``, one if independent."""
-        x, y = spectra.regressors, spectra.targets
-        real = np.where(spectra.frequencies > 0, 2.0, 1.0)
-        return Moments(
-            self.matrix + factor * np.einsum("kia,kib->iab", x.conj(), x).real,
-            self.right + factor * np.einsum("kia,ki->ia", x.conj(), y).real,
-            self.square + factor * (np.abs(y) ** 2).sum(axis=0),
-            self.n_frequencies + len(spectra.frequencies),
-            self.count + factor * float(real.sum()),
-        )
-
-    def solve(self, model: Model) -> tuple[np.ndarray, np.ndarray]:
-        """Estimates ``(n_free,)`` and their covariance, priors of the model included."""
-        scale = np.array([p.magnitude for p in model.free_parameters])
-        matrix = self.matrix * scale[:, None] * scale
-        right = self.right * scale
-        rows, means = prior_rows(model)
-        known, known_right = (rows * scale).T @ (rows * scale), (rows * scale).T @ means
-        holds = np.diagonal(matrix, axis1=1, axis2=2) > 0
-        freedom = np.maximum(self.count - holds.sum(axis=1), 1.0)
-
-        def curvature(variances: np.ndarray) -> np.ndarray:
-            return np.tensordot(1 / variances, matrix, axes=1) + known
-
-        def estimated(variances: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-            aims = np.tensordot(1 / variances, right, axes=1) + known_right
-            values = np.linalg.pinv(curvature(variances), hermitian=True) @ aims
-            left = self.square - 2 * right @ values
-            left = left + np.einsum("iab,a,b->i", matrix, values, values)
-            return values, np.maximum(left / freedom, 1e-20 * np.maximum(self.square, 1e-280))
-
-        values, variances = weighed(estimated, np.maximum(self.square, 1e-300) / freedom)
-        information = Information.from_matrix(
-            model.free_names, curvature(variances) / scale[:, None] / scale, scale
-        )
-        return values * scale, information.covariance
+    moving = frequencies > 0
+    return tuple(np.sqrt(factor) * np.concatenate([part.real, part.imag[moving]]) for part in sums)
 
 
 @dataclass(eq=False)
-class FourierStream:
+class FourierStream(Stream):
     """Estimates with errors while a vehicle sails, one sample at a time.
 
     Parameters
@@ -351,29 +264,32 @@ class FourierStream:
                 f"The run lasts {self.duration} s with a sample every {self.period} s. Give a "
                 "length of many samples."
             )
-        self.form = streamed_form(self.model)
+        self._stream = EquationStream(self.model)
         self.frequencies = frequencies_of(
-            self.form, self.duration, self.period, self.band, self.without
+            self._stream.form, self.duration, self.period, self.band, self.without
         )
-        self._before, self._run = Moments.none(self.form), Samples(self.model)
+        self._before: list[tuple[np.ndarray, ...]] = []
+        self._start = 0.0
         self._begin()
 
     def _begin(self) -> None:
+        form, n = self._stream.form, len(self.frequencies)
+        shape = (n, len(form.equations))
+        self._sums = np.zeros(shape, complex), np.zeros((*shape, len(form.names)), complex)
         n_signals = len(self.model.input_names) + len(self.model.output_names)
-        self._spectra = Spectra.none(self.form, self.frequencies)
-        self._signals = np.zeros((len(self.frequencies), n_signals), complex)
-        self._last: tuple[float, np.ndarray, np.ndarray] | None = None
+        self._signals = np.zeros((n, n_signals), complex)
         self._solved: tuple[np.ndarray, np.ndarray] | None = None
-        self._start, self._run.last = 0.0, None
+        self.length = 0.0  # of what has been summed, s
+        self._stream.start()
 
     @property
     def n_samples(self) -> int:
         """Number of samples taken, of all runs."""
-        return self._run.count
+        return self._stream.run.count
 
     def start(self) -> None:
         """Begin a new run; what earlier ones told is kept."""
-        self._before = self._moments()
+        self._before = self._runs()
         self._begin()
 
     def push(self, time: float, sample: Mapping[str, float]) -> None:
@@ -386,53 +302,51 @@ class FourierStream:
         sample : mapping of str to float
             Commands and measured outputs by name, SI units; a missing output is NaN.
         """
-        inputs, outputs = self._run.read(time, sample)
-        if self._last is None:
+        for targets, regressors in self._stream.rows(time, sample):
+            (before, *first), (_, *last) = self._stream.samples
+            times = np.array([before, time]) - self._start
+            new = summed(self.frequencies, times, targets[None], regressors[None])
+            self._sums = self._sums[0] + new[0], self._sums[1] + new[1]
+            # Differences whiten drifting signals, whose slow part would outweigh the rest.
+            change = np.nan_to_num(np.concatenate(last) - np.concatenate(first))
+            middle = np.exp(-2j * np.pi * self.frequencies * times.mean())
+            self._signals += np.outer(middle, change)
+            self.length += time - before
+        if len(self._stream.samples) == 1:
             self._start = time
-        else:
-            before, first_inputs, first_outputs = self._last
-            times = np.array([before, time])
-            states = states_of(self.form, np.vstack([first_outputs, outputs]))
-            rows = rows_from(
-                self.form, times, states, np.vstack([first_inputs, inputs]), "trapezoid"
-            )
-            self._spectra = self._spectra.plus(times - self._start, *rows)
-            change = np.concatenate([inputs - first_inputs, outputs - first_outputs])
-            turned = np.exp(-2j * np.pi * self.frequencies * (0.5 * (before + time) - self._start))
-            self._signals += np.outer(turned, np.nan_to_num(change))
-        self._last, self._solved = (time, inputs, outputs), None
+        self._solved = None
 
-    def _moments(self) -> Moments:
-        """Of all runs; frequencies of one that goes on count by how much of it is over."""
-        if self._spectra.length == 0.0:
-            return self._before
-        factor = min(1.0, self._spectra.length / self.duration)
-        return self._before.plus(self._spectra, factor=factor)
+    def _runs(self) -> list[tuple[np.ndarray, ...]]:
+        """Rows of all runs; those of one that goes on count by how much of it is over."""
+        factor = min(1.0, self.length / self.duration)
+        return [*self._before, real_rows(self.frequencies, *self._sums, factor=factor)]
 
     def estimate(self) -> tuple[np.ndarray, np.ndarray]:
         """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
         if self._solved is None:
-            self._solved = self._moments().solve(self.model)
+            # Rows that count less are fewer, too.
+            targets, regressors = zip(*self._runs(), strict=True)
+            *whole, part = map(len, targets)
+            count = sum(whole) + min(1.0, self.length / self.duration) * part
+            found = solve_rows(
+                self._stream.form, targets, regressors, coloured="never", count=count
+            )
+            self._solved = found.estimates, found.covariance
         return self._solved
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Estimates by name."""
-        return dict(zip(self.model.free_names, self.estimate()[0].tolist(), strict=True))
 
     @property
     def relative_errors(self) -> dict[str, float]:
         """Standard errors over the sizes of the estimates, by name; inf where nothing is known."""
-        estimates, covariance = self.estimate()
-        with np.errstate(divide="ignore", invalid="ignore"):
-            shares = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / np.abs(estimates)
-        shares = np.nan_to_num(shares, nan=np.inf, posinf=np.inf)
-        return dict(zip(self.model.free_names, shares.tolist(), strict=True))
+        values = self.values
+        return {
+            name: std / abs(values[name]) if values[name] and np.isfinite(std) else np.inf
+            for name, std in self.std_errors.items()
+        }
 
     def coherence(self) -> dict[tuple[str, str], float]:
         """Coherence of every response with every input over the band, weighed by its power."""
         n = len(self.frequencies) // NEIGHBOURS * NEIGHBOURS
-        if n == 0 or self._spectra.length == 0.0:
+        if n == 0 or self.length == 0.0:
             return {}
         groups = self._signals[:n].reshape(-1, NEIGHBOURS, self._signals.shape[1])
         power = (np.abs(groups) ** 2).sum(axis=1)
@@ -468,7 +382,7 @@ class FourierStream:
         return Report(
             title=title or self.model.name,
             subtitle="While it sails",
-            answer=f"{self._spectra.length:.0f} s: {self.advice(goal)}",
+            answer=f"{self.length:.0f} s: {self.advice(goal)}",
             sections=(
                 Section(
                     "Estimates", (f"{len(self.frequencies)} frequencies up to "
@@ -487,7 +401,7 @@ class FourierStream:
     def to_dict(self) -> dict[str, Any]:
         """Return plain data."""
         return {
-            "seconds": self._spectra.length, "samples": self.n_samples, "values": self.values,
+            "seconds": self.length, "samples": self.n_samples, "values": self.values,
             "relative_errors": self.relative_errors,
             "coherence": [[*pair, value] for pair, value in self.coherence().items()],
         }  # fmt: skip
@@ -504,7 +418,7 @@ class FourierStream:
         worst = max(errors, key=lambda name: errors[name])
         if errors[worst] <= goal:
             return f"enough: every parameter is within {goal:.0%} ({worst} {share(errors[worst])})"
-        elapsed = self._spectra.length
+        elapsed = self.length
         if not np.isfinite(errors[worst]):
             return f"go on: nothing is known of {worst} yet"
         # Errors fall with the root of time where the excitation goes on as it does.

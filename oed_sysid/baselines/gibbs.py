@@ -52,6 +52,7 @@ def split_r_hat(draws: np.ndarray) -> np.ndarray:
     ----------
     Gelman et al. (2013), Bayesian data analysis, 3rd ed., sec. 11.4.
     """
+    # Halves show a chain that drifts, which has the same mean as another that does.
     half = draws.shape[1] // 2
     halves = np.concatenate([draws[:, :half], draws[:, half : 2 * half]])
     within = halves.var(axis=1, ddof=1).mean(axis=0)
@@ -154,10 +155,12 @@ def sample_posterior(
     mean0 = np.zeros(n) if mean is None else np.asarray(mean, dtype=float)
     gram, moment = features.T @ features, features.T @ targets
     energy = float(targets @ targets)
+    # Conjugate priors: normal for coefficients, inverse gamma (shape a) for the variance.
     a = shape + 0.5 * len(targets)
     centre = np.linalg.lstsq(features, targets, rcond=None)[0]
     start = float(np.mean((targets - features @ centre) ** 2)) + 1e-12 * energy / len(targets)
     spread = np.sqrt(start / np.maximum(np.diag(gram), 1e-300))
+    # Overdispersed starts: chains that agree after these have forgotten them.
     c = centre + 10.0 * spread * rng.standard_normal((n_chains, n))
     variance = start * np.exp(rng.uniform(-1, 1, n_chains))
     kept = np.empty((n_chains, n_draws, n))
@@ -177,6 +180,7 @@ def sample_posterior(
             unit = rng.standard_normal((n_chains, n))
             c = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
             c = c + np.linalg.solve(upper, unit[:, :, None])[:, :, 0]
+        # |y - Phi c|^2 from the normal equations: a draw costs nothing per sample.
         sse = energy - 2 * c @ moment + np.einsum("ci,ij,cj->c", c, gram, c)
         sse = np.maximum(sse, 1e-14 * energy)
         variance = (rate + 0.5 * sse) / rng.gamma(a, size=n_chains)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
@@ -12,16 +11,15 @@ from scipy.linalg import block_diag
 from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
+    Baseline,
     Regression,
     assumed_levels,
-    fit_from_values,
 )
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels, measured_columns, measured_states
 from oed_sysid.physics.model import Model
 
@@ -30,8 +28,6 @@ KINDS = ("extended", "unscented")
 START_SPREAD = 10.0
 # A start value without a prior is known to this share of its magnitude.
 RELATIVE_PRIOR = 0.5
-# Of a normal distribution, as it enters the covariance of the points of the unscented filter.
-PEAKEDNESS = 2.0
 DIVERGED = Status(
     "diverged",
     "the filter diverged. Start closer, give smaller parameter_std, add process_std, or "
@@ -44,7 +40,7 @@ INCONSISTENT, ENOUGH = 2.0, 50
 
 
 @dataclass(frozen=True)
-class JointKalmanFilter:
+class JointKalmanFilter(Baseline):
     r"""Kalman filter whose state is the vehicle's state and the free parameters.
 
     The extended filter linearises one step with the exact derivatives of the
@@ -80,6 +76,13 @@ class JointKalmanFilter:
         of the one before and the first uncertainty, so that errors stay those
         of a single pass.
 
+    Notes
+    -----
+    Values and covariance of a fit are those after the last sample; its ``extras`` hold
+    ``history`` and ``history_std`` by parameter, one number per sample of the last
+    pass, and ``innovation`` (root mean square innovation in units of
+    its stated standard deviation, one where the filter is honest).
+
     References
     ----------
     Ljung (1979), Asymptotic behavior of the extended Kalman filter as a parameter
@@ -111,23 +114,8 @@ class JointKalmanFilter:
         passes = "" if self.passes == 1 else f", {self.passes} passes"
         return f"{self.kind} Kalman filter of states and parameters{passes}"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Filter all records in turn; parameters are carried over.
-
-        Returns
-        -------
-        Fit
-            Values and covariance after the last sample. ``extras``: ``history``
-            and ``history_std`` by parameter, one number per sample of the last
-            pass, and ``innovation`` (root mean square innovation in units of
-            its stated standard deviation, one where the filter is honest).
-
-        Raises
-        ------
-        ModelError
-            If the settings name unknown states or parameters.
-        """
-        began = time.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
+        """Filter all records in turn; parameters are carried over."""
         check_channels(model, dataset)
         self.check(model)
         filter_ = JointFilter(self, model, assumed_levels(model, dataset))
@@ -150,10 +138,7 @@ class JointKalmanFilter:
             "history_std": dict(zip(model.free_names, spreads.T, strict=True)),
             "innovation": filter_.innovation,
         }
-        found = Regression(values, covariance, status=status, iterations=len(tracks), facts=extras)
-        return fit_from_values(
-            model, dataset, found, estimator=self.name, began=began, known=self.initial
-        )
+        return Regression(values, covariance, status=status, iterations=len(tracks), facts=extras)
 
     def check(self, model: Model) -> None:
         """Raise :class:`ModelError` where settings and model do not belong together."""
@@ -325,6 +310,7 @@ class JointFilter:
         for name, value in self.settings.initial.items():
             own[model.state_names.index(name)] = value
         z, dz = self.kernel.start(own, inputs, self._all(values), time)
+        # Memory of actuators and sensors starts in equilibrium with states and parameters.
         shape = np.vstack([dz, np.eye(n_own + n_free)[n_own:]])
         spread = shape @ block_diag(np.diag(std**2), covariance) @ shape.T
         self.mean = np.concatenate([z, values]) / self.scale
@@ -353,6 +339,7 @@ class JointFilter:
         assert run.output_sensitivities is not None
         assert run.end_sensitivities is not None
         if row:
+            # Exact derivatives of the step; parameters stay as they are.
             transition = np.eye(len(full))
             transition[:n_z] = run.end_sensitivities[0]
             transition = transition * self.scale / self.scale[:, None]
@@ -383,7 +370,7 @@ class JointFilter:
         away, change = points[1:] - points[0], outputs[1:] - outputs[0]
         weight = 0.5 / reach**2
         shift, expected = weight * away.sum(axis=0), weight * change.sum(axis=0)
-        both = PEAKEDNESS - reach**2 / n
+        both = 2.0 - reach**2 / n  # 2: peakedness of a normal distribution
         self.mean = points[0] + shift
         self.spread = weight * away.T @ away + both * np.outer(shift, shift)
         if row:
@@ -397,6 +384,7 @@ class JointFilter:
         seen = np.flatnonzero(np.isfinite(innovation))
         if not len(seen):
             return
+        # S = C P C' + R, scaled to a unit diagonal: outputs differ by orders of magnitude.
         total = expected[np.ix_(seen, seen)] + np.diag(self.sigma[seen] ** 2)
         unit = np.sqrt(np.diag(total))
         scaled = total / unit[:, None] / unit
@@ -405,8 +393,10 @@ class JointFilter:
             return
         gain = np.linalg.solve(scaled, (cross[:, seen] / unit).T).T / unit
         self.mean = self.mean + gain @ innovation[seen]
+        # P - K C P, made symmetric against rounding.
         spread = self.spread - gain @ cross[:, seen].T
         self.spread = 0.5 * (spread + spread.T)
+        # A value beyond its bounds could not be simulated with.
         free = slice(self.n_z, None)
         self.mean[free] = np.clip(self.mean[free], self.lower / self.unit, self.upper / self.unit)
         self._squares += float(innovation[seen] @ np.linalg.solve(total, innovation[seen]))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,20 +15,19 @@ from oed_sysid.baselines.equations import (
     rows_of,
 )
 from oed_sysid.baselines.regression import (
+    Baseline,
     EquationSolution,
     Regression,
     RegressionEstimator,
     assumed_levels,
     column_norms,
     each_equation,
-    fit_from_values,
     residual_covariance,
     solve_rows,
 )
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics.model import Model
 
@@ -106,11 +104,7 @@ class EquationError(RegressionEstimator):
         return f"equation error ({self.rule} derivatives{window})"
 
     def _solve(self, rows: Rows) -> Regression:
-        return solve_rows(rows, coloured=self.coloured)
-
-
-# Perturbed copies of the data that measure how noise enters the columns.
-COPIES = 12
+        return solve_rows(rows.form, rows.targets, rows.regressors, coloured=self.coloured)
 
 
 @dataclass(frozen=True)
@@ -182,7 +176,8 @@ class TotalLeastSquares(RegressionEstimator):
             for index in range(len(form.equations))
         ]
         targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
-        for _ in range(COPIES):
+        n_copies = 12  # of the data, to measure how noise enters the columns
+        for _ in range(n_copies):
             copies = [
                 record.with_outputs(
                     record.outputs + sigma * rng.standard_normal(record.outputs.shape)
@@ -196,7 +191,7 @@ class TotalLeastSquares(RegressionEstimator):
                 change = np.column_stack([by_regressor[:, index, columns], by_target[:, index]])
                 change = change[np.isfinite(change).all(axis=1)]
                 sums[index] = sums[index] + change.T @ change / max(len(change), 1)
-        return [total / COPIES for total in sums]
+        return [total / n_copies for total in sums]
 
 
 def generalised_tls(
@@ -232,6 +227,7 @@ def generalised_tls(
     values = np.maximum(values, 1e-14 * values[0])
     whitener = vectors.T / values
     scaled = errors / norms[:, None] / norms
+    # Largest eigenvalue of W in the metric of D'D: the least ratio without inverting W.
     inner = whitener.T @ scaled @ whitener
     found, directions = np.linalg.eigh(0.5 * (inner + inner.T))
     direction = whitener @ directions[:, -1] / norms
@@ -252,6 +248,7 @@ def _covariance(
     residual = target - regressors @ values
     variance = float(residual @ residual) / max(n - n_parameters, 1)
     norms = column_norms(regressors)
+    # Noise in the regressors adds n W to X'X, which says nothing of the parameters.
     curvature = regressors.T @ regressors - n * errors[:-1, :-1]
     bread = np.linalg.pinv(curvature / norms[:, None] / norms, hermitian=True)
     bread = bread / norms[:, None] / norms
@@ -262,7 +259,7 @@ SCHEMES = ("forward", "central")
 
 
 @dataclass(frozen=True)
-class HeadingDifferences:
+class HeadingDifferences(Baseline):
     r"""Least squares for :math:`T\ddot\psi + \dot\psi = K\delta` from sampled headings.
 
     With :math:`D` the sample time, the published ``"forward"`` scheme is
@@ -302,17 +299,7 @@ class HeadingDifferences:
         """Name and settings, for reports."""
         return f"heading differences ({self.scheme})"
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate gain and time constant of a first-order Nomoto model.
-
-        Raises
-        ------
-        ModelError
-            If the model has other free parameters than the two.
-        DataError
-            If a record is not uniform, or its rows do not determine the two.
-        """
-        began = time.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
         if set(model.free_names) != {self.gain, self.time_constant}:
             raise ModelError(
@@ -334,14 +321,14 @@ class HeadingDifferences:
         errors = right - matrix @ [first, second]
         variance = float(errors @ errors) / max(len(right) - 2, 1)
         inner = variance * np.linalg.inv(matrix.T @ matrix)
+        # First-order propagation from (K/T, -1/T) to T and K.
         slopes = {
             self.time_constant: np.array([0.0, 1.0 / second**2]),
             self.gain: np.array([-1.0 / second, first / second**2]),
         }
         jacobian = np.array([slopes[name] for name in model.free_names])
         estimates = np.array([values[name] for name in model.free_names])
-        found = Regression(estimates, jacobian @ inner @ jacobian.T)
-        return fit_from_values(model, dataset, found, estimator=self.name, began=began)
+        return Regression(estimates, jacobian @ inner @ jacobian.T)
 
     def _rows(self, record: Record) -> tuple[np.ndarray, np.ndarray]:
         """Rows ``(n, 2)`` and right-hand sides ``(n,)`` of a record, as accelerations."""

@@ -13,8 +13,9 @@
 from __future__ import annotations
 
 import warnings
+from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,7 +25,6 @@ from oed_sysid.baselines.equations import (
     SPANS,
     WINDOW,
     Rates,
-    RegressionForm,
     Rows,
     check_rule,
     regression_form,
@@ -40,9 +40,10 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.baselines.support_vectors import (
     WEIGHT,
-    KernelFunction,
-    LinearKernel,
+    Kernel,
     check_weight,
+    dual_solution,
+    linear_kernel,
 )
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.likelihood.estimator import check_choice
@@ -98,8 +99,8 @@ def check_window(window: int | None) -> None:
         raise ModelError(f"window is {window}. Keep at least two samples.")
 
 
-class SquareRootMachine(OnlineMachine):
-    r"""Linear least squares whose state is a triangular factor, whatever was learnt.
+class RecursiveLeastSquares(OnlineMachine):
+    r"""Least squares, with exponential forgetting for parameters that drift.
 
     Of the rows :math:`(z, y)` learnt so far only ``R`` and ``d`` are kept, with
     :math:`\lVert R\theta - d\rVert^2` equal to their sum of squares but for a constant; a sample
@@ -109,106 +110,6 @@ class SquareRootMachine(OnlineMachine):
         Q^T\begin{bmatrix}\sqrt\lambda R & \sqrt\lambda d\\ z^T & y\end{bmatrix} =
         \begin{bmatrix}R' & d'\\ 0 & e\end{bmatrix} .
 
-    Bierman (1977), Factorization methods for discrete sequential estimation, sec. II.2 and V.
-    """
-
-    forgetting = 1.0
-    _factor: np.ndarray
-    n_samples: int
-
-    def _learn(self, row: np.ndarray, target: float) -> None:
-        """Add one row ``(n,)``; what was known before counts less by the factor of forgetting."""
-        rows = np.vstack([np.sqrt(self.forgetting) * self._factor, np.append(row, target)])
-        self._factor = np.asarray(np.linalg.qr(rows, mode="r"))[: row.size]
-        self.n_samples += 1
-
-    def _solved(self) -> np.ndarray:
-        """Values ``(n,)`` of least squares."""
-        return solve_triangular(self._factor[:, :-1], self._factor[:, -1])
-
-    @property
-    def inverse(self) -> np.ndarray:
-        """Inverse of the normal matrix ``(n, n)``.
-
-        Times the variance of the errors it is the covariance of the estimates.
-        """
-        self.linear()
-        root = solve_triangular(self._factor[:, :-1], np.eye(len(self._factor)))
-        return root @ root.T
-
-
-class RecursiveLSSVM(SquareRootMachine):
-    r"""The linear LS-SVM, bias included, as an exact recursion of flat cost.
-
-    The primal normal matrix of :math:`z = (x, 1)`,
-    :math:`A_t = \sum zz^T + \mathrm{diag}(I/C, 0)`, changes by one outer product
-    per sample, and its factor (:class:`SquareRootMachine`) by one row. It begins as
-    the square root of :math:`\mathrm{diag}(I/C, 0)`: the bias is known from the first
-    sample on. With a ``window`` the samples are kept, and the factor is made
-    anew of those when asked for: taking a row out of a factor loses digits.
-
-    Parameters
-    ----------
-    C : float
-        Weight of the errors.
-    window : int or None
-        Number of latest samples to learn from; all by default.
-
-    Notes
-    -----
-    Equal to the batch solution: with :math:`\Gamma = XX^T + I/C` and
-    :math:`w = X^T\alpha`, the condition :math:`1^T\alpha = 0` is the bias row of
-    ``A``, and :math:`X^T(y - 1b) = (X^TX + I/C)\,w` the others.
-
-    References
-    ----------
-    Sherman & Morrison (1950), Ann. Math. Statist. 21, for the update; Xu, Zou &
-    Yin (2012), J. Ship Mechanics 16(3), for the problem that it solves.
-
-    Examples
-    --------
-    >>> machine = RecursiveLSSVM(C=1e6)
-    >>> machine.start([[0.0], [1.0]], [1.0, 3.0])
-    >>> machine.update([2.0], 5.0)
-    >>> print(machine.coefficients.round(4), round(machine.bias, 4))
-    [2.] 1.0
-    """
-
-    def __init__(self, *, C: float = WEIGHT, window: int | None = None) -> None:
-        check_weight(C)
-        check_window(window)
-        self.C, self.window = C, window
-        self.forget()
-
-    def forget(self) -> None:
-        """Forget all samples."""
-        self._factor = np.empty((0, 0))
-        self._kept: deque[tuple[np.ndarray, float]] = deque(maxlen=self.window)
-        self.n_samples = 0
-
-    def update(self, features: np.ndarray, target: float) -> None:
-        """Learn one sample, features ``(n_features,)``."""
-        row = np.append(np.asarray(features, dtype=float), 1.0)
-        if self.window is not None:
-            self._kept.append((row, target))
-            self.n_samples = 0
-        if not self.n_samples:
-            self._factor = np.diag([*np.full(row.size - 1, self.C**-0.5), 0.0])
-            self._factor = np.column_stack([self._factor, np.zeros(row.size)])
-        for known in self._kept if self.window is not None else ((row, target),):
-            self._learn(*known)
-
-    def linear(self) -> tuple[np.ndarray, float]:
-        """Coefficients and bias, at the cost of one solution."""
-        if not self.n_samples:
-            raise ModelError("The machine has learnt nothing yet. Call start or update.")
-        values = self._solved()
-        return values[:-1], float(values[-1])
-
-
-class RecursiveLeastSquares(SquareRootMachine):
-    r"""Least squares with exponential forgetting, for parameters that drift.
-
     A sample that is ``n`` samples old counts :math:`\lambda^n`.
 
     Parameters
@@ -216,7 +117,7 @@ class RecursiveLeastSquares(SquareRootMachine):
     values : ndarray (n_features,)
         Start values.
     std : float or ndarray (n_features,)
-        How uncertain they are, in units of the errors.
+        How uncertain they are, in units of the errors; infinite where nothing is known.
     forgetting : float
         :math:`\lambda`, at most 1; the memory is about ``1/(1 - forgetting)``
         samples.
@@ -226,6 +127,7 @@ class RecursiveLeastSquares(SquareRootMachine):
 
     References
     ----------
+    Bierman (1977), Factorization methods for discrete sequential estimation, sec. II.2 and V;
     Ljung (1999), System identification: theory for the user, sec. 11.2.
 
     Examples
@@ -249,20 +151,115 @@ class RecursiveLeastSquares(SquareRootMachine):
             raise ModelError(f"forgetting is {forgetting}. Give a factor above 0, at most 1.")
         start = np.array(values, dtype=float).ravel()
         known = 1.0 / np.broadcast_to(np.asarray(std, dtype=float), start.shape)
-        self._factor = np.column_stack([np.diag(known), known * start])
+        self._factor = np.column_stack([np.diag(known), known * start])  # [R, d]
         self.forgetting, self.largest_std = forgetting, largest_std
         self.n_samples = 0
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
-        self._learn(np.asarray(features, dtype=float), float(target))
+        # A prior of standard deviation s is a row 1/s; forgetting lowers all rows alike.
+        self.learn(np.append(np.asarray(features, dtype=float), float(target))[None])
         if self.forgetting < 1:
             excess = np.trace(self.inverse) / (len(self._factor) * self.largest_std**2)
             self._factor *= np.sqrt(max(excess, 1.0))
 
+    def learn(self, rows: np.ndarray) -> None:
+        """Learn samples that count alike, features and target ``(n_samples, n_features + 1)``."""
+        stack = np.vstack([np.sqrt(self.forgetting) * self._factor, rows])
+        self._factor = np.asarray(np.linalg.qr(stack, mode="r"))[: len(self._factor)]
+        self.n_samples += len(rows)
+
     def linear(self) -> tuple[np.ndarray, float]:
         """Present values; there is no constant but one among the features."""
-        return self._solved(), 0.0
+        return solve_triangular(self._factor[:, :-1], self._factor[:, -1]), 0.0
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Inverse of the normal matrix ``(n_features, n_features)``.
+
+        Times the variance of the errors it is the covariance of the estimates.
+        """
+        root = solve_triangular(self._factor[:, :-1], np.eye(len(self._factor)))
+        return root @ root.T
+
+
+class RecursiveLSSVM(OnlineMachine):
+    r"""The linear LS-SVM, bias included, as an exact recursion of flat cost.
+
+    It is :class:`RecursiveLeastSquares` of the features and a constant, whose coefficients begin at
+    zero with a standard deviation of :math:`\sqrt C` and whose bias begins unknown: the primal
+    normal matrix of :math:`z = (x, 1)`,
+
+    .. math:: A_t = \sum zz^T + \mathrm{diag}(I/C, 0).
+
+    With a ``window`` the samples are kept, and the recursion begins anew with those: taking a row
+    out of a factor loses digits.
+
+    Parameters
+    ----------
+    C : float
+        Weight of the errors.
+    window : int or None
+        Number of latest samples to learn from; all by default.
+
+    Notes
+    -----
+    Equal to the batch solution: with :math:`\Gamma = XX^T + I/C` and
+    :math:`w = X^T\alpha`, the condition :math:`1^T\alpha = 0` is the bias row of
+    ``A``, and :math:`X^T(y - 1b) = (X^TX + I/C)\,w` the others.
+
+    References
+    ----------
+    Xu, Zou & Yin (2012), J. Ship Mechanics 16(3), for the problem that it solves.
+
+    Examples
+    --------
+    >>> machine = RecursiveLSSVM(C=1e6)
+    >>> machine.start([[0.0], [1.0]], [1.0, 3.0])
+    >>> machine.update([2.0], 5.0)
+    >>> print(machine.coefficients.round(4), round(machine.bias, 4))
+    [2.] 1.0
+    """
+
+    def __init__(self, *, C: float = WEIGHT, window: int | None = None) -> None:
+        check_weight(C)
+        check_window(window)
+        self.C, self.window = C, window
+        self.forget()
+
+    def forget(self) -> None:
+        """Forget all samples."""
+        self._recursion: RecursiveLeastSquares | None = None
+        self._kept: deque[np.ndarray] = deque(maxlen=self.window or 1)
+
+    def update(self, features: np.ndarray, target: float) -> None:
+        """Learn one sample, features ``(n_features,)``."""
+        row = np.concatenate([np.asarray(features, dtype=float), [1.0, target]])
+        self._kept.append(row)  # the latest alone, where there is no window
+        if self._recursion is None or self.window is not None:
+            stds = np.append(np.full(row.size - 2, np.sqrt(self.C)), np.inf)
+            self._recursion = RecursiveLeastSquares(np.zeros(stds.size), std=stds)
+        self._recursion.learn(np.array(self._kept))
+
+    def _learnt(self) -> RecursiveLeastSquares:
+        if self._recursion is None:
+            raise ModelError("The machine has learnt nothing yet. Call start or update.")
+        return self._recursion
+
+    def linear(self) -> tuple[np.ndarray, float]:
+        """Coefficients and bias, at the cost of one solution."""
+        values, _ = self._learnt().linear()
+        return values[:-1], float(values[-1])
+
+    @property
+    def n_samples(self) -> int:
+        """Number of samples learnt, or kept in the window."""
+        return 0 if self._recursion is None else self._recursion.n_samples
+
+    @property
+    def inverse(self) -> np.ndarray:
+        """Inverse of the normal matrix ``(n_features + 1, n_features + 1)``."""
+        return self._learnt().inverse
 
 
 # Relative residual of the dual system above which the solution is announced as lost. Rounding
@@ -287,7 +284,7 @@ class IncrementalLSSVM(OnlineMachine):
     ----------
     C : float
         Weight of the errors.
-    kernel : callable, optional
+    kernel : callable
         Linear by default.
     bias : bool
         Whether there is a constant.
@@ -327,7 +324,7 @@ class IncrementalLSSVM(OnlineMachine):
         self,
         *,
         C: float = WEIGHT,
-        kernel: KernelFunction | None = None,
+        kernel: Kernel = linear_kernel,
         bias: bool = True,
         method: str = "cholesky",
         window: int | None = None,
@@ -337,8 +334,7 @@ class IncrementalLSSVM(OnlineMachine):
         check_choice("method", method, ("cholesky", "inverse"))
         check_window(window)
         self.C, self.bias_wanted, self.method = C, bias, method
-        self.kernel = kernel or LinearKernel()
-        self.window, self.refresh = window, refresh
+        self.kernel, self.window, self.refresh = kernel, window, refresh
         self._warned = False
         self.forget()
 
@@ -352,6 +348,7 @@ class IncrementalLSSVM(OnlineMachine):
         """Learn one sample, features ``(n_features,)``."""
         row, matrix, n = np.asarray(features, dtype=float).reshape(1, -1), self._matrix, len(self)
         known = self._features.reshape(n, row.size)
+        # Gamma grows by the inner products of the new sample with those known.
         border = self.kernel(known, row)
         corner = self.kernel(row, row) + 1.0 / self.C
         if self.method == "inverse":
@@ -388,7 +385,7 @@ class IncrementalLSSVM(OnlineMachine):
     def linear(self) -> tuple[np.ndarray, float]:
         """Coefficients of the features, of the linear kernel only, and the bias."""
         multipliers, bias = self.solution()
-        if not isinstance(self.kernel, LinearKernel):
+        if self.kernel is not linear_kernel:
             raise ModelError("Only the linear kernel has coefficients. Use predict.")
         return self._features.T @ multipliers, bias
 
@@ -436,8 +433,7 @@ class IncrementalLSSVM(OnlineMachine):
             solved = self._matrix @ columns
         else:
             solved = cho_solve((self._matrix, True), columns, check_finite=False)
-        bias = float(solved[:, 0].sum() / solved[:, 1].sum()) if self.bias_wanted else 0.0
-        return solved[:, 0] - bias * solved[:, 1], bias
+        return dual_solution(solved, self.bias_wanted)
 
     def _drop_oldest(self) -> None:
         old = self._matrix
@@ -544,6 +540,7 @@ class OnlineRegression(RegressionEstimator):
                 machine.update(columns[k], targets[k])
             # A machine that forgets has the constant among its coefficients.
             track[k] = np.append(*machine.linear())[: n + 1]
+        # Weights that the samples had in the end, for the stated errors.
         age = np.arange(len(targets))[::-1]
         if self.method == "forgetting":
             ridge, weights = 0.0, self.forgetting**age
@@ -554,6 +551,27 @@ class OnlineRegression(RegressionEstimator):
         )
 
 
+class Stream(ABC):
+    """What estimators on board have in common: what they know of the parameters by now."""
+
+    model: Model
+
+    @abstractmethod
+    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters as known by now."""
+        return dict(zip(self.model.free_names, self.estimate()[0].tolist(), strict=True))
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Their standard errors."""
+        stds = np.sqrt(np.maximum(np.diag(self.estimate()[1]), 0.0))
+        return dict(zip(self.model.free_names, stds.tolist(), strict=True))
+
+
 class Samples:
     """Samples of a run as they come, each later than the one before.
 
@@ -561,12 +579,10 @@ class Samples:
     ----------
     model : Model
         Whose inputs and outputs they are.
-    anew : str
-        What to do for a new run, for the message.
     """
 
-    def __init__(self, model: Model, anew: str = "Call start() for a new run.") -> None:
-        self.model, self.anew = model, anew
+    def __init__(self, model: Model) -> None:
+        self.model = model
         self.last: float | None = None
         self.count = 0
 
@@ -592,28 +608,11 @@ class Samples:
         if self.last is not None and not time > self.last:
             raise ModelError(
                 f"The sample at t = {time:g} s is not later than the one before, at "
-                f"{self.last:g} s. {self.anew}"
+                f"{self.last:g} s. Call start() for a new run."
             )
         self.last, self.count = time, self.count + 1
         inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
         return inputs, np.array([sample.get(name, np.nan) for name in self.model.output_names])
-
-
-def streamed_form(model: Model) -> RegressionForm:
-    """Targets and regressors of a model whose actuators keep no memory between samples.
-
-    Raises
-    ------
-    ModelError
-        If the equations are not linear in the free parameters, or an actuator has memory.
-    """
-    form = regression_form(model)
-    if form.graph.n_actuator_memory:
-        raise ModelError(
-            f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
-            "signals as inputs and leave the actuator effects out with model.without(...)."
-        )
-    return form
 
 
 @dataclass(frozen=True, eq=False)
@@ -660,18 +659,19 @@ class EquationStream:
     """
 
     def __init__(self, model: Model, *, rule: str = "trapezoid") -> None:
-        check_rule(rule, 9)
-        if rule not in SPANS:
-            raise ModelError(f"rule is {rule!r}. A stream knows {', '.join(SPANS)}.")
+        check_choice("rule", rule, tuple(SPANS))
         self.model, self.rule = model, rule
-        self.form, self._run = (
-            streamed_form(model),
-            Samples(model, "Start a new stream for a new run."),
-        )
+        self.form, self.run = regression_form(model), Samples(model)
+        if self.form.graph.n_actuator_memory:
+            raise ModelError(
+                f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
+                "signals as inputs and leave the actuator effects out with model.without(...)."
+            )
         # Positions of the free parameters that each equation holds.
+        # Eight random motions: a column that is zero in all of them is none of the equation.
         found = self.form.anywhere(8).transpose(1, 0, 2)
         self._owners = tuple(np.flatnonzero(block.any(axis=0)) for block in found)
-        self._samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)
+        self.samples: deque[tuple[float, np.ndarray, np.ndarray]] = deque(maxlen=SPANS[rule] + 1)
 
     @property
     def equations(self) -> tuple[str, ...]:
@@ -683,7 +683,7 @@ class EquationStream:
         owners = self._owners[self.form.equations.index(equation)]
         return tuple(self.form.names[i] for i in owners)
 
-    def push(self, time: float, sample: dict[str, float]) -> list[StreamRow]:
+    def push(self, time: float, sample: Mapping[str, float]) -> list[StreamRow]:
         """Take one sample; return one row per equation as soon as there are enough.
 
         Parameters
@@ -693,23 +693,32 @@ class EquationStream:
         sample : mapping of str to float
             Measured outputs and commands by name; a missing output is NaN.
         """
-        self._samples.append((time, *self._run.read(time, sample)))
-        if len(self._samples) <= SPANS[self.rule]:
-            return []
-        times, inputs, outputs = (np.array(part) for part in zip(*self._samples, strict=True))
-        states = states_of(self.form, outputs)
-        rows = rows_from(self.form, times, states, inputs, self.rule)
-        targets, regressors = rows[0][-1], rows[1][-1]
         return [
-            StreamRow(equation, regressors[i, owners], float(targets[i]))
-            for i, (equation, owners) in enumerate(
-                zip(self.form.equations, self._owners, strict=True)
+            StreamRow(equation, row[owners], float(target))
+            for targets, regressors in self.rows(time, sample)
+            for equation, owners, target, row in zip(
+                self.form.equations, self._owners, targets, regressors, strict=True
             )
-            if np.isfinite(targets[i]) and np.isfinite(regressors[i, owners]).all()
+            if np.isfinite(target) and np.isfinite(row[owners]).all()
         ]
 
+    def rows(
+        self, time: float, sample: Mapping[str, float]
+    ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """Targets ``(n_equations,)`` and regressors ``(n_equations, n_free)`` of a new sample."""
+        self.samples.append((time, *self.run.read(time, sample)))
+        if len(self.samples) > SPANS[self.rule]:
+            times, inputs, outputs = (np.array(part) for part in zip(*self.samples, strict=True))
+            states = states_of(self.form, outputs)
+            yield from zip(*rows_from(self.form, times, states, inputs, self.rule), strict=True)
 
-class KalmanStream:
+    def start(self) -> None:
+        """Begin a new run."""
+        self.samples.clear()
+        self.run.last = None
+
+
+class KalmanStream(Stream):
     """Parameters of a model while it sails: one :meth:`update` per sample.
 
     The same numbers, sample by sample, as :class:`JointKalmanFilter` plays back
@@ -771,14 +780,6 @@ class KalmanStream:
         """
         self._filter.take(time, *self._run.read(time, sample))
 
-    @property
-    def values(self) -> dict[str, float]:
-        """Parameters as known by now."""
-        values = self._filter.parameters[0]
-        return dict(zip(self.model.free_names, map(float, values), strict=True))
-
-    @property
-    def std_errors(self) -> dict[str, float]:
-        """Their standard errors."""
-        stds = np.sqrt(np.maximum(np.diag(self._filter.parameters[1]), 0.0))
-        return dict(zip(self.model.free_names, map(float, stds), strict=True))
+    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
+        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
+        return self._filter.parameters

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
@@ -16,10 +15,10 @@ from scipy.optimize import differential_evolution
 from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
     CONVERGED,
+    Baseline,
     Regression,
     are_coloured,
     assumed_levels,
-    fit_from_values,
     root_mean_square,
     sandwich,
 )
@@ -27,10 +26,8 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.experiments.trajectory import simulate_batch
-from oed_sysid.information.response import by_unknowns
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.start_guess import check_channels, first_state
@@ -69,12 +66,6 @@ UNFINISHED = Status(
     "start MultipleShooting from here with warm=fit.",
 )
 DIVERGED = Status("diverged", "every candidate diverged. Narrow the bounds, or reduce model.step.")
-
-
-# A diverging candidate costs this much, because the libraries want finite numbers.
-WORST = 1e30
-# Members simulated at once: bounds the memory of long records.
-CHUNK_BYTES = 64_000_000
 
 
 class TrajectoryCost:
@@ -132,8 +123,8 @@ class TrajectoryCost:
         return self.lower + shares * (self.upper - self.lower)
 
     def finite(self, population: np.ndarray) -> np.ndarray:
-        """Costs for libraries that want finite numbers: :data:`WORST` where the model diverges."""
-        return np.minimum(self(population), WORST)
+        """Costs for libraries that want finite numbers: 1e30 where the model diverges."""
+        return np.minimum(self(population), 1e30)
 
     def __call__(self, population: np.ndarray) -> np.ndarray:
         """Costs ``(n,)`` of candidates ``(n, n_free)``; infinite where the model diverges."""
@@ -143,11 +134,13 @@ class TrajectoryCost:
         total = np.zeros(len(population))
         count = 0
         for own, record in zip(self._starts, self.dataset, strict=True):
+            # A missing sample weighs nothing.
             present = np.isfinite(record.outputs)
             weights = present / self.scales
             measured = np.where(present, record.outputs, 0.0)
             count += int(present.sum())
-            room = max(1, CHUNK_BYTES // (8 * record.outputs.size))
+            # Members simulated at once: 64 MB, whatever the length of the record.
+            room = max(1, 64_000_000 // (8 * record.outputs.size))
             for first in range(0, len(values), room):
                 part = slice(first, first + room)
                 found = simulate_batch(
@@ -190,10 +183,9 @@ class TrajectoryCost:
         values[self._columns] = best
         jacobians, residuals, starts = [], [], []
         for own, record in zip(self._starts, self.dataset, strict=True):
-            z, dz = runner.start(own, record.inputs[0], values, record.times[0])
-            run = runner.run(record.times, record.inputs, values, z, sensitivities=True)
-            assert run.output_sensitivities is not None
-            slopes = by_unknowns(run.output_sensitivities, dz, runner.n_own)
+            run = runner.simulate(record.times, record.inputs, values, own, sensitivities=True)
+            slopes = run.output_sensitivities
+            assert slopes is not None
             residuals.append(record.outputs - run.outputs)
             seen = np.isfinite(residuals[-1])[:, :, None] & np.isfinite(slopes)
             by_start, by_free = np.split(np.where(seen, slopes, 0.0), [runner.n_own], axis=2)
@@ -269,46 +261,42 @@ def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, floa
     return peaks
 
 
-class TrajectorySearch(ABC):
-    """Search of the least misfit of trajectories: settings and the way to a fit that all share."""
+@dataclass(frozen=True, kw_only=True)
+class TrajectorySearch(Baseline):
+    """Search of the least misfit of trajectories: settings and the way to a fit that all share.
 
-    scale: str | Mapping[str, float]
-    initial: Mapping[str, float] | None
-    n_workers: int | None
+    Parameters
+    ----------
+    scale : str or mapping of str to float
+        Scale of the residuals of each output, see :class:`TrajectoryCost`.
+    initial : mapping of str to float
+        Known start of some states; others are measured, or zero.
+    seed : int
+        Of the random numbers; the same seed gives the same result.
+    n_workers : int or None
+        Threads; all cores by default.
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name and settings, for reports."""
+    Notes
+    -----
+    All free parameters need finite bounds. ``extras["evaluations"]`` of a fit says how many
+    candidates were simulated.
+    """
+
+    scale: str | Mapping[str, float] = "noise"
+    initial: Mapping[str, float] | None = None
+    seed: int = 0
+    n_workers: int | None = None
 
     @abstractmethod
     def _search(self, cost: TrajectoryCost) -> Regression:
         """Search the region for the least cost."""
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Search the free parameters within their bounds.
-
-        Returns
-        -------
-        Fit
-            ``extras["evaluations"]`` says how many candidates were simulated.
-
-        Raises
-        ------
-        ModelError
-            If a free parameter has no finite bounds, or an optional library is not installed.
-        """
-        began = time.perf_counter()
-        cost = TrajectoryCost(
-            model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
-        )
-        return fit_from_values(
-            model,
-            dataset,
-            self._search(cost),
-            estimator=self.name,
-            began=began,
-            known=cost.initial,
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
+        """Search the free parameters within their bounds."""
+        return self._search(
+            TrajectoryCost(
+                model, dataset, scale=self.scale, initial=self.initial, n_workers=self.n_workers
+            )
         )
 
 
@@ -340,18 +328,11 @@ class DifferentialSwarm(TrajectorySearch):
         Whether the two members of the difference must differ. The source does not say. Where they
         may be the same, now and then a particle moves on the line between its own best and the best
         of all, and the search converges many times faster (two problems, three seeds each).
-    scale : str or mapping of str to float
-        Scale of the residuals of each output, see
-        :class:`~oed_sysid.baselines.population.TrajectoryCost`.
-    initial : mapping of str to float
-        Known start of some states; others are measured, or zero.
     tolerance : float
         The swarm has converged when its costs differ by less than this share
         of the least one, or from it by less than this number.
-    seed : int
-        Of the random numbers; the same seed gives the same result.
-    n_workers : int or None
-        Threads; all cores by default.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
     progress : callable or None
         Called with the generation and the least cost.
 
@@ -368,11 +349,7 @@ class DifferentialSwarm(TrajectorySearch):
     omega: float = 1.0
     draw: str = "particle"
     distinct: bool = False
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
     tolerance: float = 1e-8
-    seed: int = 0
-    n_workers: int | None = None
     progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self) -> None:
@@ -426,13 +403,10 @@ class DifferentialSwarm(TrajectorySearch):
     def _moved(self, best: np.ndarray, leader: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """New positions ``(n_particles, n_free)``."""
         n, n_free = best.shape
-        columns = 1 if self.draw == "particle" else n_free
-        share = rng.uniform(size=(n, columns))
-        first = rng.integers(n, size=n)
+        share = rng.uniform(size=(n, 1 if self.draw == "particle" else n_free))
+        first, second = rng.integers(n, size=n), rng.integers(int(self.distinct), n, size=n)
         if self.distinct:
-            second = (first + rng.integers(1, n, size=n)) % n
-        else:
-            second = rng.integers(n, size=n)
+            second = (first + second) % n
         return share * best + (1 - share) * leader + self.omega * (best[first] - best[second])
 
 
@@ -460,12 +434,10 @@ class DifferentialEvolution(TrajectorySearch):
     ----------
     n_particles, n_generations : int
         Size of the population and number of generations.
-    scale, initial, n_workers
-        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
     tolerance : float
         Relative spread of the costs at which to stop.
-    seed : int
-        Of the random numbers.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
 
     References
     ----------
@@ -474,11 +446,7 @@ class DifferentialEvolution(TrajectorySearch):
 
     n_particles: int = 60
     n_generations: int = 400
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
     tolerance: float = 1e-6
-    seed: int = 0
-    n_workers: int | None = None
 
     @property
     def name(self) -> str:
@@ -491,7 +459,7 @@ class DifferentialEvolution(TrajectorySearch):
             lambda shares: cost.finite(cost.at(shares.T)),
             [(0.0, 1.0)] * n_free,
             maxiter=self.n_generations,
-            popsize=max(1, round(self.n_particles / n_free)),
+            popsize=max(1, round(self.n_particles / n_free)),  # SciPy counts per parameter
             tol=self.tolerance,
             rng=np.random.default_rng(self.seed),
             vectorized=True,
@@ -515,8 +483,8 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         Most generations.
     spread : float
         First standard deviation, as a share of the bounds' distance.
-    scale, initial, n_workers, seed
-        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
 
     References
     ----------
@@ -526,10 +494,6 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
     n_particles: int | None = None
     n_generations: int = 400
     spread: float = 0.25
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
-    seed: int = 0
-    n_workers: int | None = None
 
     @property
     def name(self) -> str:
@@ -550,7 +514,7 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         # From the middle of the bounds.
         run = cma.CMAEvolutionStrategy(np.full(len(cost.lower), 0.5), self.spread, options)
         while not run.stop():
-            members = np.array(run.ask())
+            members = np.array(run.ask())  # a whole generation is simulated at once
             run.tell(list(members), list(cost.finite(cost.at(members))))
         best = cost.at(np.clip(run.result.xbest, 0.0, 1.0))
         status = UNFINISHED if "maxiter" in run.stop() else CONVERGED
@@ -565,8 +529,8 @@ class ParticleSwarm(TrajectorySearch):
     ----------
     n_particles, n_generations : int
         Size of the swarm and number of moves.
-    scale, initial, n_workers, seed
-        See :class:`~oed_sysid.baselines.population.DifferentialSwarm`.
+    scale, initial, seed, n_workers
+        See :class:`TrajectorySearch`.
 
     References
     ----------
@@ -576,10 +540,6 @@ class ParticleSwarm(TrajectorySearch):
 
     n_particles: int = 60
     n_generations: int = 400
-    scale: str | Mapping[str, float] = "noise"
-    initial: Mapping[str, float] | None = None
-    seed: int = 0
-    n_workers: int | None = None
 
     @property
     def name(self) -> str:

@@ -23,7 +23,13 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed_sysid.baselines.equations import WINDOW, Rows, regression_form, rows_of
+from oed_sysid.baselines.equations import (
+    WINDOW,
+    RegressionForm,
+    Rows,
+    regression_form,
+    rows_of,
+)
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
@@ -37,7 +43,7 @@ from oed_sysid.likelihood.information import (
     effective_sample_size,
 )
 from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
-from oed_sysid.likelihood.start_guess import check_channels, first_state
+from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 
 CONVERGED = Status("converged", "")
@@ -79,14 +85,46 @@ class Regression:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def fit_from_values(
-    model: Model,
-    dataset: Dataset,
-    found: Regression,
-    *,
-    estimator: str,
-    began: float,
-    known: Mapping[str, float] | None = None,
+class Baseline(ABC):
+    """An estimator whose kind says how values and their covariance are found.
+
+    What the model then predicts is found by simulating each record from its first measurements,
+    or from ``initial``, the known start of some states in all records, where a kind has it.
+    """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """Name and settings, for reports."""
+
+    @abstractmethod
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
+        """Values of the free parameters, and their covariance."""
+
+    def fit(self, model: Model, dataset: Dataset) -> Fit:
+        """Estimate the free parameters from all records at once.
+
+        Divergence in simulation overrides the status of what was found.
+
+        Raises
+        ------
+        ModelError
+            If the method cannot treat the model; the message says why and what to do.
+        DataError
+            If data and model do not belong together, or do not determine the parameters.
+        """
+        began = time.perf_counter()
+        found = self._estimate(model, dataset)
+        known = getattr(self, "initial", None)
+        return replace(
+            simulated(model, dataset, found, known),
+            estimator=self.name,
+            seconds=time.perf_counter() - began,
+        )
+
+
+def simulated(
+    model: Model, dataset: Dataset, found: Regression, known: Mapping[str, float] | None
 ) -> Fit:
     """Simulate every record with the estimated values and build the result.
 
@@ -97,23 +135,17 @@ def fit_from_values(
     dataset : Dataset
         The records.
     found : Regression
-        Values and their covariance; divergence in simulation overrides its status.
-    estimator : str
-        Name for reports.
-    began : float
-        ``time.perf_counter()`` at the start.
+        Values and their covariance.
     known : mapping of str to float, optional
         Known start of some states in all records; others are measured, or zero.
     """
-    check_channels(model, dataset)
     names, values = model.free_names, np.asarray(found.estimates, dtype=float)
     fitted = model.with_values(_within_bounds(model, dict(zip(names, values, strict=True))))
     runner = kernel(fitted)
     runs, initial = [], []
     for record in dataset:
         own = first_state(model, record, known)
-        z, _ = runner.start(own, record.inputs[0], fitted.value_vector, record.times[0])
-        runs.append(runner.run(record.times, record.inputs, fitted.value_vector, z))
+        runs.append(runner.simulate(record.times, record.inputs, fitted.value_vector, own))
         initial.append(own)
     residuals = [record.outputs - run.outputs for record, run in zip(dataset, runs, strict=True)]
     declared, stacked = given_levels(model.outputs), np.vstack(residuals)
@@ -123,7 +155,7 @@ def fit_from_values(
     return Fit(
         model=fitted,
         dataset=dataset,
-        estimator=estimator,
+        estimator="",
         names=names,
         estimates=values,
         information=found.information or information_from_covariance(model, found.covariance),
@@ -139,7 +171,7 @@ def fit_from_values(
         cost=np.inf if diverged else 0.5 * float(np.nansum((stacked / sigma) ** 2)),
         status=Status("diverged", DIVERGED) if diverged else found.status,
         iterations=found.iterations,
-        seconds=time.perf_counter() - began,
+        seconds=0.0,
         posterior=found.posterior,
         extras=dict(found.facts),
     )
@@ -160,6 +192,7 @@ def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:
 
 def information_from_covariance(model: Model, covariance: np.ndarray) -> Information:
     """Information whose covariance is the given one; nothing where that is infinite."""
+    # In units of the parameters' magnitudes, so that one tolerance of rank serves all of them.
     scales = np.array([p.magnitude for p in model.free_parameters])
     scaled = np.asarray(covariance) / scales[:, None] / scales
     finite = np.isfinite(np.diag(scaled))
@@ -180,45 +213,23 @@ def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float
     return inside
 
 
-# Errors of an equation below this share of its target are rounding.
-ROUNDING = 1e-10
-# Most rounds of weighing equations by their own errors.
-ROUNDS = 20
-
-
-class RegressionEstimator(ABC):
+class RegressionEstimator(Baseline):
     """An estimator of linear equations of motion, by rows whose rates come from its ``rule``.
 
     A kind has the settings ``rule`` and, where it knows them, ``window`` (of a local cubic) and
-    ``rates``; its
-    ``apart`` says whether it solves each equation alone, so that none may share a parameter.
+    ``rates``; its ``apart`` says whether it solves each equation alone, so that none may share a
+    parameter. Models that are not linear in their free parameters, and states that are not
+    measured, are refused.
     """
 
     rule: str
     apart: ClassVar[bool] = True
 
-    @property
-    @abstractmethod
-    def name(self) -> str:
-        """Name and settings, for reports."""
-
     @abstractmethod
     def _solve(self, rows: Rows) -> Regression:
         """Solve the rows of all records."""
 
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters from all records at once.
-
-        Raises
-        ------
-        ModelError
-            If the model is not linear in its free parameters, a state is not measured, or
-            equations that are solved apart share a parameter; the message says which and what
-            to do.
-        DataError
-            If data and model do not belong together.
-        """
-        began = time.perf_counter()
+    def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         rows = rows_of(
             regression_form(model),
             dataset,
@@ -228,7 +239,7 @@ class RegressionEstimator(ABC):
         )
         if self.apart:
             rows.check_separate()
-        return fit_from_values(model, dataset, self._solve(rows), estimator=self.name, began=began)
+        return self._solve(rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,66 +281,71 @@ def each_equation(rows: Rows, solve: Callable[[int], EquationSolution]) -> Regre
     return Regression(estimates, covariance, coloured=coloured, facts=extras)
 
 
-def weighed(
-    solve: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]], levels: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Solve equations weighed by levels of their errors, which follow, until these settle.
-
-    Returns
-    -------
-    estimates : ndarray (n_free,)
-    levels : ndarray (n_equations,)
-    """
-    for _ in range(ROUNDS):
-        estimates, new = solve(levels)
-        change = np.abs(np.log(new / levels)).max()
-        levels = new
-        if change < 1e-6:
-            break
-    return estimates, levels
-
-
-def solve_rows(rows: Rows, *, coloured: str = "auto") -> Regression:
+def solve_rows(
+    form: RegressionForm,
+    runs_targets: Sequence[np.ndarray],
+    runs_regressors: Sequence[np.ndarray],
+    *,
+    coloured: str = "auto",
+    count: float | None = None,
+) -> Regression:
     """Solve all equations together, each weighted by the spread of its own errors.
 
     Where no parameter is shared this is ordinary least squares of each equation.
     Priors enter as observations; bounds are kept.
+
+    Parameters
+    ----------
+    form : RegressionForm
+        Equations and names.
+    runs_targets : sequence of ndarray (n_rows, n_equations)
+        One array per run; NaN where a measurement is missing.
+    runs_regressors : sequence of ndarray (n_rows, n_equations, n_free)
+    coloured : str
+        Whether errors that are correlated in time widen the covariance: ``"auto"``, ``"always"``
+        or ``"never"``.
+    count : float, optional
+        Independent numbers behind each equation; by default its rows.
     """
-    model, n_free, n_equations = rows.form.model, len(rows.form.names), len(rows.form.equations)
-    targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
+    model, n_free, n_equations = form.model, len(form.names), len(form.equations)
+    targets, regressors = np.vstack(runs_targets), np.vstack(runs_regressors)
     valid = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
     # A row with a gap is one of zeros, which says nothing.
     targets = np.where(valid, targets, 0.0)
     regressors = np.where(valid[:, :, None], regressors, 0.0)
+    # The first weights are sizes of the targets, as if the parameters were zero.
     spread = np.sqrt((targets**2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1))
     levels = np.where(spread > 0, spread, 1.0)
-    floor = ROUNDING * levels
-    freedom = np.maximum(valid.sum(axis=0) - n_free / n_equations, 1.0)
+    floor = 1e-10 * levels  # below it errors of an equation are rounding
+    numbers = valid.sum(axis=0) if count is None else count
+    freedom = np.maximum(numbers - n_free / n_equations, 1.0)
     known, known_targets = prior_rows(model)
 
     def whitened(levels: np.ndarray) -> np.ndarray:
         return np.vstack([(regressors / levels[:, None]).reshape(-1, n_free), known])
 
-    def solve(levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    for _ in range(20):  # each equation weighed by its own errors, until these settle
         right = np.concatenate([(targets / levels).ravel(), known_targets])
-        found = bounded_least_squares(whitened(levels), right, model)
-        errors = targets - regressors @ found
-        return found, np.maximum(np.sqrt((errors**2).sum(axis=0) / freedom), floor)
-
-    estimates, levels = weighed(solve, levels)
+        estimates = bounded_least_squares(whitened(levels), right, model)
+        errors = targets - regressors @ estimates
+        before, levels = levels, np.maximum(np.sqrt((errors**2).sum(axis=0) / freedom), floor)
+        if np.abs(np.log(levels / before)).max() < 1e-6:
+            break
     scales = np.array([p.magnitude for p in model.free_parameters])
-    information = Information.from_jacobian(rows.form.names, whitened(levels), scales)
-    residuals = tuple(t - r @ estimates for t, r in zip(rows.targets, rows.regressors, strict=True))
+    information = Information.from_jacobian(form.names, whitened(levels), scales)
+    runs = zip(runs_targets, runs_regressors, strict=True)
+    residuals = tuple(target - regressor @ estimates for target, regressor in runs)
     scaled = [residual / levels for residual in residuals]
     use = coloured == "always" or (coloured == "auto" and are_coloured(scaled))
     covariance = information.covariance
     if use:
-        ends = np.cumsum([len(t) for t in rows.targets])[:-1]
+        ends = np.cumsum([len(target) for target in runs_targets])[:-1]
         jacobians = np.split(regressors / levels[:, None], ends)
+        # A prior is one observation, and no series that could be correlated in time.
         middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
         covariance = sandwich(covariance, middle)
     extras = {
-        "equation_errors": dict(zip(rows.form.equations, map(float, levels), strict=True)),
+        "equation_errors": dict(zip(form.equations, map(float, levels), strict=True)),
         "equation_residuals": residuals,
     }
     return Regression(estimates, covariance, information, use, facts=extras)
@@ -349,6 +365,7 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
     upper = np.array([p.upper for p in model.free_parameters])
     if np.all(solution >= lower) and np.all(solution <= upper):
         return solution
+    # SciPy wants a lower bound below the upper one, also where both hold a value.
     open_upper = np.where(upper > lower, upper, np.nextafter(lower, np.inf))
     result = lsq_linear(matrix * scale, right, (lower / scale, open_upper / scale))
     return np.clip(scale * result.x, lower, upper)
@@ -385,7 +402,7 @@ def are_coloured(residuals: Sequence[np.ndarray]) -> bool:
     for residual in residuals:
         for column in residual.T:
             n = int(np.isfinite(column).sum())
-            if n > 20:
+            if n > 20:  # of fewer samples no autocorrelation is known
                 effective += effective_sample_size(column)
                 total += n
     return total > 0 and effective < COLOUR_LIMIT * total
@@ -479,14 +496,13 @@ def scaled_equation(rows: Rows, index: int, scale: str | Mapping[str, float]) ->
         raise ModelError(f"No complete row is left for the equation of {equation}: all are NaN.")
     span, size = np.ptp(features, axis=0), np.abs(features).max(axis=0)
     is_constant = (span <= 1e-12 * size) & (size > 0)
-    if is_constant.sum() > 1:
-        several = [name for name, flag in zip(names, is_constant, strict=True) if flag]
+    constants = [names[i] for i in np.flatnonzero(is_constant)]
+    if len(constants) > 1:
         raise ModelError(
-            f"{', '.join(several)} are all constant terms of the equation of {equation}. Fix all "
+            f"{', '.join(constants)} are all constant terms of the equation of {equation}. Fix all "
             "but one."
         )
-    constant = names[int(np.argmax(is_constant))] if is_constant.any() else None
-    level = float(features[0, is_constant][0]) if constant else 1.0
+    level = float(features[0, is_constant][0]) if constants else 1.0
     kept = features[:, ~is_constant]
     if scale == "unit":
         target_unit = float(np.sqrt(np.mean(targets**2))) or 1.0
@@ -498,8 +514,8 @@ def scaled_equation(rows: Rows, index: int, scale: str | Mapping[str, float]) ->
     return ScaledEquation(
         features=kept / column_units,
         targets=targets / target_unit,
-        names=tuple(name for name, flag in zip(names, is_constant, strict=True) if not flag),
-        constant=constant,
+        names=tuple(name for name in names if name not in constants),
+        constant=constants[0] if constants else None,
         units=target_unit / column_units,
         constant_unit=target_unit / level,
         target_unit=target_unit,
@@ -550,10 +566,12 @@ def equation_covariance(
     matrix = np.hstack([part.features, np.full((n, 1), float(with_bias))])
     weights = np.ones(n) if solution.weights is None else solution.weights
     errors = part.targets - part.features @ solution.coefficients - solution.bias
+    # Rows that were forgotten count for less than one degree of freedom.
     freedom = max(float(weights.sum()) - n_features - with_bias, 1.0)
     variance = float(weights @ errors**2) / freedom
     scale = 1.0 / column_norms(matrix)
     matrix = matrix * scale
+    # The ridge pulls the coefficients, not the bias.
     penalty = np.diag([*np.full(n_features, solution.ridge), 0.0]) * scale**2
     bread = np.linalg.pinv((matrix.T * weights) @ matrix + penalty, hermitian=True, rcond=1e-15)
     covariance, coloured = residual_covariance(bread, matrix * weights[:, None], errors, variance)

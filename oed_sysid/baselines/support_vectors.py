@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import numpy as np
 
@@ -22,49 +21,33 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
 
+# Inner products ``(n_first, n_second)`` of the features of two sets of points.
+Kernel = Callable[[np.ndarray, np.ndarray], np.ndarray]
 FORMS = ("primal", "dual")
 # Published weight of the errors.
 WEIGHT = 3e4
 
 
-# A dual system of more samples than this is larger than 800 MB.
-LARGEST_DUAL = 10_000
+def linear_kernel(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Inner products of the features themselves: coefficients can be read off."""
+    return first @ second.T
 
 
-class KernelFunction(Protocol):
-    """Inner products of features of two sets of points."""
+def dual_solution(solved: np.ndarray, bias: bool) -> tuple[np.ndarray, float]:
+    r"""Multipliers ``(n_samples,)`` and bias of an LS-SVM.
 
-    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the matrix ``(n_first, n_second)``."""
-        ...
-
-
-@dataclass(frozen=True)
-class LinearKernel:
-    """The features themselves: coefficients can be read off."""
-
-    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return ``first @ second.T``."""
-        return first @ second.T
-
-
-@dataclass(frozen=True)
-class GaussianKernel:
-    r"""Radial basis functions :math:`\exp(-|x - x'|^2/2\sigma^2)`; no coefficients exist.
+    .. math:: b = \frac{1^T\Gamma^{-1}y}{1^T\Gamma^{-1}1}, \qquad
+              \alpha = \Gamma^{-1}y - b\,\Gamma^{-1}1
 
     Parameters
     ----------
-    width : float
-        Width, in the unit of the features, which should be of like size.
+    solved : ndarray (n_samples, 2)
+        :math:`\Gamma^{-1}[y, 1]` with :math:`\Gamma = K + I/C`.
+    bias : bool
+        Whether there is one.
     """
-
-    width: float
-
-    def __call__(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Return the kernel matrix ``(n_first, n_second)``."""
-        squares = (first**2).sum(axis=1)[:, None] + (second**2).sum(axis=1)
-        distance = np.maximum(squares - 2 * first @ second.T, 0.0)
-        return np.exp(-distance / (2 * self.width**2))
+    offset = float(solved[:, 0].sum() / solved[:, 1].sum()) if bias else 0.0
+    return solved[:, 0] - offset * solved[:, 1], offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +70,7 @@ class Machine:
     multipliers: np.ndarray
     coefficients: np.ndarray | None
     bias: float
-    kernel: KernelFunction
+    kernel: Kernel
 
     def predict(self, features: np.ndarray) -> np.ndarray:
         """Values ``(n,)`` at features ``(n, n_features)``."""
@@ -102,7 +85,7 @@ def train(
     targets: np.ndarray,
     *,
     C: float,
-    kernel: KernelFunction | None = None,
+    kernel: Kernel = linear_kernel,
     form: str = "primal",
     bias: bool = True,
 ) -> Machine:
@@ -121,7 +104,7 @@ def train(
     targets : ndarray (n_samples,)
     C : float
         Weight of the errors; its meaning depends on the units of both.
-    kernel : callable, optional
+    kernel : callable
         Linear by default.
     form : str
         ``"primal"`` (linear kernel only) or ``"dual"``.
@@ -148,8 +131,7 @@ def train(
             "(n_samples, n_features) and (n_samples,)."
         )
     check_weight(C)
-    chosen = kernel or LinearKernel()
-    linear = isinstance(chosen, LinearKernel)
+    linear = kernel is linear_kernel
     check_choice("form", form, FORMS)
     if form == "primal":
         if not linear:
@@ -157,22 +139,18 @@ def train(
         solution = ridge(features, targets, C, bias=bias)
         coefficients, offset = solution[:-1], float(solution[-1])
         errors = targets - features @ coefficients - offset
-        return Machine(features, C * errors, coefficients, offset, chosen)
+        return Machine(features, C * errors, coefficients, offset, kernel)
     n = len(targets)
-    if n > LARGEST_DUAL:
+    if n > 10_000:  # larger than 800 MB
         raise ModelError(
             f"The dual of {n} samples would need {n * n * 8 / 1e9:.1f} GB. Thin the record, or use "
             "form='primal'."
         )
-    gamma = chosen(features, features) + np.eye(n) / C
-    if bias:
-        solved = np.linalg.solve(gamma, np.column_stack([targets, np.ones(n)]))
-        offset = float(solved[:, 0].sum() / solved[:, 1].sum())
-        multipliers = solved[:, 0] - offset * solved[:, 1]
-    else:
-        offset, multipliers = 0.0, np.linalg.solve(gamma, targets)
-    coefficients_ = features.T @ multipliers if linear else None
-    return Machine(features, multipliers, coefficients_, offset, chosen)
+    gamma = kernel(features, features) + np.eye(n) / C
+    solved = np.linalg.solve(gamma, np.column_stack([targets, np.ones(n)]))
+    multipliers, offset = dual_solution(solved, bias)
+    read_off = features.T @ multipliers if linear else None
+    return Machine(features, multipliers, read_off, offset, kernel)
 
 
 def ridge(features: np.ndarray, targets: np.ndarray, C: float, *, bias: bool) -> np.ndarray:
@@ -248,6 +226,7 @@ class LeastSquaresSVM(RegressionEstimator):
         def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
             machine = train(features, targets, C=self.C, form=self.form, bias=bias)
             assert machine.coefficients is not None  # the kernel is linear
+            # Of Gamma = X X' + I/C in the dual; the primal's rows have its root.
             spectrum = np.linalg.svd(features, compute_uv=False)
             condition = 1.0 + self.C * float(spectrum[0]) ** 2
             return SeparateSolution(
@@ -326,6 +305,7 @@ class SupportVectorRegression(RegressionEstimator):
                 tol=1e-6,
                 max_iter=self.max_iterations,
             )
+            # The bias is free, so that centred targets change the solver's way alone.
             centre = targets.mean() if bias else 0.0
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # reported in the status

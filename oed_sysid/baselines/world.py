@@ -33,9 +33,6 @@ from oed_sysid.physics.model import Model
 
 # Correlation times, in samples.
 FORCE_TIME, NOISE_TIME = 4.0, 5.0
-SPIKE_SIZE = 20.0  # x noise
-# Least share of white noise, of the variance, where a bound is calculated: a filter needs some.
-LEAST_WHITE = 0.01
 # Steps per sample in which disturbance forces are drawn and integrated.
 SUBSTEPS = 4
 
@@ -108,7 +105,7 @@ class World:
         if self.spikes:
             struck = for_spikes.random(outputs.shape) < self.spikes
             signs = np.sign(for_spikes.standard_normal(outputs.shape))
-            outputs += struck * SPIKE_SIZE * std * signs
+            outputs += 20.0 * struck * std * signs
         if self.sparse > 1:
             kept = np.arange(len(outputs)) % self.sparse == 0
             outputs[~kept] = np.nan
@@ -133,6 +130,7 @@ class World:
             else:
                 held = np.searchsorted(clean.times, fine * (1 + 1e-12) + 1e-12, side="right") - 1
                 columns.append(values[np.clip(held, 0, n - 1)])
+        # Forces run linearly through the fine points, so that substeps see no jumps.
         push = np.array(list(levels.values())) * _gauss_markov(
             (len(fine), len(places)), FORCE_TIME * SUBSTEPS, rng
         )
@@ -142,14 +140,9 @@ class World:
 
     def _levels(self, model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
         """Standard deviation of the disturbance force on each equation, by axis or state."""
-        places = tuple(model.axes) or tuple(
-            state.name
-            for state in model.states
-            if state.name in model.kinematics and state.unit in ("rad/s", "m/s")
-        )
-        if not places:
-            raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
+        places = _equations_of_motion(model)
         sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
+        # The same vehicle whose only outputs are its forces, or accelerations.
         probe = replace(
             model,
             outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
@@ -176,7 +169,7 @@ class World:
             clean = simulate(model, experiment, noise=False)
             levels = self._levels(model, clean, experiment)
         return NoiseModel(
-            np.sqrt(max(1.0 - self.colour, LEAST_WHITE)) * std,
+            np.sqrt(max(1.0 - self.colour, 0.01)) * std,  # a filter needs some white noise
             np.sqrt(self.colour) * std,
             np.array(list(levels.values())),
             NOISE_TIME * experiment.sample_time,
@@ -198,6 +191,15 @@ class World:
         off = {p.name: p.value * (1 + self.wrong * rng.uniform(-1.0, 1.0)) for p in known}
         bounded = {p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known}
         return model.with_values(bounded)
+
+
+def _equations_of_motion(model: Model) -> tuple[str, ...]:
+    """Axes of a model, or its states that are velocities and have a rate."""
+    speeds = (state.name for state in model.states if state.unit in ("rad/s", "m/s"))
+    places = tuple(model.axes) or tuple(name for name in speeds if name in model.kinematics)
+    if not places:
+        raise ProblemError(f"Model {model.name!r} has no equation of motion to push.")
+    return places
 
 
 def _start(model: Model, experiment: Experiment) -> dict[str, float]:

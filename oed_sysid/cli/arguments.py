@@ -9,8 +9,9 @@ and, where a trial is planned, the limits of the problem that is named: ``--max-
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from typing import Annotated, Any
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 import typer.main
@@ -19,6 +20,9 @@ from typer.core import TyperCommand
 import oed_sysid
 from oed_sysid.cli.options import declared, row_of, signed
 from oed_sysid.cli.study import Option
+
+if TYPE_CHECKING:
+    from oed_sysid.experiments.problem import Problem
 
 # Older words that are still understood: for an option, or for the files after the problem.
 OLDER = {"--test": "--validate", "--train": "", "--records": ""}
@@ -109,8 +113,7 @@ class Command(TyperCommand):
         meant: dict[str, str] = {}
         # A problem is a program: completing a word must not run it.
         if "limit" in names and not ctx.resilient_parsing:
-            taken = {word for param in self.params for word in param.opts}
-            ctx.meta[_LIMITS], meant = _limits(args, taken)
+            ctx.meta[_LIMITS], meant = _limits(args, self.params)
         rest = super().parse_args(ctx, args)
         _keep(ctx, self._shared)
         given = {name: ctx.params.pop(name, None) for name in meant}
@@ -139,20 +142,22 @@ def _keep(ctx: Any, shared: Sequence[Option]) -> None:
 # -- limits of a problem as options ------------------------------------------------------
 
 
-def _limits(args: Sequence[str], taken: Container[str]) -> tuple[list[Any], dict[str, str]]:
-    """Options for the limits of the problem that a line names, and what each one limits.
-
-    None if the line names no problem that can be loaded: the command says why.
-    """
+def _named_problem(args: Sequence[str]) -> Problem | None:
+    """Problem that a line names; None where it cannot be loaded: the command says why."""
     named = _value_of("--problem", args) or next((w for w in args if not w.startswith("-")), None)
-    if named is None:
-        return [], {}
-    try:
-        problem = oed_sysid.load_problem(named, variant=_value_of("--model", args))
-    except oed_sysid.OedSysidError:
-        return [], {}
+    if named is not None:
+        with suppress(oed_sysid.OedSysidError):
+            return oed_sysid.load_problem(named, variant=_value_of("--model", args))
+    return None
+
+
+def _limits(args: Sequence[str], params: Sequence[Any]) -> tuple[list[Any], dict[str, str]]:
+    """Options for the limits of the problem that a line names, and what each one limits."""
     from oed_sysid.cli.limit_words import limit_words
 
+    if (problem := _named_problem(args)) is None:
+        return [], {}
+    taken = {word for param in params for word in param.opts}
     panel = f"Limits of {problem.name}: angles in degrees, the rest in SI units"
     offered: list[inspect.Parameter] = []
     meant: dict[str, str] = {}

@@ -15,17 +15,17 @@ import oed_sysid
 from oed_sysid.cli import SUSPECT
 from oed_sysid.cli.reading import read_records_of
 from oed_sysid.cli.study import Study
-from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted
+from oed_sysid.cli.tasks import Bounds, Weather, numbers, patterns_of, predicted, write_runs
 from oed_sysid.cli.tasks import band as band_of
-from oed_sysid.cli.terminal import answer, draw, note, progress, quiet, say, store, write
+from oed_sysid.cli.terminal import answer, asked, draw, note, progress, quiet, say, store, write
 from oed_sysid.errors import DataError, DesignError, OedSysidError
-from oed_sysid.runtime.display import Figure, Table, counted
-from oed_sysid.runtime.files import check_place, make_folder
+from oed_sysid.runtime.display import Figure, Table, as_dict, counted
+from oed_sysid.runtime.files import check_place
 
 if TYPE_CHECKING:
     from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.cli.terminal import Shown
-    from oed_sysid.data.logs import Imported, Log, LogMapping
+    from oed_sysid.data.logs import Log, LogMapping
     from oed_sysid.design import Candidate
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
@@ -36,14 +36,13 @@ if TYPE_CHECKING:
 def problems(
     problem: str | None = None,
     model: str | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """List the shipped problems, or describe one.
 
     [bold]Example[/bold]: oed-sysid problems remus_diving_plane
     """
     if problem is not None:
-        store(_described(oed_sysid.load_problem(problem, variant=model)), json_file)
+        store(_described(oed_sysid.load_problem(problem, variant=model)))
         return
     found = []
     for name in oed_sysid.list_problems():
@@ -58,7 +57,7 @@ def problems(
     else:
         headers = ("problem", "parameters", "candidates", "title")
         say("\n".join(Table(headers, rows, words=(3,)).lines()))
-    store({"problems": [_summary(one) for one in found]}, json_file)
+    store({"problems": [_summary(one) for one in found]})
 
 
 def _described(problem: Problem) -> dict[str, object]:
@@ -78,17 +77,11 @@ def _answer(text: str) -> None:
     answer(first, rest)
 
 
-def _summary(problem: Problem) -> dict[str, object]:
-    return {
-        "name": problem.name,
-        "title": problem.title,
-        "models": list(problem.variants),
-        "inputs": list(problem.model.input_names),
-        "outputs": list(problem.model.output_names),
-        "free_parameters": list(problem.model.free_names),
-        "candidates": [effect.name for effect in problem.effects],
-        "experiments": list(problem.experiments),
-    }
+_summary = as_dict(
+    "name", "title", models="variants", inputs="model.input_names", outputs="model.output_names",
+    free_parameters="model.free_names", experiments=lambda problem: [*problem.experiments],
+    candidates=lambda problem: [effect.name for effect in problem.effects],
+)  # fmt: skip
 
 
 def new(
@@ -96,7 +89,6 @@ def new(
     template: str = "generic",
     log: Path | None = None,
     inputs: list[str] | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """Write a starter folder for a vehicle of your own.
 
@@ -106,7 +98,7 @@ def new(
     answer(f"Written: {made}")
     folder_word = shlex.quote(str(made))
     say(f"Next: edit {Path(made) / 'problem.py'}, then run  oed-sysid problems {folder_word}")
-    store({"folder": str(made)}, json_file)
+    store({"folder": str(made)})
 
 
 def simulate(
@@ -117,8 +109,6 @@ def simulate(
     seed: int = 0,
     no_noise: bool = False,
     truth: bool = False,
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Simulate experiments of a problem and write what would be logged as CSV.
 
@@ -143,9 +133,9 @@ def simulate(
     for one, file in zip(wanted, files, strict=True):
         answer(str(file)) if quiet() else say(f"{file}: {one.describe()}")
     facts = {"files": list(map(str, files)), "seed": seed, "noise": not no_noise, "truth": truth}
-    store(facts, json_file, records=map(oed_sysid.Dataset, zip(records)))
-    draw(Figure("figure_record", records[0], ""), picture)
-    if picture is not None and len(records) > 1:
+    store(facts, records=map(oed_sysid.Dataset, zip(records)))
+    draw(Figure("figure_record", records[0], ""), asked("picture"))
+    if asked("picture") is not None and len(records) > 1:
         note(f"The picture shows {records[0].name}; choose another with --experiment.")
     if chosen.truth and not truth:
         note("Simulated with the nominal values; --truth simulates the problem's truth.")
@@ -173,8 +163,6 @@ def import_(
     problem: str | None = None,
     model: str | None = None,
     out: Path = Path("data"),
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
 
@@ -190,37 +178,49 @@ def import_(
     named = problem or ("" if chosen is None else chosen.problem)
     if draft is not None and not listing:
         _draft(log, found, named, model, draft)
-        return
-    if listing or chosen is None:
-        _list(log, found, find, json_file)
-        return
-    target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
-    result, files = _written(found, chosen, target, out)
-    for line in result.notes:
-        note(line)
+    elif listing or chosen is None:
+        _list(log, found, find)
+    else:
+        target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
+        _import(found, chosen, target, out)
+
+
+def _import(
+    log: Log,
+    mapping: LogMapping,
+    problem: Problem | None,
+    out: Path,
+) -> None:
+    """Write a CSV file for every record of a log, and say what its check found."""
     from oed_sysid.evidence.check import signal_check
 
+    result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
     dataset = result.dataset
-    own = None if target is None else target.model
+    if out.suffix.lower() == ".csv":
+        raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
+    files = write_runs(dataset, out, "--out", [log.path])
+    for line in result.notes:
+        note(line)
+    own = None if problem is None else problem.model
     checked = signal_check(dataset) if own is None else oed_sysid.quick_check(dataset, own)
     answer(f"{counted(len(files), 'record')} written to {out}. {checked.verdict}")
     for file, record in zip(files, dataset, strict=True):
         rate = record.n_samples / max(record.duration, 1e-9)
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
     say(checked.report())
-    draw(Figure("figure_record", dataset.records[0], ""), picture)
-    facts = {"log": str(log), "files": [str(file) for file in files], "notes": list(result.notes)}
-    store({**facts, "check": checked.to_dict()}, json_file, records=[dataset])
+    draw(Figure("figure_record", dataset.records[0], ""), asked("picture"))
+    facts = {"log": str(log.path), "files": list(map(str, files)), "notes": list(result.notes)}
+    store({**facts, "check": checked.to_dict()}, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)
 
 
-def _list(log: Path, found: Log, find: str, json_file: Path | None) -> None:
+def _list(log: Path, found: Log, find: str) -> None:
     """Say which fields a log has."""
     _answer(found.describe(find))
     keys = ("field", "samples", "rate", "span", "unit", "range")
     rows = [dict(zip(keys, row, strict=True)) for row in found.rows(find)]
-    store({"log": str(log), "kind": found.kind, "fields": rows}, json_file)
+    store({"log": str(log), "kind": found.kind, "fields": rows})
 
 
 def _draft(log: Path, found: Log, named: str, model: str | None, place: Path) -> None:
@@ -248,28 +248,10 @@ def _place(named: str, mapping: Path | None) -> str:
     return named
 
 
-def _written(
-    log: Log, mapping: LogMapping, problem: Problem | None, out: Path
-) -> tuple[Imported, list[Path]]:
-    """Write a CSV file for every record."""
-    result = oed_sysid.import_log(log, mapping, None if problem is None else problem.channels)
-    if out.suffix.lower() == ".csv":
-        raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
-    files = [out / f"{record.name.replace('/', '_')}.csv" for record in result.dataset]
-    if log.path.resolve() in {file.resolve() for file in files}:
-        raise DataError(f"The records would overwrite {log.path}. Give another folder to --out.")
-    make_folder(out)
-    for record, file in zip(result.dataset, files, strict=True):
-        oed_sysid.write_csv(record, file)
-    return result, files
-
-
 def report(
     saved: Path,
     out: Path = Path("report.html"),
     validate: list[str] | None = None,
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Write the report on a saved fit, with its predictions of validation records.
 
@@ -285,12 +267,12 @@ def report(
             f"{saved} holds the numbers of a fit only. For pictures and predictions repeat the fit "
             "with --save FILE and report on that file."
         )
-        if validate or picture is not None:
+        if validate or asked("picture") is not None:
             raise DataError(
                 f"{saved} holds no model, so it predicts nothing. Repeat the fit with --save FILE, "
                 "or leave out --validate and --picture."
             )
-        store(content, json_file)
+        store(content)
         return
     kept = oed_sysid.Fit.load(saved)
     made = read_result(saved, "fit")[1]
@@ -303,9 +285,9 @@ def report(
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")
     facts = kept.to_dict() | ({"validation": comparison.to_dict()} if comparison else {})
-    store(facts, json_file)
+    store(facts)
     own = Figure("figure_fit", kept, "")
-    draw(own if comparison is None else predicted([comparison.best]), picture)
+    draw(own if comparison is None else predicted([comparison.best]), asked("picture"))
 
 
 def export(
@@ -313,7 +295,6 @@ def export(
     kind: str,
     out: Path = Path("model"),
     at: list[str] | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """Write a fitted model for another program, with the covariance of its parameters.
 
@@ -330,7 +311,7 @@ def export(
         say(str(file))
     if not result.status.ok:
         note(f"The fit ended as {result.status}")
-    store({"model": result.model.name, "kind": kind, "files": list(map(str, files))}, json_file)
+    store({"model": result.model.name, "kind": kind, "files": list(map(str, files))})
 
 
 def watch(
@@ -344,7 +325,6 @@ def watch(
     places: list[str] | None = None,
     silence: float = 10.0,
     model: str | None = None,
-    json_file: Path | None = None,
     html_file: Path | None = None,
 ) -> None:
     """Estimate while the run goes on: what is known by now, and whether to go on.
@@ -378,7 +358,7 @@ def watch(
     document = stream.document(title=study.problem.title, goal=goal / 100)
     _live_page(document, html_file, over=True)
     answer(document.answer, document.text())
-    store(stream.to_dict(), json_file)
+    store(stream.to_dict())
 
 
 def _stream(
@@ -414,7 +394,6 @@ def campaign(
     turnaround: float = 10.0,
     model: str | None = None,
     seed: int = 0,
-    json_file: Path | None = None,
     *,
     bounds: Bounds = Bounds(),  # noqa: B008 (frozen)
     weather: Weather = Weather(),  # noqa: B008 (frozen)
@@ -430,25 +409,17 @@ def campaign(
     """
     from oed_sysid.design.decision import Logbook
 
-    if Logbook.exists(folder):
-        if problem is not None or goal:
-            raise DesignError(
-                f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
-                "on with it, or name another folder."
-            )
+    if _goes_on(folder, problem, goal):
         journal = Logbook.open(folder)
-    elif problem is None or not goal:
-        raise DesignError(
-            f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
-        )
     else:
-        study = Study.named(problem, model)
+        study = Study.named(str(problem), model)
         with progress("Making candidate runs") as show:
             runs = _candidates(study.problem, patterns, bounds, weather, turnaround, seed, show)
             journal = Logbook(
-                folder, study.problem.model, problem=problem, variant=model, candidates=runs,
-                goals={n: v / 100.0 for n, v in numbers("--goal", goal).items()}, hours=hours,
-                sea=weather.noise(study.problem, study.problem.model, show), seed=seed,
+                folder, study.problem.model, problem=study.source, variant=model, candidates=runs,
+                goals={n: v / 100.0 for n, v in numbers("--goal", goal or ()).items()},
+                hours=hours, seed=seed,
+                sea=weather.noise(study.problem, study.problem.model, show),
             )  # fmt: skip
             journal.write()
     if record is not None:
@@ -465,7 +436,24 @@ def campaign(
     note(f"Decided in {decision.seconds:.2f} s.")
     if (path := journal.write_next(decision)) is not None:
         note(f"Written: {path}")
-    store(decision.to_dict(), json_file)
+    store(decision.to_dict())
+
+
+def _goes_on(folder: Path, problem: str | None, goal: Sequence[str] | None) -> bool:
+    """Whether a folder holds a campaign, of which problem and goals are then known."""
+    from oed_sysid.design.decision import Logbook
+
+    if held := Logbook.exists(folder):
+        if problem is not None or goal:
+            raise DesignError(
+                f"{str(folder)!r} holds a campaign already. Leave out --problem and --goal to go "
+                "on with it, or name another folder."
+            )
+    elif problem is None or not goal:
+        raise DesignError(
+            f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
+        )
+    return held
 
 
 def _candidates(
@@ -492,11 +480,7 @@ def _candidates(
     )  # fmt: skip
 
 
-def app(
-    problem: str | None = None,
-    port: int = 8501,
-    no_browser: bool = False,
-) -> None:
+def app(problem: str | None = None, port: int = 8501, no_browser: bool = False) -> None:
     """Open the same in a browser, on this computer only. Needs the extra 'app'.
 
     [bold]Example[/bold]: oed-sysid app remus_diving_plane
@@ -516,16 +500,17 @@ def estimators(
     seeds: int = 3,
     jobs: int = 2,
     out: Path = Path("out/benchmark"),
-    json_file: Path | None = None,
-    picture: Path | None = None,
 ) -> None:
     """Compare estimators: errors, bias, coverage, prediction, time, and who cannot or fails.
 
     [bold]Example[/bold]: oed-sysid benchmark estimators --problems online_ship --noise 0.5 1
     """
-    from oed_sysid.baselines.benchmark import CONTESTANTS, PROBLEMS, QUICK, benchmark
+    from oed_sysid.baselines.benchmark import benchmark
+    from oed_sysid.baselines.contest import CONTESTANTS
 
-    chosen = list(CONTESTANTS) if names == ["all"] else names or list(QUICK)
+    chosen = list(CONTESTANTS) if names == ["all"] else names
+    said = {"problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling}
+    given: dict[str, Any] = {name: value for name, value in said.items() if value}
     with progress("Running") as show:
 
         def tell(state: CellProgress) -> None:
@@ -533,26 +518,23 @@ def estimators(
             show.left(state.seconds_left)
 
         result = benchmark(
-            problems or list(PROBLEMS), chosen, seeds=seeds, sampling=sampling or [1],
-            noise=noise or [0.0, 0.5, 1.0, 3.0],
-            noise_unit="declared" if declared else "peak",
-            store=out / "runs", n_jobs=jobs, progress=tell,
+            seeds=seeds, noise_unit="declared" if declared else "peak", store=out / "runs",
+            n_jobs=jobs, progress=tell, **given,
         )  # fmt: skip
     text = result.report()
     answer(result.answer, text)
     write(text, out / "benchmark.md")
     write(result.to_csv(), out / "benchmark.csv")
     if any(row.noise > 0 and not row.refused for row in result.rows):
-        for file in (out / "benchmark.png", picture):
+        for file in (out / "benchmark.png", asked("picture")):
             draw(Figure("figure_benchmark", result, ""), file)
-    store(result.to_dict(), json_file)
+    store(result.to_dict())
 
 
 def missing_physics(
     plan: str = "",
     jobs: int = 2,
     out: Path | None = None,
-    json_file: Path | None = None,
 ) -> None:
     """Hide effects in simulated vehicles and count how often the right one is found.
 
@@ -577,4 +559,4 @@ def missing_physics(
     answer(f"{found['n_cases']} cases: {'; '.join(rates)}.", text)
     if out is not None:
         write(text + "\n", out / "missing_physics.md")
-    store(found, json_file)
+    store(found)

@@ -6,9 +6,11 @@ Words that people use stand for the model's channels; angles are in degrees.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import chain
 from math import degrees, inf, isfinite, radians
+from typing import Any
 
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Limits
@@ -29,6 +31,9 @@ SURFACES = {
     "rudder": ("rudder", "helm"),
     "thrust": ("thrust", "propeller", "revolutions"),
 }
+Channel = Input | Output | State
+# Which group of limits is of a channel that is an input or none, and what it is called.
+_GROUPS = {True: ("inputs", "input"), False: ("signals", "signal")}
 ANGLES = ("rad", "rad/s")
 _FORM = re.compile(r"(?:(max|min):)?([A-Za-z_][\w-]*)=(.+)")
 _NUMBER = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(deg|rad)?(?:/s)?(?:m|m/s|N)?")
@@ -93,14 +98,9 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
     offered: Offered = []
     taken: set[str] = set()
     meant = _meaning(model)
-    trade = sorted(word for group in SURFACES.values() for word in group)
     for channel in _channels(model).values():
-        is_input, name = isinstance(channel, Input), channel.name
-        # Words that mean this channel and no other, those of the trade first.
-        words = [w for w in (trade if is_input else SIGNALS) if meant.get(w) == [channel]]
-        words.sort(key=lambda word: (word not in SURFACES, len(word)))
-        words = [*dict.fromkeys([*words, name, name.replace("_", "-"), name.lower()])]
-        if words := [word for word in words if is_input or word not in taken]:
+        is_input = isinstance(channel, Input)
+        if words := [one for one in _words(channel, meant) if is_input or one not in taken]:
             offered += _offers(channel, tuple(words), limits)
         if is_input:
             taken |= {*words, *(f"{word}-rate" for word in words), "rate"}
@@ -109,39 +109,48 @@ def limit_words(model: Model, limits: Limits) -> list[tuple[str, tuple[str, ...]
     return offered
 
 
+def _words(channel: Channel, meant: Mapping[str, list[Channel]]) -> dict[str, None]:
+    """Words that mean a channel and no other, those of the trade first."""
+    trade = sorted(chain.from_iterable(SURFACES.values()))
+    known = trade if isinstance(channel, Input) else SIGNALS
+    words = [word for word in known if meant.get(word) == [channel]]
+    words.sort(key=lambda word: (word not in SURFACES, len(word)))
+    name = channel.name
+    return dict.fromkeys([*words, name, name.replace("_", "-"), name.lower()])
+
+
 Offered = list[tuple[str, tuple[str, ...], str]]
 
 
 def _offers(
-    channel: Input | State | Output, words: tuple[str, ...], limits: Limits
+    channel: Channel, words: tuple[str, ...], limits: Limits
 ) -> Iterator[tuple[str, tuple[str, ...], str]]:
     """What can be limited of one channel: both ends, the slope of an input, the range of others."""
-    is_input = isinstance(channel, Input)
+    group, kind = _GROUPS[isinstance(channel, Input)]
     unit = channel.unit.replace("rad", "deg") or "1"
-    label = f"{channel.label or ('input' if is_input else 'signal')} {channel.name}, {unit}"
+    label = f"{channel.label or kind} {channel.name}, {unit}"
     both = ", both ways" if channel.unit.startswith("rad") else ""
-    now = (limits.inputs if is_input else limits.signals).get(channel.name)
+    now = getattr(limits, group).get(channel.name, (-inf, inf))
     yield "max", words, f"{label}{both}{_now(channel, now)}"
     yield "min", words, label
-    if is_input:
+    if isinstance(channel, Input):
         rates = tuple(f"{word}-rate" for word in words)
-        rate = limits.rates.get(channel.name)
-        stands = _now(channel, None if rate is None else (rate, rate))
-        yield "max", rates, f"slope of {channel.name}, {unit}/s{stands}"
+        now = (limits.rates.get(channel.name, inf),) * 2
+        yield "max", rates, f"slope of {channel.name}, {unit}/s{_now(channel, now)}"
     elif spoken := tuple(word for word in words if word in SIGNALS):
         yield "", spoken, f"{label}: range"
 
 
-def _channels(model: Model) -> dict[str, Input | State | Output]:
+def _channels(model: Model) -> dict[str, Channel]:
     """Channels by name: inputs, outputs, states."""
-    every: list[Input | State | Output] = [*model.inputs, *model.outputs, *model.states]
+    every: list[Channel] = [*model.inputs, *model.outputs, *model.states]
     # A later one of a name takes the place of an earlier one.
     return {one.name: one for one in [*every, *model.inputs]}
 
 
-def _meaning(model: Model) -> dict[str, list[Input | State | Output]]:
+def _meaning(model: Model) -> dict[str, list[Channel]]:
     """What each word may mean: its name, before a common word, before part of a description."""
-    channels, found = _channels(model), dict[str, list[Input | State | Output]]()
+    channels, found = _channels(model), dict[str, list[Channel]]()
     for one in model.inputs:
         own = f"{one.name} {one.label}".lower().replace("_", " ")
         groups = (words for words in SURFACES.values() if any(word in own for word in words))
@@ -151,9 +160,9 @@ def _meaning(model: Model) -> dict[str, list[Input | State | Output]]:
     return found | {name.lower(): [one] for name, one in channels.items()}
 
 
-def _now(channel: Input | State | Output, now: tuple[float, float] | None) -> str:
+def _now(channel: Channel, now: tuple[float, float]) -> str:
     """What holds without a word."""
-    if now is None or not any(map(isfinite, now)):
+    if not any(map(isfinite, now)):
         return ""
     turn = degrees(1.0) if channel.unit in ANGLES else 1.0
     lower, upper = turn * now[0], turn * now[1]
@@ -164,8 +173,8 @@ def _now(channel: Input | State | Output, now: tuple[float, float] | None) -> st
 
 def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tuple[Limits, str]:
     channel = _channel(model, word)
-    group = limits.inputs if isinstance(channel, Input) else limits.signals
-    before = group.get(channel.name, (-inf, inf))
+    group, _ = _GROUPS[isinstance(channel, Input)]
+    before = getattr(limits, group).get(channel.name, (-inf, inf))
     values = [_value(channel, part) for part in text.split(":", 1)]
     # Of a single value: angles and control surfaces work to both sides; depth and speed do not.
     if len(values) == 2:
@@ -180,10 +189,14 @@ def _range(model: Model, limits: Limits, word: str, side: str, text: str) -> tup
             f"The limit {word} {text} leaves nothing between {lower:g} and {upper:g} "
             f"{channel.unit}. Correct it."
         )
-    ranges = {**group, channel.name: (lower, upper)}
-    is_input = isinstance(channel, Input)
-    changed = replace(limits, inputs=ranges) if is_input else replace(limits, signals=ranges)
-    return changed, f"{word} is {channel.name} ({channel.label or channel.unit})"
+    words = f"{word} is {channel.name} ({channel.label or channel.unit})"
+    return _changed(limits, group, {channel.name: (lower, upper)}), words
+
+
+def _changed(limits: Limits, group: str, bounds: Mapping[str, Any]) -> Limits:
+    """Limits with others in one of their groups."""
+    made: dict[str, Any] = {group: {**getattr(limits, group), **bounds}}
+    return replace(limits, **made)
 
 
 def _rate(model: Model, limits: Limits, word: str, side: str, text: str) -> tuple[Limits, str]:
@@ -198,10 +211,10 @@ def _rate(model: Model, limits: Limits, word: str, side: str, text: str) -> tupl
             )
         moved = [found]
     rates = {i.name: _value(i, text) for i in moved}
-    return replace(limits, rates={**limits.rates, **rates}), f"{word} is of {', '.join(rates)}"
+    return _changed(limits, "rates", rates), f"{word} is of {', '.join(rates)}"
 
 
-def _value(channel: Input | State | Output, text: str) -> float:
+def _value(channel: Channel, text: str) -> float:
     form = _NUMBER.fullmatch(text.strip())
     if form is None:
         unit = channel.unit.replace("rad", "deg")
@@ -210,7 +223,7 @@ def _value(channel: Input | State | Output, text: str) -> float:
     return radians(value) if channel.unit in ANGLES and form[2] != "rad" else value
 
 
-def _channel(model: Model, word: str) -> Input | State | Output:
+def _channel(model: Model, word: str) -> Channel:
     """Channel that a word means."""
     meant, word = _meaning(model), word.lower()
     found = meant.get(word.replace("-", "_")) or meant.get(word, [])
@@ -221,11 +234,9 @@ def _channel(model: Model, word: str) -> Input | State | Output:
             f"{word!r} may mean {' or '.join(i.name for i in found)}. Say which: "
             f"--max-{found[0].name}."
         )
-    inputs = [i.name for i in model.inputs] + [main for main in SURFACES if main in meant]
-    names = {*model.state_names, *model.output_names}
-    words = [common for common, name in SIGNALS.items() if name in names]
+    possible = [f"--max-{words[0]}" for side, words, _ in limit_words(model, Limits())
+                if side == "max"]  # fmt: skip
     raise DesignError(
-        f"Model {model.name!r} has no {word!r} to limit; possible are "
-        f"{', '.join(f'--max-{one}' for one in inputs)}, --max-rate, and --max- or --min- with "
-        f"{', '.join([*words, *sorted(names)])}."
+        f"Model {model.name!r} has no {word!r} to limit; possible are {', '.join(possible)}, and "
+        "lower limits with --min-."
     )

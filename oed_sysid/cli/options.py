@@ -133,14 +133,17 @@ def row_of(command: str, name: str) -> Row:
     return ROWS.get(f"{command}.{name}") or ROWS[name]
 
 
-def described(command: Callable[..., None]) -> Callable[..., None]:
-    """Return a command whose signature says what the table does; groups are taken apart."""
+def described(command: Callable[..., None], results: str = "json_file") -> Callable[..., None]:
+    """Return a command whose signature says what the table does; groups are taken apart.
+
+    ``results`` are options for what becomes of the result; see :mod:`oed_sysid.cli.terminal`.
+    """
 
     @wraps(command)
     def called(**values: Any) -> None:
         command(**grouped(command, values))
 
-    return declared(called, command.__name__, options_of(command))
+    return declared(called, command.__name__, [*options_of(command), *places(results)])
 
 
 def declared(
@@ -180,10 +183,14 @@ def reads_of(task: Task) -> Iterator[Option]:
         yield Option("disturbances", str, "auto")
 
 
+def places(names: str) -> Iterator[Option]:
+    """Options that name files."""
+    return (Option(name, Path | None, None) for name in names.split())
+
+
 def results_of(task: Task) -> Iterator[Option]:
     """Options of the command of a task for what becomes of the result."""
-    for name in ("json_file", "html_file", "picture"):
-        yield Option(name, Path | None, None)
+    yield from places("json_file html_file picture")
     if "journal" in task.reads:
         yield Option("kept_in", Path | None, None)
         yield Option("fresh", bool, False)

@@ -17,11 +17,6 @@ if TYPE_CHECKING:
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.model import Model
 
-# Milliseconds under [s] make a log a thousand times as long. A record is taken for such a log if
-# its interval is so many seconds, and so many times the usual one: a heading that is logged every
-# 3 s for a model with steps of 0.01 s is none.
-LONG_INTERVAL, LONG_SHARE = 5.0, 200.0
-
 
 def study_of(given: Mapping[str, Any]) -> Study:
     """Return the study that the arguments of a command name.
@@ -67,7 +62,9 @@ def _read(files: Sequence[str], model: Model, intervals: Iterable[float]) -> Dat
     usual = max([model.step, *intervals])
     for record in dataset:
         interval = record.sample_time
-        if not unit and interval >= LONG_INTERVAL and interval >= LONG_SHARE * usual:
+        # Milliseconds under [s] make a log a thousand times as long; a heading that is logged every
+        # 3 s for a model with steps of 0.01 s is no such log.
+        if not unit and interval >= max(5.0, 200.0 * usual):
             raise DataError(
                 f"Record {record.name!r} has a sample every {interval:.4g} s and lasts "
                 f"{record.duration / 3600:.3g} h, but {usual:.3g} s is usual for {model.name!r}: "

@@ -9,7 +9,7 @@ cost (:class:`Allowed`). Each makes the objects of :mod:`oed_sysid.design` that 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -24,6 +24,7 @@ from oed_sysid.runtime.display import Figure
 from oed_sysid.runtime.files import make_folder, write_text
 
 if TYPE_CHECKING:
+    from oed_sysid.data.dataset import Record
     from oed_sysid.design import Design, Servo
     from oed_sysid.evidence.compare import ModelMisfit
     from oed_sysid.evidence.result import LogCheck
@@ -262,16 +263,25 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
+    from oed_sysid.data.dataset import check_disjoint
+
+    study.training()
+    validation = study.validation()
+    models, saved = _models(study.equipped if added else study.problem, added)
+    for one in saved.values():
+        check_disjoint(one.dataset, validation)
+    log = _log_of(study)
+    return _compared(study, show, fits_of(study, models, show) | saved, log)
+
+
+def _log_of(study: Study) -> LogCheck:
+    """Check of training and validation records together, which have no run in common."""
     from oed_sysid.data.dataset import check_disjoint, together
 
     train, validation = study.training(), study.validation()
-    models, saved = _models(study.equipped if added else study.problem, added)
-    for used in (train, *(one.dataset for one in saved.values())):
-        check_disjoint(used, validation)
-    both = together(train, validation)
-    log = oed_sysid.quick_check(both, study.problem).without("duplicate")
-    fits = fits_of(study, models, show) | saved
-    return _compared(study, show, fits, log)
+    check_disjoint(train, validation)
+    found = oed_sysid.quick_check(together(train, validation), study.problem)
+    return found.without("duplicate")
 
 
 def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
@@ -280,16 +290,13 @@ def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
     [bold]Example[/bold]: oed-sysid reduce remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
-    from oed_sysid.data.dataset import check_disjoint, together
     from oed_sysid.evidence.claim import threshold
 
-    model, train, validation = study.problem.model, study.training(), study.validation()
-    check_disjoint(train, validation)
-    log = oed_sysid.quick_check(together(train, validation), study.problem).without("duplicate")
+    log, model = _log_of(study), study.problem.model
     fits = fits_of(study, {NOMINAL: model}, show)
     full = fits[NOMINAL]
     ranking = oed_sysid.rank_parameters(
-        full.model, train, noise=full, initial_states=full.initial_states
+        full.model, study.training(), noise=full, initial_states=full.initial_states
     )
     fixed = [name for name in ranking.together.advised("fix") if name not in keep]
     told = ranking.together.words(" from these records")
@@ -591,14 +598,11 @@ def _round(show: Shown, n_most: int, what: str) -> None:
         show.share((int(named[1]) - 1) / n_most, at_most=True)
 
 
-# Starts of a design that are finished, in up to twice the rounds of the others.
-_FINISHED = 3
-
-
 def _searching(show: Shown, n_starts: int, n_steps: int, now: Any) -> None:
     """Tell how far the search of a design is."""
     show.say(f"designing: start {now.start + 1}, round {now.round + 1}, {now.value:.4g}")
-    rounds = (n_starts + 2 * _FINISHED) * n_steps
+    # The three best starts are finished, in up to twice the rounds of the others.
+    rounds = (n_starts + 2 * 3) * n_steps
     done = min(now.start, n_starts) + 2 * max(now.start - n_starts, 0)
     show.share((done * n_steps + now.round + 1) / rounds, at_most=True)
 
@@ -627,6 +631,28 @@ def _on_other_vehicles(
 
 
 # -- what is written ---------------------------------------------------------------------
+
+
+def write_runs(
+    records: Iterable[Record], folder: Path, option: str = "", sources: Sequence[Path] = ()
+) -> list[Path]:
+    """Write one CSV file per record into a folder.
+
+    Raises
+    ------
+    DataError
+        If one would take the place of a source; ``option`` names the folder.
+    """
+    files = {folder / f"{one.name.replace('/', '_')}.csv": one for one in records}
+    if {file.resolve() for file in files} & {source.resolve() for source in sources}:
+        raise DataError(
+            f"The records in {str(folder)!r} would overwrite those that they are made of. Give "
+            f"another folder to {option}."
+        )
+    make_folder(folder)
+    for file, record in files.items():
+        oed_sysid.write_csv(record, file)
+    return list(files)
 
 
 @dataclass(frozen=True)
@@ -670,15 +696,8 @@ class Corrected(Files):
             return
         records = study.records()
         copies, done = corrected_copies(records, study.problem, outcome.result)
-        targets = [self.fix / f"{record.name.replace('/', '_')}.csv" for record in copies]
-        if {one.resolve() for one in targets} & {Path(one.source).resolve() for one in records}:
-            raise DataError(
-                f"The corrected copies would overwrite the records in {str(self.fix)!r}. Give "
-                "another folder to --fix."
-            )
-        make_folder(self.fix)
-        for record, target in zip(copies, targets, strict=True):
-            oed_sysid.write_csv(record, target)
+        sources = [Path(one.source) for one in records]
+        for target in write_runs(copies, self.fix, "--fix", sources):
             yield f"Written: {target}"
         yield from (f"Corrected in the copies: {line}" for line in done)
         if reason := why_not_more(outcome.result):
@@ -727,17 +746,17 @@ class Played(Files):
         found, limits = outcome.result, outcome.result.experiment.limits
         closed, rng = found.assurance, np.random.default_rng(outcome.settings["seed"])
         table = found.model, found.trajectory.times, found.trajectory.inputs
-        if self.out is not None:
-            found.write_csv(self.out)
-            yield f"Written: {self.out}"
-        if self.card is not None:
-            self._write_card(outcome, self.card, study.problem.title)
-            yield f"Written: {self.card}"
-        if self.overrides is not None:
-            servos = self._servos(limits)
-            yield f"Written: {design.write_overrides(self.overrides, *table, servos=servos)}"
-        if self.bag is not None:
-            yield f"Written: {design.write_bag(self.bag, *table)}"
+        written: list[tuple[Path | None, Callable[[Path], object]]] = [
+            (self.out, found.write_csv),
+            (self.card, partial(self._write_card, outcome, study.problem.title)),
+            (self.overrides,
+             lambda path: design.write_overrides(path, *table, servos=self._servos(limits))),
+            (self.bag, lambda path: design.write_bag(path, *table)),
+        ]  # fmt: skip
+        for path, write in written:
+            if path is not None:
+                write(path)
+                yield f"Written: {path}"
         # How surely limits are kept where a run that reacts is played as a table.
         played = found.experiment.reacts and (self.overrides or self.bag)
         if played and closed is not None and closed.limited:
@@ -769,7 +788,7 @@ class Played(Files):
             found[kind] = checked("file", Path(place))
         return found
 
-    def _write_card(self, outcome: Outcome, path: Path, title: str) -> None:
+    def _write_card(self, outcome: Outcome, title: str, path: Path) -> None:
         """Write the card as text, as a page or as one sheet of A4."""
         from oed_sysid.results import figure_card, save_figure
 

@@ -33,10 +33,6 @@ if TYPE_CHECKING:
 
 # A file name that means standard output.
 STANDARD = Path("-")
-# Promised decrease of the cost below which a fit ends.
-TOLERANCE = 1e-6
-
-
 # Seconds after which a calculation says how far it is, and then how often where lines stay.
 PATIENCE, EVERY = 2.0, 10.0
 # Bold red, and back.
@@ -105,7 +101,7 @@ def deliver(outcome: Outcome, records: Iterable[Dataset | None] = (), *, text: s
         out(outcome.said.latex())
     else:
         answer(outcome.said.answer, text or outcome.said.text())
-    store(outcome.facts, asked("json_file"), records=records)
+    store(outcome.facts, records=records)
     if (place := asked("html_file")) is not None:
         note(f"Written: {outcome.document().write(place)}")
     if outcome.figure is not None:
@@ -186,7 +182,7 @@ class Shown:
             self._left, self._fitting = None, False
         self._tell()
 
-    def iteration(self, state: Progress) -> None:
+    def iteration(self, state: Progress, tolerance: float = 1e-6) -> None:
         """Tell how far a fit is; an estimator's ``progress``.
 
         The decrease that the next step promises falls about as fast from step to step, so its
@@ -199,7 +195,7 @@ class Shown:
         began, top = self._first
         if now > began and top - here > 1.0:
             speed = (top - here) / (now - began)
-            self._left = (now, max(0.0, (here - math.log(TOLERANCE)) / speed))
+            self._left = (now, max(0.0, (here - math.log(tolerance)) / speed))
             self._most, self._fitting = False, True
         self._tell()
 
@@ -347,7 +343,7 @@ def journal(folder: Path | None, fresh: bool = False, *, keeping: bool = True) -
 
 
 def store(
-    result: Mapping[str, Any], path: Path | None, *, records: Iterable[Dataset | None] = ()
+    result: Mapping[str, Any], path: Path | None = None, *, records: Iterable[Dataset | None] = ()
 ) -> None:
     """Write a result as JSON where the user asked for it, and beside it how it was made.
 
@@ -357,12 +353,12 @@ def store(
     ----------
     result : mapping
         The result.
-    path : Path or None
-        The file; ``None`` writes nothing.
+    path : Path, optional
+        The file, by default that of ``--json``; nothing is written where that is not given.
     records : iterable of Dataset or None
         What the result depends on; their hashes are written.
     """
-    if path is None:
+    if (path := path or asked("json_file")) is None:
         return
     from oed_sysid.likelihood.archive import made_by
 

@@ -80,14 +80,13 @@ def _generator_digest() -> str:
     return digest.hexdigest()
 
 
-def load(model: Model, *, selectable: bool = False, filtered: bool = False) -> ctypes.CDLL | None:
+def load(model: Model, *, filtered: bool = False) -> ctypes.CDLL | None:
     """Return the library of a model, compiling it if need be; None without a compiler.
 
-    With ``selectable`` the columns of the sensitivities are chosen at run time, with
-    ``filtered`` the library holds the Kalman filter too.
+    With ``filtered`` the library holds the Kalman filter too, and the columns of the sensitivities
+    are chosen at run time.
     """
-    options = {"select": selectable, "filter": filtered}
-    chosen = [name for name, wanted in options.items() if wanted]
+    chosen = ["select", "filter"] if filtered else []
     return load_source(
         "-".join([model.structure_key(), *chosen]),
         lambda: source(build(model)),
@@ -135,19 +134,15 @@ def load_source(
         library = private_cache() / f"{key}-{digest}.so"
         if not _intact(library):
             _compile(write, what, compiler, flags, library)
-    except (OSError, FileError) as error:
-        _say_interpreted(f"{cache_folder()} cannot be written ({error})")
-        return None
+        return ctypes.CDLL(str(library))
+    except (OSError, FileError) as error:  # a full disk, or one from which nothing may be run
+        reason = f"{cache_folder()} cannot be written or run from ({error})"
     except subprocess.CalledProcessError as error:
         text = (error.stderr or b"").decode(errors="replace").strip().splitlines()
         said = next((line for line in text if "error" in line), text[-1] if text else str(error))
-        _say_interpreted(f"{compiler} failed: {said.strip()}")
-        return None
-    try:
-        return ctypes.CDLL(str(library))
-    except OSError as error:  # a disk from which nothing may be run
-        _say_interpreted(f"{library} cannot be loaded ({error})")
-        return None
+        reason = f"{compiler} failed: {said.strip()}"
+    _say_interpreted(reason)
+    return None
 
 
 def call(function: Callable[..., int], *arguments: Any) -> int:

@@ -60,6 +60,8 @@ from oed_sysid.physics.model import Model
 FORCE_VARIANCE, FORCE_TIME, WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME = range(5)
 # Those of narrow-band disturbances: a variance counts among all of these, the others are of a sea.
 SEA_VARIANCE, SEA_PERIOD, SEA_DAMPING = range(5, 8)
+# Kinds that are the stationary variance of a process.
+VARIANCES = (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE)
 # Most disturbances that act through one parameter, as in ``filter.c``.
 MOST_PROCESSES = 4
 # Number of a disturbance of fourth order among those of a sea.
@@ -67,8 +69,6 @@ FOURTH = 2
 # Frequencies of its two pairs over that of the peak, and the damping of the second: nearest, in
 # the divergence of Whittle, to JONSWAP spectra of peakedness 1 to 7.
 FIRST_PAIR, SECOND_PAIR, SECOND_DAMPING = 0.97, 1.67, 0.42
-# Change of the logarithm of a damping over which its derivative is taken.
-APART = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -227,7 +227,8 @@ def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -
         powers = np.exp(values * angles) * (-values * angles if by_period else 1.0)
         return np.asarray((vectors * powers[:, None, :] @ inverse).real)
 
-    by_damping = (over(damping * np.exp(APART)) - over(damping * np.exp(-APART))) / (2 * APART)
+    step = 1e-5  # of the logarithm
+    by_damping = (over(damping * np.exp(step)) - over(damping * np.exp(-step))) / (2 * step)
     return np.stack([over(damping), over(damping, by_period=True), by_damping], axis=1)
 
 
@@ -356,7 +357,7 @@ class InterpretedFilter:
         record: Commands,
         measured: np.ndarray,
         first: np.ndarray,
-        chosen: Sequence[int],
+        chosen: np.ndarray,
         levels: Sequence[tuple[int, int]],
         n_active: int,
         found: FilterPass,
@@ -364,7 +365,7 @@ class InterpretedFilter:
     ) -> int:
         """Fill the results as the compiled loop does; -1, or the failing sample."""
         self.levels, self.found = levels, found
-        self.chosen = len(self.z) + np.array(chosen, dtype=int)
+        self.chosen = len(self.z) + chosen
         self.inside = [*range(n_active), *range(self.na, self.size)]
         nx, nl = first.shape[1], len(levels)
         self.big_x, self.p = np.zeros((self.size, nx)), np.zeros((self.size, self.size))
@@ -372,8 +373,9 @@ class InterpretedFilter:
         self.p[self.extra, self.extra] = np.diag(self.tail)
         self.d_p, self.d_m = np.zeros((nl, self.size, self.size)), np.zeros((nl, self.size))
         for level, (kind, index) in enumerate(levels):
-            if kind in (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE):
-                self.d_p[level, self.extra, self.extra] = self._unit(kind, index)
+            if kind in VARIANCES:
+                unit = np.diag(self._touched(kind, index).astype(float))
+                self.d_p[level, self.extra, self.extra] = unit
         self.gram = np.zeros((nx + nl + 1,) * 2)
         self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
         for k in range(len(measured)):
@@ -400,25 +402,21 @@ class InterpretedFilter:
             self.memory[key] = self.noise.memory(np.array([key]))[0]
         return self.memory[key]
 
-    def _unit(self, kind: int, index: int) -> np.ndarray:
-        """Stationary covariance of a disturbance or colour of unit variance, with all of these."""
-        noise = self.noise
-        if kind == COLOUR_VARIANCE:
-            index += len(noise.variance)
+    def _touched(self, kind: int, index: int) -> np.ndarray:
+        """Disturbances, colours and further states of which a level is variance, time, damping."""
+        noise, n_forces = self.noise, len(self.noise.variance)
+        process = np.arange(n_forces + len(noise.coloured))
+        first_order = int(np.sum(noise.sea < 0))
+        # What each process counts as among those of the kind; below zero where it is none.
+        if kind in (COLOUR_VARIANCE, COLOUR_TIME):
+            number = process - n_forces
+        elif kind in (FORCE_VARIANCE, FORCE_TIME):
+            number = np.where(process < first_order, process, -1)
         elif kind == SEA_VARIANCE:
-            index += int(np.sum(noise.sea < 0))
-        return np.diag((self.owner == index).astype(float))
-
-    def _lasting(self, kind: int, index: int) -> np.ndarray:
-        """Disturbances, colours and further states of which a level is the time or damping."""
-        noise = self.noise
-        force, colour = np.arange(len(noise.variance)), np.arange(len(noise.coloured))
-        if kind == FORCE_TIME:
-            hit = (noise.sea < 0) & ((index < 0) | (force == index))
+            number = np.where(process < n_forces, process - first_order, -1)
         else:
-            hit = (noise.sea == index) & (kind in (SEA_PERIOD, SEA_DAMPING))
-        own = (kind == COLOUR_TIME) & ((index < 0) | (colour == index))
-        return np.concatenate([hit, own])[self.owner]
+            number = np.append(noise.sea, np.full(len(noise.coloured), -1))
+        return np.asarray(number >= 0 if index < 0 else number == index)[self.owner]
 
     def _let_act(self) -> None:
         """Disturbances into the parameters through which they act."""
@@ -449,6 +447,7 @@ class InterpretedFilter:
             found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
         nx, nl, n_p = self.big_x.shape[1], len(self.levels), len(self.chosen)
         delta, second = np.zeros(self.size), np.zeros(noise.n_second)
+        # One scalar after the other: white noises of two sensors are independent.
         for i in range(len(y)):
             of_sensor = noise.coloured == i
             h = np.concatenate([dy[i, self.kept], dy[i, self.random], of_sensor, second])
@@ -457,6 +456,7 @@ class InterpretedFilter:
             found.variances[k, i] = s
             if not s > 0:
                 return False
+            # de = -h' X - dy/dp by columns, -h' dm by levels, and e itself behind them.
             row = np.zeros(nx + nl + 1)
             row[nx - n_p : nx] = -dy[i, self.chosen]
             row[:nx] -= h @ self.big_x
@@ -485,10 +485,12 @@ class InterpretedFilter:
         """Covariance, columns, tangents and sums after one scalar; ``q`` of the levels."""
         nx, e = self.big_x.shape[1], row[-1]
         own = [kind == WHITE_VARIANCE and index == output for kind, index in self.levels]
+        # With g = P h: dS = h' dP h + dr, and dK = (dP h - q g) / S.
         d_g = self.d_p @ h
         q = (d_g @ h + np.array(own, dtype=float)) / s
         self.big_x += np.outer(g, row[:nx]) / s
         self.d_m += ((d_g - np.outer(q, g)) * e + np.outer(row[nx:-1], g)) / s
+        # d(g g' / S) = (dg g' + g dg' - q g g') / S.
         cross = d_g[:, :, None] * g
         both = cross + np.swapaxes(cross, 1, 2)
         self.d_p -= (both - q[:, None, None] * np.outer(g, g)) / s
@@ -522,6 +524,7 @@ class InterpretedFilter:
         for level in range(len(self.levels)):
             kind = self.levels[level][0]
             self._predict_level(level, f, phi, by_damping if kind == SEA_DAMPING else by_time)
+        # P^- = F P F' + Q with Q = sigma^2 (I - Phi Phi'): stationary where nothing is measured.
         self.p = f @ self.p @ f.T
         self.p[extra, extra] += np.diag(self.tail) - phi * self.tail @ phi.T
         self.mean[extra] = phi @ self.mean[extra]
@@ -532,11 +535,12 @@ class InterpretedFilter:
         extra = self.extra
         d_p = f @ self.d_p[level] @ f.T
         self.d_m[level] = f @ self.d_m[level]
-        if kind in (FORCE_VARIANCE, COLOUR_VARIANCE, SEA_VARIANCE):
-            unit = self._unit(kind, index)
+        if kind in VARIANCES:
+            unit = np.diag(self._touched(kind, index).astype(float))
             d_p[extra, extra] += unit - phi @ unit @ phi.T
         elif kind != WHITE_VARIANCE:
-            change = np.where(self._lasting(kind, index)[:, None], d_phi, 0.0)
+            # Of a time or damping: d(F P F' + Q) by dPhi, mean and covariance as before the step.
+            change = np.where(self._touched(kind, index)[:, None], d_phi, 0.0)
             self.d_m[level, extra] += change @ self.mean[extra]
             moved = change @ (self.p[extra] @ f.T)
             d_p[extra] += moved
@@ -546,8 +550,8 @@ class InterpretedFilter:
         self.d_p[level] = d_p
 
 
-class FilterKernel:
-    """Filter of one model structure.
+class FilterKernel(Kernel):
+    """Filter of one model structure, and its trajectories without sensitivities.
 
     Parameters
     ----------
@@ -557,32 +561,15 @@ class FilterKernel:
     """
 
     def __init__(self, model: Model) -> None:
-        self.model = model
+        library = load(model, filtered=True)
+        super().__init__(model, compiled=False, library=library)
         self._free = {name: i for i, name in enumerate(model.free_names)}
         self._position = {name: i for i, name in enumerate(model.parameter_names)}
-        self._library = load(model, selectable=True, filtered=True)
-        self.plain = Kernel(model, compiled=False, library=self._library)
-        if self._library is not None:
-            self._library.kernel_filter_work.restype = ctypes.c_size_t
+        if library is not None:
+            library.kernel_filter_work.restype = ctypes.c_size_t
 
     def __reduce__(self) -> tuple[Callable[[Model], FilterKernel], tuple[Model]]:
         return filter_kernel, (self.model,)
-
-    @property
-    def n_full(self) -> int:
-        """Length of the full state."""
-        return self.plain.n_full
-
-    @property
-    def n_own(self) -> int:
-        """Number of the model's own states."""
-        return self.plain.n_own
-
-    def start(
-        self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Full state at the first sample and its derivatives; see :meth:`Kernel.start`."""
-        return self.plain.start(own, inputs, values, time)
 
     def part(self, model: Model, own: np.ndarray | None) -> Kernel | None:
         """Trajectories of a smaller model by the same library; None where nothing is compiled.
@@ -595,15 +582,7 @@ class FilterKernel:
             Components of the full state that it has; None for all.
         """
         own = np.arange(self.n_full) if own is None else own
-        return None if self._library is None else _Part(self, self._library, model, own)
-
-    def simulate(
-        self, times: np.ndarray, inputs: np.ndarray, values: np.ndarray, own: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Outputs, full states and success of the undisturbed model."""
-        z0, _ = self.start(own, inputs[0], values, times[0])
-        run = self.plain.run(times, inputs, values, z0)
-        return run.outputs, run.states, run.ok
+        return None if self.library is None else _Part(self, self.library, model, own)
 
     def filter(
         self,
@@ -658,28 +637,21 @@ class FilterKernel:
         longest_step : float, optional
             Longest time over which disturbances are held, s; the median sample time by default.
         """
-        n, plain = len(times), self.plain
-        times, inputs, values, measured = doubles(times, inputs, values, measured)
-        inputs = inputs.reshape(n, plain.n_inputs)
-        z0, dz0 = self.start(own, inputs[0], values, times[0])
-        chosen = [self._free[name] for name in names]
+        n = len(times)
+        begun = self._begun(times, inputs, values, own, measured, active, passing, longest_step)
+        times, inputs, values, measured, z0, dz0, kept, longest_step = begun
+        chosen = np.array([self._free[name] for name in names], dtype=int)
         random = [self._free[name] for name in noise.acting]
         self._check_processes(noise)
-        kept = np.arange(self.n_full) if active is None else np.asarray(active, dtype=int)
-        kept = np.concatenate([kept, np.asarray(passing, dtype=int)])
         n_active = len(kept) - len(passing)
-        n_own = self.n_own if own_columns else 0
-        first = np.hstack(
-            [dz0[kept][:, :n_own], dz0[kept][:, [self.n_own + index for index in chosen]]]
-        )
-        longest_step = _usual_step(times) if longest_step is None else float(longest_step)
-        kinds = np.array([kind for kind, _ in levels], dtype=np.intc)
-        indices = np.array([index for _, index in levels], dtype=np.intc)
+        own_states = range(self.n_own if own_columns else 0)
+        first = dz0[np.ix_(kept, [*own_states, *(self.n_own + chosen)])]
+        kinds, indices = np.array([*levels], dtype=np.intc).reshape(-1, 2).T.copy()
         width = first.shape[1] + len(levels)
         n_random = len(noise.disturbances)
         size = self.n_full + n_random + len(noise.coloured)
         inner = n_active + n_random + len(noise.coloured) + noise.n_second
-        n_levels, n_outputs = len(levels), plain.n_outputs
+        n_levels, n_outputs = len(levels), self.n_outputs
         level, total = np.zeros(n_levels * (n_levels + 1)), np.full(2, np.inf)
         # What no pass fills stays NaN.
         found = FilterPass(
@@ -701,15 +673,14 @@ class FilterKernel:
             sums = float(total[0]), float(total[1])
             return replace(found, log_variance=sums[0], square=sums[1], failed_at=failed)
 
-        if self._library is None:
+        if self.library is None:
             slow = InterpretedFilter(self.model, values, z0, kept, noise, longest_step)
             record, sums = (times, inputs), (level, total)
             return done(slow.filter(record, measured, first, chosen, levels, n_active, found, sums))
-        columns = np.full(max(plain.n_free, 1), -1, dtype=np.intc)
+        columns = np.full(max(self.n_free, 1), -1, dtype=np.intc)
         parameter, disturbance = n_active, n_active + len(chosen)
         columns[chosen] = parameter + np.arange(len(chosen))
         columns[random] = disturbance + np.arange(len(random))
-        kept = np.ascontiguousarray(kept, dtype=np.intc)
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
@@ -717,10 +688,10 @@ class FilterKernel:
         x0, white, variance, memory = doubles(first, noise.white, noise.stationary, memory)
         owner = noise.owner
         sizes = (n_random, len(owner), first.shape[1], len(levels))
-        work = np.empty(self._library.kernel_filter_work(n_active, len(passing), *sizes))
+        work = np.empty(self.library.kernel_filter_work(n_active, len(passing), *sizes))
         h_max = float(self.model.step)
         failed = call(
-            self._library.kernel_filter, n, times, inputs, values, h_max, longest_step,
+            self.library.kernel_filter, n, times, inputs, values, h_max, longest_step,
             z0, n_active, len(passing), kept, first.shape[1], len(chosen), parameter, disturbance,
             columns, x0, n_random, len(random), positions, acting, noise.sea, white,
             len(coloured), coloured, len(owner), owner, variance, which, memory, measured,
@@ -761,18 +732,14 @@ class FilterKernel:
         ok : bool
             Whether everything stayed finite.
         """
-        n, plain = len(times), self.plain
-        times, inputs, values, measured = doubles(times, inputs, values, measured)
-        inputs = inputs.reshape(n, plain.n_inputs)
-        z0, _ = self.start(own, inputs[0], values, times[0])
-        kept = np.arange(self.n_full) if active is None else np.asarray(active, dtype=int)
-        longest_step = _usual_step(times) if longest_step is None else float(longest_step)
-        innovations = np.full((n, plain.n_outputs), np.nan)
-        if self._library is None:
+        n = len(times)
+        begun = self._begun(times, inputs, values, own, measured, active, (), longest_step)
+        times, inputs, values, measured, z0, _, kept, longest_step = begun
+        innovations = np.full((n, self.n_outputs), np.nan)
+        if self.library is None:
             slow = InterpretedFilter(self.model, values, z0, kept, noise, longest_step)
             failed = slow.replay((times, inputs), measured, gains, innovations)
             return innovations, failed < 0
-        kept = np.ascontiguousarray(kept, dtype=np.intc)
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
         which, memory = _lengths(times, longest_step, noise)
@@ -780,11 +747,32 @@ class FilterKernel:
         mean, delta = np.empty((2, gains.shape[-1]))
         h_max = float(self.model.step)
         failed = call(
-            self._library.kernel_replay, n, times, inputs, values, h_max, longest_step,
+            self.library.kernel_replay, n, times, inputs, values, h_max, longest_step,
             z0, len(kept), kept, len(positions), positions, len(coloured), coloured,
             len(noise.owner), which, memory, measured, gains, innovations, mean, delta,
         )  # fmt: skip
         return innovations, failed < 0
+
+    def _begun(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        own: np.ndarray,
+        measured: np.ndarray,
+        active: Sequence[int] | np.ndarray | None,
+        passing: Sequence[int] | np.ndarray,
+        longest_step: float | None,
+    ) -> tuple[Any, ...]:
+        """What both loops take: the record, its first full state, kept components, longest step."""
+        times, inputs, values, measured = doubles(times, inputs, values, measured)
+        inputs = inputs.reshape(len(times), self.n_inputs)
+        z0, dz0 = self.start(own, inputs[0], values, times[0])
+        active = np.arange(self.n_full) if active is None else active
+        kept = np.ascontiguousarray([*active, *passing], dtype=np.intc)
+        if longest_step is None:
+            longest_step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
+        return times, inputs, values, measured, z0, dz0, kept, float(longest_step)
 
     def _check_processes(self, noise: Disturbed) -> None:
         for name in noise.acting:
@@ -840,11 +828,11 @@ class _Part(Kernel):
         first[self._aside] += 1.0
         z = np.tile(first, (len(nodes), 1))
         z[:, self._own] = nodes
-        columns = np.full(max(wide.plain.n_free, 1), -1, dtype=np.intc)
+        columns = np.full(max(wide.n_free, 1), -1, dtype=np.intc)
         columns[self._free] = wide.n_full + np.arange(self.n_free)
         width = wide.n_full + self.n_free if sensitivities else 0
         call(self._select, width, columns)
-        found = wide.plain.run(
+        found = wide.run(
             times, inputs, values, z, starts=starts, carry=carry, n_columns=width or None
         )
         kept = [*self._own, *range(wide.n_full, width)]
@@ -869,10 +857,6 @@ def _lengths(
     steps = np.maximum(1.0, np.ceil(intervals / longest_step - 1e-6))
     lengths, which = np.unique((intervals / steps).round(12), return_inverse=True)
     return which.astype(np.intc), noise.memory(lengths)
-
-
-def _usual_step(times: np.ndarray) -> float:
-    return float(np.median(np.diff(times))) if len(times) > 1 else 1.0
 
 
 _CACHE: dict[tuple[str, float], FilterKernel] = {}

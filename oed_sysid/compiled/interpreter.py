@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any
 
 import casadi as ca
@@ -93,9 +94,9 @@ class Interpreted:
         """Fill the results as the compiled loop does; return -1 or the failing sample."""
         z_out, y_out, dy_out, ends, dends = results
         n, n_full, record = len(times), self.graph.n_full, (times, inputs)
+        edges = [*starts, n]
         z, identity = nodes[0], None if dy_out is None else np.eye(n_full, dy_out.shape[2])
-        for segment, first in enumerate(starts):
-            stop = starts[segment + 1] if segment + 1 < len(starts) else n
+        for segment, (first, stop) in enumerate(pairwise(edges)):
             z, s = z if carry else nodes[segment], identity
             for k in range(first, stop):
                 if not np.isfinite(z).all():

@@ -12,7 +12,7 @@ The cache folder is ``$OED_SYSID_CACHE``, or ``~/.cache/oed_sysid``.
 from __future__ import annotations
 
 import ctypes
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
@@ -67,8 +67,8 @@ class Kernel:
     ----------
     model : Model
         The model; only its structure matters, values are arguments.
-    compiled : bool or None
-        Force (True) or refuse (False) compiled code; None takes what is there.
+    compiled : bool
+        Whether compiled code runs where there is a compiler, or the interpreter in any case.
     library : CDLL, optional
         That of the model's filter, which runs without sensitivities only.
     """
@@ -77,7 +77,7 @@ class Kernel:
         self,
         model: Model,
         *,
-        compiled: bool | None = None,
+        compiled: bool = True,
         library: ctypes.CDLL | None = None,
     ) -> None:
         self.model = model
@@ -91,29 +91,14 @@ class Kernel:
         self.n_full = self.n_own + n_extra + n_memory
         self.n_columns = self.n_full + self.n_free
         self._compiled, self._given = compiled, library
-        if compiled is True and self._library is None:
-            raise ModelError(
-                "Compiled code was asked for, but no C compiler was found. Install gcc or clang, "
-                "or leave compiled=None to use CasADi's interpreter."
-            )
 
     @cached_property
-    def _library(self) -> ctypes.CDLL | None:
-        """Compiled when something is run: sizes and names alone need none of it."""
-        return self._given or (None if self._compiled is False else load(self.model))
+    def library(self) -> ctypes.CDLL | None:
+        """Compiled code, made when something is run; None where the interpreter runs."""
+        return self._given or (load(self.model) if self._compiled else None)
 
     def __reduce__(self) -> tuple[Any, ...]:
         return kernel, (self.model,)
-
-    @property
-    def library(self) -> ctypes.CDLL | None:
-        """Compiled code of the structure, or None where the interpreter runs."""
-        return self._library
-
-    @property
-    def is_compiled(self) -> bool:
-        """Whether compiled code runs, rather than the interpreter."""
-        return self._library is not None
 
     def start(
         self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
@@ -138,11 +123,11 @@ class Kernel:
             Derivatives by own states and free parameters.
         """
         own, inputs, values = doubles(own, inputs, values)
-        if self._library is None:
+        if self.library is None:
             return interpreted(self.model).start(own, inputs, values, time)
         z = np.empty(self.n_full)
         dz = np.empty((self.n_full, self.n_own + self.n_free))
-        call(self._library.kernel_start, own, inputs, values, float(time), z, dz)
+        call(self.library.kernel_start, own, inputs, values, float(time), z, dz)
         return z, dz
 
     def run(
@@ -198,19 +183,77 @@ class Kernel:
             shape = self.n_full, n_columns or self.n_columns
             dy = np.empty((n, self.n_outputs, shape[1]))
             dends = np.empty((n_segments, *shape))
-        if self._library is None:
+        if self.library is None:
             failed = interpreted(self.model).run(
                 times, inputs, values, nodes, starts, carry, (z, y, dy, ends, dends)
             )
         else:
             h_max = float(self.model.step)
             failed = call(
-                self._library.kernel_run, n, times, inputs, values, h_max, n_segments,
+                self.library.kernel_run, n, times, inputs, values, h_max, n_segments,
                 starts, nodes, int(carry), z, y, dy, ends, dends,
             )  # fmt: skip
         if failed >= 0 and dy is not None:
             dy[failed:] = np.nan
         return Run(y, z, dy, ends, dends, failed)
+
+    def simulate(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        own: np.ndarray,
+        *,
+        sensitivities: bool = False,
+    ) -> Run:
+        """Integrate a whole record from the model's own states.
+
+        Parameters
+        ----------
+        times, inputs, values, sensitivities
+            As of :meth:`run`.
+        own : ndarray (n_own,)
+            The model's own states at the first sample.
+
+        Returns
+        -------
+        Run
+            Derivatives of outputs are by own states and free parameters,
+            ``(n_times, n_outputs, n_own + n_free)``; there are none of its end.
+        """
+        z, dz = self.start(own, inputs[0], values, float(times[0]))
+        found = self.run(times, inputs, values, z, sensitivities=sensitivities)
+        if found.output_sensitivities is None:
+            return found
+        chained = by_unknowns(found.output_sensitivities, dz, self.n_own)
+        return replace(found, output_sensitivities=chained, end_sensitivities=None)
+
+
+def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:
+    """Chain derivatives by a full state with those of that state by the unknowns.
+
+    Parameters
+    ----------
+    by_start : ndarray (n_times, n_outputs, n_full + n_free)
+        Of the outputs of a run.
+    dz : ndarray (n_full, n_own + n_free)
+        Derivatives of the full state.
+    n_own : int
+        Number of the model's own states.
+
+    Returns
+    -------
+    ndarray (n_times, n_outputs, n_own + n_free)
+    """
+    n_full = len(dz)
+    n_times, n_outputs, n_columns = by_start.shape
+    if np.array_equal(dz, np.eye(*dz.shape)):
+        return by_start  # the full state is the model's own, the usual case without memory
+    flat = by_start.reshape(-1, n_columns)
+    with np.errstate(over="ignore", invalid="ignore"):  # an explosion is told by the states
+        jacobian = flat[:, :n_full] @ dz
+        jacobian[:, n_own:] += flat[:, n_full:]
+    return jacobian.reshape(n_times, n_outputs, -1)
 
 
 _CACHE: dict[tuple[str, float], Kernel] = {}

@@ -123,6 +123,7 @@ def _summed(
     rows = run.output_sensitivities * (present / sigma)[:, :, None]
     both = np.concatenate([rows, scaled[:, :, None]], axis=2)
     with np.errstate(over="ignore", invalid="ignore"):
+        # A segment's gram is [J r]' [J r] over its own rows.
         parts = [part.reshape(-1, both.shape[2]) for part in np.split(both, starts[1:])]
         gram = np.array([part.T @ part for part in parts])
     if not np.isfinite(gram).all():
@@ -156,6 +157,7 @@ def eliminate(
     scale = 1.0 / np.sqrt(np.maximum(damped[:, diagonal, diagonal], np.finfo(float).tiny))
     damped *= scale[:, :, None] * scale[:, None, :]
     damped[:, diagonal, diagonal] += n_full * np.finfo(float).eps
+    # (G_zz + Omega)^-1 [G_zp, b_z]: how start states follow the parameters, and their own step.
     solved = scale[:, :, None] * np.linalg.solve(damped, scale[:, :, None] * both)
     # By axes: reshaping cannot infer sizes where no parameter is free.
     reduced = gram[:, n_full:-1, n_full:].sum(axis=0) - np.tensordot(

@@ -313,7 +313,7 @@ class Objective:
         self._positions, self._constants = positions, constants
         self._softness = softness
         self.scenarios = scenarios
-        self._n_workers = n_workers if vehicles[0].kernel.is_compiled else 1
+        self._n_workers = n_workers if vehicles[0].kernel.library else 1
         self.n_evaluations = 0
 
     @property

@@ -215,7 +215,7 @@ def _steps(
         for row, size in zip(fault.rows, fault.sizes, strict=True)
         for share in (0.5 * (since[row] + since[row - 1]) / since[-1],)
     ]
-    some = tuple(r for r in equations if fault.signal in r.names)
+    some = Question(tuple(r for r in equations if fault.signal in r.names), ())
     mended = [undo(trace, fixes) for trace in here]
     before, after = (contrasts.evidence(one, some).sum() for one in (here, mended))
     return fixes if after > before else []

@@ -48,14 +48,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.special import stdtrit
 
-from oed_sysid.evidence.corrections import level_axis, pivot, undo
+from oed_sysid.evidence.corrections import ADDED, level_axis, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, RELATIVE, Trace, units_of
@@ -102,8 +102,8 @@ class Candidate:
         The rate, for a lever arm.
     record : str
         The only record that it acts in; empty for all of them.
-    at, until : float
-        Share of the record at which a step or burst begins, and a burst ends.
+    span : tuple of float
+        Shares of the record at which a step or burst begins, and a burst ends.
     unit_of : str
         For a scale: the unit of the signal.
     rare : float
@@ -117,20 +117,14 @@ class Candidate:
     material: float
     other: tuple[str, ...] = ()
     record: str = ""
-    at: float = 0.0
-    until: float = 1.0
+    span: tuple[float, float] = (0.0, 1.0)
     unit_of: str = ""
     rare: float = 0.0
 
     def correction(self, size: float) -> Correction:
         """How to undo a size of it."""
         return Correction(
-            self.kind,
-            self.signals,
-            size,
-            self.other,
-            record=self.record,
-            span=(self.at, self.until),
+            self.kind, self.signals, size, self.other, record=self.record, span=self.span
         )
 
 
@@ -162,7 +156,6 @@ class Motion:
             if name not in self.rates:
                 self.rates[name] = np.gradient(_slow(self.raw[name], 9), trace.times)
         self.elapsed = trace.times - trace.times[0]
-        self.share = self.elapsed / max(self.elapsed[-1], 1e-300)
 
 
 def _line(times: np.ndarray, series: np.ndarray) -> np.ndarray:
@@ -178,6 +171,10 @@ def _slow(series: np.ndarray, width: int) -> np.ndarray:
     return np.convolve(padded, window / window.sum(), mode="valid")
 
 
+def _added(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
+    return {n: ADDED[one.kind](one, m.values, m.elapsed) for n in one.signals}
+
+
 def _turned(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
     first, second = one.signals
     return {first: -m.values[second], second: m.values[first]}
@@ -189,16 +186,11 @@ def _scaled(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
 
 
 # What a unit of each fault adds to the logged signals of a record.
-SHAPES = {
-    "bias": lambda one, m: {n: np.ones_like(m.elapsed) for n in one.signals},
+SHAPES = dict.fromkeys(ADDED, _added) | {
     "scale": _scaled,
     "delay": lambda one, m: {n: -m.rates[n] for n in one.signals},
     "rate": lambda one, m: {n: -m.elapsed * m.rates[n] for n in one.signals},
-    "lever": lambda one, m: {one.signals[0]: m.values[one.other[0]]},
     "misalignment": _turned,
-    "drift": lambda one, m: {one.signals[0]: m.elapsed},
-    "step": lambda one, m: {one.signals[0]: 1.0 * (m.share >= one.at)},
-    "burst": lambda one, m: {one.signals[0]: 1.0 * ((m.share >= one.at) & (m.share < one.until))},
 }
 
 
@@ -223,30 +215,44 @@ def velocities_of(relations: Sequence[Relation], units: Mapping[str, str]) -> tu
 
 
 @dataclass(frozen=True)
-class Dictionary:
-    """Faults of all records, those of single records, and a step of every signal.
+class Question:
+    """What is asked of signals.
 
-    ``given`` are errors that are in every regression, of a size that is known before.
+    Parameters
+    ----------
+    relations : tuple of Relation
+        The equations between them.
+    common, single : tuple of Candidate
+        Faults with a size, of all records and of single ones.
+    local : mapping of str to Candidate
+        A step of every signal.
+    readings : tuple of Reading
+        Other readings of the same numbers.
+    given : tuple of Candidate
+        Errors that are in every regression, of a size that is known before.
     """
 
-    common: tuple[Candidate, ...]
-    single: tuple[Candidate, ...]
-    local: Mapping[str, Candidate]
-    given: tuple[Candidate, ...] = ()
-
-
-@dataclass(frozen=True)
-class Question:
-    """What is asked of signals: the equations, faults with a size, and other readings."""
-
     relations: tuple[Relation, ...]
-    words: Dictionary
-    readings: tuple[Reading, ...]
+    common: tuple[Candidate, ...]
+    single: tuple[Candidate, ...] = ()
+    local: Mapping[str, Candidate] = field(default_factory=dict)
+    readings: tuple[Reading, ...] = ()
+    given: tuple[Candidate, ...] = ()
 
     @classmethod
     def of(cls, traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Question:
         """Everything that may be wrong with signals that equations relate."""
-        return cls(relations, candidates(traces, relations), tuple(readings(traces, relations)))
+        facts = Facts(traces, relations)
+        drifts = tuple(facts.drifts())
+        # One position alone drifts as a misaligned velocity does.
+        plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
+        common = (*facts.sensors(), *facts.clocks(), *facts.places(), *plain)
+        apart = [c for c in (*common, *drifts) if c.kind in ("bias", "scale", "drift")]
+        several = traces if 1 < len(traces) <= PLACES else ()
+        pairs = ((t, c) for t, c in product(several, apart) if {*c.signals} <= t.values.keys())
+        single = dict.fromkeys(replace(c, record=t.name) for t, c in pairs)
+        local = {n: facts.step_of(n) for n in facts.size}
+        return cls(relations, common, tuple(single), local, tuple(readings(traces, relations)))
 
 
 class Facts:
@@ -307,24 +313,6 @@ class Facts:
         """A lasting jump of a signal."""
         least = 2.0 * self.noise[name] + 1e-3 * self.size[name]
         return Candidate("step", (name,), self.units[name], self.size[name], least)
-
-
-def candidates(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Dictionary:
-    """Faults that these signals may have, with usual sizes."""
-    facts = Facts(traces, relations)
-    drifts = tuple(facts.drifts())
-    # One position alone drifts as a misaligned velocity does.
-    plain = [d for d in drifts if {*d.signals} - facts.integrated or len(facts.positions) > 1]
-    common = (*facts.sensors(), *facts.clocks(), *facts.places(), *plain)
-    apart = [c for c in (*common, *drifts) if c.kind in ("bias", "scale", "drift")]
-    single = [
-        replace(c, record=trace.name)
-        for trace in (traces if 1 < len(traces) <= PLACES else ())
-        for c in apart
-        if set(c.signals) <= set(trace.values)
-    ]
-    local = {n: facts.step_of(n) for n in facts.size}
-    return Dictionary(common, tuple(dict.fromkeys(single)), local)
 
 
 def _rms(traces: Sequence[Trace], name: str) -> float:
@@ -388,81 +376,77 @@ def contrasts(
     its left side was logged in, or shrinking a signal would shrink its noise.
     """
     motion = Motion(trace, relations)
-    here = [k for k, f in enumerate(faults) if f.record in ("", trace.name)]
-    here = [k for k in here if set((*faults[k].signals, *faults[k].other)) <= set(motion.raw)]
-    shapes = {k: SHAPES[faults[k].kind](faults[k], motion) for k in here}
+    shapes = {
+        k: SHAPES[one.kind](one, motion)
+        for k, one in enumerate(faults)
+        if one.record in ("", trace.name) and {*one.signals, *one.other} <= motion.raw.keys()
+    }
+    zero = np.zeros(trace.times.size)
     for index, right in motion.right.items():
         relation = relations[index]
-        used = [k for k in here if shapes[k].keys() & {*relation.names}]
-        _, usable = trace.filled(relation.signals)
+        used = [k for k in shapes if shapes[k].keys() & {*relation.names}]
+        touched = {n for k in used for n in shapes[k]}
+        names = [n for n in relation.asked if n in touched or trace.noise[n] > 0.0]
         inner = {n: motion.raw[n] for n in relation.signals}
-        slopes = _slopes(relation, inner, trace, {n for k in used for n in shapes[k]})
-        direct = np.zeros((trace.times.size, len(used)))
-        under = np.zeros((trace.times.size, len(used) + 1))
-        under[:, 0] = right
-        for i, k in enumerate(used):
-            direct[:, i] = shapes[k].get(relation.target, 0.0)
-            under[:, i + 1] = sum(
-                (slopes[n] * g for n, g in shapes[k].items() if n in slopes), np.zeros(1)
-            )
+        slopes = {n: relation.slope(inner, trace.times, n) for n in names}
+        under = [
+            sum((slopes[n] * g for n, g in shapes[k].items() if n in slopes), zero) for k in used
+        ]
+        direct = [shapes[k].get(relation.target, zero) for k in used]
+        target = trace.values[relation.target]
+        # Residual, left side, candidates, signals: each is a left side minus an integral.
+        left = np.column_stack([target, target, *direct, *(zero for _ in slopes)])
+        inside = np.column_stack([right, zero, *under, *slopes.values()])
         factor = factors.get(relation.target, 1.0)
-        columns = direct, under, np.array(used, dtype=int)
-        yield from _pieces(trace, index, relation, columns, usable, slopes, factor)
+        yield from _pieces(trace, (index, relation), (left, inside), used, slopes, factor)
 
 
 def _pieces(
     trace: Trace,
-    index: int,
-    relation: Relation,
-    columns: tuple[np.ndarray, np.ndarray, np.ndarray],
-    usable: np.ndarray,
+    numbered: tuple[int, Relation],
+    columns: tuple[np.ndarray, np.ndarray],
+    used: Sequence[int],
     slopes: Mapping[str, np.ndarray],
     factor: float,
 ) -> Iterator[Piece]:
     """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
-    direct, under, used = columns
-    target = trace.values[relation.target]
+    (index, relation), (left, inside) = numbered, columns
+    rated = relation.is_rate
+    power = {name: trace.noise[name] ** 2 * _spacing(trace, name) for name in slopes}
+    _, usable = trace.filled(relation.signals)
     for piece in trace.pieces(usable, LEAST):
-        rows = np.flatnonzero(np.isfinite(target[piece])) + piece.start
+        times = trace.times[piece]
+        rows = np.flatnonzero(np.isfinite(left[piece, 0]))
         group = max(1, -(-rows.size // MOST_BLOCKS))
         n = rows.size // group
         if n < LEAST:
             continue
-        times = trace.times[piece]
-        inside = relation.integral(times, under[piece]) if relation.is_rate else under[piece]
         rows = rows[: n * group]
-        inside = inside[rows - piece.start]
-        left = target[rows]
-        whole = np.column_stack([left - inside[:, 0], left, direct[rows] - inside[:, 1:]])
+        sums = relation.integral(times, inside[piece]) if rated else inside[piece]
+        whole = (left[piece] - sums)[rows]
         means = factor * whole.reshape(n, group, -1).mean(axis=1)
-        span = float(times[-1] - times[0]) / n
-        power = {
-            name: float(np.mean(slope[piece] ** 2)) * trace.noise[name] ** 2 * _spacing(trace, name)
-            for name, slope in slopes.items()
-        }
-        total = sum(power.values())
-        every = np.column_stack([np.zeros((trace.times.size, 0)), *slopes.values()])[piece]
-        sums = relation.integral(times, every) if relation.is_rate else every
-        sums = sums[rows - piece.start].reshape(n, group, -1).mean(axis=1)
-        waves = dct(means, axis=0, norm="ortho")[1:]
+        waves = dct(means[:, : 2 + len(used)], axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
             continue
+        span = float(times[-1] - times[0]) / n
+        walks = {name: float(np.mean(slopes[name][piece] ** 2)) * p for name, p in power.items()}
+        total = sum(walks.values())
         yield Piece(
             relation=index,
             target_name=relation.target,
-            is_rate=relation.is_rate,
+            is_rate=rated,
             record=trace.name,
-            times=trace.times[rows].reshape(n, group).mean(axis=1),
+            times=times[rows].reshape(n, group).mean(axis=1),
             residual=waves[:, 0],
             target=waves[:, 1],
             columns=waves[:, 2:],
-            used=used,
+            used=np.array(used, dtype=int),
             angle=np.pi * np.arange(1, n) / n,
             span=span,
-            walk=factor**2 * total * (span if relation.is_rate else 0.0),
+            walk=factor**2 * total * (span if rated else 0.0),
             level=factor * trace.noise[relation.target] / np.sqrt(group),
-            shares={name: p / total if total else 0.0 for name, p in power.items()},
-            ramps={name: -factor * sums[:, i] for i, name in enumerate(slopes)},
+            shares={name: walk / total if total else 0.0 for name, walk in walks.items()},
+            ramps=dict(zip(slopes, means[:, 2 + len(used) :].T, strict=True)),
         )
 
 
@@ -470,23 +454,6 @@ def _spacing(trace: Trace, name: str) -> float:
     """Median time between samples of a signal, s."""
     present = trace.times[np.isfinite(trace.values[name])]
     return float(np.median(np.diff(present)))
-
-
-def _slopes(
-    relation: Relation, inner: Mapping[str, np.ndarray], trace: Trace, touched: set[str]
-) -> dict[str, np.ndarray]:
-    """Derivatives of a right side by the signals that a fault touches, or that have noise."""
-    names = (n for n in relation.asked if n in touched or trace.noise[n] > 0.0)
-    return {n: partial(relation, inner, trace.times, n) for n in names}
-
-
-def partial(
-    relation: Relation, series: Mapping[str, np.ndarray], times: np.ndarray, name: str
-) -> np.ndarray:
-    """Derivative of a right side by one signal, by central differences, ``(n_times,)``."""
-    h = 1e-4 * (float(np.sqrt(np.mean(series[name] ** 2))) + 1e-3)
-    up = relation({**series, name: series[name] + h}, times)
-    return (up - relation({**series, name: series[name] - h}, times)) / (2.0 * h)
 
 
 # -- noise -----------------------------------------------------------------------------------
@@ -661,7 +628,7 @@ def scanned(
         for i, kind in enumerate(("step", "burst")):
             k = int(np.argmax(gain[i]))
             until = places[k] + 1.0 / PLACES if kind == "burst" else 1.0
-            found = replace(one, kind=kind, record=trace.name, at=places[k], until=until)
+            found = replace(one, kind=kind, record=trace.name, span=(places[k], until))
             result.append((float(gain[i, k]), found))
     least = VARYING * float(np.min(system.limits))
     likely = sorted((pair for pair in result if pair[0] > least), key=lambda pair: -pair[0])
@@ -729,6 +696,12 @@ class System:
         right = self.right - across.T @ self.right[:n]
         gram[:n], gram[:, :n], right[:n] = 0.0, 0.0, 0.0
         return replace(self, gram=gram, right=right)
+
+    def strained(self, now: Sequence[int]) -> bool:
+        """Whether a fault that matters is so far beyond its limit that linear scores mislead."""
+        gain, size, _ = self.beside(now)
+        far = (gain > LOUDER * self.limits) & (np.abs(size) > self.of("material"))
+        return bool(np.any(far))
 
     def of(self, what: str) -> np.ndarray:
         """A number of every candidate."""
@@ -881,29 +854,26 @@ def search(
     known: Sequence[Correction] = (),
 ) -> Result:
     """Find faults with a size; ``start`` are delays, ``known`` steps to begin from."""
-    words, relations = question.words, question.relations
-    n_given, n_common = len(words.given), len(words.given) + len(words.common)
-    faults = [*words.given, *words.common, *words.single * single]
-    n_more = 2 * PLACES * len(words.local) * len(traces) * single
-    active = _begun(words, start, known)
+    relations, n_given = question.relations, len(question.given)
+    faults = [*question.given, *question.common, *question.single * single]
+    n_common = n_given + len(question.common)
+    local = question.local if single else {}
+    n_more = 2 * PLACES * len(local) * len(traces)
+    active = _begun(question, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
     for turn in range(SWEEPS):
         near = [*_beside(active, shift)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
-        place = {f: k for k, f in enumerate(faults)}
         undone, pieces = _linearised(traces, relations, faults, active)
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
-        now = [place[f] for f in active]
+        now = [faults.index(fault) for fault in active]
         inside = np.union1d(np.arange(n_common), now).astype(int)
         system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
-        if turn == 0:
-            gain, size, _ = bench.beside(now)
-            far = (gain > LOUDER * system.limits) & (np.abs(size) > bench.of("material"))
-            strained = bool(np.any(far))
-        found = scanned(undone, pieces, system, now, words.local) if single else []
-        picked = [f for f in found if f not in place]
+        strained = strained if turn else bench.strained(now)
+        found = scanned(undone, pieces, system, now, local)
+        picked = [fault for fault in found if fault not in faults]
         chosen = bench.chosen(now)
         size, std, _ = bench.sizes(chosen)
         before, active = active, {faults[k]: float(v) for k, v in zip(chosen, size, strict=True)}
@@ -924,18 +894,16 @@ def _settled(
 
 
 def _begun(
-    words: Dictionary, start: Sequence[Correction], known: Sequence[Correction]
+    question: Question, start: Sequence[Correction], known: Sequence[Correction]
 ) -> dict[Candidate, float]:
     """Faults that a search begins with, and their sizes."""
-    keys = {(f.kind, f.signals, f.other): f for f in words.common}
-    same = ((keys.get((one.kind, one.signals, one.other)), one.value) for one in start)
-    begun = {fault: value for fault, value in same if fault is not None}
-    steps = ((words.local.get(one.signals[0]), one) for one in known)
-    return begun | {
-        replace(fault, material=0.0, record=one.record, at=one.span[0]): one.value
-        for fault, one in steps
-        if fault is not None
-    }
+    keys = {(f.kind, f.signals, f.other): f for f in question.common}
+    begun = {keys.get((one.kind, one.signals, one.other)): one.value for one in start}
+    for one in known:
+        if (step := question.local.get(one.signals[0])) is not None:
+            here = replace(step, material=0.0, record=one.record, span=(one.span[0], 1.0))
+            begun[here] = one.value
+    return {fault: value for fault, value in begun.items() if fault is not None}
 
 
 def _linearised(
@@ -956,7 +924,8 @@ def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
     for one in active:
         if one.kind in LOCAL and one.material > 0.0:
             for by in (-shift, shift):
-                yield replace(one, at=one.at + by, until=one.until + by * (one.kind == "burst"))
+                begin, end = one.span
+                yield replace(one, span=(begin + by, end + by * (one.kind == "burst")))
 
 
 def diagnosed(
@@ -966,26 +935,29 @@ def diagnosed(
 ) -> tuple[list[Reading], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
     relations = question.relations
+
+    def mended(readings: Sequence[Reading]) -> list[Trace]:
+        return [undo(t, [one.correction for one in readings], relations) for t in traces]
+
     plain = search(traces, question, known=known)
     if not plain.strained and not _nearer(traces, question):
         return [], plain
     found, start = misread([undo(t, known, relations) for t in traces], question)
-    mended = [undo(t, [one.correction for one in found], relations) for t in traces]
-    ends = [search(mended, question, known=known)] if found else [plain]
-    ends += [search(mended, question, start=start, known=known)] if start else []
-
-    def worth(end: Result) -> float:
-        left = [undo(t, [one.correction for one in end.found], relations) for t in mended]
-        told = evidence(left, relations, question.words.given)
-        return float(told.sum()) - CLOSE * len(end.found)
-
-    best = max(ends, key=worth)
-    units = [one for f in best.found for one in _as_units(f)]
+    right = mended(found)
+    ends = [search(right, question, known=known)] if found else [plain]
+    ends += [search(right, question, start=start, known=known)] if start else []
+    best = max(ends, key=lambda end: _worth(end, right, question))
+    units = [unit for one in best.found for unit in _as_units(one)]
     if units:
         found = [*found, *units]
-        mended = [undo(t, [one.correction for one in units], relations) for t in mended]
-        best = search(mended, question, known=known)
+        best = search(mended(found), question, known=known)
     return found, best
+
+
+def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
+    """Information of the equations with the faults of a search undone, less the price of these."""
+    left = [undo(t, [one.correction for one in end.found], question.relations) for t in traces]
+    return float(evidence(left, question).sum()) - CLOSE * len(end.found)
 
 
 def _as_units(one: Found) -> list[Reading]:
@@ -1004,11 +976,8 @@ def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterat
     """Signs, units, columns, axes and quarters of a heading that these signals may have wrong."""
     units, names = units_of(traces), names_of(relations)
     angles = [r.names for r in relations if r.is_rate and units[r.target] == "rad"]
-    for group in [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]:
-        yield Reading(Correction("sign", group, -1.0))
-        if len({units[n].partition("/")[0] for n in group}) == 1:
-            for factor, meaning in READINGS.get(units[group[0]], ()):
-                yield Reading(Correction("unit", group, factor), meaning)
+    groups = [*((n,) for n in names), *(pair for pair in angles if len(pair) == 2)]
+    yield from plain_readings(groups, units)
     yield from (Reading(Correction("swap", pair)) for pair in combinations(names, 2))
     yield from _axes(traces, relations, units)
 
@@ -1018,7 +987,7 @@ def _axes(
 ) -> Iterator[Reading]:
     """Velocities along the axes of the positions, and headings that count from elsewhere."""
     velocities, positions = velocities_of(relations, units), _displacements(relations, units)
-    level = (level_axis(r, traces[0].values, units, traces[0].times, velocities) for r in positions)
+    level = (level_axis(r, units, velocities) for r in positions)
     if any(level) and all(trace.values.keys() >= {*velocities} for trace in traces):
         yield Reading(Correction("frame", velocities))
     if len(positions) > 1:
@@ -1028,12 +997,20 @@ def _axes(
             yield Reading(turn, f"{90 * quarter} deg")
 
 
-def evidence(
-    traces: Sequence[Trace],
-    relations: tuple[Relation, ...],
-    given: tuple[Candidate, ...] = (),
-) -> np.ndarray:
+def plain_readings(
+    groups: Iterable[tuple[str, ...]], units: Mapping[str, str]
+) -> Iterator[Reading]:
+    """The other sign and the other units of signals, alone or in groups of one quantity."""
+    for group in groups:
+        yield Reading(Correction("sign", group, -1.0))
+        if len({units[n].partition("/")[0] for n in group}) == 1:
+            for factor, meaning in READINGS.get(units[group[0]], ()):
+                yield Reading(Correction("unit", group, factor), meaning)
+
+
+def evidence(traces: Sequence[Trace], question: Question) -> np.ndarray:
     """Information that each equation gives about its left side, ``(n_relations,)``."""
+    relations, given = question.relations, question.given
     pieces = [p for t in traces for p in contrasts(t, relations, given, {})]
     result = np.zeros(len(relations))
     for index in {p.relation for p in pieces}:
@@ -1054,26 +1031,25 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
     start : list of Correction
         Large delays that compete with readings: their sizes are for :func:`search` to find.
     """
-    relations, given = question.relations, question.words.given
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    lost = evidence(coarse, relations, given) == 0.0
-    if np.any(lost & (evidence(traces, relations, given) != 0.0)):
+    lost = evidence(coarse, question) == 0.0
+    if np.any(lost & (evidence(traces, question) != 0.0)):
         coarse = list(traces)  # motion too fast for fewer samples
-    late = [*_late(question.words)]
+    late = [*_late(question)]
     found: list[Reading] = []
     for _ in range(3 if question.readings else 0):
-        least, scored = _scored(coarse, question, late)
-        best = scored[0]
+        least, (best, *others) = _scored(coarse, question, late)
         # What chance exceeds rarely, however many readings are tried.
-        limit = 2.0 * math.log(len(scored) / ALPHA)
-        if best.correction.kind == "delay" and best.gain > limit:
+        limit = 2.0 * math.log((1 + len(others)) / ALPHA)
+        delayed = best.correction.kind == "delay"
+        if delayed and best.gain > limit:
             return found, [best.correction]
         if best.gain < limit + least:
             break
-        rivals = (o for o in scored[1:] if o.correction.kind != "delay")
+        rivals = (o for o in others if o.correction.kind != "delay")
         close = tuple(o for o in rivals if o.gain > best.gain - CLOSE)
         found.append(replace(best, rivals=close))
-        coarse = [undo(t, (best.correction,), relations) for t in coarse]
+        coarse = [undo(t, (best.correction,), question.relations) for t in coarse]
     return found, []
 
 
@@ -1082,17 +1058,18 @@ def _nearer(traces: Sequence[Trace], question: Question) -> bool:
 
     Forces that are wrong in all can be so large that no fault with a size stands out of them.
     """
-    if not question.words.given:
+    if not question.given:
         return False
-    coarse, relations = [trace.thinned(2 * MOST_BLOCKS) for trace in traces], question.relations
-    now = evidence(coarse, relations).sum()
-    changed = ([undo(t, (r.correction,), relations) for t in coarse] for r in question.readings)
-    return any(evidence(other, relations).sum() > now for other in changed)
+    plain = replace(question, given=())
+    coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
+    now = evidence(coarse, plain).sum()
+    changed = ([undo(t, (r.correction,), plain.relations) for t in coarse] for r in plain.readings)
+    return any(evidence(other, plain).sum() > now for other in changed)
 
 
-def _late(words: Dictionary) -> Iterator[Reading]:
+def _late(question: Question) -> Iterator[Reading]:
     """Large delays, as rivals of readings: the linearised score does not reach so far."""
-    for fault, k in product((f for f in words.common if f.kind == "delay"), range(-1, 3)):
+    for fault, k in product((f for f in question.common if f.kind == "delay"), range(-1, 3)):
         delay = fault.plausible * 2.0**k
         if delay > 2.0 * fault.material:
             yield from (Reading(Correction("delay", fault.signals, d)) for d in (delay, -delay))
@@ -1102,20 +1079,21 @@ def _scored(
     coarse: Sequence[Trace], question: Question, late: Sequence[Reading]
 ) -> tuple[float, list[Reading]]:
     """What faults with a size tell, and all readings, those that tell most first."""
-    relations, given = question.relations, question.words.given
-    now = evidence(coarse, relations, given)
+    relations, now = question.relations, evidence(coarse, question)
+
+    def told(corrections: Sequence[Correction], mine: Sequence[int]) -> float:
+        changed = [undo(t, corrections, relations) for t in coarse]
+        some = replace(question, relations=tuple(relations[i] for i in mine))
+        return float(np.sum(evidence(changed, some) - now[[*mine]]))
+
     sized = [one.correction for one in search(coarse, question, single=False).found]
-    mended = [undo(t, sized, relations) for t in coarse]
-    told = float(np.sum(evidence(mended, relations, given) - now))
+    least = max(0.0, told(sized, range(len(relations))))
     scored = []
     for one in (*question.readings, *late):
         touched = {*one.correction.signals}
         mine = [i for i, r in enumerate(relations) if touched & {*r.names}]
-        some = tuple(relations[i] for i in mine)
-        changed = [undo(t, (one.correction,), relations) for t in coarse]
-        gain = float(np.sum(evidence(changed, some, given) - now[mine]))
-        scored.append(replace(one, gain=gain))
-    return max(0.0, told), sorted(scored, key=lambda one: -one.gain)
+        scored.append(replace(one, gain=told((one.correction,), mine)))
+    return least, sorted(scored, key=lambda one: -one.gain)
 
 
 def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:

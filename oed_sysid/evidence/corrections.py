@@ -5,15 +5,16 @@ Corrected copies of records: what was found is undone, and said.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.evidence.relations import Relation, relations
-from oed_sysid.evidence.result import Correction, LogCheck
+from oed_sysid.evidence.result import Correction, Finding, LogCheck
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.model import Model
@@ -40,14 +41,14 @@ def undo(
 
 def _noise(noise: dict[str, float], one: Correction) -> dict[str, float]:
     """Noise levels that a correction changes."""
-    first, last = one.signals[0], one.signals[-1]
+    levels = [noise[name] for name in one.signals] if one.kind in ("unit", "swap", "frame") else []
     if one.kind == "unit":
-        return {name: abs(one.value) * noise[name] for name in one.signals}
-    if one.kind == "swap":
-        return {first: noise[last], last: noise[first]}
-    if one.kind == "frame":
-        return dict.fromkeys(one.signals, float(np.mean([noise[name] for name in one.signals])))
-    return {}
+        levels = [abs(one.value) * level for level in levels]
+    elif one.kind == "swap":
+        levels.reverse()
+    elif levels:
+        levels = [float(np.mean(levels))] * len(levels)
+    return dict(zip(one.signals, levels, strict=False))
 
 
 def corrected(
@@ -67,12 +68,10 @@ def corrected(
 
 
 def _with_inputs(record: Record, corrections: tuple[Correction, ...]) -> Record:
-    names = record.channels.input_names
-    inputs = np.array(record.inputs)
+    names, inputs = record.channels.input_names, np.array(record.inputs)
     for one in corrections:
-        for name in one.signals:
-            if name in names and one.kind in ("sign", "unit"):
-                inputs[:, names.index(name)] *= one.value
+        if one.kind in ("sign", "unit"):
+            inputs[:, [names.index(name) for name in one.signals if name in names]] *= one.value
     return replace(record, inputs=inputs)
 
 
@@ -107,26 +106,42 @@ def _undone(
     return {first: cos * x + sin * y, second: cos * y - sin * x}
 
 
+def share_of(since: np.ndarray) -> np.ndarray:
+    """Times since the beginning of a record as shares of its length, ``(n_times,)``."""
+    return since / max(since[-1], 1e-300)
+
+
+# What a unit of a fault adds to a signal ``(n_times,)``: from the fault (its other signals and its
+# span), the signals and the time since the beginning of the record in s.
+ADDED: dict[str, Callable[[Any, Mapping[str, np.ndarray], np.ndarray], np.ndarray]] = {
+    "bias": lambda one, values, since: np.ones_like(since),
+    "drift": lambda one, values, since: since,
+    "lever": lambda one, values, since: values[one.other[0]],
+    "step": lambda one, values, since: 1.0 * (share_of(since) >= one.span[0]),
+    "burst": lambda one, values, since: (
+        1.0 * (share_of(since) >= one.span[0]) * (share_of(since) < one.span[1])
+    ),
+}
+
+
 def _mended(trace: Trace, name: str, one: Correction) -> np.ndarray:
     """One signal without a fault that concerns it alone."""
     series, times, size = trace.values[name], trace.times, one.value
     since, index = times - times[0], np.arange(times.size)
-    rows, sizes = one.rows.get(trace.name, ()), one.sizes.get(trace.name, ())
-    share, (begin, end) = since / max(since[-1], 1e-300), one.span
-    jumps = sum((s * (index >= row) for row, s in zip(rows, sizes, strict=False)), 0.0 * since)
+    rows = one.rows.get(trace.name, ())
+    if one.rows and one.kind == "step":
+        jumps = zip(rows, one.sizes.get(trace.name, ()), strict=False)
+        return series - sum((s * (index >= row) for row, s in jumps), 0.0 * since)
+    if one.kind in ADDED:
+        return series - size * ADDED[one.kind](one, trace.values, since)
     ways: dict[str, Callable[[], np.ndarray]] = {
         "scale": lambda: (series + size * pivot(series, trace.units[name])) / (1.0 + size),
         "blank": lambda: np.where(np.isin(index, rows), np.nan, series),
-        "step": lambda: series - (jumps if one.rows else size * (share >= begin)),
-        "burst": lambda: series - size * ((share >= begin) & (share < end)),
         "delay": lambda: shifted(times, series, size),
         "rate": lambda: shifted(times, series, size * since),
-        "lever": lambda: series - size * trace.values[one.other[0]],
         "sign": lambda: size * series,
         "unit": lambda: size * series,
         "offset": lambda: series + size,
-        "bias": lambda: series - size,
-        "drift": lambda: series - size * since,
     }
     return ways.get(one.kind, lambda: series)()
 
@@ -142,22 +157,21 @@ def body_axes(
     """
     values, times = trace.values, trace.times
     n = len(velocities)
-    matrix, known = np.zeros((times.size, n, n)), set[str]()
+    matrix, absent = np.zeros((times.size, n, n)), set(range(n))
     for relation in relations:
-        place = level_axis(relation, values, trace.units, times, velocities)
+        place = level_axis(relation, trace.units, velocities)
         if place is not None:
-            known.add(place)
-            rows = [_partial(relation, values, times, v) for v in velocities]
-            matrix[:, velocities.index(place)] = np.column_stack(rows)
-    if not known:
+            row = velocities.index(place)
+            absent.discard(row)
+            here = {name: values.get(name, np.zeros(times.size)) for name in relation.signals}
+            for column, name in enumerate(velocities):
+                if name in here:
+                    matrix[:, row, column] = relation.slope(here, times, name)
+    if absent and (n, len(absent)) != (2, 1):
         return {}
-    absent = [i for i, name in enumerate(velocities) if name not in known]
-    if n == 2 and len(absent) == 1:
-        other = matrix[:, 1 - absent[0]]
-        matrix[:, absent[0], absent[0]] = other[:, 1 - absent[0]]
-        matrix[:, absent[0], 1 - absent[0]] = -other[:, absent[0]]
-    elif absent:
-        return {}
+    for row in absent:
+        other = matrix[:, 1 - row]
+        matrix[:, row, row], matrix[:, row, 1 - row] = other[:, 1 - row], -other[:, row]
     logged = np.column_stack([values[name] for name in velocities])
     ok = np.isfinite(matrix).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(matrix))) > 0.1)
     body = np.full_like(logged, np.nan)
@@ -166,37 +180,14 @@ def body_axes(
 
 
 def level_axis(
-    relation: Relation,
-    values: dict[str, np.ndarray],
-    units: dict[str, str],
-    times: np.ndarray,
-    velocities: tuple[str, ...],
+    relation: Relation, units: Mapping[str, str], velocities: tuple[str, ...]
 ) -> str | None:
     """Velocity that the rate of a position equals at level attitude; None if there is none."""
     if not relation.is_rate or units.get(relation.target) != "m":
         return None
-    level = {n: np.zeros(2) for n in relation.signals}
-    found = []
-    for name in relation.signals:
-        if name in velocities:
-            slope = float(relation({**level, name: np.ones(2)}, times[:2])[0])
-            if abs(slope) > 1e-9:
-                found.append((name, slope))
-    return found[0][0] if len(found) == 1 and abs(found[0][1] - 1.0) < 1e-6 else None
-
-
-def _partial(
-    relation: Relation, values: dict[str, np.ndarray], times: np.ndarray, name: str
-) -> np.ndarray:
-    """Derivative of a right side by a signal that it is linear in, shape ``(n_times,)``."""
-    if name not in relation.signals:
-        return np.zeros(times.size)
-    here = {n: values[n] for n in relation.signals}
-    zero = {n: np.zeros(times.size) for n in relation.signals if n not in here}
-    up, down = here[name] + 0.5, here[name] - 0.5
-    return relation({**zero, **here, name: up}, times) - relation(
-        {**zero, **here, name: down}, times
-    )
+    shares = {name: relation.level(name) for name in relation.signals if name in velocities}
+    found = [name for name, share in shares.items() if abs(share) > 1e-9]
+    return found[0] if len(found) == 1 and abs(shares[found[0]] - 1.0) < 1e-6 else None
 
 
 # A current is no fault of the log, and what stands for a dead sensor nobody knows.
@@ -232,16 +223,21 @@ def corrected_copies(
     model = problem.model if isinstance(problem, Problem) else problem
     mine = {*dataset.channels.output_names, *dataset.channels.input_names}
     doubtful = found.named("unexplained") is not None
-    fixes = [
-        (one.correction, one.says)
-        for one in found.findings
-        if one.correction is not None and not (doubtful and one.correction.kind != "blank")
-        if one.kind not in LEFT_ALONE and set(one.correction.signals) <= mine
-    ]
-    if not fixes:
+    undone, done = list[Correction](), list[str]()
+    for fix, one in _undoable(found):
+        if set(fix.signals) <= mine and (fix.kind == "blank" or not doubtful):
+            undone.append(fix)
+            done.append(one.says)
+    if not undone:
         return dataset, ()
-    undone, done = zip(*fixes, strict=True)
-    return corrected(dataset, undone, relations(model)), done
+    return corrected(dataset, undone, relations(model)), tuple(done)
+
+
+def _undoable(found: LogCheck) -> Iterable[tuple[Correction, Finding]]:
+    """Corrections that a copy may get, and the findings that they undo."""
+    for one in found.findings:
+        if one.correction is not None and one.kind not in LEFT_ALONE:
+            yield one.correction, one
 
 
 def why_not_more(found: LogCheck) -> str:
@@ -255,12 +251,7 @@ def why_not_more(found: LogCheck) -> str:
     still = found.named("unexplained")
     if still is None:
         return ""
-    left = [
-        one.name
-        for one in found.findings
-        if one.correction is not None and one.correction.kind != "blank"
-        if one.kind not in LEFT_ALONE
-    ]
+    left = [one.name for fix, one in _undoable(found) if fix.kind != "blank"]
     what = f"{', '.join(left)} is left as logged" if left else "nothing but bad samples is changed"
     return (
         f"{what}: with all findings undone an equation of {still.signals[0]} still leaves "

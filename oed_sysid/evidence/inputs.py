@@ -42,11 +42,11 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.contrasts import (
     MOST_BLOCKS,
     Candidate,
-    Dictionary,
     Question,
     Reading,
     System,
     diagnosed,
+    plain_readings,
 )
 from oed_sysid.evidence.corrections import ORDER, corrected
 from oed_sysid.evidence.relations import READINGS, Relation
@@ -255,8 +255,8 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
             Candidate("delay", (name,), "s", max(0.7, 3.0 * step), step),
         )
     ]
-    words = Dictionary(tuple(common), (), {}, tuple(_given(traces, equations, model, length)))
-    return Question(equations, words, tuple(_readings(moving)))
+    given = tuple(_given(traces, equations, model, length))
+    return Question(equations, tuple(common), readings=tuple(_readings(moving)), given=given)
 
 
 def _given(
@@ -281,10 +281,7 @@ def _believed(p: Parameter) -> float:
 
 def _readings(moving: Mapping[str, str]) -> Iterator[Reading]:
     """Signs and units of each input that moves, and pairs that may be swapped."""
-    for name, unit in moving.items():
-        yield Reading(Correction("sign", (name,), -1.0))
-        for factor, meaning in READINGS.get(unit, ()):
-            yield Reading(Correction("unit", (name,), factor), meaning)
+    yield from plain_readings(((name,) for name in moving), moving)
     for pair in combinations(moving, 2):
         if moving[pair[0]] == moving[pair[1]]:
             yield Reading(Correction("swap", pair))

@@ -97,6 +97,18 @@ class Relation:
             scope[name] = expressions.to_numpy(text, scope)
         return np.broadcast_to(np.asarray(scope[self.steps[-1][0]], dtype=float), times.shape)
 
+    def slope(self, values: Mapping[str, np.ndarray], times: np.ndarray, name: str) -> np.ndarray:
+        """Derivative of the right side by one signal, by central differences, ``(n_times,)``."""
+        series = values[name]
+        h = 1e-4 * (float(np.sqrt(np.mean(series**2))) + 1e-3)
+        up, down = (self({**values, name: series + change}, times) for change in (h, -h))
+        return (up - down) / (2.0 * h)
+
+    def level(self, name: str) -> float:
+        """Right side where one signal is 1 and all others are 0: its share at level attitude."""
+        at = {n: np.full(2, float(n == name)) for n in self.signals}
+        return float(self(at, np.zeros(2))[0])
+
 
 def integral(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Cumulative integral of cubic Hermite splines through ``(n, k)`` samples; first row zero.
@@ -133,21 +145,15 @@ def relations(
         Outputs that were not measured.
     """
     absent = set(missing)
+    outputs = [o for o in model.outputs if o.name not in absent]
     # A state is measured where an output shows it and nothing else.
-    shown = {o.source: o.name for o in model.outputs if o.name not in absent}
+    shown = {o.source: o.name for o in outputs}
     measured = {state: shown[state] for state in model.state_names if state in shown}
-    touched = _touched(model)
-    rates = [
-        _declared(model, measured[state], text, measured, is_rate=True)
-        for state, text in model.kinematics.items()
-        if state in measured and state not in touched
-    ]
-    sums = [
-        _declared(model, o.name, o.source, measured, is_rate=False)
-        for o in model.outputs
-        if o.source not in model.state_names and o.name not in absent
-    ]
-    found = [one for one in (*rates, *sums) if one is not None]
+    free = measured.keys() - _touched(model)
+    stated = [(measured[s], text, True) for s, text in model.kinematics.items() if s in free]
+    stated += [(o.name, o.source, False) for o in outputs if o.source not in model.state_names]
+    declared = (_declared(model, *one, measured) for one in stated)
+    found = [one for one in declared if one is not None]
     return (*found, *_standard(model, set(spare), absent, {r.target for r in found}))
 
 
@@ -157,12 +163,12 @@ def _touched(model: Model) -> set[str]:
 
 
 def _declared(
-    model: Model, target: str, text: str, measured: Mapping[str, str], *, is_rate: bool
+    model: Model, target: str, text: str, is_rate: bool, measured: Mapping[str, str]
 ) -> Relation | None:
     """Equation of the model over measured signals; None if anything unknown enters it."""
     constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    signals_of = {name: part for name, part in model.signals.items() if name not in _touched(model)}
-    needed = _needed(text, {*measured}, {*constants, "t"}, signals_of)
+    plain = {name: model.signals[name] for name in model.signals.keys() - _touched(model)}
+    needed = _needed(text, {*measured}, {*constants, "t"}, plain)
     if needed is None:
         return None
     used, inner = needed
@@ -215,20 +221,20 @@ def _standard(
     model: Model, spare: set[str], absent: set[str], related: set[str]
 ) -> Iterator[Relation]:
     """Equations of a rigid body for signals with standard names and units."""
-    measured = [o for o in model.outputs if o.name not in absent]
-    plain = {o.name: o.unit for o in measured if o.expression in (None, o.name)}
-    own = {name for name, unit in plain.items() if STANDARD_UNITS.get(name) == unit}
-    known = own | ((spare & set(STANDARD_UNITS)) - {o.name for o in measured})
+    known = spare & set(STANDARD_UNITS)
+    for output in (o for o in model.outputs if o.name not in absent):
+        known.discard(output.name)
+        if output.expression in (None, output.name):
+            known |= {output.name} & {n for n, u in STANDARD_UNITS.items() if u == output.unit}
     # Where the model has an equation for one of these states, it knows better.
-    mine = set(model.kinematics) | related
-    for target in (n for n in _TABLE["equations"] if n in known - mine):
-        for need, text in _TABLE["equations"][target]:
-            names = (*need.split(), target)
-            if known.issuperset(names):
-                signals = tuple(n for n in names if n in expressions.names(text))
-                step = (f"{target}_prime_", text)
-                yield Relation(target, signals, text, True, (step,), {})
-                break
+    wanted = known - set(model.kinematics) - related
+    for target, forms in _TABLE["equations"].items():
+        sides = (((*need.split(), target), text) for need, text in forms)
+        fullest = next((one for one in sides if known.issuperset(one[0])), None)
+        if target in wanted and fullest is not None:
+            names, text = fullest
+            signals = tuple(n for n in names if n in expressions.names(text))
+            yield Relation(target, signals, text, True, ((f"{target}_prime_", text),), {})
 
 
 def standard_name(header: str) -> tuple[str, str] | None:

@@ -438,7 +438,7 @@ def sized_finding(
         "both": both, "first": names[0], "last": names[-1], "early": early,
         "come": "come" if len(names) > 1 else "comes", "shown": amount(size, bounds, fault.unit),
         "unit": fault.unit, "size": abs(size), "rate": "".join(fault.other),
-        "record": fault.record, "at": start + fault.at * (end - start),
+        "record": fault.record, "at": start + fault.span[0] * (end - start),
         "where": f" in {fault.record}" * bool(fault.record),
         "own": ", per_record=True" * bool(fault.record),
     }  # fmt: skip

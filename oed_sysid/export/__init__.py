@@ -36,6 +36,8 @@ TEXTS: dict[str, dict[str, Text]] = {
     "sympy": {"_sympy.py": module_text, ".tex": latex_text},
     "latex": {".tex": latex_text},
 }
+# Kinds that are more than texts.
+WRITERS = {"casadi": write_casadi, "fmu": write_fmu}
 KINDS = ("c", "python", "casadi", "fmu", "matlab", "control", "sympy", "latex")
 
 
@@ -87,20 +89,11 @@ def export(
             f"There is no export {kind!r}. Choose one of {', '.join(KINDS)}."
             + closest(str(kind), KINDS)
         )
-    if isinstance(source, Fit) and (runs := replayed(source)) is not source:
-        warnings.warn(
-            f"{source.model.name}: process noise has taken the work of physics; the exported "
-            f"values are those for runs ({runs.estimator}).",
-            UserWarning,
-            stacklevel=2,
-        )
-        source = runs
-    program = program_of(source)
-    place = Path(path).expanduser()
+    program, place = program_of(_for_runs(source)), Path(path).expanduser()
     if trim and kind != "control":
         raise ModelError(f"A trim is for kind 'control'; {kind!r} is the whole model.")
-    if kind in ("casadi", "fmu"):
-        return write_casadi(program, place) if kind == "casadi" else write_fmu(program, place)
+    if kind in WRITERS:
+        return WRITERS[kind](program, place)
     texts = TEXTS[kind]
     if kind == "control":
         texts = {"_linear.py": partial(control_text, trim=trim)}
@@ -111,6 +104,19 @@ def export(
     for file, text in written.items():
         write_text(file, text)
     return tuple(written)
+
+
+def _for_runs(source: Fit | Model) -> Fit | Model:
+    """A fit with the values for whole runs, where process noise has taken the work of physics."""
+    runs = replayed(source) if isinstance(source, Fit) else source
+    if runs is not source and isinstance(runs, Fit):
+        warnings.warn(
+            f"{runs.model.name}: process noise has taken the work of physics; the exported "
+            f"values are those for runs ({runs.estimator}).",
+            UserWarning,
+            stacklevel=3,
+        )
+    return runs
 
 
 def _files(program: Program, kind: str, place: Path) -> Iterator[tuple[str, Path]]:

@@ -24,7 +24,16 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from oed_sysid.errors import FileError
-from oed_sysid.export.program import IN_C, Example, Program, example, filled, numbers_in_c, template
+from oed_sysid.export.program import (
+    IN_C,
+    Example,
+    Program,
+    distinct,
+    example,
+    filled,
+    numbers_in_c,
+    template,
+)
 from oed_sysid.runtime.files import whole_file
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.typeset import safe
@@ -151,6 +160,31 @@ def _compiled(place: Path, name: str) -> Path | None:
     return target
 
 
+Variable = tuple[str, str, float | None, dict[str, str]]
+
+
+def _variables(program: Program) -> list[Variable]:
+    """Name, unit, start value and attributes of every variable, in the order of the C code."""
+    names, moving = program.names, {"variability": "continuous", "initial": "calculated"}
+    exact = {"causality": "parameter", "initial": "exact"}
+    rows: list[Variable] = []
+    for name, unit, linear in zip(
+        names.inputs, names.input_units, program.linear_inputs, strict=True
+    ):
+        held = "continuous" if linear else "discrete"
+        rows.append((name, unit, 0.0, {"causality": "input", "variability": held}))
+    for name, unit in zip(names.outputs, names.output_units, strict=True):
+        title = f"{name}_measured" if name in names.states else name  # beside the state itself
+        rows.append((title, unit, None, {"causality": "output", **moving}))
+    values = program.model.value_vector
+    for name, unit, value in zip(names.parameters, names.parameter_units, values, strict=True):
+        rows.append((name, unit, value, {"variability": "tunable", **exact}))
+    for name in names.states[: program.graph.n_own]:
+        words = {"description": f"{name} at the start"}
+        rows.append((f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words}))
+    return [*rows, *((name, "", None, {"causality": "local", **moving}) for name in names.states)]
+
+
 def description(program: Program, guid: str) -> str:
     """Text of ``modelDescription.xml``.
 
@@ -161,11 +195,10 @@ def description(program: Program, guid: str) -> str:
     guid : str
         Digest of the code, which the library compares.
     """
-    model = program.model
     root = ElementTree.Element(
         "fmiModelDescription",
         fmiVersion="2.0",
-        modelName=safe(model.name),
+        modelName=safe(program.model.name),
         guid=f"{{{guid}}}",
         description=program.origin,
         generationTool=f"oed_sysid {__version__}",
@@ -184,60 +217,29 @@ def description(program: Program, guid: str) -> str:
     files = ElementTree.SubElement(unit, "SourceFiles")
     for title in (f"{program.identifier}.c", f"{program.identifier}_fmu.c"):
         ElementTree.SubElement(files, "File", name=title)
-    names = program.names
-    stated = sorted({*names.input_units, *names.output_units, *names.parameter_units})
-    units = ElementTree.SubElement(root, "UnitDefinitions")
-    for text in (one for one in stated if one):
-        ElementTree.SubElement(units, "Unit", name=text)
-    if not len(units):
-        root.remove(units)
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    used: set[str] = set()
-    outputs = []
-
-    def add(name: str, unit_text: str, start: float | None, attributes: dict[str, str]) -> None:
-        while name in used:
-            name += "_"
-        used.add(name)
-        reference = len(variables)
-        one = ElementTree.SubElement(
-            variables,
-            "ScalarVariable",
-            {"name": name, "valueReference": str(reference), **attributes},
-        )
-        real = ElementTree.SubElement(one, "Real")
-        if unit_text:
-            real.set("unit", unit_text)
-        if start is not None:
-            real.set("start", repr(float(start)))
-        if attributes["causality"] == "output":
-            outputs.append(reference + 1)
-
-    for name, unit_text, linear in zip(
-        names.inputs, names.input_units, program.linear_inputs, strict=True
-    ):
-        held = "continuous" if linear else "discrete"
-        add(name, unit_text, 0.0, {"causality": "input", "variability": held})
-    moving = {"variability": "continuous", "initial": "calculated"}
-    for name, unit_text in zip(names.outputs, names.output_units, strict=True):
-        both = name in names.states  # the state and its measurement
-        title = f"{name}_measured" if both else name
-        add(title, unit_text, None, {"causality": "output", **moving})
-    exact = {"causality": "parameter", "initial": "exact"}
-    for name, unit_text, value in zip(
-        names.parameters, names.parameter_units, model.value_vector, strict=True
-    ):
-        add(name, unit_text, float(value), {"variability": "tunable", **exact})
-    for name in names.states[: program.n_own]:
-        words = {"description": f"{name} at the start"}
-        add(f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words})
-    for name in names.states:
-        add(name, "", None, {"causality": "local", **moving})
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for kind in ("Outputs", "InitialUnknowns"):
-        listed = ElementTree.SubElement(structure, kind)
-        for index in outputs:
-            ElementTree.SubElement(listed, "Unknown", index=str(index))
+    rows = _variables(program)
+    if stated := sorted({unit_text for _, unit_text, _, _ in rows} - {""}):
+        units = ElementTree.SubElement(root, "UnitDefinitions")
+        for text in stated:
+            ElementTree.SubElement(units, "Unit", name=text)
+    _add_variables(root, rows)
     ElementTree.indent(root)
     text = ElementTree.tostring(root, encoding="unicode")
     return '<?xml version="1.0" encoding="UTF-8"?>\n' + text + "\n"
+
+
+def _add_variables(root: ElementTree.Element, rows: list[Variable]) -> None:
+    """Add the variables, and which of them are outputs, counted from one."""
+    variables = ElementTree.SubElement(root, "ModelVariables")
+    titles = distinct(title for title, _, _, _ in rows)
+    for number, (title, (_, unit_text, start, more)) in enumerate(zip(titles, rows, strict=True)):
+        known = {"name": title, "valueReference": str(number), **more}
+        one = ElementTree.SubElement(variables, "ScalarVariable", known)
+        given = {"unit": unit_text, "start": "" if start is None else repr(float(start))}
+        ElementTree.SubElement(one, "Real", {what: text for what, text in given.items() if text})
+    structure = ElementTree.SubElement(root, "ModelStructure")
+    for kind in ("Outputs", "InitialUnknowns"):
+        listed = ElementTree.SubElement(structure, kind)
+        for number, row in enumerate(rows, start=1):
+            if row[-1]["causality"] == "output":
+                ElementTree.SubElement(listed, "Unknown", index=str(number))

@@ -35,11 +35,12 @@ from string import Template
 import casadi as ca
 import numpy as np
 
-from oed_sysid.compiled.graph import GAMMA, STAGES, build
+from oed_sysid.compiled.graph import GAMMA, STAGES, Graph, build
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.trajectory import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.callables import OPERATION_WORDS
 from oed_sysid.text.typeset import safe, safe_unit
@@ -85,15 +86,12 @@ class Routine:
         Names and lengths, in order.
     operations : tuple of Operation
         Straight-line code.
-    n_work : int
-        Scalars that are needed.
     """
 
     name: str
     arguments: tuple[tuple[str, int], ...]
     results: tuple[tuple[str, int], ...]
     operations: tuple[Operation, ...] = field(repr=False)
-    n_work: int
 
 
 @dataclass(frozen=True)
@@ -123,36 +121,45 @@ class Names:
 class Program:
     """Everything that a model needs to run elsewhere.
 
-    Attributes
+    Parameters
     ----------
     model : Model
         At its estimated values.
-    identifier : str
-        Its name as an identifier.
-    state_names : tuple of str
-        The model's own states, then those of effects.
-    n_own, n_actuator, n_sensor : int
-        Own states, and memory of actuators and sensors.
-    free : tuple of str
-        Estimated parameters that all records share.
-    covariance : ndarray (n_free, n_free)
-        Theirs; empty for a model without a fit.
+    fit : Fit, optional
+        Where these come from.
     """
 
     model: Model
-    identifier: str
-    state_names: tuple[str, ...]
-    n_own: int
-    n_actuator: int
-    n_sensor: int
-    free: tuple[str, ...]
-    covariance: np.ndarray
     fit: Fit | None = None
+
+    @property
+    def identifier(self) -> str:
+        """Name of the model as an identifier."""
+        return identifier(self.model.name)
+
+    @cached_property
+    def graph(self) -> Graph:
+        """The model as functions, and what their arguments hold."""
+        return build(self.model)
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Estimated parameters that all records share."""
+        names = () if self.fit is None else self.fit.names
+        return tuple(name for name in names if not self.model.parameter(name).per_record)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Theirs, ``(n_free, n_free)``; empty for a model without a fit."""
+        if self.fit is None:
+            return np.zeros((0, 0))
+        rows = [self.fit.names.index(name) for name in self.free]
+        return np.asarray(self.fit.covariance[np.ix_(rows, rows)])
 
     @cached_property
     def routines(self) -> tuple[Routine, ...]:
         """Functions of the model, operation by operation."""
-        graph = build(self.model)
+        graph = self.graph
         functions = [graph.actuate, graph.rates, graph.observe, graph.start]
         functions += [_slopes(graph.rates)] if self.implicit else []
         return tuple(map(_routine, functions))
@@ -160,11 +167,6 @@ class Program:
     def routine(self, name: str) -> Routine:
         """Return one of the functions."""
         return next(one for one in self.routines if one.name == name)
-
-    @property
-    def n_full(self) -> int:
-        """Length of the full state."""
-        return len(self.state_names) + self.n_actuator + self.n_sensor
 
     @property
     def n_signals(self) -> int:
@@ -185,15 +187,15 @@ class Program:
     def names(self) -> Names:
         """Names and units that may stand in code of any language."""
         model = self.model
-        parameters = _distinct(model.parameter_names)
+        parameters = distinct(model.parameter_names)
         of = dict(zip(model.parameter_names, parameters, strict=True))
         return Names(
-            _distinct(self.state_names),
-            _distinct(model.input_names),
-            _distinct(model.output_names),
+            distinct(self.graph.state_names),
+            distinct(model.input_names),
+            distinct(model.output_names),
             parameters,
             tuple(of[name] for name in self.free),
-            _distinct(model.actuator_signals),
+            distinct(model.actuator_signals),
             tuple(safe_unit(one.unit) for one in model.inputs),
             tuple(safe_unit(one.unit) for one in model.outputs),
             tuple(safe_unit(model.parameter(name).unit) for name in model.parameter_names),
@@ -211,12 +213,12 @@ class Program:
     @property
     def head(self) -> dict[str, object]:
         """What templates of every language fill in: origin, names and sizes."""
-        name = self.identifier
+        name, graph = self.identifier, self.graph
         return {
-            **{"origin": self.origin, "name": name, "upper": name.upper()},
-            **{"step": repr(self.model.step), "own": self.n_own, "nz": self.n_full},
-            **{"na": self.n_actuator, "ns": self.n_sensor, "nx": len(self.state_names)},
-        }
+            "origin": self.origin, "name": name, "upper": name.upper(),
+            "step": repr(self.model.step), "own": graph.n_own, "nz": graph.n_full,
+            "na": graph.n_actuator_memory, "ns": graph.n_sensor_memory, "nx": graph.n_states,
+        }  # fmt: skip
 
     @property
     def std_errors(self) -> dict[str, float]:
@@ -228,8 +230,9 @@ class Program:
     def is_plain(self) -> bool:
         """Whether code can carry every name as it is."""
         model, records = self.model, () if self.fit is None else self.fit.dataset.names
-        names = (*self.state_names, *model.input_names, *model.output_names, *model.parameter_names)
-        return all(safe(name, "(),") == name for name in (model.name, *records, *names))
+        channels = (*model.input_names, *model.output_names, *model.parameter_names)
+        names = (model.name, *records, *self.graph.state_names, *channels)
+        return all(safe(name, "(),") == name for name in names)
 
     def describe(self) -> dict[str, object]:
         """Names, units, values and covariance as plain data, for a file beside the code."""
@@ -241,24 +244,17 @@ class Program:
             "fitted_to": [] if self.fit is None else list(self.fit.dataset.names),
             "step": model.step,
             "integrator": model.integrator,
-            "states": list(self.state_names),
-            "inputs": [
-                {"name": one.name, "unit": one.unit, "interpolation": one.interpolation}
-                for one in model.inputs
-            ],
-            "outputs": [{"name": one.name, "unit": one.unit} for one in model.outputs],
+            "states": list(self.graph.state_names),
+            "inputs": list(map(as_dict("name", "unit", "interpolation"), model.inputs)),
+            "outputs": list(map(as_dict("name", "unit"), model.outputs)),
             "parameters": [
-                {
-                    "name": name,
-                    "value": float(value),
-                    "unit": model.parameter(name).unit,
-                    "std_error": std.get(name),
-                }
+                {"name": name, "value": float(value), "unit": model.parameter(name).unit,
+                 "std_error": std.get(name)}
                 for name, value in zip(model.parameter_names, model.value_vector, strict=True)
             ],
             "estimated": list(self.free),
             "covariance": self.covariance.tolist(),
-        }
+        }  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -299,28 +295,14 @@ def program_of(source: Fit | Model) -> Program:
     --------
     >>> from oed_sysid import load_problem
     >>> program = program_of(load_problem("nomoto_sparse_heading").model)
-    >>> [routine.name for routine in program.routines], program.n_full
+    >>> [routine.name for routine in program.routines], program.graph.n_full
     (['actuate', 'rates', 'observe', 'start'], 2)
     """
     fit = source if isinstance(source, Fit) else None
     model = fit.model if fit is not None else source
     if not isinstance(model, Model):
         raise ModelError(f"A {type(source).__name__} cannot be exported. Give a Fit or a Model.")
-    graph = build(model)
-    shared = [] if fit is None else [n for n in fit.names if not model.parameter(n).per_record]
-    rows = [] if fit is None else [fit.names.index(name) for name in shared]
-    covariance = np.zeros((0, 0)) if fit is None else fit.covariance[np.ix_(rows, rows)]
-    return Program(
-        model,
-        identifier(model.name),
-        graph.state_names,
-        graph.n_own,
-        graph.n_actuator_memory,
-        graph.n_sensor_memory,
-        tuple(shared),
-        covariance,
-        fit,
-    )
+    return Program(model, fit)
 
 
 def identifier(name: str) -> str:
@@ -334,7 +316,7 @@ def identifier(name: str) -> str:
     return f"{text}_" if keyword.iskeyword(text) or text in _MATLAB_WORDS else text[:48]
 
 
-def _distinct(names: Iterable[str]) -> tuple[str, ...]:
+def distinct(names: Iterable[str]) -> tuple[str, ...]:
     """Safe forms of names, no two alike."""
     found: list[str] = []
     for name in names:
@@ -364,9 +346,8 @@ def _routine(function: ca.Function) -> Routine:
         code = flat.instruction_id(k)
         inputs, outputs = flat.instruction_input(k), flat.instruction_output(k)
         if code == ca.OP_CONST:
-            operations.append(
-                Operation("const", tuple(outputs), (), float(flat.instruction_constant(k)))
-            )
+            value = float(flat.instruction_constant(k))
+            operations.append(Operation("const", tuple(outputs), (), value))
             continue
         word = {ca.OP_INPUT: "input", ca.OP_OUTPUT: "output"}.get(code, OPERATION_WORDS.get(code))
         if code == ca.OP_CALL:
@@ -385,7 +366,6 @@ def _routine(function: ca.Function) -> Routine:
         tuple((text, flat.nnz_in(i)) for i, text in enumerate(arguments)),
         tuple((text, flat.nnz_out(i)) for i, text in enumerate(results)),
         tuple(operations),
-        flat.sz_w(),
     )
 
 
@@ -409,7 +389,7 @@ def example(program: Program) -> Example:
         record = fit.dataset[0]
         keep = slice(0, 400)
         times, inputs = np.array(record.times[keep]), np.array(record.inputs[keep])
-        own = np.array(fit.initial_states[0][: program.n_own])
+        own = np.array(fit.initial_states[0][: program.graph.n_own])
         model = model.with_values(dict(fit.local_values[0])) if fit.local_values[0] else model
     else:
         times = np.arange(60) * 2.5 * model.step
@@ -438,6 +418,10 @@ def _formats(language: str) -> dict[str, str]:
     return _TABLE["every"] | {word: f"{prefix}{word}({{0}})" for word in _SAME} | own
 
 
+# Every language divides by zero and overflows alike, but spells infinity in its own way.
+_NOT_FINITE = {"inf": "(1e308*10)", "-inf": "(-1e308*10)", "nan": "(0.0/0.0)"}
+
+
 @dataclass(frozen=True)
 class Dialect:
     """How a language writes straight-line code.
@@ -446,8 +430,8 @@ class Dialect:
     ----------
     formats : mapping of str to str
         Right-hand side of every operation.
-    argument, result : callable
-        ``(name, length, index)`` to the text of an element of an argument or result.
+    element : callable
+        ``(name, index)`` to the text of an element of an argument or result.
     end : str
         End of a statement.
     """
@@ -474,21 +458,17 @@ class Dialect:
         """
         lines = []
         for one in routine.operations:
+            left, right = f"w{one.target[0]}", ""
             if one.word == "const":
-                right = repr(one.value)
-                if right in ("inf", "-inf", "nan"):
-                    right = {"inf": "(1e308*10)", "-inf": "(-1e308*10)"}.get(right, "(0.0/0.0)")
-                lines.append(f"w{one.target[0]} = {right}{self.end}")
+                right = _NOT_FINITE.get(repr(one.value), repr(one.value))
             elif one.word == "input":
-                text = self.element(routine.arguments[one.operands[0]][0], one.operands[1])
-                lines.append(f"w{one.target[0]} = {text}{self.end}")
+                right = self.element(routine.arguments[one.operands[0]][0], one.operands[1])
             elif one.word == "output":
-                text = self.element(routine.results[one.target[0]][0], one.target[1])
-                lines.append(f"{text} = w{one.operands[0]}{self.end}")
+                left = self.element(routine.results[one.target[0]][0], one.target[1])
+                right = f"w{one.operands[0]}"
             else:
-                operands = [f"w{index}" for index in one.operands]
-                right = self.formats[one.word].format(*operands)
-                lines.append(f"w{one.target[0]} = {right}{self.end}")
+                right = self.formats[one.word].format(*(f"w{index}" for index in one.operands))
+            lines.append(f"{left} = {right}{self.end}")
         return lines
 
     def function(self, routine: Routine) -> str:

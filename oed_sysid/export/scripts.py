@@ -26,16 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.graph import build
 from oed_sysid.errors import ModelError, SimulationError
 from oed_sysid.experiments.steady import equilibrium, linearise
-from oed_sysid.export.program import (
-    IN_MATLAB,
-    IN_PYTHON,
-    Program,
-    filled,
-    template,
-)
+from oed_sysid.export.program import IN_MATLAB, IN_PYTHON, Program, filled, template
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import whole_file, write_text
 from oed_sysid.text.typeset import safe
@@ -94,9 +87,15 @@ def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:
     tuple of Path
         The files.
     """
-    graph = build(program.model)
-    functions = [graph.rates, graph.actuate, graph.observe, graph.start]
-    functions += [graph.advance, graph.sample]
+    graph = program.graph
+    functions = (
+        graph.rates,
+        graph.actuate,
+        graph.observe,
+        graph.start,
+        graph.advance,
+        graph.sample,
+    )
     files = []
     for function in functions:
         file = folder / f"{function.name()}.casadi"
@@ -152,16 +151,12 @@ def control_text(program: Program, file: Path, trim: Mapping[str, float] | None 
         square = np.einsum("iab,ij,jab->ab", by, program.covariance, by)
         spread.append(np.sqrt(np.maximum(square, 0.0)))
     names, values = program.names, [float(value) for value in model.value_vector]
-    a, b, c, d = (_rows(one) for one in matrices)
     return template("linear.py.txt").substitute(
         origin=program.origin,
         file=safe(file.name),
         states=dict(zip(names.states, point.states.values(), strict=False)),
         inputs=dict(zip(names.inputs, point.inputs.values(), strict=True)),
-        a=a,
-        b=b,
-        c=c,
-        d=d,
+        **dict(zip("abcd", map(_rows, matrices), strict=True)),
         a_std=_rows(spread[0]),
         b_std=_rows(spread[1]),
         parameters=dict(zip(names.parameters, values, strict=True)),

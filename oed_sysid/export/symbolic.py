@@ -17,7 +17,7 @@ def module_text(program: Program, file: Path) -> str:
         inside = ", ".join(f'sp.Symbol("{name}", real=True)' for name in names)
         return f"({inside},)" if names else "()"
 
-    known = program.names
+    known, graph = program.names, program.graph
     used = {"t", "h", *known.states, *known.parameters}
     signals = tuple(name if name not in used else f"{name}_signal" for name in known.signals)
     return filled(
@@ -28,8 +28,8 @@ def module_text(program: Program, file: Path) -> str:
         inputs=symbols(known.inputs),
         signals=symbols(signals),
         parameters=symbols(known.parameters),
-        memory_a=symbols(tuple(f"actuator_memory_{i}" for i in range(program.n_actuator))),
-        memory_s=symbols(tuple(f"sensor_memory_{i}" for i in range(program.n_sensor))),
+        memory_a=symbols(tuple(f"actuator_memory_{i}" for i in range(graph.n_actuator_memory))),
+        memory_s=symbols(tuple(f"sensor_memory_{i}" for i in range(graph.n_sensor_memory))),
     )
 
 

@@ -140,40 +140,12 @@ def respond(model: Model, play: Play) -> Response:
     """
     runner = kernel(model)
     values = model.value_vector
-    z, dz = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
-    run = runner.run(play.times, play.inputs, values, z, sensitivities=True)
+    run = runner.simulate(play.times, play.inputs, values, play.initial, sensitivities=True)
     if not run.ok or run.output_sensitivities is None:
         # The simulator says in words which state grew and what to do.
         simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
         raise DesignError(f"The sensitivities of run {play.name!r} are not finite. Shorten it.")
-    jacobian = by_unknowns(run.output_sensitivities, dz, runner.n_own)
-    return Response(run.outputs, run.states, jacobian)
-
-
-def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:
-    """Chain derivatives by a full state with those of that state by the unknowns.
-
-    Parameters
-    ----------
-    by_start : ndarray (n_times, n_outputs, n_full + n_free)
-        From a kernel.
-    dz : ndarray (n_full, n_own + n_free)
-        Derivatives of the full state.
-    n_own : int
-        Number of the model's own states.
-
-    Returns
-    -------
-    ndarray (n_times, n_outputs, n_own + n_free)
-    """
-    n_full = len(dz)
-    n_times, n_outputs, n_columns = by_start.shape
-    if np.array_equal(dz, np.eye(*dz.shape)):
-        return by_start  # the full state is the model's own, the usual case without memory
-    flat = by_start.reshape(-1, n_columns)
-    jacobian = flat[:, :n_full] @ dz
-    jacobian[:, n_own:] += flat[:, n_full:]
-    return jacobian.reshape(n_times, n_outputs, -1)
+    return Response(run.outputs, run.states, run.output_sensitivities)
 
 
 def _played(model: Model, experiment: Experiment) -> Play:
@@ -293,13 +265,13 @@ class Innovations:
         kernel = filter_kernel(wide)
         free = tuple(name for name in model.free_names if name not in self.disturbances)
         values = wide.value_vector
-        nominal, _, ok = kernel.simulate(play.times, play.inputs, values, play.initial)
-        if not ok:
+        nominal = kernel.simulate(play.times, play.inputs, values, play.initial)
+        if not nominal.ok:
             raise DesignError(
                 f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
                 "shorter."
             )
-        measured = np.where(play.present, nominal, np.nan)
+        measured = np.where(play.present, nominal.outputs, np.nan)
         if outputs is not None:
             measured[:, [name not in outputs for name in model.output_names]] = np.nan
         run = (play.times, play.inputs, values, play.initial)
@@ -316,7 +288,7 @@ class Innovations:
         seen = np.isfinite(measured)
         rows = swept.rows[seen][:, :n_columns]
         if changes is None or swept.gains is None:
-            return rows, nominal
+            return rows, nominal.outputs
         roots = np.sqrt(swept.variances[seen])
         moved = np.empty((len(rows), changes.shape[2]))
         for position in range(changes.shape[2]):
@@ -328,7 +300,7 @@ class Innovations:
             )
             # A model that had the change would lower the innovations by it.
             moved[:, position] = -innovations[seen] / share / roots
-        return np.hstack([rows, moved]), nominal
+        return np.hstack([rows, moved]), nominal.outputs
 
 
 def expected_noise(

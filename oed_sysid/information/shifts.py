@@ -155,8 +155,7 @@ class Shifts:
         found = np.empty((*outputs.shape, len(self)))
         for position, (rival, runner) in enumerate(zip(self.models, self.kernels, strict=True)):
             values = rival.value_vector
-            z, _ = runner.start(play.initial, play.inputs[0], values, float(play.times[0]))
-            run = runner.run(play.times, play.inputs, values, z)
+            run = runner.simulate(play.times, play.inputs, values, play.initial)
             if not run.ok:
                 name = next(g.name for g in self.groups if position in g.columns)
                 raise SimulationError(

@@ -54,10 +54,8 @@ def binding(
     columns = layout.record_columns(0)[layout.n_own :]
     values, slopes = layout.parameters(unknowns, 0), layout.slopes(unknowns[columns])
     found: list[tuple[str, float, np.ndarray]] = []
-    for index, name in enumerate(layout.free_names):
+    for index, name in zip(layout.shared, layout.shared_names, strict=True):
         parameter = model.parameter(name)
-        if parameter.per_record:
-            continue
         for sign, limit, relation in ((-1, parameter.lower, ">="), (1, parameter.upper, "<=")):
             gradient = np.zeros(len(unknowns))
             gradient[columns[index]] = sign * slopes[index]
@@ -85,12 +83,10 @@ def _constrained(
         own = unknowns[columns[: layout.n_own]]
         at = layout.parameters(unknowns, index)
         whole = model.with_values(dict(zip(layout.free_names, at, strict=True))).value_vector
-        z, dz = runner.start(own, record.inputs[0], whole, record.times[0])
-        run = runner.run(record.times, record.inputs, whole, z, sensitivities=True)
-        if not run.ok or run.output_sensitivities is None:
+        run = runner.simulate(record.times, record.inputs, whole, own, sensitivities=True)
+        by_own_and_free = run.output_sensitivities
+        if not run.ok or by_own_and_free is None:
             return
-        by_own_and_free = run.output_sensitivities[:, :, : len(z)] @ dz
-        by_own_and_free[:, :, layout.n_own :] += run.output_sensitivities[:, :, len(z) :]
         slopes = layout.record_slopes(unknowns, index)
         for text, sample, excess, by_outputs, by_values in user.tightest(run.outputs, whole):
             row = np.concatenate([np.zeros(layout.n_own), by_values[place]])

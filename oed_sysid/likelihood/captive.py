@@ -20,10 +20,9 @@ remember, such as a rudder that lags, each test is a record of its own and begin
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from inspect import signature
-from typing import Protocol
 
 import numpy as np
 
@@ -32,6 +31,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError, UnitWarning
 from oed_sysid.likelihood.estimate import CaptiveErrors
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_levels import EXACT
 from oed_sysid.likelihood.unknowns import StartState
@@ -42,19 +42,6 @@ TOWED = "towed"
 _FORCE = "force_{}"
 _HELD = "{}_held"
 _OWN = "{}_free"
-
-
-class Estimator(Protocol):
-    """What is asked of an estimator here."""
-
-    def fit(
-        self,
-        model: Model,
-        dataset: Dataset,
-        *,
-        start_states: Sequence[StartState] | None = None,
-    ) -> Fit:
-        """Estimate the free parameters."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,12 +209,12 @@ class CaptiveTests:
             (self.inputs, model.input_names, "input"),
             (self.forces, tuple(model.axes), "axis"),
         ):
-            if wrong := [name for name in what if name not in have]:
+            if wrong := sorted(set(what) - set(have)):
                 raise ModelError(
                     f"Captive tests {self.name!r} name {wrong[0]!r}, which is no {kind} of model "
                     f"{model.name!r}: {', '.join(have) or 'it has none'}."
                 )
-        if lacking := [name for name in model.input_names if name not in self.inputs]:
+        if lacking := sorted(set(model.input_names) - set(self.inputs)):
             raise ModelError(
                 f"Captive tests {self.name!r} do not say what the input {lacking[0]!r} was. Add it "
                 "to inputs; zero is a value too."
@@ -284,8 +271,7 @@ class CaptiveTests:
         parts = []
         for record in asked.records(model):
             own = np.zeros(compiled.n_own)
-            start, _ = compiled.start(own, record.inputs[0], values, 0.0)
-            run = compiled.run(record.times, record.inputs, values, start)
+            run = compiled.simulate(record.times, record.inputs, values, own)
             parts.append(run.outputs[np.isfinite(record.outputs).any(axis=1)])
         found, names = np.vstack(parts), towed.output_names
         return {axis: found[:, names.index(_FORCE.format(axis))] for axis in self.forces}
@@ -338,7 +324,7 @@ class CaptiveTests:
         records = [self._free(model, towed, record) for record in dataset or ()]
         whole = Dataset((*records, *tests))
         known: list[StartState] = [{} for _ in records] + [still] * len(tests)
-        fit = estimator.fit(towed, whole, start_states=known)
+        fit = estimator.fit(towed, whole, start_states=known)  # type: ignore[call-arg]
         fitted = model.with_values(fit.model.values)
         fit = replace(fit, captive=self.errors(fitted))
         if dataset is None:

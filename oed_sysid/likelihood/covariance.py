@@ -59,6 +59,7 @@ from oed_sysid.likelihood.information import (
 from oed_sysid.likelihood.noise_levels import RARE
 from oed_sysid.likelihood.projection import BLIND, eliminate, inverse_of, share_of
 from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
+from oed_sysid.likelihood.unknowns import Posed
 
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
@@ -216,19 +217,14 @@ class ReducedProblem:
         """What priors and each record say of the shared parameters; None without any."""
         if not len(self.shooting.layout.shared):
             return None
-        matrices, scores = [], []
-        prior = np.zeros((self.rows[0].shape[2],) * 2)
-        for record, rows, own, errors in zip(
-            self.shooting.records, self.rows, self.told.jacobians, self.told.errors, strict=True
-        ):
-            flat = rows.reshape(-1, rows.shape[2])
-            if record.independent:  # known before the series, as it were
-                prior += flat.T @ flat
-                continue
-            matrices.append(flat.T @ flat)
-            scores.append(own.reshape(flat.shape).T @ np.nan_to_num(errors).ravel())
-        prior += sum((rows.T @ rows for rows in self.prior_rows), np.zeros_like(prior))
-        return sources_of(matrices, scores, prior)
+        n_shared, series = len(self.shooting.layout.shared), self.told.series
+        flat = [rows.reshape(-1, n_shared) for rows in self.rows]
+        pairs = zip(self.told.jacobians, self.told.errors, strict=True)
+        scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
+        # Independent tests are known before the series, as it were.
+        before = [rows for i, rows in enumerate(flat) if i not in series]
+        prior = sum(rows.T @ rows for rows in (*before, *self.prior_rows))
+        return sources_of([flat[i].T @ flat[i] for i in series], [scores[i] for i in series], prior)
 
     @property
     def is_coloured(self) -> bool:
@@ -364,6 +360,7 @@ def _scores(
         return residual * loss(residual)[1]
 
     stacked, h = np.vstack(residuals), 1e-4
+    # H = J' J times the mean slope of the scores (Huber 1964), which is kept above zero.
     slopes = (score(stacked + h) - score(stacked - h)) / (2 * h)
     seen = np.isfinite(stacked)
     count = np.maximum(seen.sum(axis=0), 1)
@@ -386,12 +383,6 @@ def _project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
 
 # Periods that are searched: at least so many samples, and so many of them in a block.
 FEWEST = 4
-# Longest block, in samples, and neighbouring frequencies that are taken together on either side.
-BLOCK, NEIGHBOURS = 4096, (1, 3, 9)
-# Shares of a record that must be measured, and by which intervals may differ.
-PRESENT, REGULAR = 0.5, 0.1
-# Periods over which the autocovariance is kept.
-MEMORY = 25.0
 
 
 @dataclass(frozen=True)
@@ -443,20 +434,20 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
     False
     """
     best = Peak(output, np.inf, 1.0, 1.0)
-    usable = [one for one in series if np.mean(np.isfinite(one)) > PRESENT]
-    length = min([BLOCK, *(len(one) for one in usable)])
+    usable = [one for one in series if np.mean(np.isfinite(one)) > 0.5]
+    length = min([4096, *map(len, usable)])
     if not usable or length < 2 * FEWEST * FEWEST:
         return best
-    power, count = np.zeros(length // 2 + 1), 0
-    for one in usable:
-        for begin in range(0, len(one) - length + 1, length):
-            block = np.nan_to_num(one[begin : begin + length])
-            size = float(block @ block)
-            if size > 0.0:
-                power += np.abs(np.fft.rfft(block)) ** 2 / size
-                count += 1
+    blocks = np.vstack(
+        [np.nan_to_num(one[: len(one) // length * length]).reshape(-1, length) for one in usable]
+    )
+    blocks = blocks[np.any(blocks, axis=1)]
+    blocks = blocks / np.linalg.norm(blocks, axis=1, keepdims=True)
+    # Each block in units of its own power: a loud manoeuvre counts as one block.
+    power, count = (np.abs(np.fft.rfft(blocks)) ** 2).sum(axis=0), len(blocks)
     first, last = FEWEST, length // FEWEST
-    widths = [width for width in NEIGHBOURS if 2 * width + 1 <= (last - first) // 2]
+    # Neighbouring frequencies on either side that are taken together.
+    widths = [width for width in (1, 3, 9) if 2 * width + 1 <= (last - first) // 2]
     tries = max((last - first) * len(widths), 1)
     for width in widths:
         sums = np.convolve(power[first : last + 1], np.ones(2 * width + 1), "valid")
@@ -487,8 +478,7 @@ def clear_peaks(
     """
     found: dict[str, Peak] = {}
     for group in sampled_alike(records):
-        steps = {i: np.diff(records[i].times) for i in group if records[i].n_samples > 2}
-        regular = [i for i, own in steps.items() if np.ptp(own) < REGULAR * np.median(own)]
+        regular = [i for i in group if _is_regular(records[i].times)]
         for column, name in enumerate(outputs):
             series, time = _own_samples([whitened[i][:, column] for i in regular])
             if not series:
@@ -501,6 +491,12 @@ def clear_peaks(
     return sorted(found.values(), key=lambda peak: peak.chance)
 
 
+def _is_regular(times: np.ndarray) -> bool:
+    """Whether intervals differ by less than a tenth."""
+    steps = np.diff(times)
+    return len(steps) > 1 and bool(np.ptp(steps) < 0.1 * np.median(steps))
+
+
 def _own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:
     """Rows at which a sensor slower than the records can have sampled, and their stride."""
     rows = [np.flatnonzero(np.isfinite(one)) for one in series]
@@ -510,6 +506,44 @@ def _own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:
     stride = int(np.gcd.reduce(np.concatenate(steps)))
     parts = [one[own[0] :: stride] for one, own in zip(series, rows, strict=True) if len(own) > 1]
     return parts, stride
+
+
+def onto_shared(
+    problem: Posed, unknowns: np.ndarray, index: int, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    r"""Combinations that carry scores of one record to the shared parameters, by their values.
+
+    With :math:`M` the information of a record, :math:`s` its shared and :math:`o` its own unknowns,
+    :math:`T = D^{-1} [I, -M_{so} M_{oo}^{-1}]`, so that :math:`T M T'` is the information once the
+    own unknowns are estimated along.
+
+    Parameters
+    ----------
+    problem : Posed
+    unknowns : ndarray (n_unknowns,)
+    index : int
+        Of the record.
+    matrix : ndarray (n, n)
+        Of its start states and free parameters, or of the latter alone; what is known of its own
+        unknowns is added to it in place.
+
+    Returns
+    -------
+    onto : ndarray (n_shared, n)
+    own : ndarray of int
+        Positions of the own unknowns that are not held.
+    """
+    layout, limits = problem.layout, problem.limits
+    first = layout.n_own + len(layout.free_names) - len(matrix)
+    columns = layout.record_columns(index)[first:]
+    shared = layout.n_own + layout.shared - first
+    own = np.setdiff1d(np.arange(len(matrix)), shared)
+    own = own[~limits.held[columns[own]]]
+    matrix[own, own] += limits.prior_weight[columns[own]]
+    onto = np.zeros((len(shared), len(matrix)))
+    onto[:, shared] = np.eye(len(shared))
+    onto[:, own] = -share_of(matrix, shared, own)
+    return onto / layout.shared_values(unknowns)[1][:, None], own
 
 
 class ReducedFilter:
@@ -614,7 +648,7 @@ class ReducedFilter:
         middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
         if self.problem.knowledge is not None:
             middle = middle + self.problem.knowledge.information
-        middle = self._by_values(middle) + self.told.coloured(MEMORY * period)
+        middle = self._by_values(middle) + self.told.coloured(25.0 * period)
         middle += tests_middle(*self.told.tests, white, scattered=False)
         robust = sandwich(white, middle)
         least, found = np.diag(white)[finite], np.diag(robust)[finite]
@@ -631,18 +665,15 @@ class ReducedFilter:
         """
         limits, n_shared = self.problem.limits, len(self._slopes)
         each = [self._of_record(index) for index in range(len(self.passes))]
-        series = [not record.independent for record in self.problem.records]
-        told = [one for one, is_series in zip(each, series, strict=True) if is_series]
+        matrices, scores = (np.array(part) for part in zip(*each, strict=True))
+        tests = np.array([record.independent for record in self.problem.records])
         weight = limits.prior_weight[:n_shared]
-        prior = np.diag(weight / self._slopes**2)
+        prior = np.diag(weight / self._slopes**2) + matrices[tests].sum(axis=0)
         if self.problem.knowledge is not None:
             prior = prior + self._by_values(self.problem.knowledge.information)
-        for (information, _), is_series in zip(each, series, strict=True):
-            prior = prior if is_series else prior + information
         away = limits.prior_mean[:n_shared] - self.unknowns[:n_shared]
-        gradient = sum((score for _, score in each), weight * away / self._slopes)
-        matrices, scores = [one for one, _ in told], [one for _, one in told]
-        return sources_of(matrices, scores, prior, gradient=gradient)
+        gradient = weight * away / self._slopes + scores.sum(axis=0)
+        return sources_of([*matrices[~tests]], [*scores[~tests]], prior, gradient=gradient)
 
     def _of_record(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Information and score of the shared parameters from one record.
@@ -650,20 +681,15 @@ class ReducedFilter:
         Its start states and own parameters are estimated along; levels of the noise are as they
         are.
         """
-        layout, limits, part = self.problem.layout, self.problem.limits, self.passes[index]
-        columns = layout.record_columns(index)
-        size, width = layout.record_slopes(self.unknowns, index), len(columns)
+        limits, part = self.problem.limits, self.passes[index]
+        columns = self.problem.layout.record_columns(index)
+        size, width = self.problem.layout.record_slopes(self.unknowns, index), len(columns)
         matrix = part.gram[:width, :width] * size[:, None] * size
+        onto, own = onto_shared(self.problem, self.unknowns, index, matrix)
+        away = limits.prior_mean[columns[own]] - self.unknowns[columns[own]]
         right = -part.gram[:width, -1] * size
-        shared = layout.n_own + layout.shared
-        others = np.setdiff1d(np.arange(width), shared)
-        others = others[~limits.held[columns[others]]]
-        own = limits.prior_weight[columns[others]]
-        matrix[others, others] += own
-        right[others] += own * (limits.prior_mean - self.unknowns)[columns[others]]
-        share = share_of(matrix, shared, others)
-        information = matrix[np.ix_(shared, shared)] - share @ matrix[np.ix_(others, shared)]
-        return self._by_values(information), (right[shared] - share @ right[others]) / self._slopes
+        right[own] += limits.prior_weight[columns[own]] * away
+        return onto @ matrix @ onto.T, onto @ right
 
     @property
     def level_errors(self) -> dict[str, float]:

@@ -45,7 +45,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.likelihood.estimate import ActuatorStart, Delay, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.projection import inverse_of
@@ -329,9 +329,7 @@ def _sensitivities(
     found = run.output_sensitivities
     if found is None or not np.isfinite(found).all():
         return None
-    jacobian = found[:, :, : runner.n_full] @ dz0
-    jacobian[:, :, runner.n_own :] += found[:, :, runner.n_full :]
-    return run, found[:, :, : runner.n_full], jacobian
+    return run, found[:, :, : runner.n_full], by_unknowns(found, dz0, runner.n_own)
 
 
 def _projected(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:

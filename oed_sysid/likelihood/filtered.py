@@ -112,7 +112,8 @@ class Filtered(Posed):
         """Outputs, full states and success of the undisturbed model along one record."""
         run = self.records[record]
         values, own = self.values(unknowns, record), self.initial_state(unknowns, record)
-        return self.kernel.simulate(run.times, run.inputs, values, own)
+        found = self.kernel.simulate(run.times, run.inputs, values, own)
+        return found.outputs, found.states, found.ok
 
     def noise(self, unknowns: np.ndarray) -> NoiseModel:
         """Noise model at a point."""

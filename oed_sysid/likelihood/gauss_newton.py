@@ -58,8 +58,8 @@ from oed_sysid.likelihood.projection import bounded_step, gain_within, inverse_o
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
 from oed_sysid.likelihood.unknowns import node_maps
 
-# Lengths of a step that are tried, and the ratio of one to the one before.
-LINE_SEARCH_STEPS, SHORTER = 5, 0.4
+# Ratio of one length of a step that is tried to the one before.
+SHORTER = 0.4
 # A trajectory whose scaled jumps sum to less is continuous; and a share of a cost that is rounding.
 ROUNDING = 1e-8
 # Rounding errors grow along an unstable trajectory. Jumps below the first number that no longer
@@ -337,7 +337,7 @@ class StepControl:
         To begin with.
     """
 
-    lengths: int = LINE_SEARCH_STEPS
+    lengths: int = 5
     most_damping: float = 1e8
     slack: float = 0.0
     quick: Evaluate | None = None

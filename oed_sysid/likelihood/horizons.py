@@ -29,11 +29,16 @@ import numpy as np
 
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.between_records import Sources, sources_of
-from oed_sysid.likelihood.covariance import ReducedProblem, Scores, sandwich, tests_middle
+from oed_sysid.likelihood.covariance import (
+    ReducedProblem,
+    Scores,
+    onto_shared,
+    sandwich,
+    tests_middle,
+)
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Progress, Solution
 from oed_sysid.likelihood.information import Information, effective_sample_size
-from oed_sysid.likelihood.projection import share_of
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.likelihood.summary import Procedure
 from oed_sysid.likelihood.windows import CONTROL, Windows
@@ -146,23 +151,15 @@ def _told_by_records(problem: Windows, point: Point) -> list[tuple[np.ndarray, n
     Information ``(n_shared, n_shared)``, and scores of the windows in their order,
     ``(n_windows, n_shared)``.
     """
-    shooting, layout, limits = problem.shooting, problem.shooting.layout, problem.limits
-    n_free, unknowns = len(layout.free_names), point.unknowns
-    matrices = np.zeros((layout.n_records, n_free, n_free))
+    shooting, n_free = problem.shooting, len(problem.shooting.layout.free_names)
+    matrices = np.zeros((len(shooting.records), n_free, n_free))
     scores: list[list[np.ndarray]] = [[] for _ in shooting.records]
     for part, matrix, own in problem.told(point):
         matrices[part.record] += matrix
         scores[part.record].append(np.column_stack([part.starts[part.counted], own]))
     told = []
-    slopes = layout.shared_values(unknowns)[1]
     for index, matrix in enumerate(matrices):
-        columns = layout.record_columns(index)[layout.n_own :]
-        others = layout.local[~limits.held[columns[layout.local]]]
-        matrix[others, others] += limits.prior_weight[columns[others]]
-        onto = np.zeros((len(layout.shared), n_free))
-        onto[:, layout.shared] = np.eye(len(layout.shared))
-        onto[:, others] = -share_of(matrix, layout.shared, others)
-        onto /= slopes[:, None]
+        onto, _ = onto_shared(shooting, point.unknowns, index, matrix)
         rows = np.vstack(scores[index])
         rows = rows[np.argsort(rows[:, 0]), 1:]
         told.append((onto @ matrix @ onto.T, rows @ onto.T))
@@ -193,6 +190,7 @@ def _summed(rows: np.ndarray) -> np.ndarray:
     middle = rows.T @ rows
     reach = int(RELATED * len(rows)) + 1
     for lag in range(1, min(reach, len(rows) - 1) + 1):
+        # Weights of Bartlett: the sum stays positive semidefinite.
         related = rows[lag:].T @ rows[:-lag]
         middle += (1 - lag / (reach + 1)) * (related + related.T)
     return np.asarray(middle)

@@ -95,12 +95,6 @@ class Information:
         _, values, _ = self._svd
         return int(np.sum(values > NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)))
 
-    @property
-    def condition(self) -> float:
-        """Condition number of the equilibrated factor."""
-        _, values, _ = self._svd
-        return float(values.max() / values.min()) if values.min() > 0 else np.inf
-
     @cached_property
     def covariance(self) -> np.ndarray:
         """Cramer-Rao bound, shape ``(n, n)``; infinite along null directions."""

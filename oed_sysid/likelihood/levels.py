@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -321,6 +322,14 @@ class Levels:
         """Which unknowns are variances, not times, of shape ``(n_levels,)``."""
         kinds = [kind for kind, _ in self.entries]
         return ~np.isin(kinds, LOGARITHMS).reshape(len(kinds))
+
+    def only_variances(self) -> Levels:
+        """The same where all times and dampings are known."""
+        chosen = self.are_variances
+        numbers = ("lower", "upper", "scale", "prior_mean", "prior_weight")
+        kept = {name: getattr(self, name)[chosen] for name in numbers}
+        entries = tuple(compress(self.entries, chosen))
+        return replace(self, entries=entries, **kept)  # type: ignore[arg-type]
 
     @property
     def shares_a_time(self) -> bool:

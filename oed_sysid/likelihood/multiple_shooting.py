@@ -76,15 +76,8 @@ KNOWN, ENOUGH = 2, 0.7
 ENDED = ("converged", "enough")
 # Ends of a fit whose values are not returned where another fit has ended well.
 FAILED = ("stalled", "diverged", "runaway", "integration", "degenerate")
-# Of two ends the one that converged is taken unless its cost is higher by this factor; an end that
-# leaves this share of an output's motion is doubted.
-WORSE, HALF = 1.2, 0.5
-# Most alternations between noise levels and parameters (three or four suffice as a rule), doublings
-# of a step before a side of a profile is open, and refinements of its end.
-MOST_ROUNDS = 12
-
-# Most rounds in which spikes are looked for; large ones hide small ones.
-SPIKE_ROUNDS = 4
+# Of two ends the one that converged is taken unless its cost is higher by this factor.
+WORSE = 1.2
 
 Minimiser = Callable[..., Solution | None]
 
@@ -363,7 +356,7 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
-        for _ in range(SPIKE_ROUNDS):
+        for _ in range(4):  # large ones hide small ones
             left = _left(again, before)
             if left is None:
                 break
@@ -461,33 +454,22 @@ class MultipleShooting:
         """The first fit with process noise that is likelier, else the last; None if all fail."""
         found = None
         for starts in begun:
-            found = self._estimated(fit, task, setting, starts, test, kernel) or found
-            if found is not None and not _no_likelier(found, fit):
+            try:
+                solution = fit_disturbed(
+                    task.model, setting, starts, test, kernel=kernel, progress=self.progress
+                )
+            except np.linalg.LinAlgError:  # equations without numbers: no way on from there
+                continue
+            if solution is None:
+                continue
+            iterations = fit.iterations + solution.iterations
+            how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
+            ends = solution.point.unknowns, solution.matrix, solution.right
+            found = summarise_filtered(solution, how)
+            found = replace(found, binding=binding(solution.problem, *ends))
+            if not _no_likelier(found, fit):
                 break
         return found
-
-    def _estimated(
-        self,
-        fit: Fit,
-        task: _Task,
-        setting: Setting,
-        starts: Sequence[Start],
-        test: ScoreTest,
-        kernel: FilterKernel,
-    ) -> Fit | None:
-        """The fit with process noise from some starts; None where it fails from each."""
-        try:
-            solution = fit_disturbed(
-                task.model, setting, starts, test, kernel=kernel, progress=self.progress
-            )
-        except np.linalg.LinAlgError:  # equations without numbers: no way on from there
-            return None
-        if solution is None:
-            return None
-        iterations = fit.iterations + solution.iterations
-        how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
-        ends = solution.point.unknowns, solution.matrix, solution.right
-        return replace(summarise_filtered(solution, how), binding=binding(solution.problem, *ends))
 
     def _minimiser(self, shooting: Shooting) -> Minimiser:
         """What turns a problem and a point into a solution."""
@@ -560,7 +542,7 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
     """Alternate between noise levels and everything else until the levels stay."""
     shooting = end.shooting
     least = EXACT * signal_spread(shooting.dataset)
-    for _ in range(MOST_ROUNDS):
+    for _ in range(12):  # three or four suffice as a rule
         sigma = np.where(estimated, np.maximum(end.levels, least), shooting.sigma)
         change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
         shooting = shooting.with_sigma(sigma)
@@ -713,7 +695,7 @@ def _explains(shooting: Shooting, solution: Solution | None) -> bool:
     if solution is None:
         return False
     spread, left = signal_spread(shooting.dataset), residual_levels(solution.residuals)
-    return bool(np.all((left < HALF * spread) | (left < GOOD * shooting.sigma)))
+    return bool(np.all((left < 0.5 * spread) | (left < GOOD * shooting.sigma)))
 
 
 def with_levels(model: Model, noise: NoiseModel | None) -> Model:

@@ -26,7 +26,7 @@ from oed_sysid.likelihood.estimate import Attempts
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Solution, solve
-from oed_sysid.likelihood.multiple_shooting import MOST_ROUNDS, MultipleShooting
+from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.starts import warm_unknowns
 from oed_sysid.likelihood.unknowns import KnownStarts
@@ -326,7 +326,7 @@ class _Walker:
         bound = float((limits.lower if direction < 0 else limits.upper)[self.position])
         inner, inner_rise, solution = self.estimate, 0.0, self.best
         step = self.step
-        for _ in range(MOST_ROUNDS):
+        for _ in range(12):  # doublings, after which the side is open
             value = inner + direction * step
             at_bound = (value - bound) * direction >= 0
             value = bound if at_bound else value
@@ -354,7 +354,7 @@ class _Walker:
     ) -> tuple[float, str]:
         """Find the crossing between two values, secant steps on the root of the rise."""
         root, value = np.sqrt(threshold), outer[0]
-        for _ in range(MOST_ROUNDS):
+        for _ in range(12):
             low, high = np.sqrt(max(inner[1], 0.0)), np.sqrt(outer[1])
             share = np.clip((root - low) / max(high - low, 1e-12), 0.05, 0.95)
             value = inner[0] + share * (outer[0] - inner[0])

@@ -15,7 +15,6 @@ Estimated series of unknown inputs, read off a fit; see :mod:`oed_sysid.physics.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
@@ -32,9 +31,6 @@ from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
 from oed_sysid.physics.model import Model
 
-# Draws of a band; those at once show whether one of first order would mislead.
-N_DRAWS = 200
-RUNAWAY = 1e100  # a draw beyond is no run of a vehicle
 # Mean over a run of drawn over first-order variances, of the same draws, from which (or below whose
 # inverse) first order misleads.
 MISLEADS = 1.2
@@ -83,14 +79,14 @@ class Spread:
         return np.clip(found, *self.bounds)
 
     def mean_square(
-        self, simulate: SimulateAll, outputs: np.ndarray, n_draws: int = N_DRAWS
+        self, simulate: SimulateAll, outputs: np.ndarray, n_draws: int = 200
     ) -> np.ndarray:
         """Mean square about ``outputs`` of runs that do not run away, ``(n_times, n_outputs)``."""
         rng = np.random.default_rng(0)  # the same draws for the same fit
         total, count = np.zeros_like(outputs), 0
         for done in range(0, n_draws, CHUNK):
             runs = simulate(self.draw(min(CHUNK, n_draws - done), rng), rng)
-            runs = runs[(np.abs(runs) < RUNAWAY).all(axis=(1, 2))]
+            runs = runs[(np.abs(runs) < 1e100).all(axis=(1, 2))]  # beyond, squares overflow
             total += ((runs - outputs) ** 2).sum(axis=0)
             count += len(runs)
         return total / count if count else np.full_like(outputs, np.inf)
@@ -131,15 +127,15 @@ def unknown_series(fit: Estimate, effect: str) -> tuple[tuple[np.ndarray, np.nda
     DataError
         If the model has no such effect.
     """
-    found = next((one for one in fit.model.effects if one.name == effect), None)
-    spacing = None if found is None else re.search(r"/([\d.e+-]+)$", found.definitions["node"])
-    if found is None or spacing is None:
-        names = [e.name for e in fit.model.effects if e.name.startswith("unknown_")]
+    inputs = {e.name: e for e in fit.model.effects if e.name.startswith("unknown_")}
+    if effect not in inputs:
         raise DataError(
-            f"The fit has no unknown input {effect!r}. It has {', '.join(names) or 'none'}."
+            f"The fit has no unknown input {effect!r}. It has {', '.join(inputs) or 'none'}."
         )
-    names = [parameter.name for parameter in found.parameters]
-    steps = np.arange(len(names)) * float(spacing[1])
+    names = [parameter.name for parameter in inputs[effect].parameters]
+    # Nodes are counted by (t - begin)/spacing.
+    spacing = float(inputs[effect].definitions["node"].rpartition("/")[2])
+    steps = np.arange(len(names)) * spacing
     values = fit.model.values
     return tuple(
         (record.times[0] + steps, np.cumsum([local.get(n, values[n]) for n in names]))
@@ -278,13 +274,11 @@ def predict(
     way = "given" if isinstance(initial, Mapping) else initial
     if way not in WAYS:
         raise DataError(f"initial is {initial!r}. Choose 'fit', 'first' or give the states.")
-    if isinstance(initial, Mapping):
-        unknown = [name for name in initial if name not in model.state_names]
-        if unknown or len(initial) < len(model.states):
-            raise DataError(
-                f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
-                f"{', '.join(model.state_names)}."
-            )
+    if isinstance(initial, Mapping) and set(initial) != set(model.state_names):
+        raise DataError(
+            f"initial gives {', '.join(initial) or 'nothing'}; give a value for each of "
+            f"{', '.join(model.state_names)}."
+        )
     parts = [_predict(model, r, covariance, noise, initial, way) for r in dataset]
     outputs, stds, starts, local = zip(*parts, strict=True)
     return Prediction(dataset, outputs, stds, noise.white.copy(), starts, way, local)

@@ -68,6 +68,7 @@ def bounded_step(
         triangle = roots[:, None] * vectors.T
     if np.all(step >= lower) and np.all(step <= upper):
         return step
+    # With A = T' T: minimise |T x - T'^-1 b| within the bounds, by active sets.
     projected = np.linalg.lstsq(triangle.T, target, rcond=None)[0]
     bounds = lower[open_] / scale, upper[open_] / scale
     result = lsq_linear(triangle, projected, bounds, method="bvls")

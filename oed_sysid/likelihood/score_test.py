@@ -12,15 +12,12 @@ is what letting them in would gain in twice the log-likelihood (Silvapulle & Sen
 data stay below 6.8 in 95 and below 9.2 in 99 of 100 cases; above ``CLEAR`` disturbances are
 admitted and estimated with everything else, and stay only where that is likelier.
 
-At variance zero nothing is corrected, so that only forces need the filter:
+Both come from one pass of the filter with all these variances at zero, where nothing is corrected:
 
 .. math::
     \frac{\partial S_k}{\partial \sigma_j^2} = h' D_k h, \quad
     D_{k+1} = F D_k F' + Q_j', \quad
     m_{k+1} = F (m_k + D_k h\, e_k / S), \quad \partial e_k = -h' m_k
-
-White noise has ``dS = 1`` and ``de = 0``; a coloured sensor ``dS = 1`` and the ``m`` of a process
-with ``F`` equal to :math:`\exp(-\Delta t / \tau)`.
 """
 
 from __future__ import annotations
@@ -30,9 +27,8 @@ from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property, partial
 
 import numpy as np
-from scipy.signal import lfilter
 
-from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterKernel, FilterPass
+from oed_sysid.compiled.filtering import FilterKernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
@@ -342,28 +338,24 @@ def _score_at(
     quiet = setting.noise(model, time)
     n_forces, n_outputs = len(quiet.force), len(quiet.white)
     one = replace(quiet, force=np.ones(n_forces), colour=quiet.white)
-    nothing = np.zeros(n_outputs, dtype=bool)
+    # Where every level but the white ones is zero, times have no slope.
     levels = Levels.of(
         quiet,
         one,
         [disturbance(place).name for place in setting.places],
-        white=nothing,
-        colour=nothing,
+        white=np.ones(n_outputs, dtype=bool),
+        colour=np.full(n_outputs, setting.colour),
         force=np.ones(n_forces, dtype=bool),
-    )
+    ).only_variances()
     problem = Filtered(model, dataset, levels, kernel=kernel)
-    point = problem.point(initial, local)
-    found = problem.passes(point.unknowns, levels_only=True, rows=True)
+    found = problem.passes(problem.point(initial, local).unknowns, levels_only=True)
     vast = ScoreTest(np.inf, time, quiet, one)
     if not all(part.ok for part in found):
         return vast
-    force = np.flatnonzero([kind == FORCE_VARIANCE for kind, _ in levels.entries])
-    count = n_forces + n_outputs * (1 + setting.colour)
-    matrix, right = np.zeros((count, count)), np.zeros(count)
-    for record, part in zip(dataset, found, strict=True):
-        moved, spread, left = _tangents(record, part, quiet, time, force, setting.colour)
-        matrix += moved.T @ moved + 0.5 * spread.T @ spread
-        right -= moved.T @ left + 0.5 * spread.T @ (1.0 - left**2)
+    count, size = len(levels), levels.scale
+    matrix = sum(part.gram[:-1, :-1] + part.level_information for part in found)
+    matrix = matrix * size[:, None] * size
+    right = -sum(part.gram[:-1, -1] + part.level_slope for part in found) * size
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
         return vast
     white = np.zeros(count, dtype=bool)
@@ -385,45 +377,3 @@ def _score_at(
         replace(quiet, force=np.sqrt(np.maximum(step[:n_forces], 0.0)), colour=colour),
         replace(one, force=np.sqrt(natural)),
     )
-
-
-def _tangents(
-    record: Record,
-    part: FilterPass,
-    noise: NoiseModel,
-    time: float,
-    force: np.ndarray,
-    colour: bool,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What unit variances do to one record: ``de / sqrt(S)``, ``d log S`` and ``e / sqrt(S)``.
-
-    A row for every measured number; columns are forces, white levels and colours in squares of
-    the white levels.
-    """
-    assert part.rows is not None
-    n_levels, n_forces, n_outputs = part.rows.shape[2] // 2, len(force), len(noise.white)
-    seen = np.isfinite(part.innovations)
-    left = part.innovations / noise.white
-    shape = (*seen.shape, n_forces + n_outputs * (1 + colour))
-    moved, spread = np.zeros(shape), np.zeros(shape)
-    moved[..., :n_forces] = part.rows[..., force]
-    spread[..., :n_forces] = part.rows[..., n_levels + force]
-    each = np.arange(n_outputs)
-    spread[:, each, n_forces + each] = 1.0
-    if colour and not record.independent:
-        spread[:, each, n_forces + n_outputs + each] = 1.0
-        driven = _remembered(record.times, np.where(seen, left, 0.0), time)
-        moved[:, each, n_forces + n_outputs + each] = -driven
-    return moved[seen], spread[seen], left[seen]
-
-
-def _remembered(times: np.ndarray, driving: np.ndarray, time: float) -> np.ndarray:
-    """``m`` with ``m[k+1] = exp(-dt/time) (m[k] + driving[k])`` from zero, along the first axis."""
-    decay = np.exp(-np.diff(times) / time)
-    before = np.zeros_like(driving)
-    if len(decay) and decay.max() - decay.min() < 1e-9:
-        before[1:] = lfilter([decay[0]], [1.0, -decay[0]], driving[:-1], axis=0)
-        return before
-    for k, share in enumerate(decay):
-        before[k + 1] = share * (before[k] + driving[k])
-    return before

@@ -362,6 +362,7 @@ class Shooting(Posed):
         for index, columns in enumerate(self._columns):
             scaled, weights = self.scaled(lin.residuals[index])
             root = np.sqrt(weights)
+            # Residuals once the defects are closed, to first order.
             target = root * (scaled - lin.offsets[index] / self.sigma)
             jacobian = lin.jacobians[index] * (root / self.sigma)[:, :, None]
             flat = jacobian.reshape(-1, jacobian.shape[2])

@@ -9,7 +9,7 @@ The result only starts an estimation; it never enters its result.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,8 +24,6 @@ from oed_sysid.text import expressions
 WINDOWS = (5, 9, 17, 33, 65)
 # What is known of a state before anything is measured, in units of its scale.
 VAGUE = 10.0
-# For one sample of kinematic equations, which are nearly linear; a start value only.
-NEWTON_STEPS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -129,13 +127,13 @@ def _solve(
 ) -> dict[str, Guess]:
     """Gauss-Newton at every sample at once, on all wanted states that occur."""
     equations, wanted = _telling(_equations(model, record, known, slopes), known, wanted)
-    if not equations or not wanted:
+    if not equations:
         return {}
     scales = {state.name: state.scale for state in model.states if state.name in wanted}
     vague = VAGUE * np.array([scales[name] for name in wanted])
     values = np.zeros((len(record.times), len(wanted)))
     with np.errstate(all="ignore"):
-        for _ in range(NEWTON_STEPS):
+        for _ in range(5):  # the equations of one sample are nearly linear
             matrix, right = _normal(equations, known, scales, values)
             matrix = matrix + np.diag(vague**-2)
             right = right - values / vague**2
@@ -195,18 +193,23 @@ def _equations(
     """Parameter-free equations with a known left side, as functions of the states."""
     touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}
     told = [
-        (text, slopes[state])
-        for state, text in model.kinematics.items()
-        if state in slopes and state not in touched
+        (text, slopes[s]) for s, text in model.kinematics.items() if s in slopes.keys() - touched
     ]
-    for column, output in enumerate(model.outputs):
-        series = _filled(record, column)
-        if series is None or output.source in model.state_names or output.name in touched:
-            continue
-        error = output.noise_std or 0.02 * (float(np.std(series)) + 1e-12)
-        told.append((output.source, (series, error)))
+    told += _measured(model, record, touched)
     found = [(_function(model, record, text, touched), known) for text, known in told]
     return [(*one, *known) for one, known in found if one is not None]
+
+
+def _measured(
+    model: Model, record: Record, touched: set[str]
+) -> Iterator[tuple[str, tuple[np.ndarray, float]]]:
+    """Expressions of outputs that are no state, with their series and typical errors."""
+    for column, output in enumerate(model.outputs):
+        series = _filled(record, column)
+        known = output.source in model.state_names or output.name in touched
+        if series is not None and not known:
+            error = output.noise_std or 0.02 * (float(np.std(series)) + 1e-12)
+            yield output.source, (series, error)
 
 
 def _filled(record: Record, column: int) -> np.ndarray | None:

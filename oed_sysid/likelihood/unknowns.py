@@ -155,16 +155,6 @@ class Layout:
         """Names of the shared free parameters."""
         return tuple(self.free_names[i] for i in self.shared)
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Name of every unknown; local ones carry the record's index."""
-        names = list(self.shared_names)
-        for record in range(self.n_records):
-            names += [f"x0[{record}][{i}]" for i in range(self.n_own)]
-            names += [f"{self.free_names[i]}[{record}]" for i in self.local]
-        names += [f"noise[{i}]" for i in range(self.n_levels)]
-        return tuple(names)
-
 
 def on_its_turn(model: Model, record: Record, state: str, value: float) -> float:
     """Start value of a state, moved by full turns to the record's where a wrapped output sees it.
@@ -288,17 +278,15 @@ class Limits:
         lower, upper, scale = np.full(n, -np.inf), np.full(n, np.inf), np.ones(n)
         mean, weight = np.zeros(n), np.zeros(n)
         parameters = model.free_parameters
-        sizes = [1.0 if p.log else p.magnitude for p in parameters]
-        scales = [*(s.scale for s in model.states), *sizes]
-        bounds = [
-            layout.inward(np.array([getattr(p, end) for p in parameters]))
-            for end in ("lower", "upper")
+        # NaN where a parameter has no prior.
+        rows = [
+            (p.lower, p.upper, p.prior_mean, p.prior_std, 1.0 if p.log else p.magnitude)
+            for p in parameters
         ]
-        stds = np.array([np.inf if p.prior_std is None else p.prior_std for p in parameters])
-        known = np.isfinite(stds)
-        means = layout.inward(
-            np.array([1.0 if p.prior_mean is None else p.prior_mean for p in parameters])
-        )
+        table = np.array(rows, dtype=float).reshape(-1, 5).T
+        *bounds, means = layout.inward(table[:3])
+        stds, known = table[3], np.isfinite(table[3])
+        scales = [*(s.scale for s in model.states), *table[4]]
         for index in range(layout.n_records):
             columns = layout.record_columns(index)
             own, free = columns[: layout.n_own], columns[layout.n_own :]

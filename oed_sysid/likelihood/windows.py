@@ -35,10 +35,8 @@ from oed_sysid.likelihood.start_guess import VAGUE
 from oed_sysid.likelihood.unknowns import Limits
 
 # What a start state of a window is known to before its samples where all of it is to be found, in
-# units of the state's scale; and the weight of what is held.
-UNKNOWN, HELD = 30.0, 1e20
-# The way in only has to arrive nearby: stop when an iteration gains less than this share.
-ENOUGH = 1e-2
+# units of the state's scale.
+UNKNOWN = 30.0
 # Lengths, in samples, of the windows in the globalisation phase; beyond the
 # last one they triple until they reach the length of a shooting interval.
 LADDER = (2, 4, 10, 30)
@@ -115,7 +113,7 @@ class Windows:
         """
         parts = [p for i, record in enumerate(shooting.records) for p in _cut(i, record, horizon)]
         weight = (UNKNOWN * shooting.state_scale) ** -2.0
-        weight[shooting.layout.n_own :] = HELD
+        weight[shooting.layout.n_own :] = 1e20  # held
         weights = np.tile(weight, (len(shooting.records), 1))
         return cls(shooting, parts, weights, unknowns, horizon)
 
@@ -293,20 +291,13 @@ def _cut(index: int, record: Record, horizon: float) -> list[Part]:
     step = n - 1
     if not record.independent:
         step = max(1, min(round(horizon / record.sample_time), step))
-    edges = np.arange(0, n - 1, step)
     parts = []
     for parity in (0, 1):
-        starts: list[int] = []
-        counted: list[bool] = []
-        reached = 0
-        for edge in edges[parity::2]:
-            if edge > reached:  # a stretch of the other pass
-                starts, counted = [*starts, reached], [*counted, False]
-            starts, counted = [*starts, int(edge)], [*counted, True]
-            reached = min(int(edge) + step + 1, n)
-        if reached < n and starts:
-            starts, counted = [*starts, reached], [*counted, False]
-        parts.append(Part(index, np.array(starts, dtype=np.intc), np.array(counted, dtype=bool), n))
+        begin = np.arange(parity * step, n - 1, 2 * step)
+        # What lies between two windows of a pass is run over.
+        starts = np.unique([0, *begin, *(begin + step + 1)])
+        starts = starts[starts < n].astype(np.intc)
+        parts.append(Part(index, starts, np.isin(starts, begin), n))
     return parts
 
 
@@ -330,7 +321,8 @@ def climb(
     begin = problem.at(problem.start)
     if begin is None:
         return unknowns
-    descent = Descent(begin, Windows.at, Convergence(0.0, share=ENOUGH), CAREFUL)
+    # The way in only has to arrive nearby: it ends with an iteration that gains less than a share.
+    descent = Descent(begin, Windows.at, Convergence(0.0, share=0.01), CAREFUL)
     descent.run(max_iterations)
     found = descent.now.point.unknowns.copy()
     n_own = shooting.layout.n_own

@@ -468,8 +468,7 @@ class _Judge:
         total, count = 0.0, 0
         for part in (part for record in dataset for part in record.segments(self.horizon)):
             own = first_state(held, part)
-            start, _ = compiled.start(own, part.inputs[0], values, part.times[0])
-            run = compiled.run(part.times, part.inputs, values, start)
+            run = compiled.simulate(part.times, part.inputs, values, own)
             if not np.isfinite(run.outputs).all():
                 return math.inf, 1
             seen = np.isfinite(part.outputs)

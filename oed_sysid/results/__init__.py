@@ -12,7 +12,6 @@ from oed_sysid.results.design_plots import (
     figure_programme,
     plot_accuracy,
     plot_orders,
-    plot_output_change,
     plot_sensitivity,
     plot_tracks,
 )
@@ -30,14 +29,11 @@ from oed_sysid.results.fit_plots import (
     plot_comparison,
     plot_correlation,
     plot_ellipses,
-    plot_input,
     plot_intervals,
-    plot_output,
     plot_polar,
     plot_prediction,
     plot_prediction_error,
     plot_profile,
-    plot_residual,
 )
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
@@ -48,13 +44,12 @@ from oed_sysid.results.improvement_plots import (
     plot_ranking,
     plot_residual_force,
 )
-from oed_sysid.results.page import Page, Picture, card_page, numbers_page, page, style_sheet
+from oed_sysid.results.page import Page, Picture, numbers_page, page, style_sheet
 from oed_sysid.results.record_plots import (
     figure_check,
     figure_record,
     plot_balance,
     plot_balances,
-    plot_phase,
     plot_track,
     plot_zigzag,
 )

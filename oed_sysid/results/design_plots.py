@@ -68,40 +68,6 @@ def plot_sensitivity(ranking: SensitivityRanking, *, ax: Axes | None = None) -> 
     )
 
 
-def plot_output_change(ranking: SensitivityRanking, *, ax: Axes | None = None) -> Axes:
-    """Plot how much each parameter moves the outputs, as bars, the strongest above.
-
-    What the bars leave out is whether other parameters move the outputs in the same way; that is
-    in :func:`plot_sensitivity`.
-
-    Parameters
-    ----------
-    ranking : SensitivityRanking
-        From :func:`~oed_sysid.information.rank_parameters`.
-    ax : Axes, optional
-        Where to draw.
-    """
-    rows = [ranking.row(name) for name in ranking.by_output_change]
-    ax, places = draw.row_axes(
-        ax, [draw.symbol_of(row.name) for row in rows], 6.4, tall=0.28, edge=1.2
-    )
-    lengths, poor = np.array([(row.output_change, row.error >= 1.0) for row in rows]).T
-    for chosen, colour, hatch, words in (
-        (poor == 0, draw.COLOURS[1], "", "determined by these runs"),
-        (poor == 1, draw.COLOURS[5], "///", "error beyond the value"),
-    ):
-        if chosen.any():
-            draw.bars(ax, places[chosen], lengths[chosen], colour, hatch, label=words)
-    return draw.done(
-        ax,
-        f"{rows[0].name} moves the outputs most ({rows[0].output_change:.3g}), {rows[-1].name} "
-        f"least ({rows[-1].output_change:.3g}).",
-        grid="x",
-        legend={"loc": "lower right"},
-        xlabel=f"change of the outputs for {100 * ranking.change:g} % of the parameter [-]",
-    )
-
-
 def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes:
     """Plot expected relative errors: before, after the design, after standard manoeuvres.
 
@@ -115,18 +81,8 @@ def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes
     ax : Axes, optional
         Where to draw.
     """
-    before, spread = None, None
-    if isinstance(design, Design):
-        cases = [("designed", design.relative_errors)]
-        cases += [(r.name, r.information.std_errors / design.sizes) for r in design.references]
-        before = design.prior_errors
-    else:
-        cases, spread = [("programme", design.relative_errors)], design.spread
-        if (standard := design.standard) is not None:
-            theirs = np.array([standard.errors[name] for name in design.names])
-            cases.append(("standard trials, equal time", theirs))
-        if design.prior is not None:
-            before = design.prior.std_errors / design.sizes
+    cases, before = _accuracies(design)
+    spread = design.spread if isinstance(design, Programme) else None
     order = np.argsort(design.relative_errors)  # the largest below
     named = [draw.symbol_of(design.names[i]) for i in order]
     ax, rows = draw.row_axes(ax, named, 6.8, tall=0.28, edge=1.4)
@@ -148,6 +104,20 @@ def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes
         legend=min(len(cases) + 1, 3),
         xlabel="expected standard error / value [%]",
     )
+
+
+def _accuracies(
+    design: Design | Programme,
+) -> tuple[list[tuple[str, np.ndarray]], np.ndarray | None]:
+    """Expected relative errors by what is done, and those before it where they are known."""
+    cases = [("designed" if isinstance(design, Design) else "programme", design.relative_errors)]
+    if isinstance(design, Design):
+        theirs = [(r.name, r.information.std_errors / design.sizes) for r in design.references]
+        return [*cases, *theirs], design.prior_errors
+    if (standard := design.standard) is not None:
+        errors = np.array([standard.errors[name] for name in design.names])
+        cases.append(("standard trials, equal time", errors))
+    return cases, None if design.prior is None else design.prior.std_errors / design.sizes
 
 
 def _beside(figure: Figure, grid: np.ndarray, design: Design | Programme) -> None:
@@ -259,13 +229,7 @@ def _draw_run(programme: Programme, run: Candidate, left: Axes, right: Axes) -> 
 
 
 DANGER = "#b00020"
-# Inches.
-_A4 = (8.27, 11.69)
-# Shares of the page that edges and pictures take, and the largest type, points.
-_EDGE, _PICTURES, _TYPE = 0.035, 0.26, 7.2
 _HEADS = ("SEA TRIAL CARD", "STOP THE RUN", "ACCURACY TO EXPECT")
-# Orders above this number stand in two columns.
-_MANY = 14
 
 
 def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
@@ -321,8 +285,8 @@ def plot_orders(design: Design | TrialCard, *, ax: Axes | None = None) -> Axes:
     return draw.done(ax, xlabel="time $t$ [s]", ylabel="orders")
 
 
-def _folded(lines: list[str]) -> list[str]:
-    """The card with a long list of orders in two columns."""
+def _folded(lines: list[str], most: int = 14) -> list[str]:
+    """The card with more orders than so many in two columns."""
     if "RUN" not in lines:
         return lines
     first = lines.index("RUN") + 1
@@ -330,7 +294,7 @@ def _folded(lines: list[str]) -> list[str]:
     rows = lines[first:last]
     # The head of the list, and its last words on how to give the orders, stay as they are.
     head, orders, tail = rows[:1], rows[1:-1], rows[-1:]
-    if len(orders) <= _MANY:
+    if len(orders) <= most:
         return lines
     half = (len(orders) + 1) // 2
     wide = 4 + max(map(len, orders))
@@ -344,28 +308,33 @@ def figure_card(card: TrialCard) -> Figure:
 
     Without tracks the orders take the whole width.
     """
-    figure = Figure(figsize=_A4)
+    figure = Figure(figsize=(8.27, 11.69))  # A4, inches
     FigureCanvasAgg(figure)
-    lines, tracks = _folded(card.text().split("\n")), card.tracks
-    height = 72 * _A4[1]
-    size = min(_TYPE, height * (0.98 - 2 * _EDGE - _PICTURES) / (1.25 * len(lines)))
-    alarming = 0
-    if lines[0].startswith("DANGER"):
-        alarming = next(i for i, text in enumerate(lines) if text.startswith("SEA TRIAL CARD"))
-    for number, text in enumerate(lines):
-        bold = number < alarming or text.startswith(_HEADS) or text.isupper()
-        figure.text(
-            _EDGE, 1.0 - _EDGE - 1.25 * size / height * number, text, family="monospace",
-            fontsize=size, va="top", color=DANGER if number < alarming else draw.TRUTH,
-            weight="bold" if bold else "normal",
-        )  # fmt: skip
-    low, tall, wide = 2 * _EDGE, _PICTURES - _EDGE, 0.94 - 2 * _EDGE
-    left = 0.03 + _EDGE
+    edge, pictures, tracks = 0.035, 0.26, card.tracks  # shares of the page
+    _write_lines(figure, _folded(card.text().split("\n")), edge, pictures)
+    low, tall, wide = 2 * edge, pictures - edge, 0.94 - 2 * edge
+    left = 0.03 + edge
     plot_orders(card, ax=figure.add_axes((left, low, (0.47 if tracks else 1.0) * wide, tall)))
     if tracks is not None:
         plot_tracks(tracks, ax=figure.add_axes((left + 0.62 * wide, low, 0.38 * wide, tall)))
     for ax in figure.axes:
         ax.tick_params(labelsize=6.5)
-        for axis in (ax.xaxis, ax.yaxis):
-            axis.label.set_fontsize(7)
+        ax.xaxis.label.set_fontsize(7)
+        ax.yaxis.label.set_fontsize(7)
     return figure
+
+
+def _write_lines(figure: Figure, lines: list[str], edge: float, pictures: float) -> None:
+    """Write a card on its page, as large as it fits above the pictures, at most 7.2 points."""
+    height = 72 * figure.get_figheight()
+    size = min(7.2, height * (0.98 - 2 * edge - pictures) / (1.25 * len(lines)))
+    # Danger stands above the head of the card.
+    head = next((i for i, text in enumerate(lines) if text.startswith(_HEADS[0])), 0)
+    for number, text in enumerate(lines):
+        alarming = number < head
+        bold = alarming or text.startswith(_HEADS) or text.isupper()
+        figure.text(
+            edge, 1.0 - edge - 1.25 * size / height * number, text, family="monospace",
+            fontsize=size, va="top", color=DANGER if alarming else draw.TRUTH,
+            weight="bold" if bold else "normal",
+        )  # fmt: skip

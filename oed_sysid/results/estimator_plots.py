@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
@@ -23,7 +24,8 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from oed_sysid.baselines.benchmark import OURS, UNITS, Benchmark, Row
+from oed_sysid.baselines.benchmark import Benchmark, Row
+from oed_sysid.baselines.contest import OURS, UNITS
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multistart import SAME_OPTIMUM
@@ -128,9 +130,8 @@ class LiveParameters:
         self.names = tuple(names)
         self._units, self._references = dict(units or {}), dict(references or {})
         self._file, self._every, self._clock = file, every, clock
-        self._times: list[float] = []
-        self._values: list[list[float]] = []
-        self._stds: list[list[float]] = []
+        # Time, values and standard errors of every update.
+        self._rows: list[tuple[float, list[float], list[float]]] = []
         self._drawn_at = -np.inf
         self.n_drawings = 0
         if figure is None:
@@ -144,7 +145,7 @@ class LiveParameters:
     @property
     def n_samples(self) -> int:
         """Updates so far."""
-        return len(self._times)
+        return len(self._rows)
 
     def update(
         self, t: float, values: Mapping[str, float], stds: Mapping[str, float] | None = None
@@ -163,13 +164,12 @@ class LiveParameters:
             raise DataError(
                 f"The live plot has no parameter {unknown[0]!r}, only {', '.join(self.names)}."
             )
-        if self._times and not t > self._times[-1]:
-            raise DataError(
-                f"The estimates at t = {t:g} s are not later than those at {self._times[-1]:g} s."
-            )
-        self._times.append(float(t))
-        for kept, given in ((self._values, values), (self._stds, stds)):
-            kept.append([float(given.get(name, np.nan)) for name in self.names])
+        if self._rows and not t > (last := self._rows[-1][0]):
+            raise DataError(f"The estimates at t = {t:g} s are not later than those at {last:g} s.")
+        row, half = (
+            [float(one.get(name, np.nan)) for name in self.names] for one in (values, stds)
+        )
+        self._rows.append((float(t), row, half))
         if self._clock() - self._drawn_at >= self._every:
             self.draw()
 
@@ -209,13 +209,13 @@ class LiveParameters:
             moving.save(part, writer=PillowWriter(fps=per_second), dpi=80)
 
     def _draw_until(self, count: int) -> tuple[Axes, ...]:
-        times = np.array(self._times[:count])
-        values = np.array(self._values[:count]).reshape(count, len(self.names))
-        stds = np.array(self._stds[:count]).reshape(count, len(self.names))
+        rows = self._rows[:count]
+        times = np.array([t for t, _, _ in rows])
         for index, (name, ax) in enumerate(zip(self.names, self._axes, strict=True)):
             ax.clear()
+            known = np.array([(row[index], half[index]) for _, row, half in rows]).reshape(-1, 2)
             plot_history(
-                times, values[:, index], stds[:, index], name=name, ax=ax,
+                times, *known.T, name=name, ax=ax,
                 unit=self._units.get(name, ""), reference=self._references.get(name),
             )  # fmt: skip
         self._axes[-1].set_xlabel("time [s]")
@@ -318,8 +318,6 @@ def plot_waterfall(result: Fit, ax: Axes | None = None) -> Axes:
 
 # -- the benchmark ---------------------------------------------------------------------------
 
-# Errors beyond these are drawn at the edge, in per cent.
-LEAST, MOST = 1e-2, 1e4
 MARKERS = ("o", "s", "^", "D", "v", "P")
 
 
@@ -340,30 +338,18 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
         Where to draw.
     """
     ax = draw.new_axes(ax)
-    able = [row for row in rows if not row.refused]
-    levels = sorted({row.noise for row in able if row.noise > 0})
+    levels: dict[float, list[Row]] = {}
     errors: dict[str, list[float]] = {}
-    for row in able:
-        if row.noise > 0:
+    for row in rows:
+        if row.noise > 0 and not row.refused:
+            levels.setdefault(row.noise, []).append(row)
             errors.setdefault(row.estimator, []).append(np.log(max(row.rmse_determined, 1e-9)))
     names = sorted(errors, key=lambda name: float(np.mean(errors[name])))  # the best on top
-    for number, level in enumerate(levels):
-        colour = draw.model_style(number).colour
-        of_level = {row.estimator: row for row in able if row.noise == level}
-        bound = next(iter(of_level.values())).bound
+    for number, level in enumerate(sorted(levels)):
+        look = {"color": draw.model_style(number).colour, "marker": MARKERS[number % len(MARKERS)]}
         shift = (number - (len(levels) - 1) / 2) * 0.22
-        ax.axvline(100.0 * bound, color=colour, lw=1.0, alpha=0.6, linestyle=":")
-        for name, row in of_level.items():
-            error = np.clip(100.0 * row.rmse_determined, LEAST, MOST)
-            ax.plot(
-                error, names.index(name) + shift, MARKERS[number % len(MARKERS)], ms=5.5,
-                color=colour, mfc="none" if row.n_failed else colour, clip_on=False,
-            )  # fmt: skip
-        # The legend shows full marks, whichever estimator comes first.
-        unit = UNITS[able[0].noise_unit]
-        ax.plot(
-            [], [], MARKERS[number % len(MARKERS)], color=colour, label=f"noise {level:g} {unit}"
-        )
+        places = dict(zip(names, np.arange(len(names)) + shift, strict=True))
+        _draw_level(ax, levels[level], places, look)
     if OURS in names:
         place = names.index(OURS)
         ax.axhspan(place - 0.45, place + 0.45, color=draw.NEUTRAL, alpha=0.18, lw=0)
@@ -372,6 +358,20 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
     ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     words = "error of determined parameters [%]"
     return draw.done(ax, ylim=(len(names) - 0.4, -0.6), xlabel=words)
+
+
+def _draw_level(
+    ax: Axes, rows: Sequence[Row], places: Mapping[str, float], look: dict[str, Any]
+) -> None:
+    """Draw errors at one noise level: a mark per estimator, and what can be reached at best."""
+    ax.axvline(100.0 * rows[0].bound, color=look["color"], lw=1.0, alpha=0.6, linestyle=":")
+    for row in rows:
+        error = np.clip(100.0 * row.rmse_determined, 1e-2, 1e4)  # beyond: at the edge
+        fill = "none" if row.n_failed else look["color"]
+        ax.plot(error, places[row.estimator], ms=5.5, mfc=fill, clip_on=False, **look)
+    # The legend shows full marks, whichever estimator comes first.
+    words = f"noise {rows[0].noise:g} {UNITS[rows[0].noise_unit]}"
+    ax.plot([], [], ls="", label=words, **look)
 
 
 def figure_benchmark(result: Benchmark) -> Figure:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -79,9 +80,8 @@ def said_of(
     DataError
         If a model knows no record of that name.
     """
-    several = [models] if isinstance(models, Fit | Prediction) else list(models)
     found = []
-    for number, model in enumerate(several):
+    for number, model in enumerate(draw.several(models)):
         data = record if isinstance(record, Record) else model.dataset[record]
         if data.name not in model.dataset.names:
             raise DataError(
@@ -140,41 +140,8 @@ def _fitted(fit: Fit, record: str | int, style: int, name: str) -> Said:
     return replace(said, look=replace(said.look, dashes="-"))
 
 
-def plot_output(
-    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
-) -> Axes:
-    """Plot one measured output and the model, with the band in which 95 % should lie.
-
-    Parameters
-    ----------
-    fit : Fit
-        The fit.
-    output : str
-        Which output.
-    record : str or int
-        Which of its records.
-    style : int
-        Position of the model in a comparison; sets its colour.
-    ax : Axes, optional
-        Where to draw.
-    """
-    said = _fitted(fit, record, style, "model")
-    draw_output(ax := draw.new_axes(ax), [said], output, "model ± noise (95 %)")
-    size = fit.rms[output] / fit.sigma[_column(said, output)[0]]
-    words = f"residuals of {output} are {size:.3g} times its noise."
-    return draw.say(ax, f"{said.record.name}: {words}")
-
-
-def plot_residual(
-    fit: Fit, output: str, *, record: str | int = 0, style: int = 0, ax: Axes | None = None
-) -> Axes:
-    """Plot measured minus model of one output, with the 95 % band of its noise."""
-    said = _fitted(fit, record, style, "measured − model")
-    return draw_error(draw.new_axes(ax), [said], output, scaled=False)
-
-
 def plot_prediction(
-    predictions: Prediction | Sequence[Prediction],
+    models: Source | Sequence[Source],
     output: str,
     *,
     record: str | int = 0,
@@ -182,14 +149,14 @@ def plot_prediction(
     styles: Sequence[int] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot one measured output and what one or several models predict for it.
+    """Plot one measured output and what one or several models say about it.
 
-    Each band holds 95 % of new measurements if its model is right: noise and
-    the uncertainty of the parameters together.
+    Each band holds 95 % of new measurements if its model is right: of a fit the noise, of a
+    prediction the noise and the uncertainty of the parameters together.
 
     Parameters
     ----------
-    predictions : Prediction or sequence of Prediction
+    models : Fit, Prediction or sequence of them
         Of the same records.
     output : str
         Which output.
@@ -200,13 +167,13 @@ def plot_prediction(
     ax : Axes, optional
         Where to draw.
     """
-    models = said_of(predictions, record, labels, styles)
-    draw_output(ax := draw.new_axes(ax), models, output)
-    return draw.say(ax, " ".join(_errors(models, output)))
+    said = said_of(models, record, labels, styles)
+    draw_output(ax := draw.new_axes(ax), said, output)
+    return draw.say(ax, " ".join(_errors(said, output)))
 
 
 def plot_prediction_error(
-    predictions: Prediction | Sequence[Prediction],
+    models: Source | Sequence[Source],
     output: str,
     *,
     record: str | int = 0,
@@ -214,13 +181,12 @@ def plot_prediction_error(
     styles: Sequence[int] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot measured minus predicted of one output in units of the noise.
+    """Plot measured minus said of one output in units of the noise.
 
-    The grey band holds 95 % of the noise. Parameters as in
-    :func:`plot_prediction`.
+    The grey band holds 95 % of the noise. Parameters as in :func:`plot_prediction`.
     """
-    models = said_of(predictions, record, labels, styles)
-    return draw_error(draw.new_axes(ax), models, output, scaled=True)
+    said = said_of(models, record, labels, styles)
+    return draw_error(draw.new_axes(ax), said, output, scaled=True)
 
 
 def _errors(models: Sequence[Said], output: str) -> Iterator[str]:
@@ -239,12 +205,6 @@ def draw_input(ax: Axes, record: Record, channel: Input) -> Axes:
     line = {"color": draw.TRUTH, "lw": 1.0, **draw.stepped(channel), **draw.joined(record)}
     ax.plot(along, draw.signal_of(record, channel), **line)
     return draw.done(ax, xlabel=words, ylabel=draw.label(channel))
-
-
-def plot_input(record: Record, name: str, *, ax: Axes | None = None) -> Axes:
-    """Plot one commanded signal of a record, as it acts between samples."""
-    channel = record.channels.inputs[record.channels.input_names.index(name)]
-    return draw_input(draw.new_axes(ax, size=(6.4, 2.0)), record, channel)
 
 
 def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
@@ -364,7 +324,7 @@ def plot_polar(
     DataError
         If the axes are not polar.
     """
-    several = [polars] if isinstance(polars, SpeedPolar) else list(polars)
+    several: list[SpeedPolar] = draw.several(polars)
     if ax is None:
         figure, _ = draw.new_figure(1, 1, size=(5.4, 6.0), subplot_kw={"projection": "polar"})
         ax = figure.axes[0]
@@ -471,8 +431,8 @@ def plot_intervals(
     Values are divided by the size of the prior mean (the first fit's value
     where there is none), so that all parameters share an axis.
     """
-    several = [fits] if isinstance(fits, Fit) else list(fits)
-    names = list(dict.fromkeys(name for fit in several for name in fit.names))
+    several: list[Fit] = draw.several(fits)
+    names = list(dict.fromkeys(chain.from_iterable(fit.names for fit in several)))
     ax, rows = draw.row_axes(ax, [draw.symbol_of(name) for name in names], 6.4, tall=0.34, edge=0.8)
     row_of = dict(zip(names, rows, strict=True))
     scale = {name: _reference(several, name) for name in names}
@@ -630,7 +590,7 @@ def plot_ellipses(
     *,
     centres: Sequence[tuple[float, float]] | None = None,
     labels: Sequence[str] | None = None,
-    units: tuple[str, str] | None = None,
+    units: tuple[str, str] = ("", ""),
     truth: tuple[float, float] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
@@ -664,7 +624,7 @@ def plot_ellipses(
     ax = draw.new_axes(ax, size=(5.2, 4.6))
     turn = np.linspace(0.0, 2.0 * np.pi, 181)
     circle = np.stack([np.cos(turn), np.sin(turn)])
-    in_units = [f" [{unit}]" if unit else "" for unit in units or ("", "")]
+    in_units = [f" [{unit}]" if unit else "" for unit in units]
     said = []
     places = centres or [(0.0, 0.0)] * len(informations)
     for number, (one, centre) in enumerate(zip(informations, places, strict=True)):

@@ -51,15 +51,16 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
     row_of = dict(zip(names, rows, strict=True))
     scores = {one.effect.name: one.statistic for one in ranking.scores}
     group = [refit.name for refit in ranking.group()]
-    refits = [refit for refit in ranking.refits if refit.name in names]
-    for one in refits:
-        look = _BEST if one.name == group[0] else _ALIKE if one.name in group else _OTHER
-        draw.bars(ax, row_of[one.name], max(one.gain, 0.0), *look[:2], label=look[2])
+    looks = dict.fromkeys(group, _ALIKE) | dict.fromkeys(group[:1], _BEST)
+    for one in ranking.refits:
+        if (row := row_of.get(one.name)) is not None:
+            colour, hatch, words = looks.get(one.name, _OTHER)
+            draw.bars(ax, row, max(one.gain, 0.0), colour, hatch, label=words)
+            ax.plot(one.needed, row, "|", ms=18, mew=1.8, color=draw.TRUTH, zorder=4,
+                    label="needed for a claim")  # fmt: skip
     shown = [scores[name] for name in names]
     ax.plot(shown, rows, "D", ms=4.5, mfc="white", mec=draw.TRUTH, zorder=3,
             label="score before refit")  # fmt: skip
-    ax.plot([one.needed for one in refits], [row_of[one.name] for one in refits], "|",
-            ms=18, mew=1.8, color=draw.TRUTH, zorder=4, label="needed for a claim")  # fmt: skip
     _readable_scale(ax, max([*(refit.gain for refit in ranking.refits), *shown, 1.0]))
     said = "No candidate was worth a refit."
     if ranking.refits:
@@ -100,10 +101,9 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     if np.isfinite(test).any():
         kind, shown = "validation", test
         ax.plot(places, test, "o-", color=draw.COLOURS[1], lw=1.8, ms=7, label="validation records")
-    for place, value in zip(places, shown, strict=True):
-        if np.isfinite(value):
-            ax.annotate(f"{value:.3g}", (place, value), xytext=(7, 7),
-                        textcoords="offset points", fontsize=9)  # fmt: skip
+    for place in np.flatnonzero(np.isfinite(shown)):
+        ax.annotate(f"{shown[place]:.3g}", (place, shown[place]), xytext=(7, 7),
+                    textcoords="offset points", fontsize=9)  # fmt: skip
     largest = max(filter(np.isfinite, (*train, *test)), default=1.0)
     if not draw.errors_axis(ax, largest):
         ax.set_ylim(0.0, 1.15 * max(largest, 1.2))
@@ -171,10 +171,6 @@ def _readable_scale(ax: Axes, largest: float) -> None:
         ax.xaxis.set_major_formatter("{x:g}")
         ax.minorticks_off()
     ax.set_xlim(left=0.0)
-
-
-# Of a signal, for the mean force in each; a drawing only.
-_N_BINS = 12
 
 
 def plot_residual_force(
@@ -297,7 +293,7 @@ def figure_force(located: Located, equation: str, dataset: Dataset) -> Figure:
         ax.set_title(dataset.names[record], fontsize=9.5, loc="left")
         if record != records[-1]:
             ax.set_xlabel("")
-        if record and ax.get_legend() is not None:
+        if record:
             ax.get_legend().remove()
     against = lower.subplots(rows, columns, squeeze=False, sharey=True)
     for ax, name in zip(against.flat, signals, strict=False):
@@ -309,7 +305,7 @@ def figure_force(located: Located, equation: str, dataset: Dataset) -> Figure:
     return figure
 
 
-def slice_means(x: np.ndarray, y: np.ndarray, share: float) -> Means:
+def slice_means(x: np.ndarray, y: np.ndarray, share: float, n_slices: int = 12) -> Means:
     """Means of ``y`` in slices of ``x`` that hold equally many samples.
 
     Parameters
@@ -318,6 +314,8 @@ def slice_means(x: np.ndarray, y: np.ndarray, share: float) -> Means:
         Signal and force.
     share : float
         Share of the samples that count as independent.
+    n_slices : int
+        At most; ties of the signal leave fewer.
 
     Returns
     -------
@@ -333,7 +331,7 @@ def slice_means(x: np.ndarray, y: np.ndarray, share: float) -> Means:
     """
     if not x.size:
         return x, y, y
-    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, _N_BINS + 1)))
+    edges = np.unique(np.quantile(x, np.linspace(0.0, 1.0, n_slices + 1)))
     index = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
     parts = [one for one in (index == k for k in range(max(len(edges) - 1, 1))) if one.sum() >= 5]
     centres, means = (np.array([values[one].mean() for one in parts]) for values in (x, y))

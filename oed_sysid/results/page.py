@@ -23,7 +23,6 @@ from matplotlib.figure import Figure as Drawing
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.design import Design
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.physics.model import Model
 from oed_sysid.results.style import finding, new_figure, signal_of
@@ -31,9 +30,6 @@ from oed_sysid.runtime import files
 from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table, interval
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.units import shown_unit
-
-# Of a table on a page; the document has all.
-_MOST_ROWS = 30
 
 # A page is a document; its older name.
 Page = Report
@@ -119,11 +115,6 @@ def page(result: Any, *arguments: Any, **options: Any) -> Report:
     return made
 
 
-def card_page(design: Design, *, title: str = "", length: float | None = None) -> Report:
-    """Return the sea-trial card as a page; see :class:`oed_sysid.design.TrialCard`."""
-    return design.card(length).document(title=title)
-
-
 def numbers_page(content: Mapping[str, Any]) -> Report:
     """Compose a report from what ``oed-sysid fit --json`` wrote.
 
@@ -141,20 +132,26 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     entries = _part(content, "parameters", list)
     if not all(isinstance(one, dict) for one in entries):
         raise DataError("One of the 'parameters' of this file is no object: it is damaged.")
-    parameters = [
-        (str(one.get("name", "?")), *map(_number, (one.get("value"), one.get("std_error"))),
+    rows = [
+        (str(one.get("name", "?")), _number(one.get("value")), _number(one.get("std_error")),
          str(one.get("unit", "")))
         for one in entries
     ]  # fmt: skip
     noise, rms = _part(content, "noise", dict), _part(content, "rms", dict)
-    outputs = [(str(name), _number(rms.get(name)), _number(level)) for name, level in noise.items()]
+    levels = [(str(name), _number(rms.get(name)), _number(one)) for name, one in noise.items()]
     made = _object(content, "oed_sysid")
     trust = (
         "The estimation converged."
         if code == "converged"
         else f"The estimation did not converge ({code}). Do not use the values."
     )
-    columns = ("parameter", "value", "std. error", "unit")
+    origin = [
+        f"oed_sysid {made.get('version', 'of unknown version')}: "
+        f"{made.get('command', 'the command was not kept')}",
+        *(f"{name}: {digest}" for name, digest in _object(made, "records").items()),
+    ]
+    estimates = Table(("parameter", "value", "std. error", "unit"), rows, words=(0, 3))
+    outputs = Table(("output", "rms residual", "noise"), levels, words=(0,))
     return Report(
         title=str(_part(content, "model", str)),
         subtitle=f"Fitted by {content.get('estimator')}; numbers only",
@@ -165,23 +162,13 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
         ),
         numbers=(
             ("misfit", f"{_number(content.get('normalised_rms'))} × noise"),
-            ("parameters", str(len(parameters))),
+            ("parameters", str(len(rows))),
             ("status", code),
         ),
         sections=(
-            Section("Estimates", tables=(Table(columns, tuple(parameters), words=(0, 3)),)),
-            Section(
-                "Outputs",
-                tables=(Table(("output", "rms residual", "noise"), tuple(outputs), words=(0,)),),
-            ),
-            Section(
-                "Where it comes from",
-                paragraphs=(
-                    f"oed_sysid {made.get('version', 'of unknown version')}: "
-                    f"{made.get('command', 'the command was not kept')}",
-                    *(f"{name}: {digest}" for name, digest in _object(made, "records").items()),
-                ),
-            ),
+            Section("Estimates", tables=(estimates,)),
+            Section("Outputs", tables=(outputs,)),
+            Section("Where it comes from", paragraphs=origin),
         ),
     )
 
@@ -264,11 +251,12 @@ def notebook(thing: object) -> str:
     return f'<div class="oed-sysid"><p><b>{escape(str(thing))}</b></p>{before}{inner}</div>'
 
 
-def _shortened(table: Table) -> Table:
-    if len(table.rows) <= _MOST_ROWS:
+def _shortened(table: Table, most: int = 30) -> Table:
+    """The first rows of a table; the document has all."""
+    if len(table.rows) <= most:
         return table
-    said = f"{table.caption} (the first {_MOST_ROWS} of {len(table.rows)})".strip()
-    return replace(table, rows=table.rows[:_MOST_ROWS], caption=said)
+    said = f"{table.caption} (the first {most} of {len(table.rows)})".strip()
+    return replace(table, rows=table.rows[:most], caption=said)
 
 
 def parameter_table(model: Model) -> Table:

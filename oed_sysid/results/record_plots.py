@@ -53,10 +53,6 @@ def figure_record(record: Record) -> Figure:
 # How a signal is drawn as logged, and with the findings of a check undone.
 _BEFORE: dict[str, Any] = {"color": draw.COLOURS[0], "label": "as logged"}
 _AFTER: dict[str, Any] = {"color": draw.COLOURS[1], "label": "findings undone"}
-# Drawn below one another; more are not read.
-_MOST_RECORDS = 3
-# Residuals beyond this many of the corrected ones are cut off, or the corrected ones vanish.
-_TALL = 12.0
 
 
 def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
@@ -81,7 +77,9 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     return draw.done(ax, grid="x", legend=2, xlabel=words)
 
 
-def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
+def plot_balance(
+    balance: Balance, record: str, ax: Axes | None = None, *, tall: float = 12.0
+) -> Axes:
     """Plot a signal minus the integral of the others, as logged and with the findings undone.
 
     Parameters
@@ -92,11 +90,12 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
         Which record.
     ax : Axes, optional
         Where to draw.
+    tall : float
+        Residuals beyond this many of the corrected ones are cut off, or the corrected ones vanish.
 
     Notes
     -----
-    The constant of integration is chosen so that the mean is zero. Where the log as it is leaves
-    far more than the corrected one, the axis follows the corrected one, twelve times as wide.
+    The constant of integration is chosen so that the mean is zero.
     """
     ax = draw.new_axes(ax, size=(6.4, 2.4))
     turn, unit = shown_unit(balance.unit)
@@ -109,8 +108,8 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
         turn * max((float(np.abs(part[place]).max()) for part in chosen), default=0.0) or 1.0
         for place in (2, 3)
     )
-    if most > _TALL * reach:
-        ax.set_ylim(-_TALL * reach, _TALL * reach)
+    if most > tall * reach:
+        ax.set_ylim(-tall * reach, tall * reach)
         ax.text(
             0.99, 0.97, f"as logged up to {most:.3g} {unit}", transform=ax.transAxes, ha="right",
             va="top", fontsize=8, color="0.3", bbox={"fc": "white", "ec": "none", "pad": 1.0},
@@ -122,15 +121,17 @@ def plot_balance(balance: Balance, record: str, ax: Axes | None = None) -> Axes:
     return draw.done(ax, xlabel="time from the start [s]", ylabel=words)
 
 
-def figure_check(found: LogCheck) -> Figure:
-    """Draw the residuals of all equations, one row each, for up to three records.
+def figure_check(found: LogCheck, *, n_shown: int = 3) -> Figure:
+    """Draw the residuals of all equations, one row each, one column per record.
 
     Parameters
     ----------
     found : LogCheck
         A check with equations.
+    n_shown : int
+        How many records; more beside each other are not read.
     """
-    names = found.records[:_MOST_RECORDS]
+    names = found.records[:n_shown]
     n = len(found.balances)
     figure, axes = draw.new_figure(n, len(names), size=(1.2 + 3.4 * len(names), 0.6 + 1.9 * n))
     for row, balance in enumerate(found.balances):
@@ -158,7 +159,10 @@ def plot_track(
     labels: Sequence[str] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the path in a plane, as measured and as the fitted models follow it.
+    """Plot one output over another, as measured and as the fitted models follow it.
+
+    Two of one unit have one scale, so that a path in a plane keeps its proportions; of others it is
+    a phase plane, in which loops show lags and coupling, and a spiral shows damping.
 
     Parameters
     ----------
@@ -167,43 +171,20 @@ def plot_track(
     models : sequence of Fit or Prediction
         What models say about a record of this name.
     along, across : str
-        Outputs on the upward and on the rightward axis: north and east, or
-        depth (drawn downwards) and distance.
+        Outputs on the upward and on the rightward axis: north and east, depth (drawn downwards) and
+        distance, or yaw rate and heading.
     labels : sequence of str, optional
         Names of the models.
     ax : Axes, optional
         Where to draw.
     """
-    ax = draw.new_axes(ax, size=(5.4, 5.4))
+    units = {one.unit for one in record.channels.outputs if one.name in (along, across)}
+    ax = draw.new_axes(ax, size=(5.4, 5.4 if len(units) == 1 else 4.4))
+    if len(units) == 1:
+        ax.set_aspect("equal", adjustable="datalim")
+    if along == "z" and not ax.yaxis_inverted():
+        ax.invert_yaxis()
     return _in_plane(ax, record, models, (across, along), labels)
-
-
-def plot_phase(
-    record: Record,
-    models: Sequence[Fit | Prediction] = (),
-    *,
-    across: str,
-    along: str,
-    labels: Sequence[str] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Plot one signal against another: loops show lags and coupling, a spiral shows damping.
-
-    Parameters
-    ----------
-    record : Record
-        What was measured.
-    models : sequence of Fit or Prediction
-        What models say about a record of this name.
-    across, along : str
-        Outputs on the rightward and on the upward axis, such as heading and yaw rate.
-    labels : sequence of str, optional
-        Names of the models.
-    ax : Axes, optional
-        Where to draw.
-    """
-    ax = draw.new_axes(ax, size=(5.4, 4.4))
-    return _in_plane(ax, record, models, (across, along), labels, equal=False)
 
 
 def _in_plane(
@@ -212,8 +193,6 @@ def _in_plane(
     models: Sequence[Fit | Prediction],
     names: tuple[str, str],
     labels: Sequence[str] | None,
-    *,
-    equal: bool = True,
 ) -> Axes:
     """Draw the second named output over the first, measured and of the models."""
     outputs = record.channels.output_names
@@ -231,10 +210,6 @@ def _in_plane(
             said.append(f"{one.name} is at most {np.nanmax(off):.3g} {unit} away".rstrip() + ".")
     start = np.flatnonzero(np.isfinite(up + right))[:1]
     ax.plot(right[start], up[start], "o", mfc="white", mec=draw.TRUTH, ms=7, label="start")
-    if equal:
-        ax.set_aspect("equal", adjustable="datalim")
-        if names[1] == "z" and not ax.yaxis_inverted():
-            ax.invert_yaxis()
     draw.legend_above(ax, markerscale=2)
     said.insert(0, f"{record.name}: {names[1]} over {names[0]}.")
     right_label, up_label = map(draw.label, channels)

@@ -95,6 +95,11 @@ def save_figure(figure: Figure, path: str | Path, **settings: Any) -> Path:
     return Path(path)
 
 
+def several(things: Any) -> list[Any]:
+    """One thing, or a sequence of them, as a list."""
+    return list(things) if isinstance(things, Sequence) else [things]
+
+
 def new_axes(ax: Axes | None, *, size: tuple[float, float] = (6.4, 4.0)) -> Axes:
     """Return the given axes, or those of a new figure of ``size`` in inches."""
     if ax is not None:

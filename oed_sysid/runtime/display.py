@@ -21,10 +21,9 @@ from enum import Enum
 from importlib import import_module
 from operator import attrgetter
 from pathlib import Path
+from types import NoneType
 from typing import Any
 
-# Sizes that are written without an exponent.
-ORDINARY = (1e-4, 1e6)
 # Half of a 95 % interval of a normal variable, in standard deviations.
 TWO_SIDED_95 = 1.96
 
@@ -47,25 +46,27 @@ def plain(value: Any) -> Any:
     >>> plain({"a": np.array([1.0, np.nan]), "b": (2, "three")})
     {'a': [1.0, None], 'b': [2, 'three']}
     """
-    if value is None or isinstance(value, str | bool | int):
-        return value
-    if isinstance(value, float):
-        return float(value) if math.isfinite(value) else None
-    if isinstance(value, complex):
-        return [value.real, value.imag]
-    if isinstance(value, Enum):
-        return plain(value.value)
+    for kind, way in _PLAIN:
+        if isinstance(value, kind):
+            return way(value)
     if hasattr(value, "tolist"):
         return plain(value.tolist())
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple | set | frozenset):
-        return [plain(item) for item in value]
     if hasattr(value, "to_dict"):
         return plain(value.to_dict())
     if is_dataclass(value):
         return {one.name: plain(getattr(value, one.name)) for one in fields(value)}
     return str(value)
+
+
+# In this order: an enumeration of words is a word.
+_PLAIN: tuple[tuple[Any, Callable[[Any], Any]], ...] = (
+    (NoneType | str | bool | int, lambda value: value),
+    (float, lambda value: float(value) if math.isfinite(value) else None),
+    (complex, lambda value: [value.real, value.imag]),
+    (Enum, lambda value: plain(value.value)),
+    (Mapping, lambda value: {str(key): plain(item) for key, item in value.items()}),
+    (list | tuple | set | frozenset, lambda value: [plain(item) for item in value]),
+)
 
 
 def as_dict(*names: str, **others: str | Callable[[Any], Any]) -> Callable[[Any], dict[str, Any]]:
@@ -118,7 +119,7 @@ def digits(value: float, count: int = 2) -> str:
     ('150', '0.012', '98800', '3.2e-07', '2')
     """
     text = f"{value:.{count}g}"
-    if "e" not in text or not ORDINARY[0] <= abs(float(text)) < ORDINARY[1]:
+    if "e" not in text or not 1e-4 <= abs(float(text)) < 1e6:
         return text
     return f"{float(text):.0f}"
 

@@ -66,7 +66,7 @@ def whole_file(path: str | Path, *, ending: str | None = None) -> Iterator[Path]
     target = Path(path)
     try:
         real = Path(os.path.realpath(target))
-        if real.exists() and not real.is_file() and not real.is_dir():
+        if _is_stream(real):
             yield real
             return
         if words := _refusal(real):
@@ -148,12 +148,11 @@ away, or give another place.
     """
     target = Path(path)
     real = Path(os.path.realpath(target))
+    if not folder and _is_stream(real):
+        return
     cannot = f"{str(target)!r} cannot be written: "
     home = real if folder else real.parent
-    words = "" if folder else _refusal(real)
-    if not (words or folder) and real.exists() and not real.is_file():
-        return  # a device or a pipe
-    if words := words or _obstacle(home):
+    if words := ("" if folder else _refusal(real)) or _obstacle(home):
         raise FileError(cannot + words)
     try:  # What the permissions promise, a system of its own kind (/proc) need not keep.
         tempfile.TemporaryFile(dir=_nearest(home)).close()
@@ -163,6 +162,11 @@ away, or give another place.
             f"{cannot}nothing can be made in {str(_nearest(home))!r} ({reason}). Give another "
             "place."
         ) from error
+
+
+def _is_stream(real: Path) -> bool:
+    """Whether something is written to as it is: a device or a pipe."""
+    return real.exists() and not real.is_file() and not real.is_dir()
 
 
 def _refusal(real: Path) -> str:

@@ -35,6 +35,7 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
+from datetime import timedelta
 from functools import lru_cache
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
@@ -47,8 +48,8 @@ from oed_sysid.runtime.files import private_cache, secret_key, write_bytes, writ
 
 Result = TypeVar("Result")
 
-# Seconds between two states of an unfinished step, and days that an abandoned journal is kept.
-EVERY, KEPT_DAYS = 0.5, 30.0
+# Seconds between two states of an unfinished step.
+EVERY = 0.5
 _SUFFIX, _STATE, _CELL = ".step", ".state", ".cell"
 
 
@@ -250,7 +251,7 @@ class Journal:
         for other in place.parent.glob("*/README.txt"):
             with suppress(OSError):
                 newest = max(path.stat().st_mtime for path in other.parent.iterdir())
-                if time.time() - newest > 86400.0 * KEPT_DAYS:
+                if time.time() - newest > timedelta(days=30).total_seconds():
                     shutil.rmtree(other.parent, ignore_errors=True)
 
     def _share(self, name: str, value: Any) -> None:
@@ -394,30 +395,10 @@ class CellStore:
         entries = {key: _kept(self.path(key), pickle.loads) for key in keys}
         return {key: entry[1] for key, entry in entries.items() if entry is not None}
 
-    def read(self, key: str) -> Any:
-        """Return one result.
-
-        Raises
-        ------
-        DataError
-            If there is none.
-        """
-        found = self.find([key])
-        if not found:
-            raise DataError(f"The store {self.folder} holds no cell {key!r}.")
-        return found[key]
-
     def write(self, key: str, result: Any) -> None:
         """Keep a result."""
         content = pickle.dumps((key, result), protocol=pickle.HIGHEST_PROTOCOL)
         write_bytes(self.path(key), sealed(content))
-
-    def keys(self) -> Iterator[str]:
-        """Yield the names of all intact results."""
-        for path in sorted(self.folder.glob(f"*{_CELL}")):
-            entry = _kept(path, pickle.loads)
-            if entry is not None:
-                yield entry[0]
 
 
 def _kept(path: Path, load: Callable[[bytes], Any]) -> tuple[str, Any] | None:

@@ -18,8 +18,9 @@ from __future__ import annotations
 import sys
 import time
 import traceback
-from collections.abc import Callable, Generator, Iterator, Mapping
+from collections.abc import Callable, Container, Generator, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
@@ -74,7 +75,6 @@ class _Outcome(Generic[Result]):
     key: str
     result: Result | None
     error: str = ""
-    is_new: bool = True
 
 
 def run_cells(
@@ -124,43 +124,48 @@ def run_cells(
     results: dict[str, Result] = keeper.find(cells) if keeper else {}
     n_kept, began = len(results), time.perf_counter()
     failures: dict[str, str] = {}
-
-    def accept(outcome: _Outcome[Result]) -> None:
-        if outcome.error:
-            failures[outcome.key] = outcome.error
-            return
-        result = cast(Result, outcome.result)
-        if keeper is not None and outcome.is_new:
-            keeper.write(outcome.key, result)
-        results[outcome.key] = result
-        if progress is not None:
-            seconds = time.perf_counter() - began
-            left = seconds / (len(results) - n_kept) * (len(cells) - len(results))
-            progress(CellProgress(outcome.key, len(results), len(cells), n_kept, seconds, left))
-
-    for attempt in range(1, ATTEMPTS + 1):
-        left = {k: cell for k, cell in cells.items() if k not in results and k not in failures}
-        if not left:
-            break
-        outcomes = _calculate(work, left, keeper, n_jobs)
-        try:
-            for outcome in outcomes:
-                accept(outcome)
-                if failures and keeper is None:
-                    raise ParallelError(_explain(failures, len(cells), keeper))
-        except _lost_worker() as error:
-            if attempt == ATTEMPTS:
-                raise ParallelError(
-                    f"Worker processes died in {ATTEMPTS} attempts with "
-                    f"{len(cells) - len(results)} of {len(cells)} cells left "
-                    f"({str(error).partition('. ')[0]}). Memory is the usual reason: lower n_jobs, "
-                    "or make cells smaller."
-                ) from error
-        finally:
-            outcomes.close()
+    with closing(_outcomes(work, cells, results.copy(), keeper, n_jobs)) as outcomes:
+        for outcome in outcomes:
+            if outcome.error:
+                failures[outcome.key] = outcome.error
+                if keeper is None:
+                    break
+                continue
+            results[outcome.key] = cast(Result, outcome.result)
+            if progress is not None:
+                seconds, n_done = time.perf_counter() - began, len(results)
+                left = seconds / (n_done - n_kept) * (len(cells) - n_done)
+                progress(CellProgress(outcome.key, n_done, len(cells), n_kept, seconds, left))
     if failures:
         raise ParallelError(_explain(failures, len(cells), keeper))
     return {key: results[key] for key in cells}
+
+
+def _outcomes(
+    work: Callable[[Cell], Result],
+    cells: Mapping[str, Cell],
+    kept: Container[str],
+    keeper: CellStore | None,
+    n_jobs: int,
+) -> Generator[_Outcome[Result], None, None]:
+    """Yield outcomes of all cells that are not kept, and keep them; go on where workers die."""
+    left = {key: cell for key, cell in cells.items() if key not in kept}
+    for attempt in range(1, ATTEMPTS + 1):
+        try:
+            with closing(_calculate(work, left.copy(), keeper, n_jobs)) as outcomes:
+                for outcome in outcomes:
+                    del left[outcome.key]
+                    if keeper is not None and not outcome.error:
+                        keeper.write(outcome.key, outcome.result)
+                    yield outcome
+            return
+        except _lost_worker() as error:
+            if attempt == ATTEMPTS:
+                raise ParallelError(
+                    f"Worker processes died in {ATTEMPTS} attempts with {len(left)} of "
+                    f"{len(cells)} cells left ({str(error).partition('. ')[0]}). Memory is the "
+                    "usual reason: lower n_jobs, or make cells smaller."
+                ) from error
 
 
 def _calculate(
@@ -183,9 +188,10 @@ def _calculate(
             if not found:
                 yield delayed(_call)(work, key, cell)
 
-    yield from Parallel(n_jobs=n_jobs, return_as="generator_unordered")(tasks())
+    if cells:
+        yield from Parallel(n_jobs=n_jobs, return_as="generator_unordered")(tasks())
     for key, result in elsewhere.items():
-        yield _Outcome(key, result, is_new=False)
+        yield _Outcome(key, result)
 
 
 def _call(work: Callable[[Cell], Result], key: str, cell: Cell) -> _Outcome[Result]:

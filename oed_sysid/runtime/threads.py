@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager
 from functools import lru_cache, wraps
-from types import CodeType, FunctionType
+from types import CodeType
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -26,7 +26,7 @@ _Job = TypeVar("_Job")
 _inside = threading.local()
 # Seconds below which a job is short, and what a job of each code took last.
 SHORT = 4e-3
-_lasted: dict[CodeType, float] = {}
+_lasted: dict[CodeType | None, float] = {}
 
 
 def one_thread() -> AbstractContextManager[Any]:
@@ -67,8 +67,8 @@ def both_cores(work: Callable[[_Job], _Result], jobs: Sequence[_Job]) -> list[_R
     """
     if len(jobs) < 2 or getattr(_inside, "busy", False):
         return [work(job) for job in jobs]
-    code = work.__code__ if isinstance(work, FunctionType) else None
-    if code is not None and _lasted.get(code, np.inf) < SHORT:
+    code: CodeType | None = getattr(work, "__code__", None)
+    if _lasted.get(code, np.inf) < SHORT:
         began = time.perf_counter()
         done = [work(job) for job in jobs]
         _lasted[code] = (time.perf_counter() - began) / len(jobs)

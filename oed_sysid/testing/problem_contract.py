@@ -184,8 +184,7 @@ class _Probe:
         kernel = Kernel(model, compiled=False)
         times = model.step * np.arange(self.n_times)
         values = model.value_vector
-        z, dz = kernel.start(own, commands[0], values, 0.0)
-        run = kernel.run(times, commands, values, z, sensitivities=sensitivities)
+        run = kernel.simulate(times, commands, values, own, sensitivities=sensitivities)
         if not run.ok:
             raise AssertionError(
                 f"Effect {self.effect.name!r}: the trajectory is not finite after "
@@ -193,9 +192,7 @@ class _Probe:
             )
         if run.output_sensitivities is None:
             return run.outputs, np.empty(0)
-        total = run.output_sensitivities[:, :, : kernel.n_full] @ dz
-        total[:, :, kernel.n_own :] += run.output_sensitivities[:, :, kernel.n_full :]
-        return run.outputs, total
+        return run.outputs, run.output_sensitivities
 
     def random_values(self, rng: np.random.Generator) -> dict[str, float]:
         """Values of the effect's estimated parameters about their typical sizes."""

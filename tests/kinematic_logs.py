@@ -1,0 +1,144 @@
+"""Logs made of kinematics alone, with faults: nothing of them is shared with the package.
+
+Velocities and rates are sums of sines with random phases, positions and angles their integrals,
+ten times finer than they are sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from benchmarks.kinematics import diving_plane, ship
+from benchmarks.truth import gauss_markov
+from oed_sysid import Dataset, Model, Record
+from oed_sysid.evidence.check import LogCheck
+
+FINE = 10
+SPEEDS = (1.0, 1.5, 2.1)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """Kinematics of a vehicle with the noise of its sensors."""
+
+    model: Model
+    motion: Callable[[float, int, float, np.random.Generator], dict[str, np.ndarray]]
+    noise: dict[str, float]
+    step: float
+    duration: float
+
+
+def _wander(n: int, dt: float, fast: float, rng: np.random.Generator) -> np.ndarray:
+    """Return a smooth random signal of unit size with periods down to ``fast`` seconds."""
+    t = np.arange(n) * dt
+    periods = fast * np.exp(rng.uniform(0.0, 1.6, 5))
+    phases = rng.uniform(0.0, 2.0 * math.pi, 5)
+    waves = [np.sin(2.0 * math.pi * t / p + a) for p, a in zip(periods, phases, strict=True)]
+    return np.sum(waves, axis=0) / math.sqrt(2.5)
+
+
+def _diving(speed: float, n: int, dt: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    theta = 0.17 * _wander(n, dt, 9.0, rng)
+    q = np.gradient(theta, dt)
+    u = speed * (1.0 + 0.08 * _wander(n, dt, 20.0, rng) - 0.5 * theta**2)
+    w = 0.06 * speed * _wander(n, dt, 7.0, rng) + 0.3 * q
+    rate = -u * np.sin(theta) + w * np.cos(theta)
+    return {"u": u, "w": w, "q": q, "theta": theta, "z": 10.0 + _integral(rate, dt)}
+
+
+def _ship(speed: float, n: int, dt: float, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    r = 0.04 * _wander(n, dt, 20.0, rng)
+    psi = 2.0 + _integral(r, dt)
+    u = speed * (1.0 - 30.0 * r**2 + 0.05 * _wander(n, dt, 30.0, rng))
+    v = -2.0 * r + 0.02 * speed * _wander(n, dt, 15.0, rng)
+    x = _integral(u * np.cos(psi) - v * np.sin(psi), dt)
+    y = _integral(u * np.sin(psi) + v * np.cos(psi), dt)
+    return {"u": u, "v": v, "r": r, "psi": psi, "x": x, "y": y}
+
+
+def _integral(rate: np.ndarray, dt: float) -> np.ndarray:
+    return np.concatenate([[0.0], np.cumsum(0.5 * dt * (rate[1:] + rate[:-1]))])
+
+
+DIVER = Vehicle(
+    diving_plane(),
+    _diving,
+    {"u": 0.02, "w": 0.02, "q": 0.004, "theta": 0.004, "z": 0.03},
+    0.1,
+    90.0,
+)
+
+SHIP = Vehicle(
+    ship(),
+    _ship,
+    {"u": 0.03, "v": 0.03, "r": 0.002, "psi": 0.004, "x": 0.1, "y": 0.1},
+    0.25,
+    225.0,
+)
+
+VEHICLES = (DIVER, SHIP)
+
+
+@dataclass(frozen=True)
+class Fault:
+    """A fault that is put into a log."""
+
+    kind: str
+    signals: tuple[str, ...]
+    size: float
+    other: str = ""
+
+
+def motions(vehicle: Vehicle, rng: np.random.Generator) -> list[dict[str, np.ndarray]]:
+    """Return true signals on the fine grid, one set for each speed."""
+    n = round(vehicle.duration / vehicle.step) * FINE + 1
+    return [vehicle.motion(speed, n, vehicle.step / FINE, rng) for speed in SPEEDS]
+
+
+def log(
+    vehicle: Vehicle,
+    truth: Sequence[dict[str, np.ndarray]],
+    faults: Sequence[Fault],
+    colour: float,
+    rng: np.random.Generator,
+) -> Dataset:
+    """Return what would have been logged: faults, sampling, noise with correlation ``colour``."""
+    records = []
+    dt = vehicle.step / FINE
+    for number, signals in enumerate(truth):
+        here = dict(signals)
+        fine = np.arange(here["u"].size) * dt
+        for fault in faults:
+            if fault.kind == "lever":
+                here[fault.signals[0]] = here[fault.signals[0]] + fault.size * here[fault.other]
+        for fault in faults:
+            for name in fault.signals:
+                if fault.kind == "scale":
+                    here[name] = (1.0 + fault.size) * here[name]
+                elif fault.kind == "bias":
+                    here[name] = here[name] + fault.size
+                elif fault.kind == "delay":
+                    here[name] = np.interp(fine - fault.size, fine, here[name])
+        times = fine[::FINE]
+        columns = []
+        for name in vehicle.model.output_names:
+            white = gauss_markov(rng.standard_normal(times.size), colour)
+            columns.append(here[name][::FINE] + vehicle.noise[name] * white)
+        rows = slice(round(3.0 / vehicle.step), None)
+        matrix = np.column_stack(columns)[rows]
+        inputs = np.zeros((matrix.shape[0], 1))
+        records.append(Record(f"run_{number}", times[rows], inputs, matrix, vehicle.model.channels))
+    return Dataset(tuple(records))
+
+
+def match(found: LogCheck, fault: Fault):  # type: ignore[no-untyped-def]
+    """Return the finding that names a fault outright, or None."""
+    for one in found.findings:
+        fix = one.correction
+        if fix is not None and fix.kind == fault.kind and set(fix.signals) == set(fault.signals):
+            return one
+    return None
