@@ -164,7 +164,7 @@ def track_of_a_circle() -> Axes:
 def phase_plane() -> Axes:
     """The phase plane."""
     ship = ferry()
-    return report.plot_phase(ship.data["zigzag"], [ship.better], across="psi", along="r")
+    return report.plot_track(ship.data["zigzag"], [ship.better], across="psi", along="r")
 
 
 def information_ellipses() -> Axes:

@@ -207,9 +207,10 @@ def test_track_keeps_proportions(fit: Fit, data: Dataset) -> None:
 
 def test_phase_plane_shows_one_signal_over_another(fit: Fit, data: Dataset) -> None:
     """Yaw rate over heading, both in degrees, measured and as the model goes."""
-    ax = report.plot_phase(data["zigzag"], [fit], across="psi", along="r")
+    ax = report.plot_track(data["zigzag"], [fit], across="psi", along="r")
     np.testing.assert_allclose(line(ax, "measured"), np.degrees(data["zigzag"].output("r")))
     np.testing.assert_allclose(line(ax, "model 1"), np.degrees(fit.predictions[0][:, 3]))
+    assert ax.get_aspect() == "auto"
     assert "[deg]" in ax.get_xlabel()
     assert "[deg/s]" in ax.get_ylabel()
 

@@ -141,8 +141,7 @@ def simulate_inputs(
     values = model.value_vector
     runner = kernel(model)
     own = start_array(model, initial)
-    z, _ = runner.start(own, commands[0], values, moments[0])
-    run = runner.run(moments, commands, values, z)
+    run = runner.simulate(moments, commands, values, own)
     n_extra = sum(len(effect.states) for effect in model.effects)
     trajectory = Trajectory(
         times=moments,
@@ -344,8 +343,7 @@ def simulate_batch(
     def run(members: Iterable[int]) -> None:
         for member in members:
             own_inputs, own = commands[member % len(commands)], starts[member % len(starts)]
-            z, _ = runner.start(own, own_inputs[0], table[member], moments[0])
-            outputs[member] = runner.run(moments, own_inputs, table[member], z).outputs
+            outputs[member] = runner.simulate(moments, own_inputs, table[member], own).outputs
 
     # The interpreter keeps Python's lock; threads would only get in each other's way.
     workers = (n_workers or os.cpu_count() or 1) if runner.library else 1

@@ -50,7 +50,6 @@ from oed_sysid.results.record_plots import (
     figure_record,
     plot_balance,
     plot_balances,
-    plot_phase,
     plot_track,
     plot_zigzag,
 )

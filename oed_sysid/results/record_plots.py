@@ -159,7 +159,10 @@ def plot_track(
     labels: Sequence[str] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
-    """Plot the path in a plane, as measured and as the fitted models follow it.
+    """Plot one output over another, as measured and as the fitted models follow it.
+
+    Two of one unit have one scale, so that a path in a plane keeps its proportions; of others it is
+    a phase plane, in which loops show lags and coupling, and a spiral shows damping.
 
     Parameters
     ----------
@@ -168,45 +171,19 @@ def plot_track(
     models : sequence of Fit or Prediction
         What models say about a record of this name.
     along, across : str
-        Outputs on the upward and on the rightward axis: north and east, or
-        depth (drawn downwards) and distance.
+        Outputs on the upward and on the rightward axis: north and east, depth (drawn downwards) and
+        distance, or yaw rate and heading.
     labels : sequence of str, optional
         Names of the models.
     ax : Axes, optional
         Where to draw.
     """
-    ax = draw.new_axes(ax, size=(5.4, 5.4))
-    ax.set_aspect("equal", adjustable="datalim")
+    units = {one.unit for one in record.channels.outputs if one.name in (along, across)}
+    ax = draw.new_axes(ax, size=(5.4, 5.4 if len(units) == 1 else 4.4))
+    if len(units) == 1:
+        ax.set_aspect("equal", adjustable="datalim")
     if along == "z" and not ax.yaxis_inverted():
         ax.invert_yaxis()
-    return _in_plane(ax, record, models, (across, along), labels)
-
-
-def plot_phase(
-    record: Record,
-    models: Sequence[Fit | Prediction] = (),
-    *,
-    across: str,
-    along: str,
-    labels: Sequence[str] | None = None,
-    ax: Axes | None = None,
-) -> Axes:
-    """Plot one signal against another: loops show lags and coupling, a spiral shows damping.
-
-    Parameters
-    ----------
-    record : Record
-        What was measured.
-    models : sequence of Fit or Prediction
-        What models say about a record of this name.
-    across, along : str
-        Outputs on the rightward and on the upward axis, such as heading and yaw rate.
-    labels : sequence of str, optional
-        Names of the models.
-    ax : Axes, optional
-        Where to draw.
-    """
-    ax = draw.new_axes(ax, size=(5.4, 4.4))
     return _in_plane(ax, record, models, (across, along), labels)
 
 
