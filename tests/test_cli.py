@@ -15,8 +15,9 @@ import pytest
 from oed_sysid import Fit, load_problem, new_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main
 from oed_sysid.cli.arguments import spread
+from oed_sysid.cli.tasks import write_runs
 from oed_sysid.cli.terminal import answer
-from oed_sysid.errors import FileError, ProblemError
+from oed_sysid.errors import DataError, FileError, ProblemError
 from oed_sysid.runtime.files import check_place, make_folder, write_text
 
 NOMOTO = """
@@ -546,3 +547,14 @@ def test_saved_model_of_another_vehicle_is_refused(ship: Path, tmp_path: Path, c
     line = ["compare", str(other), str(other / "data"), "--validate", str(other / "data")]
     assert main([*line, "--with", str(ship / "fit_saved.json")]) == BAD_INPUT
     assert capsys.readouterr().err
+
+
+def test_two_records_never_share_a_file(tmp_path: Path) -> None:
+    """Names that differ only in what a file name cannot hold are refused, nothing is written."""
+    problem = load_problem(SHIP)
+    run = next(iter(problem.experiments.values()))
+    one = simulate(problem.model, run, noise=False)
+    with pytest.raises(DataError, match="would be one file"):
+        write_runs([one.rename("a/b"), one.rename("a_b")], tmp_path / "runs")
+    assert not (tmp_path / "runs").exists()
+    assert [file.name for file in write_runs([one.rename("a/b")], tmp_path)] == ["a_b.csv"]

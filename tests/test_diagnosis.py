@@ -114,9 +114,12 @@ def test_forecasts_of_a_right_model_leave_what_is_expected(both: Comparison) -> 
     assert both[1].forecasts.overall == pytest.approx(1.0, abs=0.08)
     assert both[0].forecasts.overall > 1.3
     assert both[1].forecasts.n_forecasts == 10
-    growth = both[0].forecasts.growth()
-    assert growth.shape == (50, 2)
-    assert np.mean(growth[-10:, 0]) > np.mean(growth[:10, 0])
+    ahead = both[0].forecasts
+    sizes = zip(ahead.errors, ahead.expected, strict=True)
+    squares = np.vstack([(error / size)[:, :, 0] for error, size in sizes]) ** 2
+    growth = np.sqrt(np.nanmean(squares, axis=0))
+    assert growth.shape == (50,)
+    assert np.mean(growth[-10:]) > np.mean(growth[:10])
 
 
 def test_short_records_give_no_forecast() -> None:

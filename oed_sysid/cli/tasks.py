@@ -641,14 +641,18 @@ def write_runs(
     Raises
     ------
     DataError
-        If one would take the place of a source; ``option`` names the folder.
+        If one would take the place of a source or of another one; ``option`` names the folder.
     """
-    files = {folder / f"{one.name.replace('/', '_')}.csv": one for one in records}
+    every = list(records)
+    files = {folder / f"{one.name.replace('/', '_')}.csv": one for one in every}
     if {file.resolve() for file in files} & {source.resolve() for source in sources}:
         raise DataError(
             f"The records in {str(folder)!r} would overwrite those that they are made of. Give "
             f"another folder to {option}."
         )
+    if len(files) < len(every):
+        names = ", ".join(repr(one.name) for one in every)
+        raise DataError(f"Two of the records {names} would be one file. Rename one of them.")
     make_folder(folder)
     for file, record in files.items():
         oed_sysid.write_csv(record, file)

@@ -28,16 +28,7 @@ from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
-from oed_sysid.runtime.display import (
-    TWO_SIDED_95,
-    Figure,
-    Report,
-    Section,
-    Table,
-    as_dict,
-    as_html,
-    as_text,
-)
+from oed_sysid.runtime import display
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
@@ -70,12 +61,12 @@ class ModelMisfit:
     outputs: tuple[OutputMisfit, ...]
     forecasts: Forecasts
 
-    to_dict = as_dict(
+    to_dict = display.as_dict(
         "label", "relative", "is_noise", "verdict", "outputs",
         initial_states="prediction.initial_states", forecast="forecasts",
     )  # fmt: skip
 
-    def section(self) -> Section:
+    def section(self) -> display.Section:
         """Return the misfit by output, and of forecasts, as a part of a document."""
         ahead, words = self.forecasts, []
         if ahead.n_forecasts:
@@ -86,7 +77,7 @@ class ModelMisfit:
         if ahead.failed:
             words.append(f"{ahead.failed} of the forecasts diverged.")
         title = f"{self.label}: {self.relative:.3f} x noise over all outputs"
-        return Section(title, words, (_table(self),), heading=True, indent=2)
+        return display.Section(title, words, (_table(self),), heading=True, indent=2)
 
     @property
     def relative(self) -> float:
@@ -134,7 +125,7 @@ class Comparison:
     sigma: np.ndarray
     notes: tuple[str, ...]
 
-    _repr_html_ = as_html
+    _repr_html_ = display.as_html
 
     def __repr__(self) -> str:
         errors = ", ".join(f"{part.label} {part.relative:.3g} x noise" for part in self.models)
@@ -171,7 +162,9 @@ class Comparison:
         others = (part for part in self.models if part is not self.best)
         return ", ".join(f"{part.relative:.3g} ({part.label})" for part in others)
 
-    def document(self, *, title: str = "Models and records", log: LogCheck | None = None) -> Report:
+    def document(
+        self, *, title: str = "Models and records", log: LogCheck | None = None
+    ) -> display.Report:
         """Return what the comparison says: misfit by output, and predictions."""
         names = self.dataset.names
         way = (
@@ -179,14 +172,14 @@ class Comparison:
             if self.dataset.only_tests
             else f"initial states: {WAYS[self.models[0].prediction.way]}"
         )
-        bars = Figure(
+        bars = display.Figure(
             "plot_comparison", self,
             "Root mean square error of each output in units of its noise; whiskers show the best "
             "and the worst record. At the line the error is as large as noise alone.",
             size=(8.4, 3.8),
         )  # fmt: skip
         drawings = [
-            Figure(
+            display.Figure(
                 "figure_predictions", [part.prediction for part in self.models],
                 f"{name}: dots are measured; bands hold 95 % of new measurements if the model is "
                 "right. Right: errors in units of the noise, whose 95 % band is grey.",
@@ -196,7 +189,7 @@ class Comparison:
         ]  # fmt: skip
         rest = len(self.dataset) - len(drawings)
         words = (f"{rest} further records are not drawn.",) if rest else ()
-        return Report(
+        return display.Report(
             title=title,
             subtitle=f"Compared on {', '.join(names)}",
             headline=f"comparison on {', '.join(names)}\n  {way}",
@@ -205,13 +198,15 @@ class Comparison:
             numbers=[(part.label, f"{part.relative:.3g} × noise") for part in self.models],
             sections=(
                 *(part.section() for part in self.models),
-                Section("Where the models differ from the records", figures=(bars,), only="page"),
-                Section("Predictions", words, figures=drawings, only="page"),
+                display.Section(
+                    "Where the models differ from the records", figures=(bars,), only="page"
+                ),
+                display.Section("Predictions", words, figures=drawings, only="page"),
             ),
             verdict=(*self.verdict.splitlines(), *(f"Note: {note}" for note in self.notes)),
         )
 
-    report = as_text
+    report = display.as_text
 
     def _answer(self) -> str:
         """Which model predicts best, and whether what is left is noise."""
@@ -224,7 +219,7 @@ class Comparison:
             f"{self._others}."
         )
 
-    to_dict = as_dict(
+    to_dict = display.as_dict(
         "models", "verdict", "notes",
         records="dataset.names", best="best.label",
         noise=lambda self: dict(zip(self.dataset.channels.output_names, self.sigma, strict=True)),
@@ -321,7 +316,7 @@ def _misfit(
     signals = _signals(model, dataset, prediction)
     parts = regimes(signals, [r.times for r in dataset], in_time=not dataset.only_tests)
     inside = [
-        np.abs(residual) <= TWO_SIDED_95 * std
+        np.abs(residual) <= display.TWO_SIDED_95 * std
         for residual, std in zip(prediction.residuals, prediction.std, strict=True)
     ]
     residuals = [_distance(r, found) for r, found in zip(dataset, prediction.outputs, strict=True)]
@@ -420,7 +415,7 @@ def _labels(models: Sequence[Model]) -> tuple[str, ...]:
     return tuple(labels)
 
 
-def _table(part: ModelMisfit) -> Table:
+def _table(part: ModelMisfit) -> display.Table:
     headers = (
         "output", "rmse", "unit", "x noise", "in band", "eff. samples", "of", "ahead", "worst",
     )  # fmt: skip
@@ -442,7 +437,7 @@ def _table(part: ModelMisfit) -> Table:
                 f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )
-    return Table(headers, rows)
+    return display.Table(headers, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -461,7 +456,7 @@ class Diagnosis:
     location: Located
     ranking: Ranking
 
-    _repr_html_ = as_html
+    _repr_html_ = display.as_html
 
     def __repr__(self) -> str:
         return f"<Diagnosis of {self.model.name!r}: lacks {', '.join(self.group) or 'nothing'}>"
@@ -491,9 +486,9 @@ class Diagnosis:
         others = f"; these records cannot tell it from {', '.join(group[1:])}" if group[1:] else ""
         return f"{self.model.name} lacks {group[0]}{others}."
 
-    def document(self, train: Dataset | None = None, *, title: str = "") -> Report:
+    def document(self, train: Dataset | None = None, *, title: str = "") -> display.Report:
         """Return the diagnosis; with its records, residual forces against their signals."""
-        return Report(
+        return display.Report(
             title=title or self.model.name,
             subtitle="Where the model fails and what may be missing; nothing was added",
             headline=self.model.name,
@@ -501,7 +496,7 @@ class Diagnosis:
             sections=(
                 *self.location.document(train).sections,
                 *self.ranking.document().sections,
-                Section(
+                display.Section(
                     "Equations of the nominal model", listing=self.model.equations(), only="page"
                 ),
             ),
@@ -511,9 +506,9 @@ class Diagnosis:
             ),
         )
 
-    report = as_text
+    report = display.as_text
 
-    to_dict = as_dict(
+    to_dict = display.as_dict(
         "group",
         best=lambda self: None if self.best is None else self.best.name,
         located="location.gains", ranking=lambda self: self.ranking.scored(),

@@ -76,16 +76,6 @@ class Forecasts:
             return np.inf
         return float(np.sqrt(np.mean(finite**2))) if len(finite) else np.nan
 
-    def growth(self) -> np.ndarray:
-        """Relative error by time ahead, shape ``(n_ahead, n_outputs)``."""
-        longest = max((part.shape[1] for part in self.errors), default=0)
-        ratios = [
-            np.pad(error / size, ((0, 0), (0, longest - error.shape[1]), (0, 0)),
-                   constant_values=np.nan)
-            for error, size in zip(self.errors, self.expected, strict=True)
-        ]  # fmt: skip
-        return _rms(np.vstack(ratios))
-
     def _rms(self, parts: Sequence[np.ndarray]) -> np.ndarray:
         result = _rms(np.vstack([part.reshape(-1, part.shape[2]) for part in parts]))
         return np.where(np.isfinite(result), np.inf, result) if self.failed else result

@@ -348,7 +348,6 @@ def _result(
         proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
         notes=tuple(notes),
         log=log,
-        skipped=study.skipped,
         last=end.last if steps else None,
         decisions=state.decisions,
     )

@@ -23,17 +23,7 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.runtime.display import (
-    TWO_SIDED_95,
-    Figure,
-    Report,
-    Section,
-    Table,
-    as_dict,
-    as_html,
-    as_text,
-    interval,
-)
+from oed_sysid.runtime import display
 
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
 UNTOLD = 100.0
@@ -68,7 +58,7 @@ class Yardstick:
         """Yardstick of the training records."""
         return cls(dataset.channels.outputs, sigma, signal_spread(dataset))
 
-    def table(self, before: Errors, after: Errors | None) -> Table:
+    def table(self, before: Errors, after: Errors | None) -> display.Table:
         """Errors of the nominal and the improved model, in units and per cent of the signal."""
         models = {"nominal": before} | ({"improved": after} if after else {})
         rows = []
@@ -80,7 +70,7 @@ class Yardstick:
                     errors = (self._cell(one[kind][index], index) for one in models.values())
                     noise = f"{factor * self.sigma[index]:.2g}"
                     rows.append((output.name, records, *errors, noise, unit))
-        return Table(("output", "records", *models, "noise", "unit"), rows, words=(1,))
+        return display.Table(("output", "records", *models, "noise", "unit"), rows, words=(1,))
 
     def notes(self) -> Sequence[str]:
         """Where noise levels are from, if nobody declared them."""
@@ -149,7 +139,7 @@ class Step:
     fit: Fit
     rms: Errors
 
-    to_dict = as_dict(
+    to_dict = display.as_dict(
         "added", "group", "gain", "test_gain", "statistic", "needed", "train_error", "test_error"
     )
 
@@ -217,11 +207,10 @@ class Improvement:
     proposed: tuple[Mapping[str, Any], ...] = ()
     notes: tuple[str, ...] = ()
     log: LogCheck | None = None
-    skipped: tuple[str, ...] = ()
     last: Ranking | None = None
     decisions: tuple[Claim, ...] = ()
 
-    _repr_html_ = as_html
+    _repr_html_ = display.as_html
 
     def __repr__(self) -> str:
         added = ", ".join(step.added for step in self.steps) or "nothing"
@@ -295,14 +284,9 @@ class Improvement:
         Model
             At the estimates that were found after that step.
         """
-        kept = self.steps[:count]
-        if not kept:
-            return self.base
-        model = self.base + tuple(step.effect for step in kept)
-        known = set(model.parameter_names)
-        return model.with_values({k: v for k, v in kept[-1].fit.values.items() if k in known})
+        return self.fits[len(self.steps[:count])].model
 
-    to_dict = as_dict(
+    to_dict = display.as_dict(
         "verdict", "steps", "located", "base_error", "final_error", "remains", "conclusion",
         "notes", "parameters", "decisions",
         ranking=lambda self: self.ranking.scored(), proposed_terms="proposed", noise="fit.noise",
@@ -316,7 +300,7 @@ class Improvement:
 
     def document(
         self, comparison: Comparison | None = None, *, train: Dataset | None = None, title: str = ""
-    ) -> Report:
+    ) -> display.Report:
         """Return what is missing, step by step.
 
         Parameters
@@ -332,11 +316,11 @@ class Improvement:
         which, records = self._judged
         tested = f", on the validation records {before['test']:.2f}"
         errors = self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None)
-        fall = Figure(
+        fall = display.Figure(
             "plot_error_fall", self,
             "Prediction error over whole records, in units of the noise. A right model has one.",
         )  # fmt: skip
-        return Report(
+        return display.Report(
             title=title or self.base.name,
             subtitle="What the model lacks, and what it predicts with it",
             headline=f"{self.base.name}\n  nominal model: error on the training records "
@@ -353,19 +337,19 @@ class Improvement:
                 *self.location.document(train).sections,
                 *self.ranking.document(hidden=self.last is None).sections,
                 self._story(),
-                Section("Effects added", self._meanings(), only="page"),
-                Section("Errors", self.yardstick.notes(), (errors,), (fall,)),
-                Section("What to believe, and what to do next at sea", self.advice),
+                display.Section("Effects added", self._meanings(), only="page"),
+                display.Section("Errors", self.yardstick.notes(), (errors,), (fall,)),
+                display.Section("What to believe, and what to do next at sea", self.advice),
                 *([] if comparison is None else comparison.document().sections),
                 self._estimates(),
-                Section(
+                display.Section(
                     "Equations of the improved model", listing=self.model.equations(), only="page"
                 ),
             ),
             verdict=self._closing(),
         )
 
-    report = as_text
+    report = display.as_text
 
     def _answer(self) -> str:
         """What is missing, and what it is worth on the validation records."""
@@ -397,7 +381,7 @@ class Improvement:
         """Whole-run errors in units and per cent of the signals, in brackets."""
         return f" ({self.remains.size})" if self.remains.size else ""
 
-    def _story(self) -> Section:
+    def _story(self) -> display.Section:
         """The steps, or why there is none."""
         if not self.steps:
             unexplained = self.verdict == "unexplained"
@@ -411,7 +395,7 @@ class Improvement:
                     f"records, where {best.needed:.1f} are needed. A manoeuvre that excites it "
                     "would tell."
                 )
-            return Section("What is missing", [*lines, *self._refused()], self._asked())
+            return display.Section("What is missing", [*lines, *self._refused()], self._asked())
         headers = (
             "effect added", "training", "validation", "T", "threshold", "training error",
             "validation error",
@@ -425,8 +409,8 @@ class Improvement:
                 lines.append(
                     f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."
                 )
-        tables = (Table(headers, rows), *self._asked())
-        return Section("What is missing", [*lines, *self._refused()], tables)
+        tables = (display.Table(headers, rows), *self._asked())
+        return display.Section("What is missing", [*lines, *self._refused()], tables)
 
     def _refused(self) -> list[str]:
         """What the training records alone would have claimed."""
@@ -437,7 +421,7 @@ class Improvement:
             "did not repeat, or the conditions of a claim are not met."
         ]
 
-    def _asked(self) -> tuple[Table, ...]:
+    def _asked(self) -> tuple[display.Table, ...]:
         """Every decision with every term of it."""
         if not self.decisions:
             return ()
@@ -454,14 +438,14 @@ class Improvement:
             )
             for one in self.decisions
         ]
-        return (Table(headers, rows, words=(7,)),)
+        return (display.Table(headers, rows, words=(7,)),)
 
     def _meanings(self) -> list[str]:
         """What the effects added are, in words."""
         words = {step.added: self.model.effect(step.added).description for step in self.steps}
         return [f"{name}: {meaning}." for name, meaning in words.items() if meaning]
 
-    def _estimates(self) -> Section:
+    def _estimates(self) -> display.Section:
         """Estimates after the last step, beside those without the effects; on a page."""
         nominal = self.base.values
         rows = []
@@ -473,8 +457,8 @@ class Improvement:
         headers = ("parameter", "value", "std. error", "relative", "without the effects", "unit")
         added = {parameter.name for step in self.steps for parameter in step.effect.parameters}
         marked = tuple(i for i, row in enumerate(rows) if row[0] in added)
-        table = Table(headers, rows, marked=marked)
-        return Section("Estimates", tables=(table,), only="page")
+        table = display.Table(headers, rows, marked=marked)
+        return display.Section("Estimates", tables=(table,), only="page")
 
     def _closing(self) -> list[str]:
         lines = []
@@ -572,7 +556,7 @@ def _judged(
     found = f"{what} is missing{', the validation records agree' * tested}"
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
     # Correlated residuals widen an interval after a claim was made.
-    clear = [row for row, _ in own if abs(row["value"]) > TWO_SIDED_95 * row["std_error"]]
+    clear = [row for row, _ in own if abs(row["value"]) > display.TWO_SIDED_95 * row["std_error"]]
     doubts = {
         f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
         and not clear,
@@ -622,7 +606,7 @@ def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) 
 def _is_told(row: Mapping[str, Any], parameter: Parameter) -> bool:
     """Whether the records give a size: its interval is within what was possible anyway."""
     widest = min(parameter.upper - parameter.lower, UNTOLD * parameter.magnitude)
-    return bool(TWO_SIDED_95 * row["std_error"] < widest)
+    return bool(display.TWO_SIDED_95 * row["std_error"] < widest)
 
 
 def _unit(unit: str) -> str:
@@ -635,7 +619,8 @@ def _size(row: Mapping[str, Any], parameter: Parameter) -> str:
         return f"{name} = {value}{unit}, at its bound"
     if not _is_told(row, parameter):
         return f"{name} about {value}{unit}"
-    return f"{name} = {interval(row['value'], TWO_SIDED_95 * row['std_error'])}{unit} (95 %)"
+    size = display.interval(row["value"], display.TWO_SIDED_95 * row["std_error"])
+    return f"{name} = {size}{unit} (95 %)"
 
 
 def _sizes(step: Any) -> Iterable[str]:

@@ -219,8 +219,6 @@ def locate(
     fit: FilteredSolution,
     unit: NoiseModel,
     rivals: Mapping[str, FilteredSolution] | None = None,
-    *,
-    correlation_times: tuple[float, float] = CORRELATION_TIMES,
 ) -> Located:
     """Locate where a model fails.
 
@@ -237,12 +235,10 @@ def locate(
     rivals : mapping of str to FilteredSolution, optional
         Fits of models that may be right, as a ranking's refits hold them;
         their signatures are put beside the residual forces.
-    correlation_times : tuple of float
-        Shortest and longest time of a disturbance, s.
     """
     if fit.problem.dataset.only_tests:
         return replace(Located.nothing(fit), by_motion=in_words(fit))
-    found = evidence(fit, unit, correlation_times)
+    found = evidence(fit, unit)
     if found is None:
         return Located.nothing(fit)
     # Of places that are one and the same to the records, the equation is named first.
@@ -327,9 +323,7 @@ class Evidence:
         return ResidualForces.of(problem, unknowns).series()
 
 
-def evidence(
-    fit: FilteredSolution, unit: NoiseModel, times: tuple[float, float] = CORRELATION_TIMES
-) -> list[Evidence] | None:
+def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:
     """Evidence for every place of the chain, largest first; None where nothing can be told.
 
     Where the model diverges along a record on its own (missing damping, an unstable vehicle),
@@ -337,9 +331,7 @@ def evidence(
     """
     shortest = min(record.n_samples for record in fit.problem.records)
     for pieces in PIECES:
-        bench = (
-            _Bench.of(fit, unit, times, pieces) if shortest >= 20 * pieces or pieces == 1 else None
-        )
+        bench = _Bench.of(fit, unit, pieces) if shortest >= 20 * pieces or pieces == 1 else None
         if bench is not None:
             found = sorted(map(bench.judged, places(fit.problem.model)), key=lambda e: -e.gain)
             first = [bench.finished(part) for part in found[:N_FIRST]]
@@ -372,18 +364,14 @@ class _Bench:
         Values, start states and values of each record to begin from.
     unknown : ndarray of bool (n_outputs,)
         Sensors whose noise nobody declared: it must not make every misfit evidence.
-    times : tuple of float
     """
 
     quiet: FilteredSolution
     starts: Sequence[_Begin]
     unknown: np.ndarray
-    times: tuple[float, float]
 
     @classmethod
-    def of(
-        cls, fit: FilteredSolution, unit: NoiseModel, times: tuple[float, float], pieces: int
-    ) -> _Bench | None:
+    def of(cls, fit: FilteredSolution, unit: NoiseModel, pieces: int) -> _Bench | None:
         """Fit to white noise alone; None where the model diverges along a record."""
         model = fit.problem.model.with_values(fit.values)
         dataset, initial, local = _cut(fit, pieces)
@@ -400,7 +388,7 @@ class _Bench:
             return None
         # Parameters bend to what is missing: those of the fit with disturbance forces are nearer.
         starts = ((model.values, initial, local), (quiet.values, quiet.initial, quiet.local))
-        return cls(quiet, starts, unknown, times)
+        return cls(quiet, starts, unknown)
 
     def judged(self, place: Place) -> Evidence:
         """The most likely disturbance of one place."""
@@ -465,7 +453,7 @@ class _Bench:
         noise = self.quiet.noise
         acting = [] if place.stage == "sensor" else [place]
         colour = np.array([not acting and name == place.signal for name in noise.outputs])
-        time = float(np.sqrt(self.times[0] * self.times[1]))
+        time = float(np.sqrt(np.prod(CORRELATION_TIMES)))
         begin = NoiseModel(
             noise.white,
             np.where(colour, size, 0.0),
@@ -482,7 +470,7 @@ class _Bench:
             white=self.unknown,
             colour=colour,
             force=np.ones(len(acting), dtype=bool),
-            times=self.times,
+            times=CORRELATION_TIMES,
         )
 
 

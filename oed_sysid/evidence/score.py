@@ -260,14 +260,11 @@ def _score(
     amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
     statistic = float(right @ amplitude)
     if raw.shape[1] > len(variant.amplitudes):  # one amplitude for every record
-        count = raw.shape[1] // len(variant.amplitudes)
         amplitude = np.array([p.mean() for p in np.split(amplitude, len(variant.amplitudes))])
         # What a size that all records share would be known to.
         errors = np.array(
             [np.sum(p**-2.0) ** -0.5 for p in np.split(errors, len(variant.amplitudes))]
         )
-        assert local
-        assert count > 1
     lower = [_parameter(effect, name).lower for name in variant.amplitudes]
     upper = [_parameter(effect, name).upper for name in variant.amplitudes]
     if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):

@@ -265,7 +265,6 @@ class Study:
         update_noise: bool = True,
         noise: NoiseModel | None = None,
         max_iterations: int = 12,
-        tolerance: float = 0.01,
     ) -> FilteredSolution | None:
         """Estimate the nominal model with some effects on the training records.
 
@@ -280,7 +279,7 @@ class Study:
             Whether levels and times are estimated too.
         noise : NoiseModel, optional
             In place of the start's; needed where that has none.
-        max_iterations, tolerance
+        max_iterations : int
             See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
 
         Returns
@@ -297,7 +296,7 @@ class Study:
         )
         point = problem.point(start.initial, start.local)
         return solve_filtered(
-            problem, point, max_iterations=max_iterations, tolerance=tolerance, polish=0
+            problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
         )
 
     def without_forces(
