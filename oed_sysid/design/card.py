@@ -36,8 +36,6 @@ WIDTH = 92
 BY_HAND = 10.0
 # To which side a vehicle turns under a command, by the rate that follows it.
 _SIDES = {"r": ("to port", "to starboard"), "q": ("bow down", "bow up")}
-# Metres per second of a knot.
-_KNOT = 1852.0 / 3600.0
 NO_LIMIT = (
     "NO LIMIT on the motion was given. Compare the ranges above with what depth, attitude and sea "
     "room allow; in doubt design anew with limits (such as --max-pitch 20)."
@@ -151,13 +149,7 @@ class TrialCard:
     def _conditions(self) -> Iterable[tuple[str, str]]:
         """How long, from where, what is held, and within which range orders stay."""
         run, model, units = self.experiment, self.model, self._units
-        duration, first = float(run.duration or 0.0), run.initial
-        given = [f"{name} = {quantity(value, units[name])}" for name, value in first.items()]
-        speed = float(np.hypot(np.hypot(first.get("u", 0.0), first.get("v", 0.0)),
-                               first.get("w", 0.0)))  # fmt: skip
-        if {"u", "v", "w"} & {state.name for state in model.states}:
-            knots = f"speed {speed / _KNOT:.3g} knots"
-            given.insert(0, knots if speed else "rest (no speed)")
+        duration = float(run.duration or 0.0)
         yield (
             "length",
             f"{duration:g} s ({duration / 60:.1f} min), one run; log every {run.sample_time:g} s "
@@ -165,8 +157,8 @@ class TrialCard:
         )
         yield (
             "start from",
-            f"{', '.join(given) or 'rest'}; controls neutral, steady; log 10 s or more before the "
-            "first order and after the last",
+            f"{', '.join(self._start()) or 'rest'}; controls neutral, steady; log 10 s or more "
+            "before the first order and after the last",
         )
         for name, value in run.constants.items():
             yield "hold", f"{name} = {quantity(value, units[name])}"
@@ -179,6 +171,16 @@ class TrialCard:
         yield "noise assumed", ", ".join(levels) or "none"
         if self.sea is not None:
             yield "disturbance forces", sea_words(self.sea)
+
+    def _start(self) -> list[str]:
+        """State at the start, for a vehicle with velocities led by its speed in knots."""
+        first = self.experiment.initial
+        given = [f"{name} = {quantity(value, self._units[name])}" for name, value in first.items()]
+        if not {"u", "v", "w"} & {state.name for state in self.model.states}:
+            return given
+        speed = float(np.linalg.norm([first.get(axis, 0.0) for axis in "uvw"]))
+        # A knot is 1852 m/h.
+        return [f"speed {speed * 3600 / 1852:.3g} knots" if speed else "rest (no speed)", *given]
 
     def _orders(self) -> Section:
         """When each order begins, where it leads, and when it is reached; or the law of the run."""
