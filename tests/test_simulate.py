@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from reference import reference_trajectory
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
 from oed_sysid import Parameter
@@ -25,7 +26,6 @@ from oed_sysid.experiments.manoeuvres import (
 from oed_sysid.experiments.simulation import (
     equilibrium,
     linearise,
-    reference_trajectory,
     simulate,
     simulate_batch,
     simulate_inputs,

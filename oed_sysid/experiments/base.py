@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import KW_ONLY, dataclass, fields
 from typing import Any, ClassVar, Self
 
 import numpy as np
@@ -299,6 +299,20 @@ class Manoeuvre(Excitation):
     def _owner(self) -> str:
         """Name for error messages."""
         return f"{type(self).__name__} of {self.input!r}"
+
+
+@dataclass(frozen=True)
+class Timed(Manoeuvre):
+    """A command that begins at ``start`` [s] and moves about ``neutral``."""
+
+    _: KW_ONLY
+    start: float = 0.0
+    neutral: float = 0.0
+
+    @property
+    def _when(self) -> str:
+        """When it begins and about what, in words."""
+        return f", from {self.start:g} s" + (f", about {self.neutral:g}" if self.neutral else "")
 
 
 class OpenLoop(Manoeuvre):

@@ -96,14 +96,18 @@ def _find(name_or_folder: str | Path) -> Path:
             f"The folder {path} has no {FILE}; it holds {found}. Write one, or start from "
             "one that works: oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
         )
-    names = ", ".join(shipped) or "none"
+    raise _not_found(name_or_folder, path, shipped)
+
+
+def _not_found(given: str | Path, path: Path, shipped: tuple[str, ...]) -> ProblemError:
+    """What to do about a name that is neither shipped nor a folder."""
     near = difflib.get_close_matches(path.name, shipped, n=3, cutoff=0.5)
     hint = f" Did you mean {' or '.join(map(repr, near))}?" if near else ""
-    is_path = isinstance(name_or_folder, Path) or {os.sep, "/"} & set(str(name_or_folder))
+    is_path = isinstance(given, Path) or {os.sep, "/"} & set(str(given))
     looked = f"no folder {path}" if is_path else f"no folder of that name in {Path.cwd()}"
-    raise ProblemError(
-        f"There is no problem {str(name_or_folder)!r}: it is not shipped, and there is {looked}."
-        f"{hint} Shipped problems: {names}. A folder of your own is made by "
+    return ProblemError(
+        f"There is no problem {str(given)!r}: it is not shipped, and there is {looked}."
+        f"{hint} Shipped problems: {', '.join(shipped) or 'none'}. A folder of your own is made by "
         "oed-sysid new FOLDER, in Python oed_sysid.new_problem(folder)."
     )
 
@@ -187,24 +191,31 @@ _HINTS = (
 )  # fmt: skip
 
 
+# Errors whose own words say nothing.
+_ALONE: dict[type[BaseException], str] = {
+    SystemExit: "it ends the program (sys.exit or exit). A problem only defines 'problem': put "
+    "what runs below if __name__ == '__main__'.",
+    RecursionError: "it calls or imports itself without end.",
+}
+
+
 def _fault(file: Path, error: BaseException) -> str:
     """Say where in the problem's own file an exception came from, and what it is."""
     if isinstance(error, SyntaxError):
-        if "null bytes" in error.msg and file.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            return f"{file} is UTF-16 text. Save it as UTF-8."
-        place = f"{error.filename or file}, line {error.lineno or '?'}"
-        return f"{place}: {error.msg}. Correct this line of the problem."
-    if isinstance(error, SystemExit):
-        return (
-            f"{_place(file, error)}: it ends the program (sys.exit or exit). A problem only "
-            "defines 'problem': put what runs below if __name__ == '__main__'."
-        )
-    if isinstance(error, RecursionError):
-        return f"{_place(file, error)}: it calls or imports itself without end."
+        return _syntax(file, error)
+    if said := next((words for kind, words in _ALONE.items() if isinstance(error, kind)), ""):
+        return f"{_place(file, error)}: {said}"
     kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
     words = str(error) or "no message"
     hints = (hint for type_, part, hint in _HINTS if isinstance(error, type_) and part in words)
     return f"{_place(file, error)}: {kind}{words}{next(hints, '')}"
+
+
+def _syntax(file: Path, error: SyntaxError) -> str:
+    if "null bytes" in error.msg and file.read_bytes()[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return f"{file} is UTF-16 text. Save it as UTF-8."
+    place = f"{error.filename or file}, line {error.lineno or '?'}"
+    return f"{place}: {error.msg}. Correct this line of the problem."
 
 
 def _place(file: Path, error: BaseException) -> str:

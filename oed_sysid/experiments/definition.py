@@ -125,18 +125,13 @@ class Problem:
                 f"Problem name {self.name!r} is no identifier. Use letters, digits and "
                 "underscores, beginning with a letter."
             )
-        others = {name: model for name, model in self.models.items() if name != DEFAULT}
         if self.models.get(DEFAULT, self.model) != self.model:
             raise ProblemError(
                 f"Problem {self.name!r} has two default models. Leave {DEFAULT!r} out of models."
             )
-        kept: dict[str, object] = {
-            "title": self.title or self.name.replace("_", " "),
-            "models": {DEFAULT: self.model, **others},
-        }
-        for name, value in kept.items():
-            object.__setattr__(self, name, value)
-        if twice := [name for name in self.others if name in self.models]:
+        object.__setattr__(self, "title", self.title or self.name.replace("_", " "))
+        object.__setattr__(self, "models", {DEFAULT: self.model, **self.models})
+        if twice := sorted(set(self.others) & set(self.models)):
             raise ProblemError(
                 f"Problem {self.name!r} has a model and a problem called {twice[0]!r}. Rename one."
             )
@@ -445,27 +440,19 @@ class _Units:
 
     def _needed(self, line: Line, effect: Effect | None) -> Dimension | None:
         """Dimension that a text has to have; None where nothing says one."""
-        key, stage = line.key, "" if effect is None else effect.stage
-        match line.role:
-            case "output":
-                return self.outputs.get(key)
-            case "rate":
-                return self._rate(key)
-            case "update" | "start":
-                return self.known.get(key)
-            case "term" if stage == "sensor":
-                return self.outputs.get(key)
-            case "term" if stage in ("actuator", "environment"):
-                return self.known.get(key)
-            case "value":
-                return None
+        key = line.key
+        place = effect.stage if effect and line.role == "term" else line.role
+        if place in ("output", "sensor"):
+            return self.outputs.get(key)
+        if place in ("update", "start", "actuator", "environment"):
+            return self.known.get(key)
+        if place in ("rate", "value"):
+            return self._rate(key) if place == "rate" else None
         axis, state = key if isinstance(key, tuple) else (key, self.model.axes.get(key))
         if state is None:
             return self._rate(axis)
         force, rate = self._force(axis), self._rate(state)
-        if stage == "force" or force is None or rate is None:
-            return force
-        return force / rate
+        return force if place == "force" or force is None or rate is None else force / rate
 
     def _force(self, axis: str) -> Dimension | None:
         """Dimension of an axis: inertia times acceleration, or by the name of the axis."""

@@ -50,16 +50,6 @@ class ZigZagIndices:
     reach: float | None
     period: float | None
 
-    @property
-    def first_overshoot(self) -> float:
-        """Overshoot after the second execute [rad]."""
-        return self.overshoots[0]
-
-    @property
-    def second_overshoot(self) -> float | None:
-        """Overshoot after the third execute [rad]; None if the record ends before."""
-        return self.overshoots[1] if len(self.overshoots) > 1 else None
-
     to_dict = as_dict()
 
     def document(self) -> Report:
@@ -207,7 +197,7 @@ def zigzag_indices(
     >>> after = times - 10
     >>> heading = np.where(after < 0, times**2, 100 + 20 * after - after**2) / 1000
     >>> result = zigzag_indices(times, heading, rudder)
-    >>> print(round(result.first_overshoot, 3), round(result.check_times[0], 3))
+    >>> print(round(result.overshoots[0], 3), round(result.check_times[0], 3))
     0.1 10.0
     """
     moments, angle, helm = columns(times, heading=heading, rudder=rudder)

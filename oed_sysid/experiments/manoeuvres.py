@@ -48,7 +48,6 @@ from oed_sysid.experiments.sines import (
     Chirp,
     Multisine,
     orthogonal_multisines,
-    peak_factor,
     schroeder_phases,
 )
 from oed_sysid.runtime.version import exported

@@ -16,19 +16,8 @@ from typing import ClassVar
 import numpy as np
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.base import (
-    Controller,
-    Excitation,
-    Manoeuvre,
-    Numbers,
-    Rule,
-    Stepwise,
-    above_zero,
-    each_positive,
-    feedback_of,
-    numbers,
-    positive,
-)
+from oed_sysid.experiments import base
+from oed_sysid.experiments.base import Numbers, Rule
 from oed_sysid.experiments.schedules import interval
 
 _OTHER_SIDE = "Use first=-1 to begin to the other side."
@@ -74,10 +63,10 @@ class SlopeLimit:
         return self._command
 
 
-class _Reversing(Stepwise):
+class _Reversing(base.Stepwise, base.Timed):
     """What both zigzags share."""
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         return _Swings(self)  # type: ignore[arg-type]
 
@@ -148,8 +137,8 @@ class ZigZag(_Reversing):
 
     kind: ClassVar[str] = "zigzag"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitude": above_zero(_OTHER_SIDE),
-        "switch": above_zero(_SWITCH),
+        "amplitude": base.above_zero(_OTHER_SIDE),
+        "switch": base.above_zero(_SWITCH),
     }
     amplitude: float
     switch: float
@@ -157,9 +146,7 @@ class ZigZag(_Reversing):
     feedback: abc.Sequence[str] = ("psi",)
     rate: float | None = None
     first: int = 1
-    start: float = 0.0
     sign: int = 1
-    neutral: float = 0.0
     reference: float | None = None
     lead: float = 0.0
     keep_gain: float = 0.0
@@ -168,7 +155,7 @@ class ZigZag(_Reversing):
         if self.lead < 0:
             raise ModelError(f"{self._owner} has lead {self.lead:g} s. Give zero or more.")
         more = ("its rate",) * (self.lead != 0) + ("the signal kept",) * (self.keep_gain != 0)
-        self._set(feedback=feedback_of(self._owner, self.feedback, more))
+        self._set(feedback=base.feedback_of(self._owner, self.feedback, more))
 
     @property
     def swings(self) -> Swings:
@@ -230,9 +217,9 @@ class ZigZagLike(_Reversing):
 
     kind: ClassVar[str] = "zigzag_like"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitudes": each_positive(_OTHER_SIDE),
-        "switches": each_positive(_SWITCH),
-        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+        "amplitudes": base.each_positive(_OTHER_SIDE),
+        "switches": base.each_positive(_SWITCH),
+        "feedback": lambda owner, _, signals: base.feedback_of(owner, signals),
     }
     amplitudes: float | Numbers
     switches: float | Numbers
@@ -240,9 +227,7 @@ class ZigZagLike(_Reversing):
     feedback: abc.Sequence[str] = ("theta",)
     rate: float | None = None
     first: int = 1
-    start: float = 0.0
     sign: int = -1
-    neutral: float = 0.0
     reference: float | None = 0.0
 
     @property
@@ -258,7 +243,7 @@ class ZigZagLike(_Reversing):
         )
 
 
-class _Swings(Controller):
+class _Swings(base.Controller):
     """Reverse the order whenever the feedback's deviation reaches the switch."""
 
     def __init__(self, settings: ZigZag | ZigZagLike) -> None:
@@ -332,7 +317,7 @@ def _ending(manoeuvre: ZigZag | ZigZagLike) -> str:
 
 
 @dataclass(frozen=True)
-class ReverseSpiral(Stepwise):
+class ReverseSpiral(base.Stepwise, base.Timed):
     """Reverse (Bech) spiral: steer a sequence of constant yaw rates.
 
     The mean command at each rate gives the steady curve also where the vehicle
@@ -365,8 +350,8 @@ class ReverseSpiral(Stepwise):
 
     kind: ClassVar[str] = "reverse_spiral"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "gain": above_zero("Use sign=-1 for a reversed command."),
-        "feedback": lambda owner, _, signals: feedback_of(owner, signals),
+        "gain": base.above_zero("Use sign=-1 for a reversed command."),
+        "feedback": lambda owner, _, signals: base.feedback_of(owner, signals),
     }
     rates: Numbers
     _: KW_ONLY
@@ -376,15 +361,13 @@ class ReverseSpiral(Stepwise):
     limit: float
     feedback: abc.Sequence[str] = ("r",)
     sign: int = 1
-    start: float = 0.0
-    neutral: float = 0.0
 
     @property
     def duration(self) -> float | None:
         """Until the last rate has been held [s]."""
         return self.start + self.hold * len(self.rates)
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         return _RateSteering(self)
 
@@ -396,7 +379,7 @@ class ReverseSpiral(Stepwise):
         )
 
 
-class _RateSteering(Controller):
+class _RateSteering(base.Controller):
     """Proportional-integral steering of a sequence of yaw rates."""
 
     def __init__(self, settings: ReverseSpiral) -> None:
@@ -426,7 +409,7 @@ class _RateSteering(Controller):
 
 
 @dataclass(frozen=True)
-class Combined(Excitation):
+class Combined(base.Excitation):
     """Several manoeuvres at the same time, each on an input of its own.
 
     Parameters
@@ -443,7 +426,7 @@ class Combined(Excitation):
     """
 
     kind: ClassVar[str] = "combined"
-    manoeuvres: abc.Sequence[Manoeuvre]
+    manoeuvres: abc.Sequence[base.Manoeuvre]
 
     def __post_init__(self) -> None:
         self._set(manoeuvres=_parts("Combined", self.manoeuvres))
@@ -470,7 +453,7 @@ class Combined(Excitation):
             (d for part in self.manoeuvres if (d := part.duration) is not None), default=None
         )
 
-    def controllers(self) -> dict[str, Controller]:
+    def controllers(self) -> dict[str, base.Controller]:
         """Return one fresh controller for each input; see :func:`command_all`."""
         return {part.input: part.controller() for part in self.manoeuvres}
 
@@ -480,7 +463,7 @@ class Combined(Excitation):
 
 
 @dataclass(frozen=True)
-class Sequence(Stepwise):
+class Sequence(base.Stepwise):
     """Manoeuvres on one input, one after another; each counts time from its own beginning.
 
     Parameters
@@ -502,7 +485,7 @@ class Sequence(Stepwise):
 
     kind: ClassVar[str] = "sequence"
     input: str = field(init=False)
-    manoeuvres: abc.Sequence[Manoeuvre]
+    manoeuvres: abc.Sequence[base.Manoeuvre]
     _: KW_ONLY
     durations: Numbers | None = None
 
@@ -526,9 +509,7 @@ class Sequence(Stepwise):
                         "Give durations, one for each manoeuvre."
                     )
             return
-        times = numbers(self._owner, "durations", self.durations)
-        for index, time in enumerate(times):
-            positive(self._owner, f"durations[{index}]", time)
+        times = base.each_positive("")(self._owner, "durations", self.durations)
         if len(times) not in (len(parts), len(parts) - 1):
             raise ModelError(
                 f"{self._owner} has {len(parts)} manoeuvres but {len(times)} durations. Give one "
@@ -547,7 +528,7 @@ class Sequence(Stepwise):
         times = self._times()
         return None if len(times) < len(self.manoeuvres) else sum(times)
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         begins = [0.0, *accumulate(self._times()[: len(self.manoeuvres) - 1])]
         return _InTurn(self.manoeuvres, begins)
@@ -564,11 +545,11 @@ class Sequence(Stepwise):
 
 
 @dataclass(frozen=True)
-class _Shaped(Stepwise):
+class _Shaped(base.Stepwise):
     """A manoeuvre that shapes what another one orders."""
 
     input: str = field(init=False)
-    manoeuvre: Manoeuvre
+    manoeuvre: base.Manoeuvre
 
     def __post_init__(self) -> None:
         self._set(input=_parts(type(self).__name__, (self.manoeuvre,))[0].input)
@@ -611,12 +592,12 @@ class RateLimited(_Shaped):
     """
 
     kind: ClassVar[str] = "rate_limited"
-    rules: ClassVar[Mapping[str, Rule]] = {"rate": positive}
+    rules: ClassVar[Mapping[str, Rule]] = {"rate": base.positive}
     rate: float
     _: KW_ONLY
     initial: float = 0.0
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         limit = SlopeLimit(self.rate, initial=self.initial)
         return _Shaper(self.manoeuvre.controller(), limit.follow)
@@ -647,7 +628,7 @@ class Saturated(_Shaped):
     kind: ClassVar[str] = "saturated"
     limit: float
 
-    def controller(self) -> Controller:
+    def controller(self) -> base.Controller:
         """Return a fresh controller."""
         limit = self.limit
         return _Shaper(self.manoeuvre.controller(), lambda order, _: min(max(order, -limit), limit))
@@ -657,10 +638,10 @@ class Saturated(_Shaped):
         return f"{self.manoeuvre.describe()}, cut off at {self.limit:.4g}"
 
 
-class _InTurn(Controller):
+class _InTurn(base.Controller):
     """Run controllers one after another, each on its own clock."""
 
-    def __init__(self, parts: abc.Sequence[Manoeuvre], begins: list[float]) -> None:
+    def __init__(self, parts: abc.Sequence[base.Manoeuvre], begins: list[float]) -> None:
         self._controllers = [part.controller() for part in parts]
         self._begins = np.array(begins)
 
@@ -669,23 +650,25 @@ class _InTurn(Controller):
         return self._controllers[index].command(time - self._begins[index], signals)
 
 
-class _Shaper(Controller):
+class _Shaper(base.Controller):
     """Shape what another controller orders at each time."""
 
-    def __init__(self, ordering: Controller, shape: abc.Callable[[float, float], float]) -> None:
+    def __init__(
+        self, ordering: base.Controller, shape: abc.Callable[[float, float], float]
+    ) -> None:
         self._ordering, self._shape = ordering, shape
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         return self._shape(self._ordering.command(time, signals), time)
 
 
-def _parts(owner: str, manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[Manoeuvre, ...]:
+def _parts(owner: str, manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[base.Manoeuvre, ...]:
     """Return the manoeuvres as a tuple that is not empty."""
     parts = tuple(manoeuvres)
     if not parts:
         raise ModelError(f"{owner} has no manoeuvres. Give at least one.")
     for part in parts:
-        if not isinstance(part, Manoeuvre):
+        if not isinstance(part, base.Manoeuvre):
             raise ModelError(
                 f"{owner} got a {type(part).__name__}; it takes manoeuvres on one input each, "
                 "such as ZigZag or Constant."
@@ -693,6 +676,6 @@ def _parts(owner: str, manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[Manoeuvre, 
     return parts
 
 
-def _signals(manoeuvres: abc.Iterable[Manoeuvre]) -> tuple[str, ...]:
+def _signals(manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[str, ...]:
     """Return the names of all measured signals, each once."""
     return tuple(dict.fromkeys(name for part in manoeuvres for name in part.feedback))

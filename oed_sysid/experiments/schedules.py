@@ -17,26 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.base import (
-    ROUNDING,
-    FloatArray,
-    Numbers,
-    OpenLoop,
-    Rule,
-    Waveform,
-    above_zero,
-    finite,
-    not_zero,
-    one_of,
-    positive,
-)
+from oed_sysid.experiments import base
+from oed_sysid.experiments.base import FloatArray, Numbers, Rule, Waveform
 from oed_sysid.physics.channels import INTERPOLATIONS
 
 
 def interval(times: FloatArray, edges: NDArray[np.floating]) -> NDArray[np.intp]:
     """Return for each time how many of the increasing ``edges`` have passed."""
     # A switch at 0.1 * 3 s has happened on the sample at 0.3 s.
-    return np.searchsorted(edges, times + ROUNDING * (1 + np.abs(times)), side="right")
+    return np.searchsorted(edges, times + base.ROUNDING * (1 + np.abs(times)), side="right")
 
 
 def staircase(
@@ -88,11 +77,6 @@ def about(neutral: float, swing: Waveform) -> Waveform:
     return swing if neutral == 0.0 else lambda moments: neutral + swing(moments)
 
 
-def centre(neutral: float) -> str:
-    """Return words for a neutral command that is not zero."""
-    return f", about {neutral:g}" if neutral else ""
-
-
 def within(start: float, end: float, inside: Waveform) -> Waveform:
     """Return ``inside`` of the time since ``start``, and zero outside start to end [s]."""
 
@@ -104,7 +88,7 @@ def within(start: float, end: float, inside: Waveform) -> Waveform:
 
 
 @dataclass(frozen=True)
-class Constant(OpenLoop):
+class Constant(base.OpenLoop):
     """The same command at all times.
 
     Examples
@@ -114,7 +98,7 @@ class Constant(OpenLoop):
     """
 
     kind: ClassVar[str] = "constant"
-    rules: ClassVar[Mapping[str, Rule]] = {"value": finite}
+    rules: ClassVar[Mapping[str, Rule]] = {"value": base.finite}
     value: float
 
     def waveform(self) -> Waveform:
@@ -126,11 +110,8 @@ class Constant(OpenLoop):
         return f"{self.input} constant at {self.value:g}"
 
 
-class Scheduled(OpenLoop):
+class Scheduled(base.OpenLoop, base.Timed):
     """A manoeuvre that is a schedule of orders about a neutral command."""
-
-    start: float
-    neutral: float
 
     @abstractmethod
     def schedule(self) -> tuple[Numbers, Numbers]:
@@ -166,12 +147,10 @@ class TurningCircle(Scheduled):
     """
 
     kind: ClassVar[str] = "turning_circle"
-    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": not_zero("Its sign is the side.")}
+    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": base.not_zero("Its sign is the side.")}
     amplitude: float
     _: KW_ONLY
-    start: float = 0.0
     rate: float | None = None
-    neutral: float = 0.0
 
     def schedule(self) -> tuple[Numbers, Numbers]:
         """Return times since ``start`` and orders."""
@@ -207,13 +186,11 @@ class PullOut(Scheduled):
     """
 
     kind: ClassVar[str] = "pull_out"
-    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": not_zero("Its sign is the side.")}
+    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": base.not_zero("Its sign is the side.")}
     amplitude: float
     _: KW_ONLY
     turn_duration: float
-    start: float = 0.0
     rate: float | None = None
-    neutral: float = 0.0
 
     @property
     def duration(self) -> float | None:
@@ -237,7 +214,7 @@ class Pulses(Scheduled):
 
     lengths: ClassVar[tuple[int, ...]]
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitude": above_zero("Use first=-1 to begin to the other side.")
+        "amplitude": base.above_zero("Use first=-1 to begin to the other side.")
     }
     amplitude: float
     first: int
@@ -298,9 +275,7 @@ class Doublet(Pulses):
     amplitude: float
     _: KW_ONLY
     pulse_time: float
-    start: float = 0.0
     first: int = 1
-    neutral: float = 0.0
 
     @property
     def unit(self) -> float:
@@ -311,7 +286,7 @@ class Doublet(Pulses):
         """Return one line in words."""
         return (
             f"doublet of {self.input}: {self.height:+.4g} then {-self.height:+.4g}, "
-            f"{self.pulse_time:g} s each, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.pulse_time:g} s each{self._when}"
         )
 
 
@@ -351,9 +326,7 @@ class ThreeTwoOneOne(Pulses):
     amplitude: float
     _: KW_ONLY
     unit_time: float
-    start: float = 0.0
     first: int = 1
-    neutral: float = 0.0
 
     @property
     def unit(self) -> float:
@@ -364,7 +337,7 @@ class ThreeTwoOneOne(Pulses):
         """Return one line in words."""
         return (
             f"3-2-1-1 of {self.input}: {self.height:+.4g} first, unit "
-            f"{self.unit_time:g} s, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.unit_time:g} s{self._when}"
         )
 
 
@@ -395,9 +368,7 @@ class Spiral(Scheduled):
     angles: Numbers
     _: KW_ONLY
     hold: float
-    start: float = 0.0
     rate: float | None = None
-    neutral: float = 0.0
 
     @classmethod
     def direct(
@@ -425,8 +396,8 @@ class Spiral(Scheduled):
         (0.2, 0.1, 0.0, -0.1, -0.2, -0.1, 0.0, 0.1, 0.2)
         """
         owner = f"Spiral of {input!r}"
-        farthest = not_zero("Its sign is the side to begin with.")(owner, "largest", largest)
-        count = max(1, round(abs(farthest) / positive(owner, "step", step)))
+        farthest = base.not_zero("Its sign is the side to begin with.")(owner, "largest", largest)
+        count = max(1, round(abs(farthest) / base.positive(owner, "step", step)))
         across = [largest * index / count for index in range(count, -count - 1, -1)]
         return cls(input, (*across, *across[-2::-1]), hold=hold, rate=rate)
 
@@ -448,10 +419,10 @@ class Spiral(Scheduled):
         )
 
 
-class Tabulated(OpenLoop):
+class Tabulated(base.OpenLoop):
     """A command through the points of a table."""
 
-    rules: ClassVar[Mapping[str, Rule]] = {"interpolation": one_of(*INTERPOLATIONS)}
+    rules: ClassVar[Mapping[str, Rule]] = {"interpolation": base.one_of(*INTERPOLATIONS)}
     times: Numbers
     values: Numbers
     interpolation: str
@@ -612,7 +583,7 @@ def maximum_length_sequence(order: int, *, seed: int = 1) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class PRBS(OpenLoop):
+class PRBS(base.OpenLoop, base.Timed):
     """Pseudo-random binary sequence of maximum length, repeated.
 
     Its spectrum is flat up to about ``0.44 / bit_time`` [Hz] (half power); the
@@ -655,8 +626,6 @@ class PRBS(OpenLoop):
     bit_time: float
     order: int = 7
     seed: int = 1
-    start: float = 0.0
-    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
@@ -685,7 +654,7 @@ class PRBS(OpenLoop):
 
         def play(times: FloatArray) -> FloatArray:
             # Bits are counted, not multiplied out, so that no edge is lost to rounding.
-            bits = np.floor((times - self.start) / self.bit_time + ROUNDING).astype(int)
+            bits = np.floor((times - self.start) / self.bit_time + base.ROUNDING).astype(int)
             return np.where(bits < 0, 0.0, levels[bits % len(levels)])
 
         return about(self.neutral, play)
@@ -694,5 +663,5 @@ class PRBS(OpenLoop):
         """Return one line in words."""
         return (
             f"PRBS of {self.input}: +-{self.amplitude:.4g}, {2**self.order - 1} bits of "
-            f"{self.bit_time:g} s, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.bit_time:g} s{self._when}"
         )

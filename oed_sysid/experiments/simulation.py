@@ -4,7 +4,6 @@
 :func:`simulate`                  a record of an experiment, with noise
 :func:`simulate_inputs`           a trajectory for given inputs
 :func:`simulate_batch`            many parameter sets or start states at once
-:func:`reference_trajectory`      the same with error control, to check the step
 :func:`equilibrium`               a trim condition
 :func:`linearise`                 a linear state-space model around it
 ================================  ==================================================
@@ -30,7 +29,6 @@ from oed_sysid.experiments.manoeuvres import command_all
 from oed_sysid.experiments.steady import Equilibrium, equilibrium, linearise
 from oed_sysid.experiments.trajectory import (
     Trajectory,
-    reference_trajectory,
     simulate_batch,
     simulate_inputs,
     start_array,
@@ -43,7 +41,6 @@ __all__ = [
     "Trajectory",
     "equilibrium",
     "linearise",
-    "reference_trajectory",
     "simulate",
     "simulate_batch",
     "simulate_inputs",

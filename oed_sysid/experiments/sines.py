@@ -28,25 +28,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from oed_sysid.errors import ModelError
-from oed_sysid.experiments.base import (
-    FloatArray,
-    Numbers,
-    OpenLoop,
-    Rule,
-    Waveform,
-    increasing,
-    numbers,
-    one_of,
-    positive,
-)
-from oed_sysid.experiments.schedules import about, centre, within
+from oed_sysid.experiments import base
+from oed_sysid.experiments.base import FloatArray, Numbers, Rule, Waveform
+from oed_sysid.experiments.schedules import about, within
 
 _OVERSAMPLING = 64  # grid points in the shortest cycle of a multisine
 _MOST_HARMONICS = 20_000  # beyond, a multisine counts as not periodic
 
 
 @dataclass(frozen=True)
-class Multisine(OpenLoop):
+class Multisine(base.OpenLoop, base.Timed):
     r"""Sum of cosines at chosen frequencies.
 
     .. math:: u(t) = \sum_k a_k \cos(2 \pi f_k (t - t_0) + \varphi_k)
@@ -92,21 +83,19 @@ class Multisine(OpenLoop):
     amplitudes: Numbers | None = None
     phases: Numbers | None = None
     peak: float | None = None
-    start: float = 0.0
-    neutral: float = 0.0
 
     def _validate(self) -> None:
         owner = self._owner
-        lines = increasing(owner, "frequencies", numbers(owner, "frequencies", self.frequencies))
-        positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
+        lines = base.increasing(
+            owner, "frequencies", base.numbers(owner, "frequencies", self.frequencies)
+        )
+        base.positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
         if self.amplitudes is None and self.peak is None:
             raise ModelError(f"{owner} has neither amplitudes nor a peak. Give one of them.")
         given = [1.0] * len(lines) if self.amplitudes is None else self.amplitudes
-        sizes = numbers(owner, "amplitudes", given)
-        for index, size in enumerate(sizes):
-            positive(owner, f"amplitudes[{index}]", size, "Use a phase of pi to invert it.")
+        sizes = base.each_positive("Use a phase of pi to invert it.")(owner, "amplitudes", given)
         angles = schroeder_phases(sizes) if self.phases is None else self.phases
-        angles = numbers(owner, "phases", angles)
+        angles = base.numbers(owner, "phases", angles)
         for name, values in (("amplitudes", sizes), ("phases", angles)):
             if len(values) != len(lines):
                 raise ModelError(
@@ -115,7 +104,7 @@ class Multisine(OpenLoop):
                 )
         self._set(frequencies=lines, amplitudes=sizes, phases=angles)
         if self.peak is not None:
-            factor = positive(owner, "peak", self.peak) / self.largest
+            factor = base.positive(owner, "peak", self.peak) / self.largest
             # Stored numbers that are already at the limit are kept as they are.
             if abs(factor - 1) > 1e-9:
                 self._set(amplitudes=tuple(factor * size for size in sizes))
@@ -164,7 +153,7 @@ class Multisine(OpenLoop):
         return (
             f"multisine of {self.input}: {len(self.frequencies)} lines from "
             f"{self.frequencies[0]:.4g} to {self.frequencies[-1]:.4g} Hz, at most "
-            f"{self.largest:.4g}, from {self.start:g} s{centre(self.neutral)}"
+            f"{self.largest:.4g}{self._when}"
         )
 
     def _sum(self, elapsed: FloatArray) -> FloatArray:
@@ -191,7 +180,7 @@ def schroeder_phases(amplitudes: Numbers) -> FloatArray:
 
 
 @dataclass(frozen=True)
-class Chirp(OpenLoop):
+class Chirp(base.OpenLoop, base.Timed):
     """Sine of a frequency that sweeps from one value to another, then zero.
 
     Parameters
@@ -220,15 +209,13 @@ class Chirp(OpenLoop):
     """
 
     kind: ClassVar[str] = "chirp"
-    rules: ClassVar[Mapping[str, Rule]] = {"law": one_of("linear", "log")}
+    rules: ClassVar[Mapping[str, Rule]] = {"law": base.one_of("linear", "log")}
     amplitude: float
     _: KW_ONLY
     first_frequency: float
     last_frequency: float
     sweep_time: float
     law: str = "linear"
-    start: float = 0.0
-    neutral: float = 0.0
 
     @property
     def duration(self) -> float | None:
@@ -244,8 +231,8 @@ class Chirp(OpenLoop):
         """Return one line in words."""
         return (
             f"{self.law} chirp of {self.input}: +-{self.amplitude:.4g}, "
-            f"{self.first_frequency:g} to {self.last_frequency:g} Hz in {self.sweep_time:g} s, "
-            f"from {self.start:g} s{centre(self.neutral)}"
+            f"{self.first_frequency:g} to {self.last_frequency:g} Hz in {self.sweep_time:g} s"
+            f"{self._when}"
         )
 
     def _sweep(self, elapsed: FloatArray) -> FloatArray:
@@ -304,8 +291,8 @@ def orthogonal_multisines(
     ... )
     >>> set(rudder.frequencies) & set(propeller.frequencies)
     set()
-    >>> round(peak_factor(rudder), 2), round(peak_factor(propeller), 2)
-    (1.02, 1.07)
+    >>> round(rudder.crest_factor, 2), round(propeller.crest_factor, 2)
+    (1.44, 1.52)
     """
     for given in (spectra, neutral):
         if peaks and (unknown := [name for name in given or {} if name not in peaks]):
@@ -377,11 +364,3 @@ def low_peak_phases(lines: np.ndarray, amplitudes: np.ndarray) -> FloatArray:
         phases = np.angle(np.fft.rfft(clipped)[lines])
     found: FloatArray = best
     return found
-
-
-def peak_factor(signal: Multisine) -> float:
-    """Half the range of a periodic multisine over that of a sine of equal power."""
-    if signal.period is None:
-        raise ModelError("The multisine has no period, so its peak factor is not known.")
-    values = signal._cycle(signal.period)
-    return float(np.ptp(values) / (2 * np.sqrt(2) * np.sqrt(np.mean(values**2))))

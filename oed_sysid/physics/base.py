@@ -21,6 +21,11 @@ from oed_sysid.text.callables import Function, Table, argument_names
 # Bounds of an amplitude in typical ones: wide enough to never decide, tight enough to converge.
 _SPAN = 20.0
 STAGES = ("actuator", "environment", "force", "inertia", "sensor")
+# Which effects may go on in time: within the motion, or from sample to sample.
+_GOING_ON = (
+    ("states", "add", ("actuator", "force", "environment")),
+    ("memory", "keep", ("actuator", "sensor")),
+)
 
 
 @dataclass(frozen=True)
@@ -162,26 +167,23 @@ class Effect:
 
     def _check_parts(self) -> None:
         """Refuse parts that do not go together, or not with the stage."""
-        where = f"Effect {self.name!r}"
+        where, known = f"Effect {self.name!r}", [parameter.name for parameter in self.parameters]
         check_unique(self.parameters, owner=where)
         if not self.terms and not self.states:
             raise ModelError(f"{where} contributes nothing: give at least one term.")
-        if self.states and self.stage not in ("actuator", "force", "environment"):
-            raise ModelError(f"{where}: a {self.stage} effect cannot add states.")
-        if self.memory and self.stage not in ("actuator", "sensor"):
-            raise ModelError(f"{where}: a {self.stage} effect cannot keep memory.")
+        for part, verb, stages in _GOING_ON:
+            if getattr(self, part) and self.stage not in stages:
+                raise ModelError(f"{where}: a {self.stage} effect cannot {verb} {part}.")
         if self.memory and self.states:
             raise ModelError(
                 f"{where} has both sampled memory and continuous states. Keep one: an "
                 "effect with states works within the equations of motion."
             )
-        known = [parameter.name for parameter in self.parameters]
-        for name in self.amplitudes or ():
-            if name not in known:
-                raise ModelError(
-                    f"{where} names the amplitude {name!r}, which is not one of its "
-                    f"parameters: {', '.join(known)}."
-                )
+        if unknown := [name for name in self.amplitudes or () if name not in known]:
+            raise ModelError(
+                f"{where} names the amplitude {unknown[0]!r}, which is not one of its "
+                f"parameters: {', '.join(known)}."
+            )
 
     @classmethod
     def from_function(

@@ -217,7 +217,7 @@ def euler(active: Collection[str]) -> Attitude:
     sine, cosine = ("sin(phi)", "cos(phi)") if "phi" in present else ("0", "1")
     across = plus(times(q, sine), times(r, cosine))
     tangent = "tan(theta)" if "theta" in present else "0"
-    yaw = across if "theta" not in present else f"({across})/cos(theta)"
+    yaw = across if tangent == "0" else f"({across})/cos(theta)"
     rates = {
         "phi": plus(p, times(across, tangent)),
         "theta": plus(times(q, cosine), minus(times(r, sine))),

@@ -154,28 +154,24 @@ class Model(Structure):
         measured psi = psi
         measured r = r
         """
-        symbols = {
-            "x": [one.name for one in states],
-            "u": [one.name for one in inputs],
-            "p": [one.name for one in parameters],
-            "t": ["t"],
-        }
+        columns: dict[str, Sequence[State | Input | Parameter]]
+        columns = {"x": states, "u": inputs, "p": parameters}
+        symbols = {key: [one.name for one in column] for key, column in columns.items()}
+        symbols["t"] = ["t"]
         _check_derivatives(f)
-        rates = callables.elements(f, symbols, [one.name for one in states])
+        rates = callables.elements(f, symbols, symbols["x"])
         if outputs is None:
             outputs = [Output(one.name, one.unit) for one in states]
         seen = {}
         if h is not None:
             _check_derivatives(h)
             seen = callables.elements(h, symbols, [one.name for one in outputs])
+            outputs = [replace(o, expression=callables.call_text(seen[o.name])) for o in outputs]
         return cls(
             name or f.name(),
             tuple(states),
             tuple(inputs),
-            tuple(
-                replace(one, expression=callables.call_text(seen[one.name])) if seen else one
-                for one in outputs
-            ),
+            tuple(outputs),
             kinematics={key: callables.call_text(rate) for key, rate in rates.items()},
             parameters=tuple(parameters),
             step=step,

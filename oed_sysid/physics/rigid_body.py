@@ -39,24 +39,7 @@ from oed_sysid.errors import ModelError
 from oed_sysid.physics import frames
 from oed_sysid.physics.base import Effect, Environment, Force, amplitude
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.frames import (
-    AXES,
-    DEGREES,
-    LABELS,
-    MOTIONS,
-    SIZES,
-    UNITS,
-    VELOCITIES,
-    Attitude,
-    Component,
-    Matrix,
-    Place,
-    cross,
-    minus,
-    plus,
-    text_of,
-    times,
-)
+from oed_sysid.physics.frames import Matrix, Place, cross, minus, plus, text_of, times
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import SNAME, hull_derivatives
@@ -110,10 +93,12 @@ class RigidBody:
 
     def states(self, scales: Mapping[str, float] | None = None) -> tuple[State, ...]:
         """Velocities, then attitude and position, with typical sizes."""
-        sizes = SIZES | dict(scales or {})
+        sizes = frames.SIZES | dict(scales or {})
         names = (*self.velocities, *self.kinematics)
         return tuple(
-            State(name, UNITS[name], LABELS.get(name, "attitude"), sizes.get(name, 1.0))
+            State(
+                name, frames.UNITS[name], frames.LABELS.get(name, "attitude"), sizes.get(name, 1.0)
+            )
             for name in names
         )
 
@@ -137,8 +122,8 @@ class RigidBody:
         return tuple(
             Output(
                 name,
-                UNITS.get(name, "1"),
-                LABELS.get(name, "attitude"),
+                frames.UNITS.get(name, "1"),
+                frames.LABELS.get(name, "attitude"),
                 None if seen.get(name, name) == name else seen[name],
                 noise_std=std,
             )
@@ -237,7 +222,7 @@ class RigidBody:
         listed = [v if isinstance(v, Parameter) else Parameter(k, float(v)) for k, v in pairs]
         for parameter in listed:
             parsed = notation.parse(parameter.name)
-            moving = {factor.symbol for factor in parsed.factors} & set(VELOCITIES)
+            moving = {factor.symbol for factor in parsed.factors} & set(frames.VELOCITIES)
             if parsed.axis not in self.axes or not moving <= set(self.velocities):
                 raise ModelError(
                     f"Derivative {parameter.name!r} does not belong to a body with "
@@ -488,9 +473,9 @@ def _coefficient(value: float | Parameter, name: str, unit: str, words: str) -> 
     return Parameter(name, float(value), unit, lower=0.0, description=words)
 
 
-def _on(axes: Collection[str], six: Sequence[Component], name: str = "") -> dict[str, str]:
+def _on(axes: Collection[str], six: Sequence[frames.Component], name: str = "") -> dict[str, str]:
     """Terms of the axes that a body has; none is an error of what has a name."""
-    pairs = zip(AXES, six, strict=True)
+    pairs = zip(frames.AXES, six, strict=True)
     terms = {axis: str(text) for axis, text in pairs if axis in axes and text != "0"}
     if name and not terms:
         raise ModelError(
@@ -595,21 +580,22 @@ def rigid_body(
     # M_RB and M_A as texts; only constants that are not zero come into the equations.
     rigid = frames.rigid_matrix(constants.names)
     added = frames.added_matrix(_added_mass(constants, added_mass, active))
-    axes = {AXES[VELOCITIES.index(v)]: v for v in active}
+    axes = {frames.AXES[frames.VELOCITIES.index(v)]: v for v in active}
     # Rigid-body forces go with the velocity over ground, those of the water with the velocity
     # through it; a steady current turns in body axes.
-    velocity = [v if v in active else "0" for v in VELOCITIES]
+    velocity = [v if v in active else "0" for v in frames.VELOCITIES]
     through = [f"{v}_r" if v in "uvw" and v != "0" else v for v in velocity]
     drift = [f"({v} - {v}_r)" if v in active else "0" for v in "uvw"]
+    if metacentric_height is not None or heave_stiffness is not None:
+        restoring = _floating(constants, weight, metacentric_height, heave_stiffness, active)
+    else:
+        down = oriented.rotation[2]
+        restoring = _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
     effects = [
         *_coriolis("rigid_body", rigid, velocity, "PH", axes),
         *_coriolis("added_mass", added, through, "AB", axes, drift),
+        *restoring,
     ]
-    if metacentric_height is not None or heave_stiffness is not None:
-        effects += _floating(constants, weight, metacentric_height, heave_stiffness, active)
-    else:
-        down = oriented.rotation[2]
-        effects += _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
     return RigidBody(
         velocities=active,
         axes=axes,
@@ -641,7 +627,7 @@ def _masses(
     return constants
 
 
-def _oriented(attitude: str, active: Sequence[str]) -> Attitude:
+def _oriented(attitude: str, active: Sequence[str]) -> frames.Attitude:
     """The attitude as Euler angles or as a quaternion."""
     if attitude not in ("euler", "quaternion"):
         raise ModelError(f"Attitude {attitude!r} is not known. Choose 'euler' or 'quaternion'.")
@@ -653,7 +639,7 @@ def _oriented(attitude: str, active: Sequence[str]) -> Attitude:
 
 
 def _positions(
-    oriented: Attitude, velocity: Sequence[str], wanted: Sequence[str] | None
+    oriented: frames.Attitude, velocity: Sequence[str], wanted: Sequence[str] | None
 ) -> dict[str, str]:
     """Rates of the positions in NED that are carried as states."""
     ground = {
@@ -694,13 +680,15 @@ class _Constants:
 
 def _active(dof: int | Sequence[str]) -> tuple[str, ...]:
     if isinstance(dof, int):
-        if dof not in DEGREES:
+        if dof not in frames.DEGREES:
             raise ModelError(f"{dof} degrees of freedom are not named. Choose 3, 4, 6 or names.")
-        return tuple(DEGREES[dof])
-    chosen = {MOTIONS.get(name, name) for name in dof}
-    if unknown := sorted(chosen - set(VELOCITIES)):
-        raise ModelError(f"Unknown motion {unknown[0]!r}. Choose among {', '.join(MOTIONS)}.")
-    return tuple(v for v in VELOCITIES if v in chosen)
+        return tuple(frames.DEGREES[dof])
+    chosen = {frames.MOTIONS.get(name, name) for name in dof}
+    if unknown := sorted(chosen - set(frames.VELOCITIES)):
+        raise ModelError(
+            f"Unknown motion {unknown[0]!r}. Choose among {', '.join(frames.MOTIONS)}."
+        )
+    return tuple(v for v in frames.VELOCITIES if v in chosen)
 
 
 def _size(value: Number) -> float:
@@ -718,24 +706,22 @@ def _moments(
 ) -> dict[str, Number]:
     """Moments and products of inertia by pair of letters."""
     known = ("xx", "yy", "zz", "xy", "xz", "yz")
+    turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in active]
     if isinstance(inertia, Mapping):
         if unknown := [key for key in inertia if key not in known]:
             raise ModelError(f"Inertia {unknown[0]!r} is not known. Choose {', '.join(known)}.")
         found = dict(inertia)
     elif isinstance(inertia, float | int | Parameter):
-        turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in active]
         if len(turning) != 1:
             raise ModelError(
                 f"One moment of inertia for {len(turning)} rotations. Give (I_xx, I_yy, I_zz)."
             )
         found = {turning[0]: inertia}
     else:
-        found = dict(zip(("xx", "yy", "zz"), _three("inertia", inertia), strict=True))
-    for letters, rate in (("xx", "p"), ("yy", "q"), ("zz", "r")):
-        value = found.get(letters, 0.0)
-        size = _size(value)
-        if rate in active and size <= 0.0:
-            raise ModelError(f"I_{letters} is {size:g}; a free rotation needs one above zero.")
+        found = dict(zip(known, _three("inertia", inertia), strict=False))
+    for pair in turning:
+        if (size := _size(found.get(pair, 0.0))) <= 0.0:
+            raise ModelError(f"I_{pair} is {size:g}; a free rotation needs one above zero.")
     return found
 
 
@@ -751,8 +737,8 @@ def _added_mass(
         parsed = notation.parse(name)
         if not parsed.is_dot:
             raise ModelError(f"Added mass {name!r} is no acceleration derivative, as 'Y_vdot' is.")
-        i, j = AXES.index(parsed.axis), VELOCITIES.index(parsed.factors[0].symbol)
-        if VELOCITIES[i] not in active or VELOCITIES[j] not in active:
+        i, j = frames.AXES.index(parsed.axis), frames.VELOCITIES.index(parsed.factors[0].symbol)
+        if frames.VELOCITIES[i] not in active or frames.VELOCITIES[j] not in active:
             raise ModelError(f"Added mass {name!r} does not belong to a body with {active}.")
         key = (min(i, j), max(i, j))
         size = _size(value)
@@ -775,10 +761,10 @@ def _inertia(matrices: Sequence[Matrix], axes: Mapping[str, str]) -> dict[tuple[
     for matrix in matrices:
         for (i, j), text in matrix.items():
             for row, column in {(i, j), (j, i)}:
-                key = (AXES[row], VELOCITIES[column])
+                key = (frames.AXES[row], frames.VELOCITIES[column])
                 if key[0] in axes and key[1] in axes.values():
                     entries[key] = plus(entries.get(key, "0"), text)
-    order = {key: n for n, key in enumerate((a, v) for a in AXES for v in VELOCITIES)}
+    order = {key: n for n, key in enumerate((a, v) for a in frames.AXES for v in frames.VELOCITIES)}
     return dict(sorted(entries.items(), key=lambda item: order[item[0]]))
 
 

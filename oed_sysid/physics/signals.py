@@ -63,19 +63,9 @@ def rate_limit(name: str, signal: str | Sequence[str], unit: str = "rad", *, sca
                value: float = 0.0) -> table.Derived:
     """Limited rate, by its slowness ``E = 1/rate`` so that zero means unlimited.
 
-    See :func:`maximum_rate` for the rate itself.
+    The rate itself is one over the value.
     """
     return {"per": f"s/({unit})" if "/" in unit else f"s/{unit or 1}"}
-
-
-def maximum_rate(effect: Actuator) -> float:
-    """Rate of a :func:`rate_limit`, infinite where it is absent.
-
-    >>> maximum_rate(rate_limit("fin_rate_limit", "ds", value=4.0))
-    0.25
-    """
-    slowness = effect.parameters[0].value
-    return 1.0 / slowness if slowness > 0 else math.inf
 
 
 @table.row(Actuator)

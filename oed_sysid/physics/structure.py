@@ -345,7 +345,7 @@ def effect_lines(model: Structure, effect: Effect) -> Iterator[Line]:
     scope = _known(model)
     if effect.stage == "actuator":
         scope = commands if is_sampled(model, effect) else scope - set(model.signals)
-    if effect.stage == "sensor":
+    elif effect.stage == "sensor":
         # Sensors come last in the chain: only they see accelerations and forces.
         scope = scope | rates_and_forces(model) | set(model.output_names)
     for memory in effect.memory:

@@ -30,15 +30,8 @@ import math
 from typing import TypeVar
 
 from oed_sysid.errors import ModelError
-from oed_sysid.physics.base import (
-    Actuator,
-    Effect,
-    ExtraState,
-    Force,
-    Memory,
-    RandomProcess,
-    Sensor,
-)
+from oed_sysid.physics import base
+from oed_sysid.physics.base import Actuator, Effect, Force, Sensor
 from oed_sysid.physics.parameters import Parameter
 
 GELB = "Gelb (1974), Applied optimal estimation, section 3.8."
@@ -108,7 +101,7 @@ def _random(
         f"{words[0]}_{key}",
         {key: name if kind is Force else f"{key} + {name}"},
         (Parameter(name, 0.0, fixed=True),),
-        noise=RandomProcess(place, name, level, time, known),
+        noise=base.RandomProcess(place, name, level, time, known),
         description=words[1],
         source=GELB,
     )
@@ -221,8 +214,8 @@ def _estimated(
         {place: f"{place} + {_series(parameters)}" if sampled else _series(parameters)},
         parameters,
         definitions={"node": f"({now} - {origin})/{spacing!r}"},
-        memory=(Memory(origin, origin, "t"),) if sampled else (),
-        states=() if sampled else (ExtraState(origin, "0", "t"),),
+        memory=(base.Memory(origin, origin, "t"),) if sampled else (),
+        states=() if sampled else (base.ExtraState(origin, "0", "t"),),
         description=f"unknown {'part of' if sampled else 'force in'} {place}, a node every "
         f"{spacing:g} s",
         source=SOURCE,

@@ -115,10 +115,8 @@ def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
             f"Effect {effect.name!r} has no memory that begins at a command. Only what remembers, "
             "as a lag, a delay, a limited rate or a play, has a start."
         )
-    names = {
-        signal: f"start_{effect.name}" + (f"_{signal}" if len(signals) > 1 else "")
-        for signal in signals
-    }
+    many = len(signals) > 1
+    names = {signal: f"start_{effect.name}" + f"_{signal}" * many for signal in signals}
     starts = tuple(
         Parameter(
             name,

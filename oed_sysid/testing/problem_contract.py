@@ -32,6 +32,7 @@ import re
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -121,17 +122,22 @@ def refuse(who: str, broken: Iterable[str]) -> None:
         raise AssertionError(f"{who}:{lines}")
 
 
+def unkept(claims: Iterable[tuple[Any, str]]) -> list[str]:
+    """What is said of the claims that do not hold."""
+    return [words for holds, words in claims if not holds]
+
+
 def _words(effect: Effect) -> list[str]:
-    broken = [
-        f"has no {word}" for word in ("description", "source", "needs") if not getattr(effect, word)
+    claims = [
+        (getattr(effect, word), f"has no {word}") for word in ("description", "source", "needs")
     ]
-    for parameter in effect.parameters:
-        if parameter.name in effect.amplitude_names:
-            if not parameter.lower <= 0.0 <= parameter.upper:
-                broken.append(f"amplitude {parameter.name} cannot be zero")
-            if parameter.scale is None:
-                broken.append(f"amplitude {parameter.name} has no typical scale")
-    return broken
+    for p in effect.parameters:
+        if p.name in effect.amplitude_names:
+            claims += [
+                (p.lower <= 0.0 <= p.upper, f"amplitude {p.name} cannot be zero"),
+                (p.scale is not None, f"amplitude {p.name} has no typical scale"),
+            ]
+    return unkept(claims)
 
 
 # -- trajectories ------------------------------------------------------------------
@@ -374,20 +380,14 @@ def _records(problem: Problem) -> tuple[Dataset | None, list[str]]:
         data = problem.data()
     except OedSysidError as error:
         return None, [f"its records cannot be read: {error}"]
-    broken = []
-    if not len(data):
-        broken.append("its records are none")
-    elif data.channels.output_names != problem.channels.output_names:
-        broken.append(
-            f"its records hold {data.channels.output_names}, its model measures "
-            f"{problem.channels.output_names}"
-        )
-    broken += [
-        f"record {record.name!r} holds no measurement"
-        for record in data
-        if not np.isfinite(record.outputs).any()
+    found, measured = data.channels.output_names, problem.channels.output_names
+    words = f"its records hold {found}, its model measures {measured}"
+    claims = [(len(data), "its records are none"), (found == measured or not len(data), words)]
+    claims += [
+        (np.isfinite(one.outputs).any(), f"record {one.name!r} holds no measurement")
+        for one in data
     ]
-    return data, broken
+    return data, unkept(claims)
 
 
 def _simulations(problem: Problem) -> list[str]:
@@ -415,12 +415,12 @@ def _identifiable(problem: Problem, data: Dataset | None, readme: str) -> list[s
         information = information_of(problem.model, runs, noise=noise, priors=None)
     except OedSysidError as error:
         return [f"what its parameters do cannot be told: {error}"]
-    broken = []
-    for words in information.null_directions():
-        named = [n for n in information.names if re.search(rf"\b{re.escape(n)}\b", words)]
-        if not any(re.search(rf"\b{re.escape(n)}\b", readme) for n in named):
-            broken.append(f"not identifiable, and README.md does not say so: {words}")
-    return broken
+    said = set(re.findall(r"\w+", readme))
+    return [
+        f"not identifiable, and README.md does not say so: {words}"
+        for words in information.null_directions()
+        if not said & set(information.names) & set(re.findall(r"\w+", words))
+    ]
 
 
 def _effect(problem: Problem, effect: Effect, rng: np.random.Generator) -> list[str]:

@@ -235,26 +235,28 @@ def _recorded(name: str, symbols: list[ca.SX], result: ca.SX) -> str:
         if missing := [one for one in operands if one.element_hash() not in done]:
             waiting += missing
             continue
-        if node.is_constant():
-            word = f"const {float(node)!r}"
-        elif node.is_symbolic():
-            if key not in place:
-                raise ModelError(f"Function {name!r} uses {node}, which is none of its arguments.")
-            word = place[key]
-        elif node.is_output():
-            word = f"call {_remembered(name, source.which_function())} {node.which_output()}"
-        elif node.op() in OPERATION_WORDS:
-            word = OPERATION_WORDS[node.op()]
-        else:
-            raise ModelError(
-                f"Function {name!r} uses CasADi's operation {node.op()}, which a model cannot "
-                "store. Use elementary functions."
-            )
         done[key] = len(steps)
         numbers = "".join(f" {done[one.element_hash()]}" for one in operands)
-        steps.append(f"{len(steps)}={word}{numbers}")
+        steps.append(f"{len(steps)}={_word(name, node, source, place)}{numbers}")
         waiting.pop()
     return "; ".join([*steps, f"result {done[root.element_hash()]}"])
+
+
+def _word(name: str, node: ca.SX, source: ca.SX, place: Mapping[int, str]) -> str:
+    """What is stored of one operation, before the numbers of its operands."""
+    if node.is_constant():
+        return f"const {float(node)!r}"
+    if node.is_output():
+        return f"call {_remembered(name, source.which_function())} {node.which_output()}"
+    if node.is_symbolic() and node.element_hash() not in place:
+        raise ModelError(f"Function {name!r} uses {node}, which is none of its arguments.")
+    word = place.get(node.element_hash()) or OPERATION_WORDS.get(node.op())
+    if word is None:
+        raise ModelError(
+            f"Function {name!r} uses CasADi's operation {node.op()}, which a model cannot "
+            "store. Use elementary functions."
+        )
+    return word
 
 
 # CasADi functions that recorded operations call: interpolants, integrators, external code.
@@ -301,30 +303,26 @@ def _rebuilt(text: str, n_arguments: int) -> ca.Function:
     """CasADi function of recorded operations."""
     symbols = [ca.SX.sym(f"a{i}") for i in range(n_arguments)]
     work: dict[str, ca.SX] = {}
-    result = None
+    special: dict[str, Callable[..., ca.SX]] = {
+        "const": lambda number: ca.SX(float(number)),
+        "input": lambda index: symbols[int(index)],
+        "call": lambda one, place, *operands: _called(one, int(place), [work[i] for i in operands]),
+        "result": lambda index: work[index],
+    }
     try:
         for step in text.split("; "):
-            if step.startswith("result "):
-                result = work[step.split()[1]]
-                continue
-            target, _, operation = step.partition("=")
+            # The result alone has no target: it is kept under the empty one.
+            target, _, operation = step.rpartition("=")
             word, *operands = operation.split()
-            if word == "const":
-                work[target] = ca.SX(float(operands[0]))
-            elif word == "input":
-                work[target] = symbols[int(operands[0])]
-            elif word == "call":
-                digest, place, *indices = operands
-                work[target] = _called(digest, int(place), [work[i] for i in indices])
+            if word in special:
+                work[target] = special[word](*operands)
             else:
                 work[target] = ca.SX(_OPERATIONS[word][1](*(work[i] for i in operands)))
+        return ca.Function("f", symbols, [work[""]])
     except ModelError:
         raise
     except (KeyError, IndexError, ValueError, TypeError):
-        result = None
-    if result is None:
-        raise ModelError(f"{text[:40]!r} is not a function that Function has stored.")
-    return ca.Function("f", symbols, [result])
+        raise ModelError(f"{text[:40]!r} is not a function that Function has stored.") from None
 
 
 def check_table(name: str, table: Table) -> Table:
@@ -342,16 +340,7 @@ def check_table(name: str, table: Table) -> Table:
         )
     *grids, values = arrays
     for place, grid in zip(("first", "second"), grids, strict=False):
-        if grid.ndim != 1 or len(grid) < 2:
-            raise ModelError(
-                f"Table {name!r}: its {place} argument has shape {grid.shape}; expected at least "
-                "two values in one row."
-            )
-        if not np.all(np.isfinite(grid)) or np.any(np.diff(grid) <= 0):
-            raise ModelError(
-                f"Table {name!r}: its {place} argument does not increase strictly. Sort the rows "
-                "and remove repetitions."
-            )
+        _check_grid(f"Table {name!r}: its {place} argument", grid)
     expected = tuple(len(grid) for grid in grids)
     if values.shape != expected:
         raise ModelError(
@@ -361,6 +350,15 @@ def check_table(name: str, table: Table) -> Table:
     if not np.all(np.isfinite(values)):
         raise ModelError(f"Table {name!r} has a value that is not finite. Fill the gap.")
     return arrays
+
+
+def _check_grid(what: str, grid: np.ndarray) -> None:
+    if grid.ndim != 1 or len(grid) < 2:
+        raise ModelError(f"{what} has shape {grid.shape}; expected at least two values in one row.")
+    if not np.all(np.isfinite(grid)) or np.any(np.diff(grid) <= 0):
+        raise ModelError(
+            f"{what} does not increase strictly. Sort the rows and remove repetitions."
+        )
 
 
 def n_arguments(entry: Table | Function) -> int:

@@ -186,17 +186,20 @@ def _check_kind(path: Path, lines: list[tuple[int, str]]) -> None:
     if not first:
         return
     kinds = (
-        (_SENTENCE.match, "sentences of instruments (NMEA 0183)", _IMPORT),
-        (_PAIRS.fullmatch, "pairs of name and value", "Write one column per name, as CSV"),
-        (_MESSAGE.fullmatch, "messages of a program", "Take the numbers out of them, as CSV"),
+        (2, _SENTENCE.match, "sentences of instruments (NMEA 0183)", _IMPORT),
+        (2, _PAIRS.fullmatch, "pairs of name and value", "Write one column per name, as CSV"),
+        (2, _MESSAGE.fullmatch, "messages of a program", "Take the numbers out of them, as CSV"),
+        (1, re.compile(r"\s*\{\\rtf").match, "a document (RTF)", "Save it as CSV"),
+        (
+            1,
+            re.compile(r".* & .*\\\\\s*").fullmatch,
+            "LaTeX",
+            "Write commas for & and drop the \\\\",
+        ),
     )
-    for is_one, what, advice in kinds:
-        if all(is_one(line) for line in first):
+    for n_lines, is_one, what, advice in kinds:
+        if all(is_one(line) for line in first[:n_lines]):
             raise DataError(f"{path.name} holds {what}, not a table. {advice}.")
-    if first[0].lstrip().startswith(r"{\rtf"):
-        raise DataError(f"{path.name} is a document (RTF), not a table. Save it as CSV.")
-    if " & " in first[0] and first[0].rstrip().endswith("\\\\"):
-        raise DataError(f"{path.name} is a table of LaTeX. Write commas for & and drop the \\\\.")
     for number, line in lines:
         if line.startswith(("<<<<<<< ", ">>>>>>> ")) or line.rstrip() == "=======":
             raise DataError(
@@ -474,34 +477,23 @@ def _check_delimiter(path: Path, header: str, delimiter: str, first: str) -> Non
                 f"The header of {path.name} has {delimiter!r} between cells, but its rows have "
                 f"{others[0]!r}. Use the same everywhere."
             )
-    if not any(header.count(one) for one in _DELIMITERS):
-        wide = max(_DELIMITERS, key=first.count)
-        if first.count(wide):
+    if n_columns:
+        return
+    wide = max(_DELIMITERS, key=first.count)
+    if first.count(wide):
+        raise DataError(
+            f"The first line of {path.name}, {header.strip()[:40]!r}, is no header of the "
+            f"{first.count(wide) + 1} columns below it. Put # before lines that are remarks."
+        )
+    for other, words in (("|", "bars (|)"), (None, "spaces")):
+        if len(first.split(other)) > 1 and len(header.split(other)) > 1:
             raise DataError(
-                f"The first line of {path.name}, {header.strip()[:40]!r}, is no header of the "
-                f"{first.count(wide) + 1} columns below it. Put # before lines that are remarks."
+                f"{path.name} has {words} between its columns. Write commas, semicolons or tabs."
             )
-        for other, words in (("|", "bars (|)"), (None, "spaces")):
-            if len(first.split(other)) > 1 and len(header.split(other)) > 1:
-                raise DataError(
-                    f"{path.name} has {words} between its columns. Write commas, semicolons or "
-                    "tabs."
-                )
 
 
 def _check_headers(path: Path, headers: list[str]) -> None:
-    known: set[str] = set()
-    numeric = [header for header in headers if number(header, comma=True) is not None and header]
-    if numeric and (len(numeric) == len(headers) or len(numeric) >= max(2, len(headers) - 1)):
-        turned = len(numeric) < len(headers)
-        raise DataError(
-            f"The first line of {path.name} holds numbers, not headers. "
-            + (
-                "Signals seem to stand in rows: turn the table, one column per signal."
-                if turned
-                else "Put a line such as 't [s],theta [deg]' above it."
-            )
-        )
+    _check_no_numbers(path, headers)
     for index, header in enumerate(headers):
         if len(header) > 200:
             raise DataError(
@@ -517,9 +509,23 @@ def _check_headers(path: Path, headers: list[str]) -> None:
             raise DataError(
                 f"Column {index + 1} of {path.name} has no header. Name it, or remove the column."
             )
-        if header in known:
+        if header in headers[:index]:
             raise DataError(f"{path.name} has two columns {header!r}. Rename one of them.")
-        known.add(header)
+
+
+def _check_no_numbers(path: Path, headers: list[str]) -> None:
+    """Refuse a first line of numbers, where the header should be."""
+    numeric = [header for header in headers if number(header, comma=True) is not None and header]
+    if numeric and (len(numeric) == len(headers) or len(numeric) >= max(2, len(headers) - 1)):
+        turned = len(numeric) < len(headers)
+        raise DataError(
+            f"The first line of {path.name} holds numbers, not headers. "
+            + (
+                "Signals seem to stand in rows: turn the table, one column per signal."
+                if turned
+                else "Put a line such as 't [s],theta [deg]' above it."
+            )
+        )
 
 
 def _check_second_line(path: Path, headers: list[str], cells: list[str]) -> None:
@@ -552,21 +558,20 @@ def _rows(
     for number_, line in zip(numbers, lines, strict=True):
         cells = _cells(line, delimiter)
         if len(cells) != len(headers):
-            cause = (
-                "A quotation mark is not closed."
-                if line.count('"') % 2
-                else "It is the last row: the log may have been cut off."
-                if number_ == numbers[-1] and len(cells) < len(headers)
-                else "Commas seem to be decimal marks: put semicolons between cells."
-                if _are_decimal_commas(cells, delimiter, len(headers))
-                else "The line above is no header of it. Put # before lines that are remarks."
-                if number_ == numbers[0] and all(number(one, comma=True) is None for one in cells)
-                else "Leave a cell empty for a missing sample, with its delimiter."
-            )
+            fewer = number_ == numbers[-1] and len(cells) < len(headers)
+            title = number_ == numbers[0] and all(number(c, comma=True) is None for c in cells)
+            causes = (
+                (line.count('"') % 2, "A quotation mark is not closed."),
+                (fewer, "It is the last row: the log may have been cut off."),
+                (_are_decimal_commas(cells, delimiter, len(headers)),
+                 "Commas seem to be decimal marks: put semicolons between cells."),
+                (title, "The line above is no header of it. Put # before lines that are remarks."),
+                (True, "Leave a cell empty for a missing sample, with its delimiter."),
+            )  # fmt: skip
+            advice = next(words for holds, words in causes if holds)
             raise DataError(
-                f"Row {number_} of {path.name} has {len(cells)} "
-                f"{'cell' if len(cells) == 1 else 'cells'}, but the header has {len(headers)}. "
-                f"{cause}"
+                f"Row {number_} of {path.name} has {len(cells)} cell{'s' * (len(cells) != 1)}, but "
+                f"the header has {len(headers)}. {advice}"
             )
         if [cell.strip() for cell in cells] == headers:
             raise DataError(
@@ -608,6 +613,14 @@ class _Column:
             return number(cell, comma=self.comma)
         found = time_stamp(cell)
         return found[0] if found is not None and found[1] == self.form else None
+
+    def seconds(self, block: bytes, first: np.ndarray, last: np.ndarray) -> np.ndarray:
+        """Times of the cells of a block, each from its first byte to its last."""
+        cells = zip(first.tolist(), last.tolist(), strict=True)
+        found = [self.value(block[a:b].decode()) for a, b in cells]
+        if None in found:
+            raise ValueError
+        return np.array(found, dtype=float)
 
     def fault(self, path: Path, row: int, cell: str) -> str:
         """Say where a cell without a value stands, and what is wrong with it."""
@@ -666,26 +679,7 @@ def _quick(path: Path, columns_of_text: bool) -> Table | None:
             parts = [lines.parsed(block) for block in _blocks(stream, start)]
     except (DataError, OSError, ValueError, DeprecationWarning):
         return None
-    n_rows = sum(len(numbers) for numbers, _ in parts)
-    # Every column in one piece of memory, as they are read one by one.
-    values = np.empty((len(lines.kinds), n_rows)).T
-    numeric = [index for index, kind in enumerate(lines.kinds) if kind == "n"]
-    where = slice(None) if len(numeric) == len(lines.kinds) else numeric
-    end = 0
-    for numbers, _ in parts:
-        begin, end = end, end + len(numbers)
-        values[begin:end, where] = numbers
-    headers = tuple(column.header for column in lines.columns)
-    table = Table(path, headers, values, np.arange(row, row + n_rows))
-    for index, (kind, column) in enumerate(zip(lines.kinds, lines.columns, strict=True)):
-        if kind == "s":
-            seconds = np.concatenate([times[index] for _, times in parts])
-            values[:, index] = np.round(seconds - seconds[0], 6)
-            table.stamps[index] = column.first.strip()
-        elif kind == "t":
-            values[:, index] = np.nan
-            table.faults[index] = column.fault(path, row, column.first)
-    return table
+    return lines.table(path, row, parts)
 
 
 def _first_row(path: Path, stream: BinaryIO) -> tuple[_Lines, int, int]:
@@ -733,6 +727,31 @@ class _Lines:
         """Kind of each column."""
         return [column.kind for column in self.columns]
 
+    def table(
+        self, path: Path, row: int, parts: list[tuple[np.ndarray, dict[int, np.ndarray]]]
+    ) -> Table:
+        """Put parsed blocks together; ``row`` is the number of their first line."""
+        n_rows = sum(len(numbers) for numbers, _ in parts)
+        # Every column in one piece of memory, as they are read one by one.
+        values = np.empty((len(self.kinds), n_rows)).T
+        numeric = np.flatnonzero(np.array(self.kinds) == "n")
+        where = slice(None) if len(numeric) == len(self.kinds) else numeric
+        end = 0
+        for numbers, _ in parts:
+            begin, end = end, end + len(numbers)
+            values[begin:end, where] = numbers
+        headers = tuple(column.header for column in self.columns)
+        table = Table(path, headers, values, np.arange(row, row + n_rows))
+        for index, (kind, column) in enumerate(zip(self.kinds, self.columns, strict=True)):
+            if kind == "s":
+                seconds = np.concatenate([times[index] for _, times in parts])
+                values[:, index] = np.round(seconds - seconds[0], 6)
+                table.stamps[index] = column.first.strip()
+            elif kind == "t":
+                values[:, index] = np.nan
+                table.faults[index] = column.fault(path, row, column.first)
+        return table
+
     def parsed(self, block: bytes) -> tuple[np.ndarray, dict[int, np.ndarray]]:
         """Numbers of all lines, shape ``(n_lines, n_numeric)``, and seconds of columns of times.
 
@@ -768,13 +787,8 @@ class _Lines:
             first, last = starts[:, index], ends[:, index]
             if index == len(self.kinds) and np.any(first != last):
                 raise ValueError
-            if index < len(self.kinds) and self.kinds[index] == "s":
-                cells = zip(first.tolist(), last.tolist(), strict=True)
-                value = self.columns[index].value
-                found = [value(block[a:b].decode()) for a, b in cells]
-                if None in found:
-                    raise ValueError
-                seconds[index] = np.array(found, dtype=float)
+            if self.kinds[index : index + 1] == ["s"]:
+                seconds[index] = self.columns[index].seconds(block, first, last)
             # With the delimiter before it, or behind it where no number stands before.
             before = "n" in self.kinds[:index]
             change[first - before] += 1

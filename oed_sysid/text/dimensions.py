@@ -118,10 +118,7 @@ class Deduction:
             if not form.unknown:
                 lines.append(f"{number.where}: {number.text} is read as {form.plain}.")
             elif all(map(self._text, form.unknown)):
-                group = {index, *form.unknown}
-                others = [other for other in tied if other & group]
-                tied = [other for other in tied if not other & group]
-                tied.append(group.union(*others))
+                tied = _merged(tied, {index, *form.unknown})
         lines += [self._tied(group) for group in tied]
         return tuple(dict.fromkeys(lines))
 
@@ -150,6 +147,11 @@ class Deduction:
 
     def _is_open(self, form: Dimension) -> bool:
         return any(not self._text(index) for index in form.unknown)
+
+
+def _merged(groups: list[set[int]], one: set[int]) -> list[set[int]]:
+    """The groups with one more; those that share a member with it become one."""
+    return [g for g in groups if not g & one] + [one.union(*(g for g in groups if g & one))]
 
 
 def dimension_of(expression: str, dimensions: Mapping[str, Dimension | None]) -> Dimension | None:
@@ -335,9 +337,10 @@ def _parts(expression: str) -> tuple[ast.expr, frozenset[int], frozenset[int]]:
             look(child)
         own = isinstance(node, ast.Constant)
         known = own or not isinstance(node, ast.Name) or node.id in (*CONSTANTS, *NUMERIC)
-        if known and all(id(child) in constant for child in inner):
+        below = {id(child) for child in inner}
+        if known and below <= constant:
             constant.add(id(node))
-            if own or any(id(child) in numbers for child in inner):
+            if own or below & numbers:
                 numbers.add(id(node))
 
     look(tree)

@@ -80,7 +80,8 @@ _BINARY: dict[type[ast.operator], Callable[[Any, Any], Any]] = {
     ast.Sub: lambda a, b: a - b,
     ast.Mult: lambda a, b: a * b,
     ast.Div: lambda a, b: a / b,
-    ast.Pow: lambda a, b: a**b,
+    # Products have simpler derivatives than a general power.
+    ast.Pow: lambda a, b: a * a if isinstance(b, float) and b == 2.0 else a**b,
 }
 _UNARY: dict[type[ast.unaryop], Callable[[Any, Mapping[str, Callable]], Any]] = {
     ast.USub: lambda value, library: -value,
@@ -97,30 +98,25 @@ _COMPARE: dict[type[ast.cmpop], Callable[[Any, Any], Any]] = {
 
 def walk(node: ast.expr, scope: Mapping[str, Any], library: Mapping[str, Callable]) -> Any:
     """Value of a tree from the values of its names, by the functions of a library."""
+
+    def of(*nodes: ast.expr) -> list[Any]:
+        return [walk(one, scope, library) for one in nodes]
+
     match node:
         case ast.Constant():
             return float(node.value)  # type: ignore[arg-type]
         case ast.Name():
             return CONSTANTS[node.id] if node.id in CONSTANTS else scope[node.id]
         case ast.UnaryOp():
-            return _UNARY[type(node.op)](walk(node.operand, scope, library), library)
-        case ast.BinOp(op=ast.Pow(), right=ast.Constant()):
-            base, power = walk(node.left, scope, library), node.right.value  # type: ignore[attr-defined]
-            # Products have simpler derivatives than a general power.
-            return base * base if power == 2 else base**power
+            return _UNARY[type(node.op)](of(node.operand)[0], library)
         case ast.BinOp():
-            operator = _BINARY[type(node.op)]
-            return operator(walk(node.left, scope, library), walk(node.right, scope, library))
+            return _BINARY[type(node.op)](*of(node.left, node.right))
         case ast.Compare():
-            return _COMPARE[type(node.ops[0])](
-                walk(node.left, scope, library), walk(node.comparators[0], scope, library)
-            )
+            return _COMPARE[type(node.ops[0])](*of(node.left, node.comparators[0]))
         case ast.BoolOp():
-            join = library["and" if isinstance(node.op, ast.And) else "or"]
-            return join(*(walk(value, scope, library) for value in node.values))
+            return library[type(node.op).__name__.lower()](*of(*node.values))
         case ast.Call():
-            function = library[node.func.id]  # type: ignore[attr-defined]
-            return function(*(walk(argument, scope, library) for argument in node.args))
+            return library[node.func.id](*of(*node.args))  # type: ignore[attr-defined]
     raise ModelError(f"Expression node {type(node).__name__} is not known.")
 
 
@@ -186,18 +182,23 @@ def _parse(expression: str) -> ast.expr:
         )
     tree = _Plain(expression).visit(tree)
     for node in ast.walk(tree):
-        if not isinstance(node, (*_PARTS, *_LESS)):
-            raise ModelError(
-                f"Expression {expression!r} uses {type(node).__name__}, which is not arithmetic. "
-                f"Use + - * / **, comparisons and the functions {', '.join(FUNCTIONS)}."
-            )
-        if isinstance(node, ast.Call) and (not isinstance(node.func, ast.Name) or node.keywords):
-            raise ModelError(f"Expression {expression!r} calls something that is not a function.")
-        if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
-            raise ModelError(f"Expression {expression!r} holds {node.value!r}: expected numbers.")
+        _check_part(node, f"Expression {expression!r}")
         _check_operator(node, shown)
     _constant(tree, shown)
     return tree
+
+
+def _check_part(node: ast.AST, shown: str) -> None:
+    """Refuse what is neither arithmetic nor a call of a function by its name."""
+    if not isinstance(node, (*_PARTS, *_LESS)):
+        raise ModelError(
+            f"{shown} uses {type(node).__name__}, which is not arithmetic. "
+            f"Use + - * / **, comparisons and the functions {', '.join(FUNCTIONS)}."
+        )
+    if isinstance(node, ast.Call) and (not isinstance(node.func, ast.Name) or node.keywords):
+        raise ModelError(f"{shown} calls something that is not a function.")
+    if isinstance(node, ast.Constant) and type(node.value) not in (int, float):
+        raise ModelError(f"{shown} holds {node.value!r}: expected numbers.")
 
 
 def _check_operator(node: ast.AST, shown: str) -> None:
@@ -225,8 +226,8 @@ def _constant(node: ast.AST, shown: str) -> float | None:
     ]
     if isinstance(node, ast.Name):
         return CONSTANTS.get(node.id)
-    if any(part is None for part in parts):
-        if isinstance(node, ast.BinOp) and isinstance(node.op, ast.Div) and parts[1] == 0.0:
+    if None in parts:
+        if isinstance(getattr(node, "op", None), ast.Div) and parts[1] == 0.0:
             raise ModelError(f"{shown} divides by zero.")
         return None
     if isinstance(node, ast.Call) and node.func.id not in FUNCTIONS:  # type: ignore[attr-defined]
@@ -271,14 +272,8 @@ class _Plain(ast.NodeTransformer):
         if function not in ("dot", "force"):
             self.generic_visit(node)
             return node
-        texts = [
-            part.id
-            if isinstance(part, ast.Name)
-            else part.value
-            if isinstance(part, ast.Constant) and isinstance(part.value, str)
-            else ""
-            for part in node.args
-        ]
+        given = [getattr(part, "id", getattr(part, "value", "")) for part in node.args]
+        texts = [one if isinstance(one, str) else "" for one in given]
         most = 1 if function == "dot" else 2
         if not 1 <= len(texts) <= most or not all(texts) or node.keywords:
             raise ModelError(
@@ -366,7 +361,7 @@ def check_calls(
     ``complete=False``: a function that is not known yet may be one that the model declares.
     """
     calls = [call for call in _calls(expression) if complete or call[0] in {*FUNCTIONS, *tables}]
-    for name in sorted({name for name, _ in calls} - set(FUNCTIONS) - set(tables)):
+    for name in sorted(set(dict(calls)) - set(FUNCTIONS) - set(tables)):
         raise ModelError(
             f"{where}: expression {expression!r} calls the unknown function {name!r}. "
             f"Known functions: {', '.join(FUNCTIONS)}."

@@ -81,7 +81,7 @@ class Printer(ABC):
         if isinstance(node, ast.Compare):
             return self.comparison(node)
         if isinstance(node, ast.BoolOp):
-            word = self.words["and" if isinstance(node.op, ast.And) else "or"]
+            word = self.words[type(node.op).__name__.lower()]
             return word.join(self.condition(value) for value in node.values)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return f"{self.words['not'].lstrip()}{self.condition(node.operand)}"
