@@ -93,9 +93,9 @@ def read(found: Improvement) -> Row:
                 if step.effect.stage == "force"
                 else step.effect.stage,
                 "group": list(step.group),
-                "evidence": step.gain,
-                "needed": step.needed,
-                "test_gain": step.test_gain,
+                "evidence": step.claim.training,
+                "needed": step.claim.needed,
+                "test_gain": step.claim.validation,
                 "train_error": finite(step.train_error),
                 "test_error": finite(step.test_error),
             }

@@ -2,10 +2,22 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from benchmarks.strangers import EXCITATIONS, KINDS, Stranger, accepted, candidates, nominal
+from benchmarks.strangers import (
+    EXCITATIONS,
+    KINDS,
+    STORE,
+    Stranger,
+    accepted,
+    candidates,
+    nominal,
+    table,
+)
 from oed_sysid.experiments.simulation import simulate_inputs
 
 
@@ -39,3 +51,13 @@ def test_all_and_nothing_else_is_accepted() -> None:
     assert not accepted({**row, "effects": ["a"]})
     assert not accepted({**row, "steps": row["steps"][:1]})
     assert accepted({"effects": [], "steps": []})
+
+
+@pytest.mark.parametrize(("seed", "cases"), [(20261126, 111), (20261127, 73)])
+def test_the_page_has_the_rates_of_the_store(seed: int, cases: int) -> None:
+    """Every rate of the page is that of the stored cases of its seed."""
+    stored = [json.loads(line) for line in STORE.read_text("utf-8").splitlines()]
+    rows = [row for row in stored if row["seed"] == seed]
+    assert len(rows) == cases
+    page = Path(__file__).parents[1] / "docs" / "diagnosis.md"
+    assert table(rows) in page.read_text("utf-8")

@@ -553,7 +553,7 @@ def step(*group: str, test_gain: float = 9.0, test_error: float = 1.0) -> Simple
         added=group[0],
         group=group,
         effect=effect,
-        test_gain=test_gain,
+        claim=SimpleNamespace(validation=test_gain),
         test_error=test_error,
         fit=None,
     )
@@ -842,7 +842,7 @@ def test_every_step_is_a_fit(found: Improvement) -> None:
     assert last.log_likelihood - found.base_fit.log_likelihood > 10.0
     # What the step gained is the difference of the likelihoods of the two fits.
     gain = 2 * (last.log_likelihood - found.base_fit.log_likelihood)
-    assert gain == pytest.approx(found.steps[0].gain, rel=0.1, abs=2.0)
+    assert gain == pytest.approx(found.steps[0].claim.training, rel=0.1, abs=2.0)
 
 
 def test_fits_are_saved_loaded_and_predict(found: Improvement, tmp_path) -> None:  # type: ignore[no-untyped-def]

@@ -288,4 +288,4 @@ def test_inertia_is_found_first(
         disturbances="none",
     )
     assert [step.added for step in found.steps] == ["inertia"]
-    assert found.steps[0].test_gain > 0
+    assert found.steps[0].claim.validation > 0

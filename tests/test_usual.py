@@ -131,7 +131,7 @@ def test_hidden_drag_is_found_as_by_the_prepared_vocabulary() -> None:
     own = improve(problem.model, train, test, candidates=[problem.effect("heave_crossflow_drag")])
     made = improve(problem.model, train, test)
     assert [step.added for step in made.steps] == ["quadratic_Z_w_r"]
-    assert made.steps[0].gain == pytest.approx(own.steps[0].gain, rel=0.01)
+    assert made.steps[0].claim.training == pytest.approx(own.steps[0].claim.training, rel=0.01)
     assert made.final_error["test"] == pytest.approx(own.final_error["test"], rel=0.01)
 
 
@@ -579,7 +579,7 @@ def test_improve_learns_from_tests_drawn_by_lot_and_confirms_on_the_others() -> 
     found = improve(SORTED.model, SORTED.dataset, candidates=CANDIDATES)
     (step,) = found.steps
     assert step.added == "crossflow"
-    assert step.test_gain > 50.0
+    assert step.claim.validation > 50.0
     row = next(row for row in found.parameters if row["name"] == "E_y")
     assert abs(row["value"] - CROSSFLOW) < 4 * row["std_error"]
     assert found.location.by_motion

@@ -30,9 +30,9 @@ def of(found: Improvement) -> Numbers:
             {
                 "words": words[step.added],
                 "names": list(step.group),
-                "gain": step.gain,
-                "needed": step.needed,
-                "test_gain": step.test_gain,
+                "gain": step.claim.training,
+                "needed": step.claim.needed,
+                "test_gain": step.claim.validation,
             }
             for step in found.steps
         ],

@@ -383,9 +383,7 @@ def _steps(
         Step(
             effect=one.effect.with_values(fit.model.values),
             group=one.group,
-            gain=one.claim.training,
-            needed=one.claim.needed,
-            test_gain=one.claim.validation,
+            claim=one.claim,
             train_error=error["train"],
             test_error=error["test"],
             fit=fit,

@@ -100,8 +100,8 @@ def proposed_term(proposals: Proposals, step: Step, replaces: Sequence[str]) -> 
     return {
         "term": term.text, "name": step.effect.name, "equation": term.equation,
         "expression": term.expression, "parameter": parameter.name, "value": parameter.value,
-        "unit": parameter.unit, "gain": step.gain,
-        "test_gain": None if np.isnan(step.test_gain) else step.test_gain,
+        "unit": parameter.unit, "gain": step.claim.training,
+        "test_gain": None if np.isnan(step.claim.validation) else step.claim.validation,
         "group": list(proposals.group), "replaces": list(replaces),
     }  # fmt: skip
 
@@ -116,11 +116,8 @@ class Step:
         What was added, at its estimates after the step.
     group : tuple of str
         Identifiers that these data cannot tell from it, itself first.
-    gain, test_gain : float
-        Both terms of the statistic T (:mod:`oed_sysid.evidence.claim`): on the training records,
-        and on the validation records; NaN without any.
-    needed : float
-        Threshold that T exceeds.
+    claim : Claim
+        The decision with every term of it (:mod:`oed_sysid.evidence.claim`).
     train_error, test_error : float
         Prediction errors after the step, in units of the noise.
     fit : Fit
@@ -131,27 +128,22 @@ class Step:
 
     effect: Effect
     group: tuple[str, ...]
-    gain: float
-    needed: float
-    test_gain: float
+    claim: Claim
     train_error: float
     test_error: float
     fit: Fit
     rms: Errors
 
     to_dict = display.as_dict(
-        "added", "group", "gain", "test_gain", "statistic", "needed", "train_error", "test_error"
-    )
+        "added", "group", "train_error", "test_error",
+        gain="claim.training", test_gain="claim.validation",
+        statistic="claim.statistic", needed="claim.needed",
+    )  # fmt: skip
 
     @property
     def added(self) -> str:
         """Identifier of the effect."""
         return self.effect.name
-
-    @property
-    def statistic(self) -> float:
-        """The statistic T: training and validation together."""
-        return self.gain + (0.0 if np.isnan(self.test_gain) else self.test_gain)
 
 
 # Verdicts of whole runs that are as noise and disturbances would leave them.
@@ -403,7 +395,7 @@ class Improvement:
         rows = [("(nominal)", "", "", "", "", *_cells(".3f", *self.base_error.values()))]
         lines = []
         for step in self.steps:
-            terms = _cells(".1f", step.gain, step.test_gain, step.statistic, step.needed)
+            terms = _terms(step.claim)
             rows.append((step.added, *terms, *_cells(".3f", step.train_error, step.test_error)))
             if len(step.group) > 1:
                 lines.append(
@@ -432,7 +424,7 @@ class Improvement:
         rows = [
             (
                 one.name,
-                *_cells(".1f", one.training, one.validation, one.statistic, one.needed),
+                *_terms(one),
                 *_cells(".3g", one.before, one.after),
                 one.decision,
             )
@@ -479,6 +471,11 @@ class Improvement:
 def _cells(form: str, *values: float) -> list[str]:
     """Numbers of a table; a dash for what there is not."""
     return ["-" if np.isnan(value) else f"{value:{form}}" for value in values]
+
+
+def _terms(one: Claim) -> list[str]:
+    """The terms of a decision: training, validation, T and threshold."""
+    return _cells(".1f", one.training, one.validation, one.statistic, one.needed)
 
 
 def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:
@@ -552,7 +549,7 @@ def _judged(
     own = [(estimates[p.name], p) for p in step.effect.parameters if p.name in estimates]
     sizes = [*(_size(*one) for one in own), *_sizes(step)]
     shown, rivals, what = ", ".join(sizes), step.group[1:], " or ".join(step.group)
-    tested = not np.isnan(step.test_gain)
+    tested = not np.isnan(step.claim.validation)
     found = f"{what} is missing{', the validation records agree' * tested}"
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
     # Correlated residuals widen an interval after a claim was made.
