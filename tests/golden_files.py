@@ -123,7 +123,7 @@ def restored(fit: Fit, folder: Path) -> Fit:
     for first, second in zip(fit.residuals, again.residuals, strict=True):
         assert np.array_equal(first, second, equal_nan=True)
     assert (fit.noise and fit.noise.to_dict()) == (again.noise and again.noise.to_dict())
-    errors = [one.whole_runs.error for one in (fit, again)]
+    errors = [one.whole_runs.each("error") for one in (fit, again)]
     np.testing.assert_allclose(*errors, rtol=1e-6)
     assert again.log_likelihood == pytest.approx(fit.log_likelihood, rel=1e-9)
     sources = [one.sources and one.sources.agreement() for one in (fit, again)]

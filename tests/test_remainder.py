@@ -19,7 +19,7 @@ from oed_sysid.evidence.residual_forces import _Part, _share, _standard_error, r
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.information import lagged_products
-from oed_sysid.likelihood.whole_runs import WholeRuns
+from oed_sysid.likelihood.whole_runs import OutputRuns, WholeRuns
 from oed_sysid.physics import Effect, Force, actuator_lag, backlash, quadratic_drag
 
 CART = Model(
@@ -74,11 +74,8 @@ def whole(
     unasked: str = "",
 ) -> WholeRuns:
     """Whole runs of one output, noise 1 and spread 10."""
-    one = np.ones(1)
-    return WholeRuns(
-        ("u",), ("m/s",), error * one, without * one, 10.0 * one, one, np.array([declared]),
-        z * one, forces, unasked, np.inf if unasked else 1.2,
-    )  # fmt: skip
+    one = OutputRuns("u", "m/s", error, without, 10.0, 1.0, declared, z)
+    return WholeRuns((one,), forces, unasked, np.inf if unasked else 1.2)
 
 
 @pytest.mark.parametrize(

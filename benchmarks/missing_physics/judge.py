@@ -214,7 +214,7 @@ def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
         "process_noise": fit.noise.has_forces,
         "said": bool(fit.whole_runs.objections),
         "unasked": fit.whole_runs.unasked,
-        "z": [None if np.isnan(z) else float(z) for z in fit.whole_runs.z],
+        "z": [None if np.isnan(z) else float(z) for z in fit.whole_runs.each("z")],
         "errors": [float(np.nan_to_num(error, posinf=1e9)) for error in errors],
         "replay": errors[2] / best if np.isfinite(best) else None,
     }

@@ -140,9 +140,10 @@ class _Builder:
         flat, shape, kind = item["array"], item.get("shape"), item.get("dtype")
         if not isinstance(flat, list) or kind not in _DTYPES:
             raise _damage(place, f"an array of {kind!r:.40}; expected one of {', '.join(_DTYPES)}")
-        if not isinstance(shape, list) or not all(type(n) is int and n >= 0 for n in shape):
+        sound = isinstance(shape, list) and len(shape) <= 8
+        if not sound or not all(type(n) is int and n >= 0 for n in shape):
             raise _damage(place, f"an array of shape {shape!r:.40}")
-        if len(shape) > 8 or math.prod(shape) != len(flat):
+        if math.prod(shape) != len(flat):
             raise _damage(place, f"{len(flat)} numbers for an array of shape {tuple(shape)}")
         try:
             return np.array([_number(entry) for entry in flat], dtype=kind).reshape(shape)
@@ -216,38 +217,37 @@ _DTYPES = ("float64", "float32", "int64", "int32", "bool")
 
 def _fits(value: Any, hint: Any) -> bool:
     """Whether a value is of the kind that a field is declared with."""
-    kind, inner = get_origin(hint) or hint, get_args(hint)
-    if kind in (Union, UnionType):
-        return any(_fits(value, one) for one in inner)
+    kind = get_origin(hint) or hint
     if kind in _FITTING:
-        return _FITTING[kind](value, inner)
-    if isinstance(kind, type) and issubclass(kind, Mapping):
-        return isinstance(value, Mapping) and all(
-            _fits(key, inner[0]) and _fits(one, inner[1]) for key, one in value.items()
-        )
+        return _FITTING[kind](value, get_args(hint))
     return isinstance(value, kind) if isinstance(kind, type) else True
 
 
 def _fits_tuple(value: Any, inner: tuple[Any, ...]) -> bool:
     if not isinstance(value, tuple):
         return False
-    if len(inner) == 2 and inner[1] is ...:
-        return all(_fits(one, inner[0]) for one in value)
-    return len(value) == len(inner) and all(map(_fits, value, inner))
+    kinds = inner[:1] * len(value) if inner[1:] == (...,) else inner
+    return len(value) == len(kinds) and all(map(_fits, value, kinds))
 
 
-def _fits_array(value: Any, inner: tuple[Any, ...]) -> bool:
-    return isinstance(value, np.ndarray) or (
-        isinstance(value, tuple) and all(_fits(one, float | np.ndarray) for one in value)
-    )
+def _fits_one_of(value: Any, inner: tuple[Any, ...]) -> bool:
+    return any(_fits(value, one) for one in inner)
 
 
 _FITTING: dict[Any, Callable[[Any, tuple[Any, ...]], bool]] = {
     Any: lambda value, inner: True,
     float: lambda value, inner: isinstance(value, int | float),
     int: lambda value, inner: isinstance(value, int) and not isinstance(value, bool),
-    np.ndarray: _fits_array,
+    np.ndarray: lambda value, inner: (
+        isinstance(value, np.ndarray) or _fits(value, tuple[float | np.ndarray, ...])
+    ),
     tuple: _fits_tuple,
+    Mapping: lambda value, inner: (
+        isinstance(value, Mapping)
+        and all(_fits(key, inner[0]) and _fits(one, inner[1]) for key, one in value.items())
+    ),
+    Union: _fits_one_of,
+    UnionType: _fits_one_of,
 }
 
 
@@ -281,8 +281,6 @@ def _number(entry: Any) -> Any:
 
 # Of the file; raised when older programs could not read it.
 FORMAT = 2
-# A file beyond this (bytes) is no result of this package.
-LARGEST = 4 * 1024**3
 
 
 def made_by(
@@ -417,45 +415,16 @@ def check_fit(fit: Estimate, where: str) -> None:
     where : str
         The file, for the message.
     """
-    records, n_outputs, information = tuple(fit.dataset), len(fit.model.outputs), fit.information
-    filtered = [] if fit.innovations is None else ["innovations", "innovation_std"]
-    sampled = ["predictions", "residuals", *filtered]
-    per_record = [*sampled, "states", "initial_states", "local_values"]
-    known = fit.model.parameter_names
-    estimated = sorted({*fit.names}.union(*fit.local_values))
-    checks = [
-        *_shaped(fit),
-        (np.asarray(fit.sigma_estimated).dtype == bool,
-         "sigma_estimated that is not true or false"),
-        *((name in known, f"an estimate of {name!r}, which is no parameter of the model")
-          for name in estimated),
-        (fit.dataset.channels == fit.model.channels, "records with other channels than the model"),
-        (len(fit.noise.outputs) == n_outputs, f"noise of {len(fit.noise.outputs)} outputs"),
-        (np.ndim(information.factor) == 2
-         and np.shape(information.factor)[-1] == len(information.names),
-         f"information of shape {np.shape(information.factor)}"),
-    ]  # fmt: skip
-    counts = {name: len(getattr(fit, name) or ()) for name in per_record}
-    checks += [
-        (count == len(records), f"{count} {name} for {len(records)} records")
-        for name, count in counts.items()
-    ]
-    faults = [fault for right, fault in checks if not right]
-    faults += [
-        f"{name} of shape {np.shape(part)} for record {record.name!r}"
-        for name in sampled[: 0 if faults else None]
-        for part, record in zip(getattr(fit, name), records, strict=True)
-        if np.shape(part) != (record.n_samples, n_outputs)
-    ]
-    if faults:
+    fault = next(_faults(fit), None)
+    if fault is not None:
         raise DataError(
-            f"{where} is damaged, or was changed by hand: it holds {faults[0]}. Use a copy of it, "
-            "or make it again."
+            f"{where} is damaged, or was changed by hand: it holds {fault}. Use a copy of it, or "
+            "make it again."
         )
 
 
-def _shaped(fit: Estimate) -> Iterator[tuple[bool, str]]:
-    """Whether the arrays of a fit have their shapes, and what is wrong where not."""
+def _faults(fit: Estimate) -> Iterator[str]:
+    """What does not suit the model or the records, one after the other."""
     n, each, forces = len(fit.names), (len(fit.model.outputs),), (len(fit.noise.places),)
     shapes = {"estimates": (n,), "covariance": (n, n), "sigma": each, "sigma_estimated": each}
     shapes |= dict.fromkeys(("noise.white", "noise.colour", "noise.colour_time"), each)
@@ -463,8 +432,32 @@ def _shaped(fit: Estimate) -> Iterator[tuple[bool, str]]:
     shapes |= {"information.scales": (len(fit.information.names),)}
     for name, shape in shapes.items():
         found = attrgetter(name)(fit)
-        right = isinstance(found, np.ndarray) and found.shape == shape
-        yield right, f"{name} of shape {np.shape(found)}, expected {shape}"
+        if not isinstance(found, np.ndarray) or found.shape != shape:
+            yield f"{name} of shape {np.shape(found)}, expected {shape}"
+    if fit.sigma_estimated.dtype != bool:
+        yield "sigma_estimated that is not true or false"
+    for name in sorted({*fit.names}.union(*fit.local_values) - {*fit.model.parameter_names}):
+        yield f"an estimate of {name!r}, which is no parameter of the model"
+    if fit.dataset.channels != fit.model.channels:
+        yield "records with other channels than the model"
+    if len(fit.noise.outputs) != each[0]:
+        yield f"noise of {len(fit.noise.outputs)} outputs"
+    if np.shape(fit.information.factor)[1:] != (len(fit.information.names),):
+        yield f"information of shape {np.shape(fit.information.factor)}"
+    yield from _faults_of_records(fit)
+
+
+def _faults_of_records(fit: Estimate) -> Iterator[str]:
+    """Series that do not suit their records."""
+    filtered = [] if fit.innovations is None else ["innovations", "innovation_std"]
+    sampled = ["predictions", "residuals", *filtered]
+    for name in (*sampled, "states", "initial_states", "local_values"):
+        parts = getattr(fit, name) or ()
+        if len(parts) != len(fit.dataset):
+            yield f"{len(parts)} {name} for {len(fit.dataset)} records"
+        for part, record in zip(parts, fit.dataset, strict=True):
+            if name in sampled and np.shape(part) != record.outputs.shape:
+                yield f"{name} of shape {np.shape(part)} for record {record.name!r}"
 
 
 def read_json(path: str | Path) -> Any:
@@ -475,25 +468,7 @@ def read_json(path: str | Path) -> Any:
     DataError
         If it cannot be read, or is not JSON.
     """
-    place = Path(path)
-    if "\0" in str(path):
-        raise DataError(f"{str(path)!r} is no name of a file.")
-    try:
-        if place.is_dir():
-            raise DataError(f"{path} is a folder. Give the file.")
-        if place.stat().st_size > LARGEST:
-            raise DataError(f"{path} has more than {LARGEST >> 30} GB: that is no saved result.")
-        raw = place.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
-    if not raw.strip():
-        raise DataError(f"{path} is empty. Use a copy of it, or make it again.")
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise DataError(
-            f"{path} is no text file (UTF-8), so it is not a saved result but {_likely(raw)}."
-        ) from None
+    text = _text_of(path)
     if text.lstrip().startswith("<"):
         raise DataError(
             f"{path} is a page to read in a browser; it holds no model. Give the file that --save "
@@ -511,6 +486,29 @@ def read_json(path: str | Path) -> Any:
         raise DataError(f"{path} is nested too deeply to be a saved result.") from None
     except ValueError as error:  # a whole number of thousands of digits
         raise DataError(f"{path} holds a number that cannot be read ({error}).") from None
+
+
+def _text_of(path: str | Path) -> str:
+    """The text of a file of at most 4 GB."""
+    place, largest = Path(path), 4 * 1024**3
+    if "\0" in str(path):
+        raise DataError(f"{str(path)!r} is no name of a file.")
+    try:
+        if place.is_dir():
+            raise DataError(f"{path} is a folder. Give the file.")
+        if place.stat().st_size > largest:
+            raise DataError(f"{path} has more than {largest >> 30} GB: that is no saved result.")
+        raw = place.read_bytes()
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
+    if not raw.strip():
+        raise DataError(f"{path} is empty. Use a copy of it, or make it again.")
+    try:
+        return raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise DataError(
+            f"{path} is no text file (UTF-8), so it is not a saved result but {_likely(raw)}."
+        ) from None
 
 
 _WORDS = {list: "list", str: "text", int: "number", float: "number", bool: "truth value"}

@@ -67,41 +67,20 @@ class _Evidence:
     Attributes
     ----------
     record : str
-    raw, own : ndarray (n_departures,)
-        ``g'g``, before and after its start states and parameters took their part.
-    cross : ndarray (n_shared, n_departures)
-        Products with the columns of the shared parameters.
-    slope : ndarray (n_departures,)
-        ``g'e``.
+    products : ndarray (n_shared + n_departures + 1, n_shared + n_departures + 1)
+        Of the columns of the shared parameters, of ``g`` and of the residuals ``e``, start states
+        and parameters of the record projected out.
+    raw : ndarray (n_departures,)
+        ``g'g``, before these took their part.
     squares, count : float
         Sum of squares and number of the residuals in units of noise.
     """
 
     record: str
+    products: np.ndarray
     raw: np.ndarray
-    own: np.ndarray
-    cross: np.ndarray
-    slope: np.ndarray
     squares: float
     count: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Shared:
-    """Inverse information and slope of the shared parameters over all records."""
-
-    inverse: np.ndarray
-    slope: np.ndarray
-
-    def scores(self, part: _Evidence) -> tuple[np.ndarray, np.ndarray]:
-        """Information ``I`` and score ``s`` of departures, all parameters estimated along.
-
-        Zero information where nothing is left of a departure.
-        """
-        information = part.own - np.einsum("ij,ik,kj->j", part.cross, self.inverse, part.cross)
-        seen = information > 1e-9 * np.maximum(part.raw, 1e-300)
-        score = part.slope - part.cross.T @ (self.inverse @ self.slope)
-        return np.where(seen, information, 0.0), score
 
 
 # Columns of the departures of one record: its index, its run, derivatives by its full start state.
@@ -110,45 +89,34 @@ Signatures = Callable[[int, Run, np.ndarray], np.ndarray]
 
 def _evidence(
     fit: Estimate, runner: Kernel, signatures: Signatures, fewest: int = 1
-) -> tuple[list[_Evidence], _Shared] | None:
-    """What every record says of departures; None where a trajectory is not finite."""
+) -> list[_Evidence]:
+    """What every record says of departures; nothing where a trajectory is not finite."""
     n_shared, free, n_own = len(fit.names), fit.model.free_names, runner.n_own
     local = [n_own + free.index(name) for name in free if name not in fit.names]
     order = [n_own + free.index(name) for name in fit.names]
     order += [*range(n_own), *local]
     found: list[_Evidence] = []
-    shared, gradient = np.zeros((n_shared, n_shared)), np.zeros(n_shared)
     for index, record in enumerate(fit.dataset):
         if record.independent or record.n_samples < fewest:
             continue
         known = _sensitivities(runner, fit, index)
         if known is None:
-            return None
+            return []
         run, by_start, jacobian = known
         scaled = fit.residuals[index] / fit.sigma
         present = np.isfinite(scaled)
         rows = np.concatenate([jacobian[:, :, order], signatures(index, run, by_start)], axis=2)
         rows, errors = (rows / fit.sigma[:, None])[present], scaled[present]
         if not np.isfinite(rows).all():
-            return None
+            return []
         raw = rows[:, len(order) :]
         apart = np.column_stack([rows[:, :n_shared], raw, errors])
         apart = apart - _projected(rows[:, n_shared : len(order)], apart)
-        base, g, left = apart[:, :n_shared], apart[:, n_shared:-1], apart[:, -1]
-        shared += base.T @ base
-        gradient += base.T @ left
+        square = float(errors @ errors)
         found.append(
-            _Evidence(
-                record.name,
-                np.sum(raw**2, axis=0),
-                np.sum(g**2, axis=0),
-                base.T @ g,
-                g.T @ left,
-                float(errors @ errors),
-                len(errors),
-            )
+            _Evidence(record.name, apart.T @ apart, np.sum(raw**2, axis=0), square, len(errors))
         )
-    return found, _Shared(inverse_of(shared), gradient)
+    return found
 
 
 @dataclass(frozen=True)
@@ -170,21 +138,24 @@ def _scores(
 
     Where the noise is larger than declared, errors are too.
     """
-    found = _evidence(fit, runner, signatures, fewest)
-    if found is None or not found[0]:
+    parts = _evidence(fit, runner, signatures, fewest)
+    if not parts:
         return []
-    parts, shared = found
     numbers = [one.name for one in fields(_Evidence)[1:]]
     total = _Evidence("", *(sum(getattr(part, name) for part in parts) for name in numbers))
-    misfit = max(total.squares / max(total.count, 1), 1.0)
+    misfit, n = max(total.squares / max(total.count, 1), 1.0), len(fit.names)
+    inverse = inverse_of(total.products[:n, :n])
     scores = []
     for part in [total] if joint else parts:
-        information, score = shared.scores(part)
-        excess = max(part.squares - part.count, 1e-9)
-        for column in np.flatnonzero(information):
-            own = float(information[column])
-            size, gain = float(score[column]) / own, float(score[column]) ** 2 / own
-            std, share = float(np.sqrt(misfit / own)), min(gain / excess, 1.0)
+        cross, excess = part.products[:n, n:-1], max(part.squares - part.count, 1e-9)
+        # All shared parameters estimated along, over all records.
+        taken = np.einsum("ij,ik,kj->j", cross, inverse, cross)
+        information = np.diag(part.products)[n:-1] - taken
+        score = part.products[n:-1, -1] - cross.T @ (inverse @ total.products[:n, -1])
+        for column in np.flatnonzero(information > 1e-9 * np.maximum(part.raw, 1e-300)):
+            size = float(score[column] / information[column])
+            gain, std = size * float(score[column]), float(np.sqrt(misfit / information[column]))
+            share = min(gain / excess, 1.0)
             scores.append(_Score(int(column), part.record, size, std, gain, share))
     return scores
 
@@ -405,19 +376,18 @@ def other_way(fit: Estimate, nominal: Mapping[str, float]) -> tuple[OtherWay, ..
         Values that the parameters were expected to have; zero says nothing.
     """
     errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
-    ratios, loose = {}, []
-    for name, value in zip(fit.names, fit.estimates, strict=True):
-        if name not in nominal or not nominal[name] or not abs(value) > CLEARLY * errors[name]:
-            loose.append(name)  # the records do not say its sign, or nobody did before
-        else:
-            ratios[name] = float(value) / nominal[name]
+    # Of the others the records do not say the sign, or nobody did before.
+    ratios = {
+        name: float(value) / nominal[name]
+        for name, value in zip(fit.names, fit.estimates, strict=True)
+        if nominal.get(name) and abs(value) > CLEARLY * errors[name]
+    }
+    loose = [name for name in fit.names if name not in ratios]
     found = []
     for column, channel in enumerate(fit.model.inputs):
         for factor, unit in ((-1.0, ""), *UNITS.get(channel.unit, ())):
-            if factor < 0.0:
-                moved = [name for name, ratio in ratios.items() if ratio < 0.0]
-            else:
-                moved = [n for n, r in ratios.items() if 1.0 / TWOFOLD < r / factor < TWOFOLD]
+            most = np.inf if factor < 0.0 else TWOFOLD
+            moved = [name for name, ratio in ratios.items() if 1.0 / most < ratio / factor < most]
             if moved and _is_the_same(fit, column, factor, moved, loose):
                 values = {n: (float(fit.values[n]), nominal[n]) for n in moved}
                 found.append(OtherWay(channel, factor, unit, values))
@@ -434,10 +404,10 @@ def _is_the_same(
     show is divided, too, and the zero of a rudder is multiplied.
     """
     powers = dict.fromkeys(moved, -1)
-    change = _change(fit, column, factor, powers)
+    change = _rescaled(fit, column, factor, powers)
     while change >= SAME:
         tried = {
-            (name, power): _change(fit, column, factor, {**powers, name: power})
+            (name, power): _rescaled(fit, column, factor, {**powers, name: power})
             for name in loose
             if name not in powers
             for power in ((-1,) if factor == -1.0 else (-1, 1))
@@ -450,19 +420,38 @@ def _is_the_same(
     return True
 
 
-def _change(fit: Estimate, column: int, factor: float, powers: Mapping[str, int]) -> float:
-    """Root mean square change of the outputs, in noise levels; infinite where none can be said."""
-    change, count, scales = 0.0, 0, np.ones(len(fit.model.parameter_names))
+def _rescaled(fit: Estimate, column: int, factor: float, powers: Mapping[str, int]) -> float:
+    """Change of the outputs by an input times a factor, and parameters times powers of it."""
+    scales = np.ones(len(fit.model.parameter_names))
     for name, power in powers.items():
         scales[fit.model.parameter_names.index(name)] = factor**power
-    for index, record in enumerate(fit.dataset):
-        if not np.ptp(record.inputs[:, column]):
-            continue
-        inputs = np.array(record.inputs)
+
+    def after(index: int) -> np.ndarray | None:
+        inputs = np.array(fit.dataset[index].inputs)
+        if not np.ptp(inputs[:, column]):
+            return None
         inputs[:, column] *= factor
-        other = outputs_of(fit, index, inputs, values_of(fit, index) * scales, first=inputs[0])
-        away = other - outputs_of(fit, index, record.inputs)
-        scaled = (away / fit.sigma)[np.isfinite(record.outputs)]
+        return outputs_of(fit, index, inputs, values_of(fit, index) * scales, first=inputs[0])
+
+    return change_of_outputs(fit, after)
+
+
+def change_of_outputs(fit: Estimate, after: Callable[[int], np.ndarray | None]) -> float:
+    """Root mean square change of the outputs, in noise levels; infinite where none can be said.
+
+    Parameters
+    ----------
+    fit : Estimate
+    after : callable
+        Outputs of the record of an index, ``(n_times, n_outputs)``; None leaves it out.
+    """
+    change, count = 0.0, 0
+    for index, record in enumerate(fit.dataset):
+        other = after(index)
+        if other is None:
+            continue
+        away = (other - outputs_of(fit, index, record.inputs)) / fit.sigma
+        scaled = away[np.isfinite(record.outputs)]
         with np.errstate(over="ignore", invalid="ignore"):
             change, count = change + float(scaled @ scaled), count + len(scaled)
     size = float(np.sqrt(change / count)) if count else np.inf

@@ -135,23 +135,21 @@ def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]
         ``"all"`` for a force in every equation that may lack one; an equation or a state
         (``"Z"``); or a place in full (``"actuator fin"``, ``"flow u"``, ``"sensor q"``).
     """
-    known = places(model)
+    known = {place.name: place for place in places(model)}
     if names == "all":
-        names = [place.name for place in known if place.stage == "force"]
+        names = [name for name, place in known.items() if place.stage == "force"]
         if not names:
             raise ModelError(
                 f"Model {model.name!r} has no equation with a parameter in which a force could "
                 "act. Name the states that are disturbed, such as disturbances=('r',)."
             )
-    result = []
+    result = {}
     for name in [names] if isinstance(names, str) else names:
-        fits = [p for p in known if p.name == name] or [
-            p for p in known if p.signal == name and p.stage in ("force", "kinematics")
-        ]
+        fits = [one for one in (name, f"force {name}", f"kinematics {name}") if one in known]
         if not fits:
             raise ModelError(
                 f"There is no place {name!r} for a disturbance in model {model.name!r}. Places "
-                f"are: {', '.join(p.name for p in known)}."
+                f"are: {', '.join(known)}."
             )
-        result.append(fits[0])
-    return tuple(dict.fromkeys(result))
+        result[fits[0]] = known[fits[0]]
+    return tuple(result.values())

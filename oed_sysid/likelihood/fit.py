@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from pathlib import Path
@@ -11,29 +11,11 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.likelihood.archive import (
-    check_fit,
-    dataclasses_of,
-    decode_result,
-    encode,
-    made_by,
-    write_result,
-)
+from oed_sysid.likelihood import archive, estimate, judgement, prediction
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
-from oed_sysid.likelihood.estimate import (
-    ActuatorStart,
-    Attempts,
-    CaptiveErrors,
-    Delay,
-    Estimate,
-    Posterior,
-    ProcessNoiseTest,
-    checked_scatter,
-)
-from oed_sysid.likelihood.judgement import Concern, grave, judge
-from oed_sysid.likelihood.prediction import Initial, Prediction, predict
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Figure,
@@ -53,14 +35,14 @@ from oed_sysid.text.units import shown_unit
 
 # Multiple of the noise from which residuals are no measure: filtered logs have next to no noise.
 SMOOTHED = 100.0
+# Records that a page draws.
+MOST_DRAWN = 8
 # Correlation of two estimates from which on they can hardly be told apart.
 ALIKE = 0.95
-# Records that a page draws, and correlated pairs that are named.
-MOST_DRAWN, MOST_PAIRS = 8, 6
 
 
 @dataclass(frozen=True, eq=False)
-class Fit(Estimate):
+class Fit(estimate.Estimate):
     """Estimated parameters with uncertainty, residuals and a status that advises.
 
     Attributes
@@ -155,14 +137,14 @@ class Fit(Estimate):
         return cls(**_typed(content))
 
     @cached_property
-    def concerns(self) -> tuple[Concern, ...]:
+    def concerns(self) -> tuple[judgement.Concern, ...]:
         """What speaks against the fit; see :mod:`oed_sysid.likelihood.judgement`."""
-        return judge(self)
+        return judgement.judge(self)
 
     @cached_property
-    def grave(self) -> tuple[Concern, ...]:
+    def grave(self) -> tuple[judgement.Concern, ...]:
         """Why the values must not be used although the fit converged; see :mod:`.explained`."""
-        return grave(self, self.concerns)
+        return judgement.grave(self, self.concerns)
 
     @cached_property
     def whole_runs(self) -> WholeRuns:
@@ -212,7 +194,9 @@ class Fit(Estimate):
             )
         return " ".join(found)
 
-    def predict(self, dataset: Dataset, *, initial: Initial = "fit") -> Prediction:
+    def predict(
+        self, dataset: Dataset, *, initial: prediction.Initial = "fit"
+    ) -> prediction.Prediction:
         """Predict other records; see :func:`oed_sysid.likelihood.prediction.predict`.
 
         Parameters
@@ -225,7 +209,7 @@ class Fit(Estimate):
             a mapping gives the states, as numbers or as pairs ``(value, std)``.
         """
         covariance = self.shared_covariance
-        found = predict(self.model, dataset, covariance, self.noise, initial=initial)
+        found = prediction.predict(self.model, dataset, covariance, self.noise, initial=initial)
         return replace(found, caveat=self.caveat)
 
     def with_record_errors(self) -> Fit:
@@ -239,7 +223,7 @@ class Fit(Estimate):
         DataError
             If there are fewer than four records.
         """
-        scatter = checked_scatter(self)
+        scatter = estimate.checked_scatter(self)
         found = np.diag(scatter.covariance)
         covariance = np.where(np.isfinite(scatter.covariance), scatter.covariance, 0.0)
         alone = ~np.isfinite(found)
@@ -253,14 +237,14 @@ class Fit(Estimate):
         fit was made; see :func:`oed_sysid.likelihood.archive.made_by`.
         """
         settings = {"estimator": self.estimator, **made.pop("settings", {})}
-        made_of = made_by([self.dataset], settings=settings, **made)
-        write_result(path, "fit", encode(self), made_of)
+        made_of = archive.made_by([self.dataset], settings=settings, **made)
+        archive.write_result(path, "fit", archive.encode(self), made_of)
 
     @staticmethod
     def load(path: str | Path) -> Fit:
         """Read a fit that :meth:`save` wrote, also of an older version."""
-        fit = decode_result(path, "fit", ARCHIVED)
-        check_fit(fit, str(path))
+        fit = archive.decode_result(path, "fit", ARCHIVED)
+        archive.check_fit(fit, str(path))
         return fit
 
     _repr_html_ = as_html
@@ -450,17 +434,13 @@ class Fit(Estimate):
 
     def _captive_lines(self) -> list[str]:
         """Forces at given motion that were fitted along, one line each."""
-        told = self.captive or CaptiveErrors({}, {})
-        lines = [
-            f"captive {axis}: error {size:.3g} x noise"
-            + (
-                f", {100 * told.relative[axis]:.3g} % of its rms"
-                if told.relative[axis] < np.inf
-                else ""
-            )
-            for axis, size in told.in_noise.items()
-            if np.isfinite(size)
-        ]
+        lines = []
+        told = self.captive or estimate.CaptiveErrors({}, {})
+        for axis, size in told.in_noise.items():
+            of_rms = 100.0 * told.relative[axis]
+            more = f", {of_rms:.3g} % of its rms" if of_rms < np.inf else ""
+            if np.isfinite(size):
+                lines.append(f"captive {axis}: error {size:.3g} x noise{more}")
         if self.tests_scatter:
             lines.append(
                 "Forces of the captive tests scatter more than their noise allows: their part "
@@ -472,32 +452,18 @@ class Fit(Estimate):
         if not self.names:
             return [Table(("no free parameter: initial states only",), ())]
         # A column of its own where the stated errors do not hold what differs between records.
-        differ = self._records_differ
-        scattered = self.record_errors
-        head = ("std. error", "between records") if differ else ("std. error",)
-        headers = ("parameter", "value", *head, "rel. %", "unit", "")
+        scattered = self.record_errors if self._records_differ else {}
         rows = []
-        errors = self.std_errors
-        for name, value in self.values.items():
+        for (name, value), error in zip(self.values.items(), self.std_errors.values(), strict=True):
             parameter = self.model.parameter(name)
-            relative = 100 * errors[name] / abs(value) if value else np.inf
-            note = ""
-            if value <= parameter.lower or value >= parameter.upper:
-                note = "at bound"
-            elif not np.isfinite(errors[name]):
-                note = "not identifiable"
-            rows.append(
-                (
-                    name,
-                    rounded(value, errors[name]),
-                    f"{errors[name]:.2g}",
-                    *((f"{scattered[name]:.2g}",) if differ else ()),
-                    f"{relative:.2g}",
-                    parameter.unit,
-                    note,
-                )
-            )
-        return [Table(headers, rows)]
+            relative = 100 * error / abs(value) if value else np.inf
+            note = "" if np.isfinite(error) else "not identifiable"
+            note = "at bound" if value <= parameter.lower or value >= parameter.upper else note
+            between = (f"{scattered[name]:.2g}",) if scattered else ()
+            sizes = (rounded(value, error), f"{error:.2g}", *between, f"{relative:.2g}")
+            rows.append((name, *sizes, parameter.unit, note))
+        head = ("std. error", "between records") if scattered else ("std. error",)
+        return [Table(("parameter", "value", *head, "rel. %", "unit", ""), rows)]
 
     def _local_lines(self) -> list[str]:
         """Values of per-record parameters, one line each."""
@@ -510,104 +476,125 @@ class Fit(Estimate):
 
     def _start_lines(self) -> list[str]:
         """Start states that were not free, one line per record."""
-        lines = []
-        for record, known in zip(self.dataset, self.start_states, strict=False):
-            if record.independent:
-                continue
-            words = [
-                f"{name} {value:.4g} held"
-                if std == 0.0
-                else f"{name} {interval(value, TWO_SIDED_95 * std)}"
-                for name, (value, std) in known.items()
-            ]
-            if words:
-                lines.append(f"start of {record.name} given: {', '.join(words)} (95 %)")
-        return lines
+        return [
+            f"start of {record.name} given: {', '.join(map(_start, known.items()))} (95 %)"
+            for record, known in zip(self.dataset, self.start_states, strict=False)
+            if known and not record.independent
+        ]
 
     def _output_table(self) -> Table:
-        headers = ("output", "rms residual", "noise", "", "eff. samples", "of", "unit")
         rows = []
-        effective = self.effective_samples()
-        rms = self.rms
-        for output, sigma, estimated in zip(
-            self.model.outputs, self.sigma, self.sigma_estimated, strict=True
-        ):
-            count, total = effective[output.name]
+        for output, sigma, estimated, rms, (count, total) in zip(
+            self.model.outputs, self.sigma, self.sigma_estimated, self.rms.values(),
+            self.effective_samples().values(), strict=True,
+        ):  # fmt: skip
             if not total and self.tests_alone:
                 continue
             factor, unit = shown_unit(output.unit)  # angles are read in degrees
-            rows.append(
-                (
-                    output.name,
-                    f"{factor * rms[output.name]:.3g}",
-                    f"{factor * sigma:.3g}",
-                    ("estimated" if estimated else "given") if total else "not measured",
-                    f"{count:.0f}",
-                    f"{total}",
-                    unit,
-                )
-            )
-        return Table(headers, rows)
+            origin = ("estimated" if estimated else "given") if total else "not measured"
+            sizes = (f"{factor * rms:.3g}", f"{factor * sigma:.3g}", origin)
+            rows.append((output.name, *sizes, f"{count:.0f}", f"{total}", unit))
+        return Table(("output", "rms residual", "noise", "", "eff. samples", "of", "unit"), rows)
 
     def _random(self) -> list[Section]:
-        """Disturbance forces and coloured sensors, one line each."""
-        noise = self.noise
-        if noise.is_white:
-            return []
-        units = {place.name: place.unit for place in places(self.model)}
-        headers = ("random", "level", "95 %", "time [s]", "unit")
-        rows = []
-        for name, level, time in zip(noise.places, noise.force, noise.force_time, strict=True):
-            rows.append(self._noise_row(name, level, time, units.get(name, "")))
-        for output, level, time in zip(
-            self.model.outputs, noise.colour, noise.colour_time, strict=True
-        ):
-            if level > 0:
-                rows.append(self._noise_row(f"colour of {output.name}", level, time, output.unit))
-        sections = [Section("Random", tables=(Table(headers, rows),), indent=2)] if rows else []
-        return sections + [self._sea(number, units) for number in range(len(noise.seas))]
+        """Disturbance forces and coloured sensors, one line each, and seas."""
+        noise, units = self.noise, {place.name: place.unit for place in places(self.model)}
+        forces = zip(noise.places, noise.force, noise.force_time, strict=True)
+        colours = zip(self.model.outputs, noise.colour, noise.colour_time, strict=True)
+        rows = [self._noise_row(*one, units.get(one[0], "")) for one in forces]
+        rows += [
+            self._noise_row(f"colour of {output.name}", level, time, output.unit)
+            for output, level, time in colours
+            if level > 0
+        ]
+        table = Table(("random", "level", "95 %", "time [s]", "unit"), rows)
+        sections = [Section("Random", tables=(table,), indent=2)] if rows else []
+        return [] if noise.is_white else sections + self._seas(units)
 
-    def _sea(self, number: int, units: Mapping[str, str]) -> Section:
-        """Period, width and significant level of a sea."""
-        sea = self.noise.seas[number]
-        label = f"sea {number + 1}" if len(self.noise.seas) > 1 else "sea"
+    def _seas(self, units: Mapping[str, str]) -> list[Section]:
+        """Period, width and significant level of every sea."""
 
         def told(name: str, size: float, count: int = 3) -> str:
-            known = self.noise_std.get(name)
-            half = np.nan if known is None else TWO_SIDED_95 * known * size
-            return digits(size, count) if known is None else interval(size, half)
+            half = self._half(name, size)
+            return digits(size, count) if np.isnan(half) else interval(size, half)
 
-        period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
-        words = (
-            "Disturbance forces have a period, as waves give them (or motion that the model "
-            f"lacks): {told(f'{label} period', period)} s, "
-            f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
-        )
-        words += "." if sea.shape == "velocity" else ", with a tail at low frequencies."
-        rows = [
-            (
-                place,
-                told(f"sea {place} level", level) if level > 0 else "absent",
-                units.get(place, ""),
+        sections = []
+        for number, sea in enumerate(self.noise.seas, 1):
+            label = f"sea {number}" if len(self.noise.seas) > 1 else "sea"
+            period, width = float(sea.period or 0.0), 100.0 * float(sea.bandwidth or 0.0)
+            words = (
+                "Disturbance forces have a period, as waves give them (or motion that the model "
+                f"lacks): {told(f'{label} period', period)} s, "
+                f"{told(f'{label} bandwidth', width, 2)} % wide (95 %)"
+                f"{'' if sea.shape == 'velocity' else ', with a tail at low frequencies'}."
             )
-            for place, level in sea.significant.items()
-        ]
-        headers = ("waves", "significant amplitude", "unit")
-        return Section("Sea", (words,), (Table(headers, rows),), indent=2)
+            rows = [
+                (p, told(f"sea {p} level", one) if one > 0 else "absent", units.get(p, ""))
+                for p, one in sea.significant.items()
+            ]
+            table = Table(("waves", "significant amplitude", "unit"), rows)
+            sections.append(Section("Sea", (words,), (table,), indent=2))
+        return sections
+
+    def _half(self, name: str, size: float) -> float:
+        """Half of the 95 % interval of a level or time of the noise; NaN where none is known."""
+        return TWO_SIDED_95 * self.noise_std.get(name, np.nan) * size
 
     def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
         if level <= 0:
             return name, "absent", "", "", unit
-        known = self.noise_std.get(f"{name} level")
-        half = np.nan if known is None else TWO_SIDED_95 * known * level
-        spread = "" if known is None else f"± {digits(half)}"
+        half = self._half(f"{name} level", level)
+        spread = "" if np.isnan(half) else f"± {digits(half)}"
         return name, rounded(level, half), spread, digits(time), unit
 
     def _remarks(self) -> list[str]:
         """What else to know before the values are used, one sentence each."""
         said_first = {self.status.advice, *(concern.text for concern in self.grave)}
         lines = [one.text for one in self.concerns if one.text not in said_first]
-        return lines + [sentence for remark in REMARKS for sentence in remark(self)]
+        lines += [
+            f"Input {name} never moves in any record: what it does cannot be told from what else "
+            "is constant."
+            for name in self._still_inputs()
+        ]
+        if self.coloured:
+            lines.append(
+                "Residuals are correlated in time (see eff. samples): standard errors are from "
+                "the sandwich covariance."
+            )
+        lines += [f"Not identifiable: {text}." for text in self.information.null_directions()]
+        return lines + self._value_lines() + self._correlated_pairs()
+
+    def _value_lines(self) -> list[str]:
+        """Values at their bounds, and far from what was known before."""
+        lines = []
+        own = [(self.model.parameter(name), value) for name, value in self.values.items()]
+        if bounded := [one.name for one, value in own if not one.lower < value < one.upper]:
+            lines.append(
+                f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
+                "an angle the other way does this too: Input(..., sign=-1)."
+            )
+        if far := [one.name for one, value in own if _off_prior(one, value)]:
+            lines.append(
+                f"Further than {CLEARLY:g} standard deviations from the prior: "
+                f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
+            )
+        return lines
+
+    def _still_inputs(self) -> list[str]:
+        spans = np.ptp(np.vstack([record.inputs for record in self.dataset]), axis=0)
+        names = zip(self.model.input_names, spans, strict=True)
+        return [name for name, span in names if span == 0.0 and not self.tests_alone]
+
+    def _correlated_pairs(self) -> list[str]:
+        correlation = np.tril(self.correlation, -1)
+        pairs = [
+            (abs(correlation[i, j]), self.names[i], self.names[j], correlation[i, j])
+            for i, j in zip(*np.nonzero(np.abs(correlation) > ALIKE), strict=True)
+        ]
+        return [
+            f"Correlation of {first} and {second}: {value:+.3f}."
+            for _, first, second, value in sorted(pairs, reverse=True)[:6]
+        ]
 
     to_dict = as_dict(
         "estimator", "iterations", "seconds", "cost", "normalised_rms", "covariance", "rms",
@@ -629,70 +616,20 @@ class Fit(Estimate):
     )  # fmt: skip
 
 
-def _still_inputs(fit: Fit) -> Iterator[str]:
-    commands = np.vstack([record.inputs for record in fit.dataset])
-    for channel, series in zip(fit.model.inputs, commands.T, strict=True):
-        if np.ptp(series) == 0.0 and not fit.tests_alone:
-            yield (
-                f"Input {channel.name} never moves in any record: what it does cannot be "
-                "told from what else is constant."
-            )
+def _start(known: tuple[str, tuple[float, float]]) -> str:
+    """A start state that was given, in words."""
+    name, (value, std) = known
+    return (
+        f"{name} {value:.4g} held"
+        if std == 0.0
+        else f"{name} {interval(value, TWO_SIDED_95 * std)}"
+    )
 
 
-def _correlated_residuals(fit: Fit) -> Iterator[str]:
-    if fit.coloured:
-        yield (
-            "Residuals are correlated in time (see eff. samples): standard errors are from "
-            "the sandwich covariance."
-        )
-
-
-def _unidentified(fit: Fit) -> Iterator[str]:
-    for text in fit.information.null_directions():
-        yield f"Not identifiable: {text}."
-
-
-def _at_bounds(fit: Fit) -> Iterator[str]:
-    own = {name: fit.model.parameter(name) for name in fit.names}
-    if bounded := [n for n, v in fit.values.items() if not own[n].lower < v < own[n].upper]:
-        yield (
-            f"{', '.join(bounded)} at bound: widen it if it may be wrong. A log that counts "
-            "an angle the other way does this too: Input(..., sign=-1)."
-        )
-
-
-def _off_priors(fit: Fit) -> Iterator[str]:
-    far = []
-    for name, value in fit.values.items():
-        parameter = fit.model.parameter(name)
-        mean, spread = parameter.prior_mean, parameter.prior_spread
-        if mean is not None and spread is not None and abs(value - mean) > CLEARLY * spread:
-            far.append(name)
-    if far:
-        yield (
-            f"Further than {CLEARLY:g} standard deviations from the prior: "
-            f"{', '.join(far)}. A model that lacks an effect bends others to replace it."
-        )
-
-
-def _correlated_pairs(fit: Fit) -> Iterator[str]:
-    correlation = np.tril(fit.correlation, -1)
-    pairs = [
-        (abs(correlation[i, j]), fit.names[i], fit.names[j], correlation[i, j])
-        for i, j in zip(*np.nonzero(np.abs(correlation) > ALIKE), strict=True)
-    ]
-    for _, first, second, value in sorted(pairs, reverse=True)[:MOST_PAIRS]:
-        yield f"Correlation of {first} and {second}: {value:+.3f}."
-
-
-REMARKS: tuple[Callable[[Fit], Iterator[str]], ...] = (
-    _still_inputs,
-    _correlated_residuals,
-    _unidentified,
-    _at_bounds,
-    _off_priors,
-    _correlated_pairs,
-)
+def _off_prior(parameter: Parameter, value: float) -> bool:
+    """Whether a value is far from what was known before."""
+    mean, spread = parameter.prior_mean, parameter.prior_spread
+    return mean is not None and spread is not None and abs(value - mean) > CLEARLY * spread
 
 
 def _typed(content: dict[str, Any]) -> dict[str, Any]:
@@ -705,16 +642,16 @@ def _typed(content: dict[str, Any]) -> dict[str, Any]:
             told[field] = extras.pop(name)
     if extras.keys() & {"disturbance_test", "process_noise_failed"}:
         delay = extras.pop("white_delay", None)
-        told["process_noise"] = ProcessNoiseTest(
+        told["process_noise"] = estimate.ProcessNoiseTest(
             extras.pop("disturbance_test", np.inf),
             extras.pop("process_noise_failed", ""),
-            None if delay is None else Delay(*(*delay, np.nan, np.nan)),
-            tuple(ActuatorStart(*one) for one in extras.pop("white_starts", ())),
+            None if delay is None else estimate.Delay(*(*delay, np.nan, np.nan)),
+            tuple(estimate.ActuatorStart(*one) for one in extras.pop("white_starts", ())),
         )
     if "captive" in extras:
         errors = extras.pop("captive")
-        told["captive"] = CaptiveErrors(errors, extras.pop("captive_misfit", {}))
-    for field, kind in (("attempts", Attempts), ("posterior", Posterior)):
+        told["captive"] = estimate.CaptiveErrors(errors, extras.pop("captive_misfit", {}))
+    for field, kind in (("attempts", estimate.Attempts), ("posterior", estimate.Posterior)):
         names = [one.name for one in fields(kind)]
         if extras.keys() >= set(names):
             told[field] = kind(*(extras.pop(name) for name in names))
@@ -723,4 +660,4 @@ def _typed(content: dict[str, Any]) -> dict[str, Any]:
 
 
 # Everything that a saved fit is made of.
-ARCHIVED = dataclasses_of(Fit)
+ARCHIVED = archive.dataclasses_of(Fit)

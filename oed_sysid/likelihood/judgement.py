@@ -45,6 +45,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import chain, islice
 from typing import Any, TypeVar
 
@@ -58,6 +59,7 @@ from oed_sysid.likelihood.departures import (
     CLEAR,
     CLEARLY,
     SAME,
+    change_of_outputs,
     clear_delay,
     clear_starts,
     estimate_delays,
@@ -83,26 +85,18 @@ from oed_sysid.text.units import shown_unit
 Judged = TypeVar("Judged", bound=Estimate)
 # Wrong noise levels from which intervals are worth a word (they are wrong by the same factor).
 LEVEL_FACTOR = 1.15
-# Chance of the statistic from which on residuals are coloured.
-COLOUR_CHANCE = 1e-5
 # Change by a quarter of the step, in noise levels, that a trajectory must not show.
 STEP_CHANGE = 0.5
 # Parts of a step in the check: an error of fourth order falls by 256.
 FINER = 4
-# Samples over which the step is tried where disturbance forces move the vehicle.
-PIECE = 20
 # Beyond so many times its scale no value is physical, and none that the records do not show.
 RUNAWAY, UNSEEN = 1e8, 1e4
-# Motion of the model, as a share of the signal's, from which on it is no constant.
-STILL = 1e-2
 # A model that leaves this share of the squares about the mean explains nothing.
 BARELY = 0.99
 # Samples per unknown that are few.
 FEW = 3.0
 # Chance of a correlation over records.
 FOLLOWS_CHANCE = 0.05
-# Parameters that are named where records differ.
-NAMED = 3
 # Lengths of increments as shares of a record; fewer samples than FEWEST say nothing.
 HORIZONS, FEWEST = (0.02, 0.05, 0.125), 10
 # Kinds that make a fit not converged, worst first, and those with which it may converge and must
@@ -390,8 +384,8 @@ def _memory(fit: Estimate, name: str, tests: Sequence[Whiteness]) -> Found | Non
 def _remember(tests: Sequence[Whiteness], n: int) -> bool:
     """Whether chance seldom makes errors of ``n`` samples so correlated."""
     lag_one = sum(test.lag_one * test.n_samples for test in tests) / n
-    clear = min(test.p_value for test in tests) < COLOUR_CHANCE / len(tests)
-    return bool(clear or abs(lag_one) * np.sqrt(n) > CLEAR)
+    chance = len(tests) * min(test.p_value for test in tests)
+    return bool(chance < 2.0 * ndtr(-CLEAR) or abs(lag_one) * np.sqrt(n) > CLEAR)
 
 
 def _process_noise(fit: Estimate) -> Iterator[Found]:
@@ -500,20 +494,20 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
     shrink and errors look white (Fuller 1987, *Measurement error models*).
     """
     for name, level in noisy_inputs(fit.dataset).items():
-        column = fit.model.input_names.index(name)
-        rng = np.random.default_rng(0)
-        change, count = 0.0, 0
-        for index, record in enumerate(fit.dataset):
-            moved = record.inputs.copy()
-            moved[:, column] += level * rng.standard_normal(record.n_samples)
-            away = outputs_of(fit, index, moved) - fit.predictions[index]
-            scaled = (away / fit.sigma)[np.isfinite(record.outputs)]
-            scaled = scaled[np.isfinite(scaled)]
-            change, count = change + float(scaled @ scaled), count + len(scaled)
-        size = float(np.sqrt(change / max(count, 1)))
-        if size > SAME:
+        column, rng = fit.model.input_names.index(name), np.random.default_rng(0)
+        size = change_of_outputs(fit, partial(_with_input_noise, fit, column, level, rng))
+        if SAME < size < np.inf:
             facts = {"level": level, "unit": fit.model.inputs[column].unit}
             yield Found(size, name, facts=facts)
+
+
+def _with_input_noise(
+    fit: Estimate, column: int, level: float, rng: np.random.Generator, index: int
+) -> np.ndarray:
+    """Outputs of a record whose input is noisier than its log."""
+    moved = fit.dataset[index].inputs.copy()
+    moved[:, column] += level * rng.standard_normal(len(moved))
+    return outputs_of(fit, index, moved)
 
 
 def _other_way(fit: Estimate) -> Iterator[Found]:
@@ -574,7 +568,7 @@ def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
     """Change of the outputs with a finer step in noise levels: the worst, its output and record.
 
     With disturbance forces, or where windows are predicted, the model alone may drift away; there
-    pieces of ``PIECE`` samples begin at the states of the simulation.
+    pieces of twenty samples begin at the states of the simulation.
     """
     coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
     sigma = _shown_noise(fit)
@@ -604,7 +598,7 @@ def _both_steps(
         return fit.predictions[index], outputs_of(fit, index, record.inputs, runner=fine)
     values = values_of(fit, index)
     last = int(np.isfinite(states).all(axis=1).cumprod().sum())
-    starts = np.arange(0, record.n_samples, PIECE)
+    starts = np.arange(0, record.n_samples, 20)
     starts = starts[starts < last] if last else starts[:1]
     runs = (
         one.run(record.times, record.inputs, values, states[starts], starts=starts)
@@ -685,7 +679,7 @@ def _degenerate(fit: Estimate) -> Iterator[Found]:
     noise, _ = white_levels(fit.dataset)
     noise = np.where(fit.sigma_estimated, noise, np.minimum(noise, fit.sigma))
     for column in np.flatnonzero(suspects & motion.beyond(noise)):
-        still = motion.moved[column] < STILL**2 * motion.own[column]
+        still = motion.moved[column] < 1e-4 * motion.own[column]
         how = "the model stands still" if still else "the model moves otherwise"
         yield Found(motion.share[column], fit.model.output_names[column], facts={"how": how})
 
@@ -752,40 +746,31 @@ def _records_differ(fit: Estimate) -> Iterator[Found]:
     factor, clear = scatter.exceeds(np.diag(fit.covariance), white)
     order = [int(i) for i in np.argsort(-factor) if clear[i]]
     if order:
-        worst = ", ".join(f"{fit.names[i]} {factor[i]:.2g} times" for i in order[:NAMED])
-        more = f" and {len(order) - NAMED} more" if len(order) > NAMED else ""
+        worst = ", ".join(f"{fit.names[i]} {factor[i]:.2g} times" for i in order[:3])
+        more = f" and {len(order) - 3} more" if len(order) > 3 else ""
         facts = {"n": scatter.n_records, "worst": worst, "more": more}
         yield Found(factor[order[0]], fit.names[order[0]], facts=facts)
 
 
 def _follows(fit: Estimate) -> Iterator[Found]:
     """Parameters of records that follow the amplitude of a signal over the records."""
-    n = len(fit.dataset)
-    names = fit.local_values[0] if fit.local_values else {}
-    if n < FEWEST_RECORDS or not names:
-        return
-    amplitudes = np.array([np.max(np.abs(r.inputs), axis=0) for r in fit.dataset]).T
+    n, amplitudes = len(fit.dataset), [np.max(np.abs(r.inputs), axis=0) for r in fit.dataset]
     sizes = {
         name: size
-        for name, size in zip(fit.model.input_names, amplitudes, strict=True)
+        for name, size in zip(fit.model.input_names, np.array(amplitudes).T, strict=True)
         if np.ptp(size) > 1e-2 * np.max(size)
     }
-    for name in names if sizes else ():
+    for name in fit.local_values[0] if n >= FEWEST_RECORDS and fit.local_values and sizes else ():
         values = np.array([local[name] for local in fit.local_values])
-        if np.ptp(values) > 0:
-            yield from _following(name, values, sizes)
-
-
-def _following(name: str, values: np.ndarray, sizes: Mapping[str, np.ndarray]) -> Iterator[Found]:
-    """The signal that values of records follow clearly."""
-    n = len(values)
-    told = {signal: float(np.corrcoef(values, size)[0, 1]) for signal, size in sizes.items()}
-    signal = max(told, key=lambda one: abs(told[one]))
-    t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
-    chance = 2.0 * float(stdtr(n - 2, -t))
-    if chance * len(sizes) <= FOLLOWS_CHANCE:
-        facts = {"follows": signal, "n": n, "chance": 100 * chance}
-        yield Found(told[signal], name, facts=facts)
+        if not np.ptp(values) > 0:
+            continue
+        told = {signal: float(np.corrcoef(values, size)[0, 1]) for signal, size in sizes.items()}
+        signal = max(told, key=lambda one: abs(told[one]))
+        t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
+        chance = 2.0 * float(stdtr(n - 2, -t))
+        if chance * len(sizes) <= FOLLOWS_CHANCE:
+            facts = {"follows": signal, "n": n, "chance": 100 * chance}
+            yield Found(told[signal], name, facts=facts)
 
 
 # The gravest first.
@@ -892,7 +877,7 @@ CHECKS = (
         "covariance, which holds the swing; estimates are not as precise as they could be.",
     ),
     Check(
-        "colour", _colours, f"a chance of {COLOUR_CHANCE:g} (Ljung-Box), or of lag one",
+        "colour", _colours, f"the chance of {CLEAR:g} standard errors (Ljung-Box), or of lag one",
         "{what} of {signal} are correlated: {n} samples count as {effective:.0f}, expected "
         "{n}. {todo}",
     ),

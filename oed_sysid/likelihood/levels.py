@@ -34,8 +34,6 @@ WHITE_FLOOR = 1e-4
 VAGUE_TIME = 2.0
 # Shortest time in samples, longest as a share of the shortest record.
 SHORTEST, LONGEST = 0.5, 0.2
-# Least share that a variance keeps in one step along its curve, and the steepest such curve.
-LEAST_KEPT, MOST_POWER = 0.1, 2.0
 # Levels that are no variances but logarithms.
 LOGARITHMS = (FORCE_TIME, COLOUR_TIME, SEA_PERIOD, SEA_DAMPING)
 # Least and largest damping of a sea: below, a wave that never changes; above, no wave.
@@ -241,26 +239,28 @@ class Levels:
         vector : ndarray (n_levels,)
             Where.
         """
-        power = np.zeros(len(self))
-        for j, (kind, index) in enumerate(self.entries):
-            if kind not in (FORCE_TIME, COLOUR_TIME):
-                continue
-            level = FORCE_VARIANCE if kind == FORCE_TIME else COLOUR_VARIANCE
-            of = [
-                i
-                for i, (other, its) in enumerate(self.entries)
-                if other == level and index in (-1, its) and vector[i] > 0 and self._lasts(i)
-            ]
+        power, times = np.zeros(len(self)), self._times()
+        for j in set(times.values()):
+            of = [i for i, its in times.items() if its == j and vector[i] > 0]
             among, beside = information[np.ix_(of, of)], information[of, j]
             if of and np.all(np.diag(among) > 0):
                 size = 1.0 / np.sqrt(np.diag(among))
                 change = -size * np.linalg.lstsq(size[:, None] * among * size, size * beside)[0]
-                power[of] = np.clip(change / vector[of], -MOST_POWER, MOST_POWER)
+                # No curve is steeper: a variance that goes with the square of its time.
+                power[of] = np.clip(change / vector[of], -2.0, 2.0)
         return power
 
-    def _lasts(self, position: int) -> bool:
-        kind, index = self.entries[position]
-        return kind != FORCE_VARIANCE or bool(self.noise.force_time[index] > 0)
+    def _times(self) -> dict[int, int]:
+        """Position of the unknown time of each variance that has one, by its own position."""
+        position = {entry: j for j, entry in enumerate(self.entries)}
+        found = {}
+        for i, (kind, index) in enumerate(self.entries):
+            time = {FORCE_VARIANCE: FORCE_TIME, COLOUR_VARIANCE: COLOUR_TIME}.get(kind, -1)
+            j = position.get((time, index), position.get((time, -1)))
+            # White from step to step is no matter of time.
+            if j is not None and (kind == COLOUR_VARIANCE or self.noise.force_time[index] > 0):
+                found[i] = j
+        return found
 
     def moved(self, vector: np.ndarray, step: np.ndarray, power: np.ndarray) -> np.ndarray:
         r"""Unknowns after a step, taken along the curves on which levels follow their times.
@@ -275,17 +275,12 @@ class Levels:
             As :meth:`following` tells.
         """
         after = vector + step
-        for i, (kind, index) in enumerate(self.entries):
-            force = kind == FORCE_VARIANCE
-            if not (force or kind == COLOUR_VARIANCE) or vector[i] <= 0 or not self._lasts(i):
-                continue
-            time = FORCE_TIME if force else COLOUR_TIME
-            of = [j for j, entry in enumerate(self.entries) if entry in ((time, index), (time, -1))]
-            if of and after[i] > self.lower[i]:  # at its bound it has vanished
-                longer = float(np.clip(after[of[0]], self.lower[of[0]], self.upper[of[0]]))
-                longer = power[i] * (longer - vector[of[0]])
-                kept = max(after[i] - vector[i] * longer, LEAST_KEPT * vector[i])
-                after[i] = kept * np.exp(longer)
+        for i, j in self._times().items():
+            if vector[i] > 0 and after[i] > self.lower[i]:  # at its bound it has vanished
+                time = float(np.clip(after[j], self.lower[j], self.upper[j]))
+                longer = power[i] * (time - vector[j])
+                # A step takes no more than nine tenths of a variance.
+                after[i] = np.exp(longer) * max(after[i] - vector[i] * longer, 0.1 * vector[i])
         return after
 
     def disturbed(self, noise: NoiseModel) -> Disturbed:
@@ -295,23 +290,21 @@ class Levels:
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the unknowns, such as ``"force Z level"`` or ``"colour of q time"``."""
-        return tuple(self._name(kind, index) for kind, index in self.entries)
-
-    def _name(self, kind: int, index: int) -> str:
-        noise, what = self.noise, "time" if kind in LOGARITHMS else "level"
-        if kind in (SEA_PERIOD, SEA_DAMPING):
-            number = f" {index + 1}" if len(noise.seas) > 1 else ""
-            return f"sea{number} {'period' if kind == SEA_PERIOD else 'bandwidth'}"
-        if index < 0:
-            return f"{'disturbances' if kind == FORCE_TIME else 'colours'} {what}"
-        if kind == SEA_VARIANCE:
-            places = [f"sea {place}" for sea in noise.seas for place in sea.places]
-            return f"{places[index]} {what}"
-        if kind in (FORCE_VARIANCE, FORCE_TIME):
-            return f"{noise.places[index]} {what}"
-        if kind == WHITE_VARIANCE:
-            return f"white of {noise.outputs[index]} {what}"
-        return f"colour of {noise.outputs[self.coloured[index]]} {what}"
+        noise = self.noise
+        colours = tuple(f"colour of {noise.outputs[column]}" for column in self.coloured)
+        seas = [f"sea {i + 1}" if len(noise.seas) > 1 else "sea" for i in range(len(noise.seas))]
+        of = {
+            FORCE_VARIANCE: ("level", noise.places),
+            FORCE_TIME: ("time", (*noise.places, "disturbances")),
+            WHITE_VARIANCE: ("level", [f"white of {name}" for name in noise.outputs]),
+            COLOUR_VARIANCE: ("level", colours),
+            COLOUR_TIME: ("time", (*colours, "colours")),
+            SEA_VARIANCE: ("level", [f"sea {place}" for sea in noise.seas for place in sea.places]),
+            SEA_PERIOD: ("period", seas),
+            SEA_DAMPING: ("bandwidth", seas),
+        }
+        # A time that all share has the index -1.
+        return tuple(f"{of[kind][1][index]} {of[kind][0]}" for kind, index in self.entries)
 
     def held(self) -> Levels:
         """Return the same noise with nothing unknown."""

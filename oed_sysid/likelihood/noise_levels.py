@@ -24,13 +24,11 @@ from oed_sysid.physics.model import Model
 
 # A residual this much smaller than the signal's own spread is numerically exact.
 EXACT = 1e-9
-# Orders of differences in which white noise is looked for, and the share of one order's level
-# below which the next one's means that motion was seen, not noise.
-LOWEST_ORDER, HIGHEST_ORDER, STILL_FALLING = 3, 12, 0.85
+# Lowest order of the differences in which white noise is looked for, and the share of one order's
+# level below which the next one's means that motion was seen, not noise.
+LOWEST_ORDER, STILL_FALLING = 3, 0.85
 # Standard error of the logarithm of such a level, times the root of the number of samples.
 DIFFERENCE_ERROR = 1.5
-# White noise of a logged input, as a share of its spread: above, it is an excitation.
-INPUT_SHARE = 0.3
 # White noise below this share of the signal is the last digit of a file, not a sensor; and where
 # no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
 LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
@@ -71,7 +69,7 @@ def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
         measured = [r.outputs[:, column] for r in dataset if not r.independent]
         measured = [values[np.isfinite(values)] for values in measured]
         levels[column] = _difference_level(measured, LOWEST_ORDER)
-        for order in range(LOWEST_ORDER + 1, HIGHEST_ORDER + 1):
+        for order in range(LOWEST_ORDER + 1, 13):
             finer = _difference_level(measured, order)
             if not finer < STILL_FALLING * levels[column]:
                 seen[column] = np.isfinite(finer)
@@ -163,7 +161,7 @@ def noisy_inputs(dataset: Dataset) -> dict[str, float]:
         spread = float(np.std(np.concatenate(series)))
         # Noise is what no longer falls with the order of the differences.
         noise = fast_level(series, LOWEST_ORDER + 1) > STILL_FALLING * level
-        if noise and LAST_DIGIT * spread < level < INPUT_SHARE * spread:
+        if noise and LAST_DIGIT * spread < level < 0.3 * spread:  # above, it is an excitation
             found[name] = level
     return found
 
@@ -272,11 +270,6 @@ BEYOND = 4.0
 RARE = 1e-3
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
 STRUCTURED_SPIKE = 8.0
-# Share of the departures within which tails are looked at, and where it ends in normal numbers.
-TAIL = 0.9
-TAIL_AT = float(-ndtri(0.5 * (1.0 - TAIL)))
-# Single spikes from which on groups of them are spikes, too.
-SEVERAL = 3
 # Spread of the departure of white noise from the median of its four neighbours.
 BESIDE = 1.137
 
@@ -351,7 +344,7 @@ def _outliers(
         surely = limit = max(surely, STRUCTURED_SPIKE)
         off = [_off_cubic(values) for values in series]
         spread = max(_deviation(np.concatenate(off)), least)
-        usual = max(usual, float(np.quantile(np.abs(np.concatenate(pieces)), TAIL)) / TAIL_AT)
+        usual = max(usual, float(np.quantile(np.abs(np.concatenate(pieces)), 0.9) / ndtri(0.95)))
     else:
         # Neighbours that happen to lie on the other side do not make a spike.
         limit = max(4.0, float(-ndtri(0.5 / n)))
@@ -365,7 +358,7 @@ def _outliers(
         # Where spikes are clear, what chance does in one sample of n is one of them too.
         masks = [size > limit for size in sizes]
         count += sum(int(mask.sum()) for mask in masks)
-    if structured or count < SEVERAL:
+    if structured or count < 3:
         return masks
     # Where there are several spikes some meet: as many in a row as chance makes of so many.
     longest = max(int(np.log(RARE / n) / np.log(min(count / n, 0.5))), 2)

@@ -26,6 +26,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import root_of
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.whole_runs import CHUNK, WholeRun
@@ -69,7 +70,7 @@ class Spread:
     def draw(self, n_draws: int, rng: np.random.Generator) -> np.ndarray:
         """Unknowns, ``(n_draws, n_unknowns)``."""
         known = np.isfinite(np.diag(self.covariance))
-        root, own = _root(self.covariance[np.ix_(known, known)]), _root(self.other_covariance)
+        root, own = root_of(self.covariance[np.ix_(known, known)]), root_of(self.other_covariance)
         steps = np.zeros((n_draws, len(self.shared)))
         steps[:, known] = rng.normal(size=(n_draws, len(root))) @ root.T
         found = np.tile(self.unknowns, (n_draws, 1))
@@ -99,11 +100,6 @@ def misleads(variance: np.ndarray, drawn: np.ndarray) -> bool:
     seen = ~np.isnan(ratio).all(axis=0)
     means = np.nanmean(ratio[:, seen], axis=0)
     return bool(np.any((means > MISLEADS) | (means < 1.0 / MISLEADS)))
-
-
-def _root(covariance: np.ndarray) -> np.ndarray:
-    values, vectors = np.linalg.eigh(covariance)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def unknown_series(fit: Estimate, effect: str) -> tuple[tuple[np.ndarray, np.ndarray], ...]:

@@ -103,3 +103,9 @@ def eliminate(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.nd
     """Information of some unknowns once all others are estimated too."""
     share = share_of(matrix, kept, others)
     return np.asarray(matrix[np.ix_(kept, kept)] - share @ matrix[np.ix_(others, kept)])
+
+
+def root_of(covariance: np.ndarray) -> np.ndarray:
+    """A matrix whose product with its transpose is a covariance, ``(n, n)``."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))

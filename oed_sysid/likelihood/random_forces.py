@@ -53,24 +53,17 @@ from oed_sysid.physics.model import Model
 # of a sea, whose choice among periods and shapes may be worth two or three nats. Below, two starts
 # are one.
 WORTH = 10.0
-# Colour below this share of the white level has vanished.
-VANISHED = 0.02
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
 # Steps after which the likeliest of several starts goes on and the others only where they promise
-# to overtake, and at frozen gain before the exact ones where those before did not converge; and
-# steps of everything else before levels move too.
-FEW_STEPS, HELD_STEPS = 3, 2
+# to overtake, and at frozen gain before the exact ones where those before did not converge.
+FEW_STEPS = 3
 # Steps with white noise before process noise is asked for, and with forces of first order before a
 # sea is: without it they do not converge.
 FIRST_STEPS = 8
 # Probability of a test above its threshold where no sea acts.
 FALSE_SEA = 0.005
-# Bandwidth that is tried, and the share of the shortest record up to which periods are.
-BANDWIDTH, SHARE_OF_RECORD = 0.3, 1 / 4
-# Levels of a sea to begin with, over those of first order.
-BEGIN = (0.06, 0.2, 0.6, 2.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +132,21 @@ def fit_disturbed(
     FilteredSolution or None
         None where the filter diverges from every start.
     """
+    begun = [
+        _begun(model, setting, start, noise, test.unit, kernel)
+        for count, noise in enumerate(_noises(setting, test))
+        for start in starts
+        if not count or start.noise is None
+    ]
+    best = _stayed(begun[0]) if len(begun) == 1 and starts[0].noise is not None else None
+    best = best or _raced_to_sea(begun, setting, progress)
+    for step in (with_colour, with_input_noise, with_own_times) if best else ():
+        best = step(best, setting)
+    return _polished(best, polish) if best and polish else best
+
+
+def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
+    """Noise to begin with: as declared and tested, and with sensors as loud as they show."""
     free = ~np.isin(test.noise.places, setting.known)
     begin = replace(
         test.noise,
@@ -150,20 +158,8 @@ def fit_disturbed(
     # the forces: there levels begin at what these show, too.
     shown, seen = credible_levels(setting.dataset)
     loud = setting.estimated & seen & (shown > WORTH_TELLING * begin.white)
-    noises = [begin, replace(begin, white=np.where(loud, shown, begin.white))]
-    begun = [
-        _begun(model, setting, start, noise, test.unit, kernel)
-        for noise in noises[: 1 + loud.any()]
-        for start in starts
-        if noise is begin or start.noise is None
-    ]
-    best = _stayed(begun[0]) if len(begun) == 1 and starts[0].noise is not None else None
-    best = best or _raced_to_sea(begun, setting, progress)
-    if best is None:
-        return None
-    for step in (with_colour, with_input_noise, with_own_times):
-        best = step(best, setting)
-    return _polished(best, polish) if polish else best
+    louder = replace(begin, white=np.where(loud, shown, begin.white))
+    return [begin, louder] if loud.any() else [begin]
 
 
 def _raced_to_sea(
@@ -220,7 +216,7 @@ def _begun(
     others = point.unknowns[: problem.layout.levels.start]
     first, decades = _likeliest_level(problem, others, setting, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
-    found = _Begun(problem.with_levels(levels), Point(others, ()), np.inf).solved(HELD_STEPS)
+    found = _Begun(problem.with_levels(levels), Point(others, ()), np.inf).solved(2)
     if found is None:
         return first
     later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decades)
@@ -378,17 +374,18 @@ def _joined(
     known: Sequence[Sea] | None = None,
 ) -> FilteredSolution:
     """Let forces join at more places, at the best of some times, where the records ask for them."""
-    if not places:
-        return found
-    noise, levels = found.noise, found.problem.levels
-    new = [place for place in places if place not in levels.unit.places]
-    unit = levels.unit.with_places(new, 1.0)
-    unit = replace(unit, force=np.append(levels.unit.force, np.ones(len(new))))
-    least, begin = WORTH, None
-    for time in times:
+    new = [place for place in places if place not in found.problem.levels.unit.places]
+    unit = found.problem.levels.unit.with_places(new, 1.0)
+    unit = replace(unit, force=np.append(found.problem.levels.unit.force, np.ones(len(new))))
+
+    def posed_at(noise: NoiseModel) -> Filtered:
+        own = _own_times(found, noise)
+        return posed(found, setting, noise, own_times=own, unit=unit, seas=known)
+
+    noise, least, begin = found.noise, WORTH, None
+    for time in times if places else ():
         wide = noise.with_places(places, time)
-        own = _own_times(found, wide)
-        problem = posed(found, setting, wide, own_times=own, unit=unit, seas=known)
+        problem = posed_at(wide)
         still = moved(found, problem, 0)
         if still is None:
             continue
@@ -399,17 +396,14 @@ def _joined(
             least, begin = gain, replace(wide, force=np.append(noise.force, size))
     if begin is None:
         return found
-    # What does not act at first may act for another time.
-    asked = (begin.force > 0) | (begin.force_time > 0)
-    asked[: len(noise.places)] = True
     # What joins has the size that the score says.
     sizes = dict(zip(unit.places, unit.force, strict=True))
     sizes |= {p: f for p, f in zip(begin.places, begin.force, strict=True) if p in new and f > 0}
     unit = replace(unit, force=np.array([sizes[place] for place in unit.places]))
-    begin = begin.only(asked)
-    own = _own_times(found, begin)
-    problem = posed(found, setting, begin, own_times=own, unit=unit, seas=known)
-    return _worth(found, moved(found, problem, setting.max_iterations))
+    # What does not act at first may act for another time.
+    asked = (begin.force > 0) | (begin.force_time > 0)
+    asked[: len(noise.places)] = True
+    return _worth(found, moved(found, posed_at(begin.only(asked)), setting.max_iterations))
 
 
 def _own_times(found: FilteredSolution, noise: NoiseModel) -> bool:
@@ -437,7 +431,7 @@ def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
             break
         found = again
     noise, has = found.noise, _has_colour(found)
-    vanished = has & (noise.colour < VANISHED * setting.white)
+    vanished = has & (noise.colour < 0.02 * setting.white)
     if not vanished.any():
         return found
     white = np.where(setting.estimated, np.maximum(noise.white, setting.least_white), setting.white)
@@ -541,15 +535,11 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     if found.noise.seas or not places or not (declared or setting.any_sea):
         return found
     period = known.period or _likeliest_period(found, setting, places)
-    if period is None:
-        return found
-    sea = known.filled(_calm(places, period))
-    best = _at_sea(found, setting, sea, known)
-    if declared or best is None:
+    sea = None if period is None else known.filled(_calm(places, period))
+    best = None if sea is None else _at_sea(found, setting, sea, known)
+    if best is None or declared:
         return best or found
-    if not _clearly_a_sea(best, found, setting):
-        return found
-    return _with_forces(best, setting)
+    return _with_forces(best, setting) if _clearly_a_sea(best, found, setting) else found
 
 
 def _with_forces(found: FilteredSolution, setting: Setting) -> FilteredSolution:
@@ -585,7 +575,7 @@ def periods(found: FilteredSolution) -> list[float]:
     """Periods of a sea that are tried, s."""
     records = [record for record in found.problem.records if not record.independent]
     shortest = FEWEST * max(record.sample_time for record in records)
-    longest = SHARE_OF_RECORD * min(record.duration for record in records)
+    longest = min(record.duration for record in records) / 4  # four waves at least
     if longest < shortest:
         return []
     count = int(np.floor(np.log(longest / shortest) / np.log(NEXT_PERIOD))) + 1
@@ -606,7 +596,7 @@ def _again(
 
 def _calm(places: Sequence[str], period: float) -> Sea:
     """A sea of level zero."""
-    return Sea(period, BANDWIDTH, dict.fromkeys(places, 0.0), "velocity")
+    return Sea(period, bandwidth=0.3, levels=dict.fromkeys(places, 0.0), shape="velocity")
 
 
 def _tested(
@@ -660,7 +650,7 @@ def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel,
     """The sea with the likeliest of some levels in proportion to those of first order."""
     unit = found.problem.levels.unit
     size = [max(found.noise.level(p)[0], unit.level(p)[0]) for p in sea.places]
-    tried = [sea.with_levels(share * np.array(size)) for share in reversed(BEGIN)]
+    tried = [sea.with_levels(share * np.array(size)) for share in (2.0, 0.6, 0.2, 0.06)]
 
     def objective(one: Sea) -> float:
         known = [replace(one, levels=None)]

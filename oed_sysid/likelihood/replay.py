@@ -52,33 +52,19 @@ def replayed(fit: Fit) -> Fit:
     """
     if not fit.whole_runs.took_the_work:
         return fit
-    own = _error(fit, fit)
-    white = _white(fit)
-    if white is None or not _error(white, fit) < own:
-        return fit
-    weak, chosen = _weak(fit, white), white
-    if weak is not None and _error(weak, fit) < min(TWOFOLD * _error(white, fit), own):
-        chosen = weak
-    return replace(chosen, purpose="replay")
-
-
-def _error(fit: Fit, like: Fit) -> float:
-    """Whole-run error in the noise of a fit to the same records; infinite where it diverges."""
-    error = fit.whole_runs.error / like.whole_runs.noise
-    seen = ~np.isnan(error)
-    return float(np.sqrt(np.mean(error[seen] ** 2))) if seen.any() else np.inf
-
-
-def _white(fit: Fit) -> Fit | None:
-    """The same model fitted without process noise, from its values and from those of before."""
+    noise, own = fit.whole_runs.each("noise"), fit.whole_runs.relative
     estimator = MultipleShooting(disturbances="none")
     begun = fit.model.with_values({n: v for n, v in fit.nominal.items() if n in fit.model.values})
-    found = [
-        estimator.fit(fit.model, fit.dataset, warm=fit),
-        estimator.fit(begun, fit.dataset),
-    ]
-    sound = [one for one in found if one.status.ok]
-    return min(sound, key=lambda one: _error(one, fit), default=None)
+    # Without process noise from its values, and from those of before.
+    ends = (estimator.fit(fit.model, fit.dataset, warm=fit), estimator.fit(begun, fit.dataset))
+    errors = [(end.whole_runs.size(noise=noise), end) for end in ends if end.status.ok]
+    error, chosen = min(errors, key=lambda one: one[0], default=(np.inf, fit))
+    if not error < own:
+        return fit
+    weak = _weak(fit, chosen)
+    if weak is not None and weak.whole_runs.size(noise=noise) < min(TWOFOLD * error, own):
+        chosen = weak
+    return replace(chosen, purpose="replay")
 
 
 def _weak(fit: Fit, white: Fit) -> Fit | None:
@@ -86,7 +72,7 @@ def _weak(fit: Fit, white: Fit) -> Fit | None:
     began, noise = time.perf_counter(), fit.noise
     weak = replace(
         noise,
-        white=fit.whole_runs.noise,
+        white=fit.whole_runs.each("noise"),
         colour=np.zeros(len(noise.white)),
         force=WEAK * noise.force,
         seas=tuple(sea.with_levels(WEAK * sea.level) for sea in noise.seas),

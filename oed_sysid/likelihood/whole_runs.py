@@ -49,7 +49,7 @@ from oed_sysid.likelihood.noise_levels import (
     white_levels,
 )
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import BLIND, inverse_of
+from oed_sysid.likelihood.projection import BLIND, inverse_of, root_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.unknowns import KnownStarts
@@ -272,26 +272,60 @@ def rms(runs: Sequence[WholeRun]) -> np.ndarray:
     return np.where(seen.any(axis=0) & ~np.isfinite(found), np.inf, found)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class OutputRuns:
+    """What the whole runs of a fit say of one output.
+
+    Attributes
+    ----------
+    output, unit : str
+    error, without : float
+        Root mean square residual of whole runs, starts fitted, of the fit and of one without
+        process noise, in the unit of the output; infinite where they diverge, NaN where nothing
+        was measured.
+    spread : float
+        Standard deviation of the measured signal.
+    noise : float
+        Standard deviation that the sensor is granted: the declared one, or that of the records'
+        high-frequency content where that is larger; what was estimated where none was declared.
+    declared : bool
+        Whether that is not an estimate, which no run could exceed.
+    z : float
+        How far the runs of the fit without process noise lie from what the noise model would have
+        left, in standard widths; NaN where that was not asked.
+    """
+
+    output: str
+    unit: str
+    error: float
+    without: float
+    spread: float
+    noise: float
+    declared: bool
+    z: float
+
+    @property
+    def share(self) -> float:
+        """Whole-run error beyond the noise, as a share of the spread; NaN of nothing measured."""
+        return float(np.sqrt(np.maximum(self.error**2 - self.noise**2, 0.0)) / self.spread)
+
+    @property
+    def size(self) -> str:
+        """Whole-run error in its unit and in per cent of the signal, in words."""
+        factor, shown = shown_unit(self.unit)
+        words = f"{factor * self.error:.2g} {shown}".rstrip()
+        return f"{words} ({100 * self.error / self.spread:.2g} %) of {self.output}"
+
+    to_dict = as_dict("error", "unit", "noise", "share", "z", without_process_noise="without")
+
+
+@dataclass(frozen=True)
 class WholeRuns:
     """What the whole runs of a fit say of its noise model.
 
     Attributes
     ----------
-    outputs, units : tuple of str
-    error, without : ndarray (n_outputs,)
-        Root mean square residual of whole runs, starts fitted, of the fit and of one without
-        process noise, in the unit of the output; infinite where they diverge.
-    spread : ndarray (n_outputs,)
-        Standard deviation of the measured signals.
-    noise : ndarray (n_outputs,)
-        Standard deviation that the sensor is granted: the declared one, or that of the records'
-        high-frequency content where that is larger; what was estimated where none was declared.
-    declared : ndarray of bool (n_outputs,)
-        Whether that is not an estimate, which no run could exceed.
-    z : ndarray (n_outputs,)
-        How far the runs of the fit without process noise lie from what the noise model would have
-        left, in standard widths; NaN where that was not asked.
+    outputs : tuple of OutputRuns
     process_noise : bool
         Whether the noise model has process noise.
     unasked : str
@@ -301,120 +335,103 @@ class WholeRuns:
         where that was not asked.
     """
 
-    outputs: tuple[str, ...]
-    units: tuple[str, ...]
-    error: np.ndarray
-    without: np.ndarray
-    spread: np.ndarray
-    noise: np.ndarray
-    declared: np.ndarray
-    z: np.ndarray
+    outputs: tuple[OutputRuns, ...]
     process_noise: bool
     unasked: str = ""
     usual_ratio: float = np.inf
 
-    @property
-    def ratio(self) -> float:
-        """Whole-run error of the fit over that of one without process noise, in noise units."""
-        other = self._over_noise(self.without)
-        return self.relative / other if 0 < other < np.inf else np.nan
+    def each(self, fact: str) -> np.ndarray:
+        """One fact of every output, ``(n_outputs,)``."""
+        return np.array([getattr(one, fact) for one in self.outputs])
+
+    def size(self, error: str = "error", noise: np.ndarray | None = None) -> float:
+        """Error of whole runs over all measured outputs, in units of a noise, by default theirs."""
+        ratio = self.each(error) / (self.each("noise") if noise is None else noise)
+        seen = ratio[~np.isnan(ratio)]
+        return float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan
 
     @property
     def relative(self) -> float:
         """Whole-run error over all outputs, in noise units."""
-        return self._over_noise(self.error)
+        return self.size()
 
-    def _over_noise(self, error: np.ndarray) -> float:
-        seen = ~np.isnan(error)
-        return float(np.sqrt(np.mean((error / self.noise)[seen] ** 2))) if seen.any() else np.nan
+    @property
+    def ratio(self) -> float:
+        """Whole-run error of the fit over that of one without process noise, in noise units."""
+        other = self.size("without")
+        return self.relative / other if 0 < other < np.inf else np.nan
 
     @property
     def shares(self) -> dict[str, float]:
         """Whole-run error of every measured output beyond its noise, as a share of its spread."""
-        excess = np.sqrt(np.maximum(self.error**2 - self.noise**2, 0.0)) / self.spread
-        return {
-            name: float(share)
-            for name, share in zip(self.outputs, excess, strict=True)
-            if not np.isnan(share)
-        }
+        return {one.output: one.share for one in self.outputs if not np.isnan(one.share)}
 
     @property
     def diverging(self) -> tuple[str, ...]:
         """Outputs of which a whole run diverges."""
-        return tuple(n for n, e in zip(self.outputs, self.error, strict=True) if np.isinf(e))
+        return tuple(one.output for one in self.outputs if np.isinf(one.error))
 
     @property
     def beyond(self) -> tuple[str, ...]:
-        """Outputs whose runs the noise model would not have left.
+        """Outputs whose runs the noise model would not have left."""
+        return (*self._beyond(-1), *self._beyond(1))
+
+    def _beyond(self, side: int) -> list[str]:
+        """Outputs whose runs are better (-1) or worse (1) than the noise model would have left.
 
         Runs of sensors alone that are too good tell a level that is declared too large. Where the
         level of a sensor was not declared, it may be the sensor.
         """
-        if self.process_noise:
-            outside = np.abs(self.z) > BEYOND
-        else:
-            outside = (self.z > BEYOND) & self.declared
-        return tuple(n for n, out in zip(self.outputs, outside, strict=True) if out)
+        return [
+            one.output
+            for one in self.outputs
+            if side * one.z > BEYOND and (self.process_noise or (side > 0 and one.declared))
+        ]
 
     @property
     def objections(self) -> tuple[str, ...]:
         """Why the noise model could not have left these runs, in words; empty where it could."""
         if self.diverging:
             return (f"whole runs diverge in {', '.join(self.diverging)}",)
-        found = []
-        sides = dict(zip(self.outputs, self.z, strict=True))
-        good = [name for name in self.beyond if sides[name] < 0]
-        bad = [name for name in self.beyond if sides[name] > 0]
-        if good:
-            found.append(
-                f"process noise this strong would not have left whole runs as good in "
-                f"{', '.join(good)}"
-            )
-        if bad:
-            what = "process noise" if self.process_noise else "noise of the sensors"
-            found.append(f"{what} would not have left whole runs as bad in {', '.join(bad)}")
+        what = "process noise" if self.process_noise else "noise of the sensors"
+        unlikely = [name for name, share in self.shares.items() if share > 0.5]
+        objects = (
+            (f"{what} this strong would not have left whole runs as good in", self._beyond(-1)),
+            (f"{what} would not have left whole runs as bad in", self._beyond(1)),
+            # More noise than signal, of a level that nobody declared.
+            (f"{what} cannot be most of", [name for name in unlikely if name not in self.beyond]),
+        )
+        found = [
+            f"{words} {', '.join(names)}"
+            for words, names in objects[: 2 if self.process_noise else 3]
+            if names
+        ]
         if self.process_noise and self.ratio > max(WORTH_TELLING, self.usual_ratio):
             found.append(
                 f"with process noise a whole run is off {self.ratio:.2g} times as much as without"
             )
-        if not self.process_noise and (away := self._absorbed()):
-            found.append(f"noise of the sensors cannot be most of {', '.join(away)}")
         return tuple(found)
-
-    def _absorbed(self) -> list[str]:
-        """Outputs of unknown noise that would be more noise than signal."""
-        return [n for n, share in self.shares.items() if share > 0.5 and n not in self.beyond]
 
     @property
     def open_questions(self) -> tuple[str, ...]:
         """What these runs could not tell, in words."""
         found = [f"whole runs were not asked: {self.unasked}"] if self.unasked else []
-        if not self.process_noise:
-            doubtful = [
-                f"{name} ({error / noise:.2g} times its high-frequency content)"
-                for name, error, noise, z, declared in zip(
-                    self.outputs, self.error, self.noise, self.z, self.declared, strict=True
-                )
-                if z > BEYOND and not declared
-            ]
-            if doubtful:
-                found.append(
-                    f"what is left of {', '.join(doubtful)} may be its sensor or the model: "
-                    "declare its noise (noise_std)"
-                )
+        doubtful = [
+            f"{one.output} ({one.error / one.noise:.2g} times its high-frequency content)"
+            for one in self.outputs
+            if one.z > BEYOND and not (one.declared or self.process_noise)
+        ]
+        if doubtful:
+            found.append(
+                f"what is left of {', '.join(doubtful)} may be its sensor or the model: "
+                "declare its noise (noise_std)"
+            )
         return tuple(found)
 
     @property
     def sizes(self) -> str:
         """Whole-run errors in units and per cent of the signals, the largest three, in words."""
-        rows = []
-        for name, unit, error, spread in zip(
-            self.outputs, self.units, self.error, self.spread, strict=True
-        ):
-            if np.isfinite(error):
-                factor, shown = shown_unit(unit)
-                words = f"{factor * error:.2g} {shown}".rstrip()
-                rows.append((error / spread, f"{words} ({100 * error / spread:.2g} %) of {name}"))
+        rows = [(o.error / o.spread, o.size) for o in self.outputs if np.isfinite(o.error)]
         return ", ".join(words for _, words in sorted(rows, reverse=True)[:3])
 
     @property
@@ -424,48 +441,25 @@ class WholeRuns:
 
     to_dict = as_dict(
         "ratio", "usual_ratio", "process_noise", "unasked", "objections", "open_questions",
-        outputs=lambda self: {
-            name: {
-                "error": error, "unit": unit, "without_process_noise": without, "noise": noise,
-                "share": self.shares.get(name), "z": None if np.isnan(z) else z,
-            }
-            for name, unit, error, without, noise, z in zip(
-                self.outputs, self.units, self.error.tolist(), self.without.tolist(),
-                self.noise.tolist(), self.z.tolist(), strict=True,
-            )
-        },
+        outputs=lambda self: {one.output: one for one in self.outputs},
     )  # fmt: skip
 
 
-@dataclass(frozen=True, eq=False)
-class _Granted:
-    """Standard deviation that every sensor is granted.
+def _granted(
+    dataset: Dataset, declared: np.ndarray, fitted: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Standard deviation that every sensor is granted, and the error of its variance's logarithm.
 
-    Attributes
-    ----------
-    levels : ndarray (n_outputs,)
-        Declared, or of the records' high-frequency content where that is larger: no model and no
-        option enters. That content where nothing was declared, and what a fit estimated where the
-        records do not show it.
-    declared : ndarray of bool (n_outputs,)
-    error : ndarray (n_outputs,)
-        Standard error of the logarithm of the variance; zero where it is no estimate.
+    Declared, or of the records' high-frequency content where that is larger: no model and no option
+    enters. That content where nothing was declared, and what a fit estimated where the records do
+    not show it. The error is zero where it is no estimate.
     """
-
-    levels: np.ndarray
-    declared: np.ndarray
-    error: np.ndarray
-
-    @classmethod
-    def of(cls, dataset: Dataset, declared: np.ndarray, fitted: np.ndarray) -> _Granted:
-        """The levels of some records, where some are declared and a fit has its own."""
-        fast, seen = white_levels(dataset)
-        known = np.isfinite(declared)
-        levels = np.where(known, declared, fitted)
-        taken = seen & (~known | (fast > declared))
-        count = sum(np.isfinite(record.outputs).sum(axis=0) for record in dataset)
-        error = 2.0 * DIFFERENCE_ERROR / np.sqrt(np.maximum(count, 1))
-        return cls(np.where(taken, fast, levels), known, np.where(taken, error, 0.0))
+    fast, seen = white_levels(dataset)
+    taken = seen & ~(fast <= declared)
+    count = sum(np.isfinite(record.outputs).sum(axis=0) for record in dataset)
+    error = 2.0 * DIFFERENCE_ERROR / np.sqrt(np.maximum(count, 1))
+    levels = np.where(np.isfinite(declared), declared, fitted)
+    return np.where(taken, fast, levels), np.where(taken, error, 0.0)
 
 
 def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "") -> WholeRuns:
@@ -484,40 +478,31 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
     model, noise = fit.model, fit.noise
     dataset = fit.dataset if other is None else other
     declared = given_levels(model.outputs)
-    granted = _Granted.of(dataset, declared, noise.sensors)
-    own = runs = whole_runs(model, dataset, granted.levels, None if other else _starts(fit))
-    error = without = rms(own)
+    levels, error = _granted(dataset, declared, noise.sensors)
+    own = runs = whole_runs(model, dataset, levels, None if other else _starts(fit))
     if other is None and not noise.is_white:
-        runs = without_process_noise(fit, granted.levels, own) or own
-        without = rms(runs)
+        runs = without_process_noise(fit, levels, own) or own
+    without, scatter = rms(runs), _scatter(fit)
     z, usual = np.full(len(declared), np.nan), np.inf
-    if dataset.only_tests:
-        unasked = unasked or "independent tests have no runs"
-    if not unasked:
+    unasked = unasked or ("independent tests have no runs" if dataset.only_tests else "")
+    while not unasked:
         # Sensors are no noisier than they are granted, whatever a fit took for their noise; beside
         # process noise only where that was declared.
-        taken = granted.declared | (not noise.has_forces)
-        sensors = noise.at_most(np.where(taken, granted.levels, np.inf))
-        z, usual, unasked = _departure(
-            runs, sensors, granted.error, _scatter(fit), shared=not other
-        )
-        coarse = granted.declared & (z < -BEYOND)
-        if coarse.any() and not noise.has_forces:
-            # The declared noise would not have left runs as good: it is not the sensor's.
-            granted = _Granted.of(dataset, np.where(coarse, np.nan, declared), without)
-            sensors = noise.at_most(granted.levels)
-            z, _, unasked = _departure(
-                runs, sensors, granted.error, _scatter(fit), shared=not other
-            )
+        taken = np.isfinite(declared) | (not noise.has_forces)
+        sensors = noise.at_most(np.where(taken, levels, np.inf))
+        z, usual, unasked = _departure(runs, sensors, error, scatter, shared=not other)
+        coarse = np.isfinite(declared) & (z < -BEYOND)
+        if noise.has_forces or not coarse.any():
+            break
+        # The declared noise would not have left runs as good: it is not the sensor's.
+        declared = np.where(coarse, np.nan, declared)
+        levels, error = _granted(dataset, declared, without)
+    facts = (rms(own), without, signal_spread(dataset), levels, np.isfinite(declared), z)
     return WholeRuns(
-        model.output_names,
-        tuple(output.unit for output in model.outputs),
-        error,
-        without,
-        signal_spread(dataset),
-        granted.levels,
-        granted.declared,
-        z,
+        tuple(
+            OutputRuns(output.name, output.unit, *row)
+            for output, *row in zip(model.outputs, *(part.tolist() for part in facts), strict=True)
+        ),
         noise.has_forces,
         unasked,
         usual if runs is own or _near(own, runs) else np.inf,
@@ -551,9 +536,7 @@ def _starts(fit: Estimate) -> list[tuple[np.ndarray, Mapping[str, float]]] | Non
 def _scatter(fit: Estimate) -> np.ndarray:
     """Root of the covariance of the shared parameters, ``(n_shared, n_shared)``; known ones."""
     covariance = fit.shared_covariance
-    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+    return root_of(np.where(np.isfinite(covariance), covariance, 0.0))
 
 
 def without_process_noise(
@@ -580,10 +563,10 @@ def without_process_noise(
             columns = shooting.layout.record_columns(index)
             begin[columns] = run.unknowns[run.shooting.layout.record_columns(0)]
         points.append(shooting.continuous(begin))
-    ends = [end for end in (solve(shooting, point) for point in points) if end is not None]
     found = [
         tuple(WholeRun.part(shooting, end.point.unknowns, i) for i in range(len(fit.dataset)))
-        for end in ends
+        for point in points
+        if (end := solve(shooting, point)) is not None
     ]
     # By whole runs: where iterations stall, the pieces of a trajectory need not meet.
     return min(found, key=_square, default=None)
@@ -611,10 +594,31 @@ def _departure(
     nothing = np.full(len(noise.white), np.nan)
     if any(run.jacobian is None for run in runs):
         return nothing, np.inf, "the model diverges without process noise"
-    whole = _Estimator.of(runs, shared=True) if shared else None
-    starts = _Estimator.of(runs, shared=False)
+    sums = _draws(runs, noise, root, shared=shared)
+    if sum(len(left) for left, _ in sums) < 0.5 * DRAWS:
+        return nothing, np.inf, "most runs under this process noise diverge"
+    drawn, scattered = map(np.concatenate, zip(*sums, strict=True))
+    seen = sum((run.whitened() ** 2).sum(axis=0) for run in runs)
+    count = sum((run.weights() > 0).sum(axis=0) for run in runs)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        low, middle, high = np.quantile(np.log(drawn), [0.16, 0.5, 0.84], axis=0)
+        distance = np.log(seen) - middle
+        z = distance / np.hypot(np.where(distance > 0, high - middle, middle - low), error)
+        means = [np.nanmean(part / count, axis=1) for part in (scattered, drawn)]
+        usual = float(np.sqrt(np.quantile(means[0] / means[1], 1.0 - CHANCE)))
+    return np.where(count > 0, z, np.nan), usual, ""
+
+
+def _draws(
+    runs: Sequence[WholeRun], noise: NoiseModel, root: np.ndarray, *, shared: bool
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Sums of squares ``(n_draws, n_outputs)`` that estimators leave of drawn runs, some at once.
+
+    The first is of the estimator of the runs, the second of one whose shared parameters scatter.
+    """
+    whole, starts = (_Estimator.of(runs, shared=one) for one in (shared, False))
     rng = np.random.default_rng(0)  # the same draws for the same fit
-    left, scattered = [], []
+    sums = []
     for _ in range(0, DRAWS, CHUNK):
         away = [_drawn(run, noise, rng) for run in runs]
         finite = np.all([np.isfinite(part).all(axis=(1, 2)) for part in away], axis=0)
@@ -623,20 +627,8 @@ def _departure(
         away = [part[finite] for part in away]
         moved = rng.standard_normal((len(away[0]), len(root))) @ root.T
         off = [part + _moved(run, moved) for run, part in zip(runs, away, strict=True)]
-        scattered.append(starts.leaves(off))
-        left.append(scattered[-1] if whole is None else whole.leaves(away))
-    if sum(map(len, left)) < 0.5 * DRAWS:
-        return nothing, np.inf, "most runs under this process noise diverge"
-    drawn = np.concatenate(left)
-    seen = sum((run.whitened() ** 2).sum(axis=0) for run in runs)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        low, middle, high = np.quantile(np.log(drawn), [0.16, 0.5, 0.84], axis=0)
-        distance = np.log(seen) - middle
-        z = distance / np.hypot(np.where(distance > 0, high - middle, middle - low), error)
-        count = sum((run.weights() > 0).sum(axis=0) for run in runs)
-        means = [np.nanmean(part / count, axis=1) for part in (np.concatenate(scattered), drawn)]
-        usual = float(np.sqrt(np.quantile(means[0] / means[1], 1.0 - CHANCE)))
-    return np.where(count > 0, z, np.nan), usual, ""
+        sums.append((whole.leaves(away if shared else off), starts.leaves(off)))
+    return sums
 
 
 def _drawn(run: WholeRun, noise: NoiseModel, rng: np.random.Generator) -> np.ndarray:
