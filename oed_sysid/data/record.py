@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import difflib
 import hashlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -32,7 +32,7 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels
-from oed_sysid.runtime.display import as_html
+from oed_sysid.runtime.display import as_html, counted
 
 # -- angles that wrap ------------------------------------------------------------------
 
@@ -105,22 +105,16 @@ def _with_turns_in_gaps(times: np.ndarray, series: np.ndarray, period: float) ->
     gaps = np.flatnonzero(steps > GAP * np.median(steps))
     edges = [0, *(gaps + 1), times.size]
     result = series.copy()
-    for number, last in enumerate(gaps):
-        rates = []
-        for piece in (
-            slice(max(edges[number], last + 1 - 12), last + 1),
-            slice(last + 1, min(edges[number + 2], last + 1 + 12)),
-        ):
-            if piece.stop - piece.start >= MINIMUM_SAMPLES:
-                rates.append(float(np.polyfit(times[piece], series[piece], 1)[0]))
-        if len(rates) < 2:
+    for first, gap, last in zip(edges, edges[1:], edges[2:], strict=False):
+        sides = slice(max(first, gap - 12), gap), slice(gap, min(last, gap + 12))
+        if min(side.stop - side.start for side in sides) < MINIMUM_SAMPLES:
             continue
-        duration = float(steps[last])
-        expected = 0.5 * sum(rates) * duration
-        if abs(rates[1] - rates[0]) * duration > 0.5 * period:
-            continue  # which of two turns it was, nobody knows
-        turns = round((expected - (series[last + 1] - series[last])) / period)
-        result[last + 1 :] += turns * period
+        before, after = (float(np.polyfit(times[s], series[s], 1)[0]) for s in sides)
+        duration = float(steps[gap - 1])
+        if abs(after - before) * duration <= 0.5 * period:  # else nobody knows which of two turns
+            expected = 0.5 * (before + after) * duration
+            turns = round((expected - (series[gap] - series[gap - 1])) / period)
+            result[gap:] += turns * period
     return result
 
 
@@ -217,8 +211,6 @@ def wrap_fault(
 # -- a measured record -----------------------------------------------------------------
 
 
-# Sampling counts as uniform within this share of the median step.
-UNIFORM_TOLERANCE = 1e-3
 TIME_ADVICE = (
     "Times have to increase strictly: sort the rows, remove the repeated ones, "
     "or cut the log where its clock was set."
@@ -296,8 +288,8 @@ class Record:
             array.setflags(write=False)
             object.__setattr__(self, key, array)
         object.__setattr__(self, "missing_outputs", tuple(self.missing_outputs))
-        self._check_times()
-        self._check_values()
+        for fault in self._faults():
+            raise DataError(fault)
 
     def residuals(self, predicted: np.ndarray) -> np.ndarray:
         """Measured minus predicted outputs; those that wrap are compared on the circle.
@@ -372,76 +364,70 @@ class Record:
             if output.unit != "rad" or output.name in done:
                 continue
             values = outputs[:, column]
-            if output.wrap:
-                whole = unwrapped(values, times=self.times)
-                jumps = int(np.sum(np.abs(np.diff((whole - values)[np.isfinite(values)])) > 1.0))
-                if jumps:
-                    turns = "turn" if jumps == 1 else "turns"
-                    notes.append(
-                        f"{output.name} of record {self.name!r} was unwrapped: {jumps} full "
-                        f"{turns} added where the log jumps."
-                    )
-                outputs[:, column] = whole
-                done.append(output.name)
+            if not output.wrap:
+                if fault := wrap_fault(output.name, values):
+                    raise DataError(f"Record {self.name!r}: output {output.name!r} {fault}")
                 continue
-            if fault := wrap_fault(output.name, values):
-                raise DataError(f"Record {self.name!r}: output {output.name!r} {fault}")
+            whole = unwrapped(values, times=self.times)
+            jumps = int(np.sum(np.abs(np.diff((whole - values)[np.isfinite(values)])) > 1.0))
+            if jumps:
+                notes.append(
+                    f"{output.name} of record {self.name!r} was unwrapped: "
+                    f"{counted(jumps, 'full turn')} added where the log jumps."
+                )
+            outputs[:, column] = whole
+            done.append(output.name)
         object.__setattr__(self, "continuous", tuple(done))
         object.__setattr__(self, "notes", tuple(notes))
 
-    def _check_times(self) -> None:
+    def _faults(self) -> Iterator[str]:
+        """What is wrong with times and values, in sentences, the worst first."""
         if self.n_samples < MINIMUM_SAMPLES:
-            raise DataError(
+            yield (
                 f"Record {self.name!r} has {self.n_samples} samples; at least {MINIMUM_SAMPLES} "
                 "are needed. Join it with its neighbour or leave it out."
             )
-        fault = time_fault(self.times)
-        if fault is not None:
+        if (fault := time_fault(self.times)) is not None:
             index, what = fault
-            raise DataError(
+            yield (
                 f"Record {self.name!r}: time {what} at index {index} "
                 f"(t = {self.times[index]}). {TIME_ADVICE}"
             )
-
-    def _check_values(self) -> None:
-        known = np.isfinite(self.inputs)
-        if not known.all():
-            row, column = np.argwhere(~known)[0]
-            raise DataError(
+        for row, column in np.argwhere(~np.isfinite(self.inputs)):
+            yield (
                 f"Record {self.name!r}: input {self.channels.input_names[column]!r} is "
                 f"{self.inputs[row, column]} at index {row} (t = {self.times[row]:g} s). Inputs "
                 "have to be known at every time: fill the gap by what the command was, or cut "
                 "the record there with window()."
             )
-        infinite = np.isinf(self.outputs)
-        if infinite.any():
-            row, column = np.argwhere(infinite)[0]
-            raise DataError(
+        for row, column in np.argwhere(np.isinf(self.outputs)):
+            yield (
                 f"Record {self.name!r}: output {self.channels.output_names[column]!r} is infinite "
                 f"at index {row}. Mark missing samples with NaN."
             )
-        names = self.channels.output_names
-        unknown = [name for name in self.missing_outputs if name not in names]
-        if unknown:
-            raise DataError(
-                f"Record {self.name!r} declares {unknown[0]!r} missing, but the outputs are "
+        yield from self._contradictions()
+
+    def _contradictions(self) -> Iterator[str]:
+        """Where samples and ``missing_outputs`` say different things."""
+        names, declared = self.channels.output_names, self.missing_outputs
+        empty = empty_outputs(self.outputs, names)
+        for name in (name for name in declared if name not in names):
+            yield (
+                f"Record {self.name!r} declares {name!r} missing, but the outputs are "
                 f"{', '.join(names)}."
             )
-        empty = empty_outputs(self.outputs, names)
-        undeclared = [name for name in empty if name not in self.missing_outputs]
-        if undeclared:
-            raise DataError(
-                f"Record {self.name!r}: output {undeclared[0]!r} has no sample at all. If it was "
-                f"not measured, say so with missing_outputs=({undeclared[0]!r},)."
+        for name in (name for name in empty if name not in declared):
+            yield (
+                f"Record {self.name!r}: output {name!r} has no sample at all. If it was not "
+                f"measured, say so with missing_outputs=({name!r},)."
             )
-        filled = [name for name in self.missing_outputs if name not in empty]
-        if filled:
-            raise DataError(
-                f"Record {self.name!r} declares {filled[0]!r} missing, but it has samples. "
-                "Remove it from missing_outputs."
+        for name in (name for name in declared if name not in empty):
+            yield (
+                f"Record {self.name!r} declares {name!r} missing, but it has samples. Remove it "
+                "from missing_outputs."
             )
         if len(empty) == len(names):
-            raise DataError(f"Record {self.name!r} has no measured output. At least one is needed.")
+            yield f"Record {self.name!r} has no measured output. At least one is needed."
 
     _repr_html_ = as_html
 
@@ -487,7 +473,7 @@ class Record:
     def is_uniform(self) -> bool:
         """Whether all steps equal the median step within 0.1 %."""
         steps = np.diff(self.times)
-        return bool(np.all(np.abs(steps - self.sample_time) <= UNIFORM_TOLERANCE * steps))
+        return bool(np.all(np.abs(steps - self.sample_time) <= 1e-3 * steps))
 
     @property
     def constant_channels(self) -> tuple[str, ...]:
@@ -635,12 +621,9 @@ def closest(name: str, names: Iterable[str]) -> str:
 
 def sampled_alike(records: Sequence[Record]) -> list[list[int]]:
     """Places of the records, grouped by sample time: colour is estimated in samples."""
-    groups: list[tuple[float, list[int]]] = []
+    groups: dict[float, list[int]] = {}
     for index, record in enumerate(records):
-        for sample_time, members in groups:
-            if abs(record.sample_time - sample_time) < 0.01 * sample_time:
-                members.append(index)
-                break
-        else:
-            groups.append((record.sample_time, [index]))
-    return [members for _, members in groups]
+        step = record.sample_time
+        alike = (other for other in groups if abs(step - other) < 0.01 * other)
+        groups.setdefault(next(alike, step), []).append(index)
+    return [*groups.values()]

@@ -28,7 +28,7 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from time import perf_counter
@@ -38,7 +38,7 @@ from scipy.fft import idct
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
-from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
+from oed_sysid.evidence.contrasts import Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
@@ -47,13 +47,12 @@ from oed_sysid.evidence.screens import Fault, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
     READ,
+    Log,
     clock_findings,
     judged_row,
     misfit_finding,
-    reading_finding,
     said,
     screen_findings,
-    sized_finding,
 )
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.likelihood.departures import other_way
@@ -82,6 +81,8 @@ FAR = 5.0
 # Samples that must not enter any equation; and exact coincidences, which are certain.
 BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
 EXACT = ("dead", "copied", *BLANKED[1:])
+# Kind, signal, record and beginning of a fault.
+_Place = tuple[str, str, str, float]
 
 
 def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
@@ -128,26 +129,26 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
-    mute = {name for one in faults if one.kind in ("dead", "copied") for name in one.names}
-    equations = tuple(r for r in equations if not mute & {*r.names})
+    mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
+    equations = tuple(r for r in equations if mute.isdisjoint(r.names))
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
         clean = [t.blank(marked(faults, t.name, BLANKED)) for t in traces]
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
     findings = [*screen_findings(dataset, traces, faults), *related]
-    reason, of_inputs = "", list[Judged]()
+    asked, unchecked = _asked(model, traces, equations, ended), _shared(equations, traces)
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
         judged, of_inputs, reason = input_findings(dataset, model, known, ranges)
-        findings += judged
-    asked = [*_asked(model, traces, equations, ended), *of_inputs]
+        findings, asked = [*findings, *judged], [*asked, *of_inputs]
+        unchecked = (*unchecked, reason) if reason else unchecked
     return LogCheck(
         tuple(_ordered(findings)),
         dataset.names,
-        tuple(str(one) for one in equations),
+        tuple(map(str, equations)),
         balances,
-        (*_shared(equations, traces), *filter(None, (reason,))),
+        unchecked,
         _answered(asked, findings),
         perf_counter() - began,
     )
@@ -170,44 +171,37 @@ def _related(
     faults: Sequence[Fault],
 ) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
-    steps = [one for one in faults if one.kind == "step" and one.signal in names_of(equations)]
-    known = {one: _steps(one, clean, equations) for one in steps}
-    begun = [fix for fixes in known.values() for fix in fixes]
+    known = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
+    begun = [fix for fixes in known.values() for fix in fixes or ()]
     found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), begun)
-    faults, sized = _settled(faults, known, ended)
+    begun_at, sizes, sized = {_place(fix) for fix in begun}, {}, list[contrasts.Found]()
+    for one in ended.found:
+        if (place := _place(one.correction)) in begun_at:
+            sizes[place] = float(one.size)
+        else:
+            sized.append(one)
+    faults = [_resized(one, known.get(one), sizes) for one in faults]
     fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
-    about = dataset.channels, equations, dataset.names
     begins = {t.name: (float(t.times[0]), float(t.times[-1])) for t in clean}
-    findings = [reading_finding(one, *about) for one in found]
-    for one in sized:
-        allowed = _allowed(model, one)
-        findings.append(sized_finding(one, *about, allowed=allowed, begins=begins))
+    log = Log(dataset.channels, equations, dataset.names, begins, _sensed(model.effects))
+    findings = [*map(log.reading, found), *map(log.sized, sized)]
     findings += clock_findings(mended, equations)
     findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
     return faults, findings, _balances(clean, mended, equations), ended
 
 
-def _settled(
-    faults: Sequence[Fault], known: Mapping[Fault, Sequence[Correction]], ended: Result
-) -> tuple[list[Fault], list[Found]]:
-    """Faults of the screens, steps with their sizes by the equations; and what else was found."""
-    sizes = {_place(one.correction): one for one in ended.found if one.candidate.kind == "step"}
-    done = [sizes.pop(_place(fix), None) for fixes in known.values() for fix in fixes]
-    own = {_place(one.correction): float(one.size) for one in done if one is not None}
-    kept = [one for one in faults if one not in known]
-    kept += [_resized(one, fixes, own) for one, fixes in known.items()]
-    return kept, [one for one in ended.found if one not in done]
-
-
 def _steps(
     fault: Fault, traces: Sequence[Trace], equations: tuple[Relation, ...]
-) -> list[Correction]:
-    """Steps that a screen found, as faults of the equations; none where these contradict them.
+) -> list[Correction] | None:
+    """Steps that a screen found, as faults of the equations; empty where these contradict them.
 
     A signal that catches up with the motion after it was lost jumps as well, and is right
     afterwards: with the jump subtracted the equations tell less, not more.
     """
+    some = Question(tuple(r for r in equations if fault.signal in r.names), ())
+    if not some.relations:
+        return None
     here = [trace for trace in traces if trace.name == fault.record]
     since = here[0].times - here[0].times[0]
     fixes = [
@@ -215,20 +209,23 @@ def _steps(
         for row, size in zip(fault.rows, fault.sizes, strict=True)
         for share in (0.5 * (since[row] + since[row - 1]) / since[-1],)
     ]
-    some = Question(tuple(r for r in equations if fault.signal in r.names), ())
     mended = [undo(trace, fixes) for trace in here]
     before, after = (contrasts.evidence(one, some).sum() for one in (here, mended))
     return fixes if after > before else []
 
 
-def _place(step: Correction) -> tuple[str, str, float]:
-    return step.signals[0], step.record, step.span[0]
+def _place(fix: Correction) -> _Place:
+    return fix.kind, fix.signals[0], fix.record, fix.span[0]
 
 
 def _resized(
-    fault: Fault, fixes: Sequence[Correction], sizes: Mapping[tuple[str, str, float], float]
+    fault: Fault,
+    fixes: Sequence[Correction] | None,
+    sizes: Mapping[_Place, float],
 ) -> Fault:
     """A fault with the sizes that the equations give its steps; it has caught up without any."""
+    if fixes is None:
+        return fault
     if not fixes:
         return replace(fault, kind="caught up")
     own = tuple(sizes.get(_place(f), f.value) for f in fixes)
@@ -335,6 +332,11 @@ def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:
     return Dataset(tuple(undone))
 
 
+def _sensed(effects: Iterable[Effect]) -> frozenset[str]:
+    """Signals on which sensors have an effect."""
+    return frozenset(str(key) for e in effects if e.stage == "sensor" for key in e.terms)
+
+
 def _far(fit: Fit, records: tuple[str, ...]) -> list[Finding]:
     """Values many prior deviations from their prior means."""
     away = {
@@ -362,12 +364,6 @@ def _ordered(findings: list[Finding]) -> list[Finding]:
     return sorted(kept, key=lambda o: (not o.suspect, o.kind not in EXACT, -(o.gain or 0.0)))
 
 
-def _allowed(model: Model, one: Found) -> bool:
-    """Whether the model has a sensor effect on a signal of this fault."""
-    touched = {key for e in model.effects if e.stage == "sensor" for key in e.terms}
-    return bool(touched & set(one.candidate.signals))
-
-
 def _asked(
     model: Model,
     traces: Sequence[Trace],
@@ -387,16 +383,14 @@ def _asked(
 def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[str, ...]:
     """What no kinematics can tell, in sentences."""
     units, related = units_of(traces), names_of(equations)
-    inner = {n for r in equations for n in r.signals}
     alone = ", ".join(n for n in units if n not in related)
     targets = ", ".join(r.target for r in equations if r.is_rate)
-    pairs = [r for r in equations if units.get(r.target) == "rad" and len(r.signals) == 1]
     positions = contrasts.positions_of(equations, units)
     velocities = ", ".join(contrasts.velocities_of(equations, units))
     said = [
         (alone, f"No equation without unknown parameters relates {alone}."),
         (equations, f"Constant offsets of {targets}, and a delay common to all signals."),
-        *((True, _either(r.target, r.signals[0], r.target in inner)) for r in pairs),
+        *((True, words) for words in _either(equations, units)),
         (positions, f"The sign of {', '.join(positions)} against those of {velocities} together."),
         (positions, "A bias of an attitude angle against a misalignment of the velocities."),
         (positions, "At a single speed: a bias of a velocity against its scale."),
@@ -405,11 +399,17 @@ def _shared(equations: tuple[Relation, ...], traces: Sequence[Trace]) -> tuple[s
     return tuple(words for told, words in said if told)
 
 
-def _either(angle: str, rate: str, used: bool) -> str:
-    """What an angle and its rate alone cannot tell; ``used`` where others depend on the angle."""
-    if used:
-        return f"A wrong sign or unit that {angle} and {rate} share in full."
-    return f"Which of {angle} and {rate} has a wrong sign, unit, scale or delay."
+def _either(equations: tuple[Relation, ...], units: Mapping[str, str]) -> Iterator[str]:
+    """What an angle and its rate alone cannot tell, unless others depend on the angle."""
+    inner = {n for r in equations for n in r.signals}
+    for relation in equations:
+        angle, *rates = relation.names
+        if units.get(angle) == "rad" and len(rates) == 1:
+            rate = rates[0]
+            if angle in inner:
+                yield f"A wrong sign or unit that {angle} and {rate} share in full."
+            else:
+                yield f"Which of {angle} and {rate} has a wrong sign, unit, scale or delay."
 
 
 def _balances(

@@ -376,29 +376,32 @@ def contrasts(
     its left side was logged in, or shrinking a signal would shrink its noise.
     """
     motion = Motion(trace, relations)
-    shapes = {
+    every = {
         k: SHAPES[one.kind](one, motion)
         for k, one in enumerate(faults)
         if one.record in ("", trace.name) and {*one.signals, *one.other} <= motion.raw.keys()
     }
-    zero = np.zeros(trace.times.size)
     for index, right in motion.right.items():
         relation = relations[index]
-        used = [k for k in shapes if shapes[k].keys() & {*relation.names}]
-        touched = {n for k in used for n in shapes[k]}
-        names = [n for n in relation.asked if n in touched or trace.noise[n] > 0.0]
-        inner = {n: motion.raw[n] for n in relation.signals}
-        slopes = {n: relation.slope(inner, trace.times, n) for n in names}
-        under = [
-            sum((slopes[n] * g for n, g in shapes[k].items() if n in slopes), zero) for k in used
-        ]
-        direct = [shapes[k].get(relation.target, zero) for k in used]
-        target = trace.values[relation.target]
+        shapes = {k: shape for k, shape in every.items() if shape.keys() & {*relation.names}}
+        slopes = _slopes(relation, motion, set().union(*shapes.values()))
+        target, zero = trace.values[relation.target], np.zeros(trace.times.size)
         # Residual, left side, candidates, signals: each is a left side minus an integral.
-        left = np.column_stack([target, target, *direct, *(zero for _ in slopes)])
-        inside = np.column_stack([right, zero, *under, *slopes.values()])
+        left, inside = [target, target], [right, zero]
+        for shape in shapes.values():
+            left.append(shape.get(relation.target, zero))
+            inside.append(sum((slopes[n] * shape[n] for n in shape if n in slopes), zero))
+        left += [zero] * len(slopes)
+        columns = np.column_stack(left), np.column_stack([*inside, *slopes.values()])
         factor = factors.get(relation.target, 1.0)
-        yield from _pieces(trace, (index, relation), (left, inside), used, slopes, factor)
+        yield from _pieces(trace, (index, relation), columns, [*shapes], slopes, factor)
+
+
+def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
+    """Derivatives of a right side by the signals that a fault touches, or that have noise."""
+    inner, trace = {n: motion.raw[n] for n in relation.signals}, motion.trace
+    names = (n for n in relation.asked if n in touched or trace.noise[n] > 0.0)
+    return {n: relation.slope(inner, trace.times, n) for n in names}
 
 
 def _pieces(
@@ -605,13 +608,14 @@ def scanned(
     inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
     places = np.arange(1, PLACES) / PLACES
     result = []
+    numbered = [*zip(pieces, system.levels, strict=True)]
     for trace, (name, one) in product(traces, local.items()):
         score, power = np.zeros((2, places.size)), np.zeros((2, places.size))
         across = np.zeros((2, places.size, len(a)))
         at = trace.times[0] + places * (trace.times[-1] - trace.times[0])
-        for piece, level in zip(pieces, system.levels, strict=True):
+        for piece, level in numbered:
             ramp = piece.ramps.get(name)
-            if piece.record != trace.name or (ramp is None and piece.target_name != name):
+            if piece.record != trace.name or name not in (piece.target_name, *piece.ramps):
                 continue
             row = np.searchsorted(piece.times, at)
             ended = row + max(1, round(piece.times.size / PLACES))

@@ -52,7 +52,7 @@ from oed_sysid.evidence.corrections import ORDER, corrected
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
-from oed_sysid.evidence.words import judged_row, reading_finding, said, sized_finding
+from oed_sysid.evidence.words import Log, judged_row, said
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
 from oed_sysid.physics.channels import Input, State
@@ -154,9 +154,8 @@ def input_findings(
         return beyond, [replace(row, says=traces) for row in rows], f"{about}{traces}."
     question = _question(traces, model)
     found, ended = diagnosed(traces, question)
-    about_all = dataset.channels, (), dataset.names
-    findings = [reading_finding(one, *about_all) for one in found]
-    findings += [sized_finding(one, *about_all) for one in ended.found]
+    log = Log(dataset.channels, (), dataset.names)
+    findings = [*map(log.reading, found), *map(log.sized, ended.found)]
     # What the motion says of an input holds what its range says.
     named = {name for one in findings for name in one.signals}
     findings += [one for one in beyond if not named & set(one.signals)]
@@ -238,23 +237,18 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
         state for state, text in model.kinematics.items() if names_in(text) & free
     }
     every = (*model.state_names, *model.input_names, *model.free_names)
-    equations = tuple(Nominal(state, every, "the nominal model", True, (), {}, run=run)
-                      for state in model.state_names if state in own)  # fmt: skip
+    targets = [state for state in model.state_names if state in own]
+    equations = tuple(
+        Nominal(target, every, "the nominal model", True, (), {}, run=run) for target in targets
+    )
     step = float(np.median([t.step for t in traces]))
     length = max(float(t.times[-1] - t.times[0]) for t in traces)
-    moving = {
-        channel.name: channel.unit
-        for channel in model.inputs
-        if any(np.ptp(t.values[channel.name]) > 0.0 for t in traces)
-    }
-    common = [
-        one
-        for name, unit in moving.items()
-        for one in (
-            Candidate("scale", (name,), "1", LEAST_PRIOR, RELATIVE, unit_of=unit),
-            Candidate("delay", (name,), "s", max(0.7, 3.0 * step), step),
-        )
-    ]
+    reach = {one: max(np.ptp(t.values[one.name]) for t in traces) for one in model.inputs}
+    moving = {channel.name: channel.unit for channel, size in reach.items() if size > 0.0}
+    common = list[Candidate]()
+    for name, unit in moving.items():
+        common.append(Candidate("scale", (name,), "1", LEAST_PRIOR, RELATIVE, unit_of=unit))
+        common.append(Candidate("delay", (name,), "s", max(0.7, 3.0 * step), step))
     given = tuple(_given(traces, equations, model, length))
     return Question(equations, tuple(common), readings=tuple(_readings(moving)), given=given)
 
@@ -326,5 +320,5 @@ def between_runs(fit: Fit) -> tuple[Finding, ...]:
     grown = grown[np.isfinite(grown)]
     less = max(1.0, float(grown.mean()) if grown.size else 1.0)
     system = System.plain(faults, gram * np.outer(share, share) / less, right * share / less)
-    about = fit.dataset.channels, (), fit.dataset.names
-    return tuple(sized_finding(one, *about) for one in system.found())
+    log = Log(fit.dataset.channels, (), fit.dataset.names)
+    return tuple(map(log.sized, system.found()))

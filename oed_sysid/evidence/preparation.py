@@ -82,7 +82,7 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     >>> print(found.train.n_samples, found.validation.n_samples)
     600 400
     """
-    notes = []
+    notes, whole = list[str](), None
     least = LEAST if train.only_tests else LEAST_SAMPLES  # a test tells as much as many samples
     if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * least:
         parted = _drawn_apart if train.only_tests else _kept_apart
@@ -90,21 +90,20 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
         notes.append(words)
     if train.only_tests:  # to leave some out would lose what they alone tell
         return Prepared(train, validation, tuple(notes))
-    strides, whole = _strides(train, validation, enough), None
+    strides = _strides(train, validation, enough)
     if max(strides) > 1:
-        parts = [*train, *(validation or ())]
-        gap = max(n * part.sample_time for n, part in zip(strides, parts, strict=True) if n > 1)
+        pairs = [*zip([*train, *(validation or ())], strides, strict=True)]
+        gap = max(n * part.sample_time for part, n in pairs if n > 1)
         few = min(strides) == 1
         which = "Quickly sampled records were" if few else f"One sample in {max(strides)} was"
+        before = min(part.sample_time for part, _ in pairs)
         notes.append(
-            f"{which} searched {gap:.3g} s apart instead of {min(p.sample_time for p in parts):.3g}"
-            " s, with the mean of the inputs between samples. Fit the improved model to all "
-            "samples for its final numbers."
+            f"{which} searched {gap:.3g} s apart instead of {before:.3g} s, with the mean of the "
+            "inputs between samples. Fit the improved model to all samples for its final numbers."
         )
-        whole = train
-        thinned = [coarser(part, n) for n, part in zip(strides, parts, strict=True)]
+        whole, thinned = train, [coarser(*pair) for pair in pairs]
         train = Dataset(tuple(thinned[: len(train)]))
-        validation = None if validation is None else Dataset(tuple(thinned[len(train) :]))
+        validation = Dataset(tuple(thinned[len(train) :])) if validation else None
     return Prepared(train, validation, tuple(notes), whole)
 
 

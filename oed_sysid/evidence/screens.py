@@ -50,10 +50,11 @@ with a step, over the widest surroundings in which noise is all that this leaves
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import bdtrc
@@ -62,16 +63,12 @@ from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, QUARTILE, RELATIVE
 
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
-# Lengths of groups.
-LENGTHS = (1, 2, 3, 4, 5, 6, 9, 12)
 # Samples on either side of a step that tell level and slope.
 SIDE = 5
 # Samples around a group or a step that say what is usual.
 AROUND = 5 * SIDE
 # Share of samples or values from which on a signal is coarse, held or interpolated.
 HELD = 0.5
-# Faults that may be answers to the inputs.
-ANSWERS = ("spikes", "step")
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,12 +141,10 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     names = dict.fromkeys(name for trace in traces for name in trace.values)
     fast = frozenset(name for name in names if _answers(traces, name))
     after = {trace.name: trace.pushed for trace in traces}
-    kept = [
-        left
-        for fault in faults
-        for answers in (fault.kind in ANSWERS and fault.signal in fast,)
-        for left in ([fault] if not answers else fault.without(after[fault.record]))
-    ]
+    kept = list[Fault]()
+    for fault in faults:
+        answers = fault.kind in ("spikes", "step") and fault.signal in fast
+        kept += fault.without(after[fault.record]) if answers else [fault]
     return kept, [replace(trace, fast=fast) for trace in traces]
 
 
@@ -181,26 +176,18 @@ def screen(trace: Trace, shared: int = 1) -> list[Fault]:
     A signal without any noise (a simulation, a hand-made file) is not judged as frozen or dead,
     because nothing tells that it should have moved.
     """
-    noisy = any(std > 0.0 for std in trace.noise.values())
-    found = [
-        Fault("copied", f"{second} = {first}", trace.name, np.arange(trace.times.size))
-        for first, second in combinations(trace.values, 2)
-        if np.array_equal(trace.values[first], trace.values[second])
-        and np.nanstd(trace.values[first]) > 0.0
-    ]
+    noisy = max(trace.noise.values(), default=0.0) > 0.0
+    found = list[Fault]()
+    for (first, series), (second, other) in combinations(trace.values.items(), 2):
+        if np.array_equal(series, other) and np.nanstd(series) > 0.0:
+            rows = np.arange(trace.times.size)
+            found.append(Fault("copied", f"{second} = {first}", trace.name, rows))
     for name, values in trace.values.items():
         present = np.flatnonzero(np.isfinite(values))
-        if present.size < LEAST or (not noisy and np.ptp(values[present]) == 0.0):
-            continue
-        signal = Signal(trace, name, present, noisy=noisy, shared=shared)
-        for kind, look, ends in SCREENS:
-            rows, *more = look(signal) or (None,)
-            if rows is None:
-                continue
-            signal.taken[rows] = True
-            found.append(Fault(kind, name, trace.name, present[rows], *more))
-            if ends:
-                break
+        if present.size >= LEAST and (noisy or np.ptp(values[present]) > 0.0):
+            signal = Signal(trace, name, present, noisy=noisy, shared=shared)
+            for kind, (rows, *more) in signal.stopped():
+                found.append(Fault(kind, name, trace.name, present[rows], *more))
     return found
 
 
@@ -228,6 +215,15 @@ class Signal:
         self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
         # The least size that is material.
         self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)
+
+    def stopped(self) -> Iterator[tuple[str, Stopped]]:
+        """Kinds of fault and what stopped the signal, until nothing more can be said of it."""
+        for kind, look, ends in SCREENS:
+            if (found := look(self)) is not None:
+                self.taken[found[0]] = True
+                yield kind, found
+                if ends:
+                    return
 
     def dead(self) -> Stopped | None:
         """All samples are equal."""
@@ -321,9 +317,10 @@ class Signal:
         if not self.coarse:  # the end of samples that stand still is no new level
             taken[self.runs.rows(np.flatnonzero(self.runs.length >= 3))] = True
         jumped = steps(self.times, self.series, taken, 5.0 * self.least)
-        sizes = tuple(one.size for one in jumped)
-        rows = np.array([one.row for one in jumped])
-        return (rows, max(sizes, key=abs), sizes) if jumped else None
+        if not jumped:
+            return None
+        rows, sizes = zip(*jumped, strict=True)
+        return np.array(rows), max(sizes, key=abs), sizes
 
 
 # Screens in their order, and whether nothing more can be said of a signal that one stops. What a
@@ -405,12 +402,10 @@ def bursts(
     y, used, uneven = series.copy(), taken.copy(), _uneven(times)
     groups: list[np.ndarray] = []
     while True:
-        found = [
-            one
-            for length in LENGTHS
-            if y.size - length - 3 >= LEAST
-            for one in _candidates(y, length, limit, least)
-        ]
+        found = list[tuple[float, int, int]]()
+        for length in (1, 2, 3, 4, 5, 6, 9, 12):
+            if y.size - length - 3 >= LEAST:
+                found += _candidates(y, length, limit, least)
         before = len(groups)
         # The clearest first: a window that holds a part of a group sees the rest beside it.
         for _, first, length in sorted(found, reverse=True):
@@ -486,8 +481,7 @@ def _candidates(
     return result
 
 
-@dataclass(frozen=True)
-class Step:
+class Step(NamedTuple):
     """A jump: index of the first sample after it, and its size in the unit of the signal."""
 
     row: int

@@ -5,8 +5,8 @@ One table holds the sentences of every kind of finding; what fills them in are f
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
 
@@ -283,48 +283,14 @@ def said(
 ) -> Finding:
     """The finding of a kind, its sentences those of a row of the table, or another ``fix``."""
     says, changes, line = SAYS[row or kind]
-    words = {"commas": ", ".join(signals)} | words
+    if signals:
+        *most, last = signals
+        both = f"{', '.join(most)} and {last}" if most else last
+        words = {"commas": ", ".join(signals), "both": both} | words
+        words = {"first": signals[0], "last": last} | words
     line = fix or line.format(**words)
     says, changes = says.format(**words), changes.format(**words)
     return Finding(kind, signals, records, says, changes, line, **facts)
-
-
-# -- channels --------------------------------------------------------------------------------
-
-
-def _channel(channels: Channels, name: str) -> Input | Output | None:
-    every: list[Input | Output] = [*channels.outputs, *channels.inputs]
-    return next((channel for channel in every if channel.name == name), None)
-
-
-def _declared(channels: Channels, name: str, change: str) -> str:
-    """Declaration of a channel with something changed; words for a column nobody declared."""
-    channel = _channel(channels, name)
-    if channel is None:
-        return f'for the column "{name}", once a channel reads it: {change}'
-    kind = "Input" if isinstance(channel, Input) else "Output"
-    return f'{kind}("{name}", "{channel.unit}", {change})'
-
-
-def _frame_lines(
-    names: tuple[str, ...], channels: Channels, relations: tuple[Relation, ...]
-) -> str:
-    """Declare the velocities as what they are, where the model has the equations for it."""
-    lines = []
-    for name in names:
-        at = {n: np.full(2, float(n == name)) for r in relations for n in r.signals}
-        own = (
-            r.text
-            for r in relations
-            if r.target not in names and r.is_rate and name in r.signals
-            if abs(float(r({n: at[n] for n in r.signals}, np.zeros(2))[0]) - 1.0) < 1e-6
-        )
-        for text in list(own)[:1]:
-            known = _channel(channels, name) is not None
-            lines.append(
-                f'Output("{name}", "m/s", expression="{text}")' if known else f"{name} = {text}"
-            )
-    return f"{' and '.join(lines)}; or {COPY}" if lines else COPY
 
 
 # -- other readings --------------------------------------------------------------------------
@@ -332,59 +298,19 @@ def _frame_lines(
 
 def _say_reading(one: Reading) -> str:
     """Another reading in a few words, for lists of rivals."""
-    fix, names = one.correction, " and ".join(one.correction.signals)
-    return {
-        "sign": f"{names} with the other sign",
-        "unit": f"{names} {one.meaning if 'twice' in one.meaning else f'in {one.meaning}'}",
-        "swap": f"{names} in each other's column",
-        "frame": f"{names} along the axes of the positions",
-        "offset": f"{names} counted from elsewhere ({one.meaning})",
-    }[fix.kind]
-
-
-def reading_finding(
-    one: Reading, channels: Channels, relations: tuple[Relation, ...], records: tuple[str, ...]
-) -> Finding:
-    """Words for another reading of the same numbers."""
-    fix, names = one.correction, one.correction.signals
-    known = {name: _channel(channels, name) for name in names}
-    columns = {name: getattr(channel, "column", "") or name for name, channel in known.items()}
-    unit = getattr(known[names[0]], "unit", "")
-    twice = "twice" in one.meaning
-    header = unit if twice and unit else one.meaning
-    signs = (f"sign={-getattr(channel, 'sign', 1.0):g}" for channel in known.values())
-    swapped = zip(names, reversed(names), strict=True)
-    have, are = ("has", "is") if len(names) == 1 else ("have", "are")
+    names = " and ".join(one.correction.signals)
     words = {
-        "both": " and ".join(names), "first": names[0], "last": names[-1], "meaning": one.meaning,
-        "have": have, "are": are,
-        "declared": unit, "times": f"{1.0 / fix.value:.3g}",
-        "factor": fix.value,
-        "headers": " and ".join(f'write the header as "{c} [{header}]"' for c in columns.values()),
-        "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
-        "signs": " and ".join(_declared(channels, *p) for p in zip(names, signs, strict=True)),
-        "columns": " and ".join(
-            _declared(channels, name, f'column="{columns[other]}"') for name, other in swapped
-        ),
-        "frames": _frame_lines(names, channels, relations),
-    }  # fmt: skip
-    row = "twice" if twice else fix.kind
-    others = tuple(map(_say_reading, one.rivals))
-    if isinstance(known[names[0]], Input):
-        row, others = f"input {row}", (*others, NOMINAL)
-    return said(
-        fix.kind, names, records, words, row=row, gain=one.gain, alternatives=others,
-        correction=None if row == "input swap" else fix,
-    )  # fmt: skip
-
-
-# -- faults with a size ----------------------------------------------------------------------
+        "sign": "with the other sign",
+        "unit": one.meaning if "twice" in one.meaning else f"in {one.meaning}",
+        "swap": "in each other's column",
+        "frame": "along the axes of the positions",
+        "offset": f"counted from elsewhere ({one.meaning})",
+    }
+    return f"{names} {words[one.correction.kind]}"
 
 
 def _say_sized(one: Candidate, size: float) -> str:
     """A fault with a size in a few words, for lists of rivals."""
-    value, unit = angle_aware(size, one.unit)
-    number = f"{100.0 * size:.2g} %" if unit == "1" else f"{value:.3g} {unit}"
     names = " and ".join(one.signals)
     words = {
         "lever": f"lever arm of {names} against {''.join(one.other)}",
@@ -392,111 +318,166 @@ def _say_sized(one: Candidate, size: float) -> str:
         "rate": f"slow clock of {names}",
         "run": f"another {names}",
     }.get(one.kind, f"{one.kind} of {names}")
-    return f"{words}{f' in {one.record}' if one.record else ''} ({number})"
+    where = f" in {one.record}" if one.record else ""
+    return f"{words}{where} ({_size(size, one.unit, '.2g' if one.unit == '1' else '.3g')})"
 
 
-def _seen_from(kind: str, size: float, unit: str) -> str:
-    """Least size of a fault that would be seen, in people's units."""
-    unit = {"scale": "1", "delay": "s", "rate": "1", "drift": f"{unit}/s"}.get(kind, unit)
-    value, shown = angle_aware(size, unit)
-    if not np.isfinite(size):
-        return ""
-    return f"{100.0 * size:.1g} %" if unit == "1" else f"{value:.1g} {shown}"
+def _size(size: float, unit: str, form: str) -> str:
+    """Size of a fault in people's units."""
+    value, shown = (100.0 * size, "%") if unit == "1" else angle_aware(size, unit)
+    return f"{value:{form}} {shown}"
 
 
-def _others(names: tuple[str, ...], relations: tuple[Relation, ...]) -> tuple[str, ...]:
-    """Signals that are related to some, directly or through each other."""
-    found: dict[str, None] = {}
-    fresh = set(names)
-    while fresh:
-        touched = (r for r in relations if fresh & {r.target, *r.signals})
-        here = {n for r in touched for n in (r.target, *r.signals)} - {*names, *found}
-        found |= dict.fromkeys(sorted(here))
-        fresh = here
-    return tuple(found)
+@dataclass(frozen=True)
+class Log:
+    """What findings are about: channels, equations between signals, and records.
 
+    Parameters
+    ----------
+    channels : Channels
+    relations : tuple of Relation
+    records : tuple of str
+    begins : mapping of str to (float, float)
+        First and last time of each record, s.
+    modelled : frozenset of str
+        Signals on which the model has an effect of a sensor.
+    """
 
-def sized_finding(
-    one: Found,
-    channels: Channels,
-    relations: tuple[Relation, ...],
-    records: tuple[str, ...],
-    *,
-    allowed: bool = False,
-    begins: dict[str, tuple[float, float]] | None = None,
-) -> Finding:
-    """Words for a fault with a size; ``allowed`` where the model has an effect for it."""
-    fault, early = one.candidate, " and ".join(one.candidate.signals)
-    of_input = isinstance(_channel(channels, fault.signals[0]), Input)
-    row, names, size = _row_of(fault, one.size, relations, of_input=of_input)
-    bounds = interval(size, one.std)
-    undone = replace(one.correction, signals=names, value=size)
-    correction = None if of_input or row == "run" else undone
-    start, end = (begins or {}).get(fault.record, (0.0, 1.0))
-    both = f"{', '.join(names[:-1])} and {names[-1]}" if len(names) > 1 else names[0]
-    words = {
-        "both": both, "first": names[0], "last": names[-1], "early": early,
-        "come": "come" if len(names) > 1 else "comes", "shown": amount(size, bounds, fault.unit),
-        "unit": fault.unit, "size": abs(size), "rate": "".join(fault.other),
-        "record": fault.record, "at": start + fault.span[0] * (end - start),
-        "where": f" in {fault.record}" * bool(fault.record),
-        "own": ", per_record=True" * bool(fault.record),
-    }  # fmt: skip
-    fix = "the model has an effect for it already" if allowed else ""
-    if not fix and "effect" in SAYS[row][2] and _channel(channels, names[0]) is None:
-        fix = f"{both} is no output of the model: {COPY}"
-    others = tuple(_say_sized(*rival) for rival in one.rivals)
-    return said(
-        {"rate": "clock"}.get(fault.kind, fault.kind), names,
-        (fault.record,) if fault.record else records, words, row=row, fix=fix,
-        suspect=not allowed and row not in NO_FAULT, size=size, interval=bounds, unit=fault.unit,
-        gain=one.gain, alternatives=(*others, NOMINAL) if of_input else others,
-        correction=correction,
-    )  # fmt: skip
+    channels: Channels
+    relations: tuple[Relation, ...]
+    records: tuple[str, ...]
+    begins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    modelled: frozenset[str] = frozenset()
 
+    def _channel(self, name: str) -> Input | Output | None:
+        return next((channel for channel in self.channels.all if channel.name == name), None)
 
-def _row_of(
-    fault: Candidate, size: float, relations: tuple[Relation, ...], *, of_input: bool
-) -> tuple[str, tuple[str, ...], float]:
-    """Row of the table that tells of a fault, the signals it is told of, and its size there."""
-    if of_input:
-        lag = fault.kind == "delay" and size < 0.0
-        return f"input {'lag' if lag else fault.kind}", fault.signals, -size if lag else size
-    if fault.kind == "delay" and size < 0.0:
-        # Nothing is measured before it happens: the others lag.
-        return "ahead", _others(fault.signals, relations), -size
-    current = fault.kind == "drift" and fault.unit == "m/s"
-    return "current" if current else fault.kind, fault.signals, size
+    def _column(self, name: str) -> str:
+        return getattr(self._channel(name), "column", "") or name
+
+    def _is_input(self, name: str) -> bool:
+        return name in self.channels.input_names
+
+    def _declared(self, name: str, change: str) -> str:
+        """Declaration of a channel with something changed; words for a column nobody declared."""
+        channel = self._channel(name)
+        if channel is None:
+            return f'for the column "{name}", once a channel reads it: {change}'
+        return f'{type(channel).__name__}("{name}", "{channel.unit}", {change})'
+
+    def _frame(self, names: tuple[str, ...]) -> str:
+        """Declare the velocities as what they are, where the model has the equations for it."""
+        lines = []
+        for name in names:
+            rates = (r for r in self.relations if r.is_rate and name in r.signals)
+            own = [r for r in rates if r.target not in names and abs(r.level(name) - 1.0) < 1e-6]
+            for text in (r.text for r in own[:1]):
+                known = self._channel(name) is not None
+                output = f'Output("{name}", "m/s", expression="{text}")'
+                lines.append(output if known else f"{name} = {text}")
+        return f"{' and '.join(lines)}; or {COPY}" if lines else COPY
+
+    def _others(self, names: tuple[str, ...]) -> tuple[str, ...]:
+        """Signals that are related to some, directly or through each other."""
+        found: dict[str, None] = {}
+        fresh = set(names)
+        while fresh:
+            touched = (r.names for r in self.relations if fresh & {*r.names})
+            fresh = set().union(*touched) - {*names, *found}
+            found |= dict.fromkeys(sorted(fresh))
+        return tuple(found)
+
+    def reading(self, one: Reading) -> Finding:
+        """Words for another reading of the same numbers."""
+        fix, names = one.correction, one.correction.signals
+        unit, twice = getattr(self._channel(names[0]), "unit", ""), "twice" in one.meaning
+        header = unit if twice and unit else one.meaning
+        lists: dict[str, list[str]] = {"headers": [], "signs": [], "columns": []}
+        for name, other in zip(names, reversed(names), strict=True):
+            channel, column = self._channel(name), self._column(other)
+            sign = -getattr(channel, "sign", 1.0)
+            lists["headers"].append(f'write the header as "{self._column(name)} [{header}]"')
+            lists["signs"].append(self._declared(name, f"sign={sign:g}"))
+            lists["columns"].append(self._declared(name, f'column="{column}"'))
+        have, are = ("has", "is") if len(names) == 1 else ("have", "are")
+        words = {key: " and ".join(each) for key, each in lists.items()} | {
+            "have": have, "are": are, "meaning": one.meaning, "declared": unit,
+            "times": f"{1.0 / fix.value:.3g}", "factor": fix.value, "frames": self._frame(names),
+            "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
+        }  # fmt: skip
+        row, others = "twice" if twice else fix.kind, tuple(map(_say_reading, one.rivals))
+        if self._is_input(names[0]):
+            row, others = f"input {row}", (*others, NOMINAL)
+        return said(
+            fix.kind, names, self.records, words, row=row, gain=one.gain, alternatives=others,
+            correction=None if row == "input swap" else fix,
+        )  # fmt: skip
+
+    def sized(self, one: Found) -> Finding:
+        """Words for a fault with a size."""
+        fault, early = one.candidate, " and ".join(one.candidate.signals)
+        of_input = self._is_input(fault.signals[0])
+        row, names, size = self._row_of(fault, one.size, of_input=of_input)
+        bounds = interval(size, one.std)
+        undone = replace(one.correction, signals=names, value=size)
+        start, end = self.begins.get(fault.record, (0.0, 1.0))
+        words = {
+            "early": early, "come": "come" if len(names) > 1 else "comes",
+            "shown": amount(size, bounds, fault.unit), "unit": fault.unit, "size": abs(size),
+            "rate": "".join(fault.other), "record": fault.record,
+            "at": start + fault.span[0] * (end - start),
+            "where": f" in {fault.record}" * bool(fault.record),
+            "own": ", per_record=True" * bool(fault.record),
+        }  # fmt: skip
+        allowed = bool(self.modelled & {*fault.signals})
+        fix = "the model has an effect for it already" if allowed else ""
+        if not fix and "effect" in SAYS[row][2] and self._channel(names[0]) is None:
+            fix = f"{' and '.join(names)} is no output of the model: {COPY}"
+        others = tuple(_say_sized(*rival) for rival in one.rivals)
+        return said(
+            {"rate": "clock"}.get(fault.kind, fault.kind), names,
+            (fault.record,) if fault.record else self.records, words, row=row, fix=fix,
+            suspect=not allowed and row not in NO_FAULT, size=size, interval=bounds,
+            unit=fault.unit, gain=one.gain, alternatives=(*others, *[NOMINAL] * of_input),
+            correction=None if of_input or row == "run" else undone,
+        )  # fmt: skip
+
+    def _row_of(
+        self, fault: Candidate, size: float, *, of_input: bool
+    ) -> tuple[str, tuple[str, ...], float]:
+        """Row of the table that tells of a fault, the signals it is told of, and its size there."""
+        if of_input:
+            lag = fault.kind == "delay" and size < 0.0
+            return f"input {'lag' if lag else fault.kind}", fault.signals, -size if lag else size
+        if fault.kind == "delay" and size < 0.0:
+            # Nothing is measured before it happens: the others lag.
+            return "ahead", self._others(fault.signals), -size
+        current = fault.kind == "drift" and fault.unit == "m/s"
+        return "current" if current else fault.kind, fault.signals, size
 
 
 def judged_row(
     kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
 ) -> Judged:
     """Whether a fault was tested, from which size on, or why it was not."""
-    size, plausible = _visible(ended, "scale" if kind in READ else kind, name)
-    shown = _seen_from(kind, size, unit)
-    if kind in READ:
-        shown, why = "", "nothing in which it moves enough"
-    elif not related:
-        why = "no equation without unknown parameters relates it"
-    elif np.isfinite(size):
-        why = f"the motion shows it from {shown} on only"
-    else:
-        why = "nothing that was measured depends on it"
-    tested = size <= plausible
-    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
-
-
-def _visible(ended: Result | None, kind: str, name: str) -> tuple[float, float]:
-    """Least size of a fault of a signal alone that would be seen, and the largest plausible."""
-    if ended is None:
-        return np.inf, 0.0
-    sizes = [
+    asked = "scale" if kind in READ else kind
+    sizes = [] if ended is None else [
         (float(v), LARGEST * f.plausible)
         for f, v in zip(ended.faults, ended.visible, strict=True)
-        if f.kind == kind and f.signals == (name,)
-    ]
-    return min(sizes, default=(np.inf, 0.0))
+        if f.kind == asked and f.signals == (name,)
+    ]  # fmt: skip
+    size, plausible = min(sizes, default=(np.inf, 0.0))
+    unit = {"scale": "1", "delay": "s", "rate": "1", "drift": f"{unit}/s"}.get(kind, unit)
+    shown = _size(size, unit, ".1g") if kind not in READ and np.isfinite(size) else ""
+    why = "nothing that was measured depends on it"
+    if kind in READ:
+        why = "nothing in which it moves enough"
+    elif not related:
+        why = "no equation without unknown parameters relates it"
+    elif shown:
+        why = f"the motion shows it from {shown} on only"
+    tested = size <= plausible
+    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
 
 
 def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -> list[Finding]:
@@ -507,12 +488,10 @@ def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -
         here = [one for one in misfits if one.relation == index]
         worst = max(here, key=lambda one: one.share)
         words = {
-            "relation": relation, "share": f"{100.0 * worst.share:.0f}", "first": relation.target,
-            "record": worst.record, "at": worst.time,
-            "more": f" (and in {len(here) - 1} more)" * (len(here) > 1),
+            "relation": relation, "share": f"{100.0 * worst.share:.0f}", "record": worst.record,
+            "at": worst.time, "more": f" (and in {len(here) - 1} more)" * (len(here) > 1),
         }  # fmt: skip
-        names = tuple(dict.fromkeys((relation.target, *relation.signals)))
-        records = tuple(one.record for one in here)
+        names, records = tuple(dict.fromkeys(relation.names)), tuple(one.record for one in here)
         result.append(said("unexplained", names, records, words, size=worst.share, unit="1"))
     return result
 
@@ -535,13 +514,12 @@ def screen_findings(
 def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace]) -> Finding:
     """Finding of samples of one signal that say nothing, or little, or lie on another level."""
     largest = max(here, key=lambda one: abs(one.amount))
-    trace = series[largest.record]
-    names = largest.names
-    unit, size = trace.units[names[0]], largest.amount
+    trace, names, size = series[largest.record], largest.names, largest.amount
+    unit = trace.units[names[0]]
     if kind == "dead":
         size = float(trace.values[signal][largest.rows[0]])
     row = int(largest.rows[largest.sizes.index(largest.amount)]) if largest.sizes else 0
-    rows = {f.record: tuple(int(i) for i in f.rows) for f in here}
+    rows = {fault.record: tuple(fault.rows.tolist()) for fault in here}
     n = sum(map(len, rows.values()))
     value, shown = angle_aware(size, unit)
     words = {
@@ -552,16 +530,15 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     }  # fmt: skip
     steps = kind in ("step", "caught up")
     many = kind in ("spikes", "dropouts", "frozen", "saturated")
-    correction = Correction("blank", names, rows=rows)
-    if steps:
-        correction = Correction("step", names, rows=rows, sizes={f.record: f.sizes for f in here})
-    found = said(
-        kind, names, tuple(rows), words, row="jump" if kind == "step" else "",
+    sizes = {fault.record: fault.sizes for fault in here} if steps else {}
+    correction = Correction("step" if steps else "blank", names, rows=rows, sizes=sizes)
+    return said(
+        "step" if steps else kind, names, tuple(rows), words,
+        row="jump" if kind == "step" else kind,
         suspect=kind not in ("held", "quantised"), size=float(n) if many else size,
         unit="samples" if many else unit * steps,
         correction=None if kind in ("quantised", "copied", "caught up") else correction,
     )  # fmt: skip
-    return replace(found, kind="step") if steps else found
 
 
 def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
@@ -597,9 +574,9 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
     for first, second in combinations(dataset, 2):
         found = overlap(first, second)
         if found is not None:
+            names = first.name, second.name
             words = {"first": first.name, "last": second.name, "n": found.n_equal}
             size = float(found.n_equal)
-            names = (first.name, second.name)
             yield said("duplicate", (), names, words, size=size, unit="samples")
 
 
@@ -627,8 +604,7 @@ def _contradicts(trace: Trace, relations: tuple[Relation, ...], k: int) -> bool:
     by_clock, by_step = 0.0, 0.0
     span = trace.times[k + 1] - trace.times[k]
     for relation in relations:
-        names = (relation.target, *relation.signals)
-        if not relation.is_rate or any(name not in trace.values for name in names):
+        if not relation.is_rate or not {*relation.names} <= trace.values.keys():
             continue
         rows = slice(max(k - 4, 0), k + 6)
         here = {name: trace.values[name][rows] for name in relation.signals}

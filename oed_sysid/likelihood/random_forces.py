@@ -140,9 +140,11 @@ def fit_disturbed(
     ]
     best = _stayed(begun[0]) if len(begun) == 1 and starts[0].noise is not None else None
     best = best or _raced_to_sea(begun, setting, progress)
-    for step in (with_colour, with_input_noise, with_own_times) if best else ():
+    if best is None:
+        return None
+    for step in (with_colour, with_input_noise, with_own_times):
         best = step(best, setting)
-    return _polished(best, polish) if best and polish else best
+    return _polished(best, polish) if polish else best
 
 
 def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
