@@ -49,8 +49,6 @@ from oed_sysid.runtime.threads import single_threaded
 # Shares of the room between start and limits within which commands are refined: the rest is for
 # vehicles that differ.
 _ROOM = (0.75, 0.5)
-# Vehicles that judge a refined command before it is chosen.
-_SCREENED = 60
 _REFINING = Search(Levels(20), n_starts=2, n_candidates=30, n_steps=10, n_workers=1)
 STANDARD = ("zigzag 10/10", "zigzag 20/20", "circle")
 
@@ -173,7 +171,8 @@ def design_programme(
         raise DesignError("E is not smooth, so that no bound can be stated. Choose D or A.")
     expected = ExpectedInformation.of(model, criterion, knowledge)
     nominal, spread = expected.model, knowledge.spread
-    n_vehicles = max(search.n_vehicles, search.n_draws, _SCREENED)
+    # A refined command is judged on enough vehicles before it is chosen.
+    n_vehicles = max(search.n_vehicles, search.n_draws, 60)
     vehicles = draw_models(nominal, spread, n_vehicles, expected.prior, rng)
     tell("making candidate runs")
     runs = candidate_runs(

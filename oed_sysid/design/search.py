@@ -153,8 +153,8 @@ _FIRST_RADIUS, _LARGEST_RADIUS, _SMALLEST_RADIUS = 0.2, 0.5, 2e-3
 # A smaller gain of a criterion, or of a goal's log, is not worth the effort: of five steps
 # together, of a run.
 WORTH = 0.01
-# Last refinements of the best result; all but the first begin at commands of this share.
-_N_FINISHES, _INWARD = 3, 0.85
+# Share of the commands at which further refinements of the best result begin.
+_INWARD = 0.85
 
 
 @dataclass(frozen=True)
@@ -416,7 +416,7 @@ def refine_all(
     if not rough:
         return SearchResult(None, nearest, tuple(values))
     best = max(rough, key=lambda score: score.value)
-    for index in range(_N_FINISHES):
+    for index in range(3):
         # From slightly smaller commands other corners come within reach.
         inner = best if index == 0 else objective.score(0.5 + _INWARD * (best.numbers - 0.5))
         if not inner.evaluations:

@@ -375,8 +375,6 @@ def _deviations(model: Model, prior: Information | None) -> np.ndarray:
 
 # Share of the allowed failures that the search may use; the rest is for vehicles it never saw.
 _USABLE = 0.5
-# Vehicles whose limits enter one linear program.
-_N_LINEARISED = 20
 
 
 @dataclass(frozen=True)
@@ -626,4 +624,4 @@ class Scenarios:
         """Vehicles nearest to their limits, without those that are waived."""
         order = np.argsort([-run.excess for run in runs], kind="stable")
         kept = [int(i) for i in order if i not in self._waived and np.isfinite(runs[i].excess)]
-        return kept[:_N_LINEARISED]
+        return kept[:20]  # that enter one linear program

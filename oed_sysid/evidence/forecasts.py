@@ -18,8 +18,6 @@ from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
-# Gauss-Newton steps for a start state; linear models need one.
-ITERATIONS = 6
 # Weight of the guessed start state against its measurements, in units of the state's scale.
 VAGUE = 10.0
 
@@ -175,7 +173,7 @@ def _forecast(
     times, inputs, outputs = record.times[part], record.inputs[part], record.outputs[part]
     weight = 1.0 / (VAGUE * np.array([state.scale for state in compiled.model.states]))
     start, best, kept = own.copy(), np.inf, None
-    for _ in range(ITERATIONS):
+    for _ in range(6):  # Gauss-Newton; linear models need one step
         z0, dz = compiled.start(start, inputs[0], values, times[0])
         if memory is not None:
             # A play or a lag is where its commands have left it, not in rest at the present one;

@@ -20,12 +20,13 @@ import numpy as np
 
 from oed_sysid.evidence.claim import threshold
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
-from oed_sysid.evidence.rank import ALIKE, N_REFITS, Refit, deepen, refit
+from oed_sysid.evidence.rank import N_REFITS, Refit, deepen, refit
 from oed_sysid.evidence.residual_forces import let_in, rows_of, smoothable
 from oed_sysid.evidence.score import ABSORBED, Score
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.smoother import Path
 from oed_sysid.physics import Effect
@@ -33,8 +34,6 @@ from oed_sysid.text import expressions
 
 # Share of what the best term explains from which a rival, seen from it, is refitted.
 RIVAL = 0.8
-# Terms, of those with the largest statistics, whose likeness is looked at.
-COMPARED = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +252,7 @@ def term_scores(
     root = np.zeros(n_terms)
     root[usable] = (along - shadow.T @ step)[usable] / left[usable]
     order = usable[np.argsort(-(root[usable] ** 2))]
-    first = order[:COMPARED]
+    first = order[:60]  # likeness of the strongest is looked at
     likeness = (
         sum((rows[:, first].T @ rows[:, first]).astype(float) for rows in kept_rows)
         - shadow[:, first].T @ shadow[:, first]

@@ -19,6 +19,7 @@ from oed_sysid.evidence.claim import Claim, at_bounds, threshold
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
+from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
@@ -31,8 +32,6 @@ N_REFITS, ASKED, N_PAIRS = 7, 5, 3
 SHARE = 0.1
 # Share of the score statistic that a refit has to reach before no other size is begun from.
 REACHED = 0.3
-# Correlation of two signatures, free parameters projected out, above which they are one.
-ALIKE = 0.95
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ from scipy.signal import lombscargle
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.study import Study
+from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
@@ -42,9 +43,9 @@ from oed_sysid.physics.parameters import Parameter
 # Values of a shape parameter (a frequency, a time constant) that are tried, of the first and of
 # every other one.
 N_SHAPES, N_OTHER_SHAPES = 11, 3
-# Shares of a typical amplitude from nothing to which the change of the innovations is taken: its
-# tangent; and of effects with a kink at nothing, or a threshold, whose answer depends on the size.
-TANGENT, SIZES = 1e-3, (0.3, 1.0, 3.0)
+# Shares of a typical amplitude from nothing to which the change of the innovations is taken for
+# effects with a kink at nothing, or a threshold, whose answer depends on the size.
+SIZES = 0.3, 1.0, 3.0
 # What is left of a candidate after projection, below which it is another name for a
 # combination of parameters that are free already.
 ABSORBED = 1e-3

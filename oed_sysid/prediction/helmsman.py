@@ -356,8 +356,6 @@ LEAST_GAIN = 0.25
 LEAST_OF_RUDDER = 1e-3
 # A rudder that moves less than this is constant, rad.
 CONSTANT = 1e-4
-# Times at which a change is sought, at most.
-MOST_TIMES = 400
 
 
 @dataclass(frozen=True, eq=False)
@@ -603,7 +601,8 @@ class _Machine:
     def seek_changes(self, off: np.ndarray, most: int) -> tuple[int, ...]:
         """Find changes of the level one by one, each where it lowers the sum of squares most."""
         n, rudder = len(self.rudder), self.rudder[off]
-        times = np.arange(LEAST_SAMPLES // 2, n - LEAST_SAMPLES // 2, max(n // MOST_TIMES, 1))
+        # At most some 400 places; what is found is moved sample by sample afterwards.
+        times = np.arange(LEAST_SAMPLES // 2, n - LEAST_SAMPLES // 2, max(n // 400, 1))
         steps = (np.arange(n)[off][:, None] >= times).astype(float)
         changes: tuple[int, ...] = ()
         while len(changes) < most:

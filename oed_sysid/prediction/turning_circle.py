@@ -35,8 +35,6 @@ from oed_sysid.text.units import shown_unit
 SIDES = ("starboard", "port")
 # Heading change that is simulated: a full turn, then half a turn to call steady.
 TURN = 3.0 * math.pi
-# Simulations, each twice as long, until the heading has changed by TURN.
-_DOUBLINGS = 12
 NEAR_AMIDSHIPS = math.radians(10.0)
 # Share by which the speed that the propulsion keeps may differ from that of the approach.
 STEADY_SPEED = 0.1
@@ -432,7 +430,7 @@ def _turn(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Simulate long enough for a turn of one and a half circles, if there is one."""
     horizon = 100 * model.step
-    for _ in range(_DOUBLINGS):
+    for _ in range(12):  # each twice as long, until the heading has changed by TURN
         times, paths = _paths(model, order, horizon, table, start)
         if not np.isfinite(paths).all():
             raise SimulationError(
