@@ -421,12 +421,14 @@ class Improvement:
             "asked", "training", "validation", "T", "threshold", "whole runs before", "after",
             "decision",
         )  # fmt: skip
+        added = {step.claim.name for step in self.steps}
         rows = [
             (
                 one.name,
                 *_terms(one),
                 *_cells(".3g", one.before, one.after),
-                one.decision,
+                # Of several that pass the likeliest is added; others are asked again beside it.
+                "passes, behind another" if one.stands and one.name not in added else one.decision,
             )
             for one in self.decisions
         ]
