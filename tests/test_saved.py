@@ -511,6 +511,15 @@ def test_modules_below_an_old_path_are_no_second_copies() -> None:
     assert old is import_module("oed_sysid.physics.base")
 
 
+def test_an_old_path_hides_no_function_of_its_name() -> None:
+    """The module of old ``estimators.profile`` leaves the function ``baselines.profile`` alone."""
+    baselines = import_module("oed_sysid.baselines")
+    sys.modules.pop("oed_sysid.estimators.profile", None)
+    with pytest.warns(DeprecationWarning, match="multistart"):
+        found = import_module("oed_sysid.estimators.profile")
+    assert baselines.profile is found.profile
+
+
 def test_what_never_was_is_not_found() -> None:
     """A path that no version had is no module."""
     with pytest.raises(ModuleNotFoundError):

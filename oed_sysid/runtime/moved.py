@@ -56,6 +56,17 @@ class _Moved(MetaPathFinder, Loader):
         name, new = module.__name__, str(new_path(module.__name__))
         warnings.warn(f"{name} is now {new}: import from there.", DeprecationWarning, stacklevel=2)
         sys.modules[name] = import_module(new)
+        # An import binds the module to its name in the package above, where that name may be taken.
+        sys.modules[name.rpartition(".")[0]].__class__ = _Package
+
+
+class _Package(ModuleType):
+    """A package in which no module of an old path takes the place of a function or a class."""
+
+    def __setattr__(self, name: str, value: object) -> None:
+        """Bind a name, unless an import would hide what the package offers by it."""
+        if not (isinstance(value, ModuleType) and callable(vars(self).get(name))):
+            super().__setattr__(name, value)
 
 
 def understand_old_paths() -> None:
