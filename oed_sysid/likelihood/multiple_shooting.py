@@ -36,6 +36,8 @@ from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     EXACT,
     credible_levels,
+    held_masks,
+    input_steps,
     residual_levels,
     signal_spread,
     spike_masks,
@@ -659,7 +661,12 @@ def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
     if not all(np.isfinite(part).all() for part in fit.predictions):
         return None
     taken = before - _measured(fit.dataset)
-    masks = spike_masks(fit.series, declared=~fit.sigma_estimated, taken=taken)
+    stepped = [input_steps(record) for record in fit.dataset]
+    known = ~fit.sigma_estimated
+    single = spike_masks(fit.series, declared=known, taken=taken, stepped=stepped)
+    outputs = [record.outputs for record in fit.dataset]
+    held = held_masks(outputs, fit.series, fit.sigma)
+    masks = [one | other for one, other in zip(single, held, strict=True)]
     return without_spikes(fit.dataset, masks) if any(mask.any() for mask in masks) else None
 
 
