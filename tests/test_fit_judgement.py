@@ -163,6 +163,10 @@ def test_groups_that_jump_are_no_motion() -> None:
     # One group in three that begins as an input steps: most do not, so none answers.
     chance = group + np.roll(group, -250) + np.where((samples >= 100) & (samples < 104), 15.0, 0.0)
     assert len(found(noise + chance, step)) == 24
+    # Beside a gap it may have moved.
+    gap = noise + group
+    gap[710:740] = np.nan
+    assert not found(gap, step)
     signs = np.zeros(1000)
     signs[300:304] = 15.0, 15.0, -15.0, 15.0
     assert found(noise + signs, step) == [300, 301, 302, 303]
@@ -181,6 +185,10 @@ def test_repeated_values_are_no_measurements() -> None:
     residuals[200:212] = 0.3
     (mask,) = held_masks([series[:, None]], [residuals], np.ones(1))
     assert np.flatnonzero(mask).tolist() == list(range(627, 640))
+    limited = np.minimum(series, 15.0)
+    residuals = (limited - truth)[:, None]
+    (mask,) = held_masks([limited[:, None]], [residuals], np.ones(1))
+    assert not mask[limited == 15.0].any()
     coarse = 5.0 * np.round(series / 5.0)
     assert not held_masks([coarse[:, None]], [(coarse - truth)[:, None]], np.ones(1))[0].any()
 

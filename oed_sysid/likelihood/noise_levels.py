@@ -318,7 +318,7 @@ def spike_masks(
         found = _outliers(series, pieces, max(usual, BESIDE * least), least, count, chance)
         if stepped is not None:
             calm = [~part[index] for part, index in zip(stepped, rows, strict=True)]
-            groups = _jumping(series, calm, least, chance)
+            groups = _jumping(series, rows, calm, least, chance)
             found = [one | group for one, group in zip(found, groups, strict=True)]
         for mask, index, one in zip(masks, rows, found, strict=True):
             mask[index, column] = one
@@ -400,13 +400,17 @@ def _longest(count: int, n: int) -> int:
 
 
 def _jumping(
-    series: Sequence[np.ndarray], calm: Sequence[np.ndarray], least: float, chance: float
+    series: Sequence[np.ndarray],
+    rows: Sequence[np.ndarray],
+    calm: Sequence[np.ndarray],
+    least: float,
+    chance: float,
 ) -> list[np.ndarray]:
     """Groups of samples that are off and jump as nothing does that moves.
 
     There and back, or from one side to the other. Where most groups begin as an input steps, it
-    is the vehicle that answers, at once. Parameters as of :func:`_outliers`; ``calm`` are samples
-    before which no input has stepped.
+    is the vehicle that answers, at once. Over a gap in the ``rows`` a motion may go far. Other
+    parameters as of :func:`_outliers`; ``calm`` are samples before which no input has stepped.
     """
     steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in series]
     own, step = np.concatenate(series), _deviation(np.concatenate(steps))
@@ -415,8 +419,10 @@ def _jumping(
     jump = surely * max(step, np.sqrt(2.0) * least)
     found = [np.zeros(len(values), dtype=bool) for values in series]
     answers, elsewhere = [], 0
-    for mask, values, away, still in zip(found, series, steps, calm, strict=True):
-        big, jumps = np.abs(values - middle) > far, np.abs(away) > jump
+    for mask, values, away, row, still in zip(found, series, steps, rows, calm, strict=True):
+        apart = np.diff(row, prepend=row[:1], append=row[-1:])
+        close = apart <= 2.0 * np.median(apart) if len(row) else apart > 0
+        big, jumps = np.abs(values - middle) > far, (np.abs(away) > jump) & close
         edges = np.flatnonzero(np.diff(np.r_[False, big, False].astype(int)))
         for first, stop in zip(edges[::2], edges[1::2], strict=True):
             above = values[first:stop] > middle
@@ -448,7 +454,8 @@ def held_masks(
 
     Noise breaks a repetition where it exceeds the resolution of a signal, the least difference
     of neighbours. A sensor that repeats itself (a drop-out that reads zero, a value that is
-    held) says nothing new. A group whose squares are those of noise does no harm and stays.
+    held) says nothing new. A group whose squares are those of noise does no harm and stays, and
+    so does the largest or the least value of a signal: a limit may be the vehicle's.
 
     Parameters
     ----------
@@ -470,12 +477,15 @@ def held_masks(
         usual = _deviation(np.concatenate(away))
         if usual * level < np.min(steps[steps > 0.0]):
             continue  # too coarse: repetitions are the resolution's
-        longest = _longest(equal, n)
+        longest, every = _longest(equal, n), np.concatenate(values)
+        ends = every.min(), every.max()
         for mask, index, part, off in zip(masks, rows, values, away, strict=True):
             edges = np.flatnonzero(np.diff(part, prepend=np.nan, append=np.nan) != 0.0)
             for first, stop in itertools.pairwise(edges):
                 square = float(np.sum(off[first:stop] ** 2)) / usual**2
-                if stop - first > longest and square > chdtri(stop - first, RARE / n):
+                if part[first] in ends or stop - first <= longest:
+                    continue
+                if square > chdtri(stop - first, RARE / n):
                     mask[index[first:stop], column] = True
     return masks
 
