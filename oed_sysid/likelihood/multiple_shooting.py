@@ -358,13 +358,16 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
+        if not fit.status.ok:  # bent so far that it ends nowhere
+            robust = looking._fit(model, fit.dataset, None, None, known_starts)
+            again = robust if robust.status.ok else fit
         for _ in range(4):  # large ones hide small ones
             left = _left(again, before)
             if left is None:
                 break
             again = looking._fit(model, left, again, None, known_starts)
             iterations += again.iterations
-        if again is fit:
+        if np.array_equal(_measured(again.dataset), before):
             return fit
         again = plain._fit(model, again.dataset, again, None, known_starts)
         pairs = zip(before.tolist(), _measured(again.dataset).tolist(), strict=True)
