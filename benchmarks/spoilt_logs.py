@@ -38,6 +38,7 @@ from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import Dataset, Model, Record, check, improve, load_problem, read_csv
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, quick_check
+from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
 
 Signals = dict[str, np.ndarray]
@@ -425,7 +426,7 @@ def _table(kinds: dict[str, dict[int, np.ndarray]], total: np.ndarray) -> list[s
 def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
     """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
     problem = load_problem("remus_diving_plane")
-    for kind, change in INPUTS.items():
+    for kind in (*INPUTS, *ACTED):
         said = []
         for seed in seeds if only in kind else ():
             rng = np.random.default_rng((seed, 5))
@@ -433,26 +434,50 @@ def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> Non
                      for p in problem.model.free_parameters if p.prior_std}  # fmt: skip
             truth_ = problem.model.with_values(drawn)
             runs = []
-            for name, experiment in problem.experiments.items():
+            for k, (name, experiment) in enumerate(problem.experiments.items()):
                 run = simulate(truth_, experiment, rng=rng, name=name)
                 spoilt = np.array(run.inputs)
-                spoilt[:, 0] = change(run.times, spoilt[:, 0])
+                if kind in ACTED:
+                    acted = ACTED[kind](run.times, spoilt[:, 0], k)
+                    replay = FromRecord(run.channels.input_names[0], run.times, acted)
+                    run = simulate(
+                        truth_, replace(experiment, manoeuvre=replay), rng=rng, name=name
+                    )
+                else:
+                    spoilt[:, 0] = INPUTS[kind](run.times, spoilt[:, 0])
                 runs.append(replace(run, inputs=spoilt))
             found = check(Dataset(tuple(runs)), problem)
-            said.append("; ".join(one.name for one in found.serious) or "nothing")
+            mine = {*run.channels.input_names}
+            every = [one for one in found.findings if one.suspect or mine & {*one.signals}]
+            said.append("; ".join(one.name + " (note)" * (not one.suspect) for one in every) or "-")
         counts = {words: said.count(words) for words in said}
         print(f"{problem.model.input_names[0]} {kind:10} {counts}", flush=True)
 
 
-# Spoilt inputs: of times and commands.
+def _lagged(t: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """A lag of first order of half a second, by Euler's rule."""
+    answer = y.copy()
+    for i in range(1, y.size):
+        answer[i] = answer[i - 1] + (t[i] - t[i - 1]) / 0.5 * (y[i] - answer[i - 1])
+    return answer
+
+
+# Spoilt inputs: what was written of commands that acted, of times and commands.
 INPUTS: dict[str, Callable[[np.ndarray, np.ndarray], np.ndarray]] = {
     "nothing": lambda t, y: y,
     "sign": lambda t, y: -y,
     "degrees": lambda t, y: np.degrees(y),
     "x 1.2": lambda t, y: 1.2 * y,
+    "x 0.5": lambda t, y: 0.5 * y,
     "x 2": lambda t, y: 2.0 * y,
     "late 0.5 s": lambda t, y: np.interp(t - 0.5, t, y),
     "dead": lambda t, y: 0.0 * y,
+}
+# What acted of commands that were written, in the second record at least.
+ACTED: dict[str, Callable[[np.ndarray, np.ndarray, int], np.ndarray]] = {
+    "command, lag 0.5 s": lambda t, y, k: _lagged(t, y),
+    "no effect from 0.6": lambda t, y, k: np.where((k == 1) & (t > 0.6 * t[-1]), 0.0, y),
+    "no effect in a run": lambda t, y, k: 0.0 * y if k == 1 else y,
 }
 
 

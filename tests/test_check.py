@@ -29,11 +29,13 @@ from oed_sysid.evidence.check import (
     with_estimates,
 )
 from oed_sysid.evidence.contrasts import fitted_law, laws
+from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.inputs import between_runs
 from oed_sysid.evidence.relations import integral, relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
+from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
@@ -262,6 +264,34 @@ def test_made_samples_are_told() -> None:
     assert one.size == pytest.approx(0.5, abs=0.02)
     twice = changed(diving_log(), 0, "w", lambda y, t: diving_log()[0].output("u").copy())
     assert check(twice, DIVER.model, inputs=False).serious[0].kind == "copied"
+
+
+def test_a_fit_counts_what_was_measured() -> None:
+    """A value held for ten samples counts once: the error of a slope is that of the line.
+
+    Counted as logged it would be too small by the root of ten.
+    """
+    rng, t = np.random.default_rng(5), 0.1 * np.arange(2000)
+    model = Model(
+        "line", (State("x", "m"),), (), (Output("x", "m"),), {"x": "a"},
+        parameters=(Parameter("a", 0.1, "m/s"),),
+    )  # fmt: skip
+    slow = 0.2 * t[::10] + 0.3 * rng.standard_normal(200)
+    record = Record("run", t, np.zeros((2000, 0)), np.repeat(slow, 10)[:, None], model.channels)
+    logged = Dataset((record,))
+    found = check(logged, model)
+    measured, words = as_measured(logged, found)
+    assert found.ok
+    assert "x was measured every 1 s" in words[0]
+    kept = np.isfinite(measured[0].output("x"))
+    assert np.array_equal(np.flatnonzero(kept), np.arange(0, 2000, 10))
+    fitter = MultipleShooting(coloured="never", disturbances="none")
+    fit, blind = (fitter.fit(model, data) for data in (measured, logged))
+    line = 0.3 / np.sqrt(np.sum((t[::10] - t[::10].mean()) ** 2))
+    assert fit.std_errors["a"] == pytest.approx(line, rel=0.1)
+    assert abs(fit.values["a"] - 0.2) < 3.0 * line
+    assert blind.std_errors["a"] == pytest.approx(line / np.sqrt(10.0), rel=0.1)
+    assert as_measured(measured, check(measured, model)) == (measured, ())
 
 
 def test_what_was_tested_is_said() -> None:
@@ -629,15 +659,64 @@ def test_an_input_is_named_where_the_values_differ_from_the_nominal_ones(kind, c
     assert states["sign"] == ("found" if kind == "sign" else "tested")
 
 
-def test_inputs_that_never_move_could_not_be_tested(dives_inputs) -> None:  # type: ignore[no-untyped-def]
-    """Without any command nothing is claimed of inputs, and the table says so."""
+def test_an_input_that_was_not_logged_is_missed_by_the_motion(dives_inputs) -> None:  # type: ignore[no-untyped-def]
+    """A fin that never moves in the log of zigzags is dead; thrust, of one equation, is not asked.
+
+    Sizes of what never moves are not tested, and the table says so.
+    """
     problem, data = dives_inputs
     still = Dataset(tuple(replace(r, inputs=0.0 * r.inputs + r.inputs[0]) for r in data))
     found = check(still, problem)
-    assert not found.serious
+    assert [(one.kind, one.signals) for one in found.serious] == [("dead", ("fin_command",))]
     rows = [one for one in found.judged if one.signal in problem.model.input_names]
     assert {one.state for one in rows} == {"not tested"}
     assert all(one.says for one in rows)
+
+
+def replayed(problem: Problem, act: Callable[[np.ndarray, np.ndarray, int], np.ndarray]) -> Dataset:
+    """Records in which something else acted than the fin commands that were logged."""
+    rng, runs = np.random.default_rng(3), []
+    fin = problem.model.input_names.index("fin_command")
+    for k, (name, run) in enumerate(problem.experiments.items()):
+        first = simulate(problem.model, run, rng=rng, name=name)
+        acted = act(first.times, first.inputs[:, fin], k)
+        replay = FromRecord("fin_command", first.times, acted)
+        record = simulate(problem.model, replace(run, manoeuvre=replay), rng=rng, name=name)
+        runs.append(replace(record, inputs=first.inputs))
+    return Dataset(tuple(runs))
+
+
+def test_an_input_without_effect_is_told_from_the_moment_on() -> None:
+    """The fin is let go at 60 % of the second run: all of its effect is lost there, and then."""
+    problem = load_problem("remus_diving_plane")
+    data = replayed(problem, lambda t, y, k: np.where((k == 1) & (t > 0.6 * t[-1]), 0.0, y))
+    (found,) = check(data, problem).serious
+    assert (found.kind, found.signals, found.records) == (
+        "lost",
+        ("fin_command",),
+        ("zigzag_10_10",),
+    )
+    assert found.size == pytest.approx(1.0, abs=0.05)
+    at = float(found.says.split("t = ")[1].split(" s")[0])
+    assert at == pytest.approx(54.0, abs=1.5)
+
+
+def test_a_command_in_place_of_the_feedback_is_a_lag() -> None:
+    """What lags by half a second in first order is told from what comes late by as much."""
+    problem = load_problem("remus_diving_plane")
+
+    def lagging(t: np.ndarray, y: np.ndarray, k: int) -> np.ndarray:
+        keep = np.exp(-(t[1] - t[0]) / 0.5)
+        return lfilter([1.0 - keep], [1.0, -keep], y)
+
+    said = {}
+    for name, act in {
+        "lag": lagging, "delay": lambda t, y, k: np.interp(t - 0.5, t, y),
+    }.items():  # fmt: skip
+        found = check(replayed(problem, act), problem)
+        assert found.ok  # good to know: a model that lacks physics shows the like
+        said[name] = [one.kind for one in found.findings if "fin_command" in one.signals]
+    assert said == {"lag": ["lag"], "delay": ["delay"]}
 
 
 def test_a_parameter_that_is_another_one_in_one_run_is_named(dives_inputs) -> None:  # type: ignore[no-untyped-def]

@@ -235,12 +235,14 @@ def fit(study: Study, show: Shown) -> Outcome:
     """
     from oed_sysid.data.dataset import check_disjoint
     from oed_sysid.evidence.check import with_estimates
+    from oed_sysid.evidence.corrections import as_measured
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
     log = oed_sysid.quick_check(train, study.problem)
-    result = fits_of(study, {"": model}, show)[""]
+    measured, left_out = as_measured(train, log)
+    result = fits_of(replace(study, train=measured), {"": model}, show)[""]
     log = with_estimates(log, result)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
@@ -252,7 +254,8 @@ def fit(study: Study, show: Shown) -> Outcome:
         figure = predicted([comparison.best])
     return Outcome(
         result, result.document(comparison), facts, partial(result.document, comparison, log=log),
-        figure, text, log.warning(), fits={NOMINAL: result}, comparison=comparison,
+        figure, text, "\n".join(filter(None, (log.warning(), *left_out))),
+        fits={NOMINAL: result}, comparison=comparison,
         status=_status([result], suspect=log.suspect),
     )  # fmt: skip
 
@@ -264,6 +267,7 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint
+    from oed_sysid.evidence.corrections import as_measured
 
     study.training()
     validation = study.validation()
@@ -271,7 +275,8 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
     for one in saved.values():
         check_disjoint(one.dataset, validation)
     log = _log_of(study)
-    return _compared(study, show, fits_of(study, models, show) | saved, log)
+    measured = replace(study, train=as_measured(study.training(), log)[0])
+    return _compared(study, show, fits_of(measured, models, show) | saved, log)
 
 
 def _log_of(study: Study) -> LogCheck:

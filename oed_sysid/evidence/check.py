@@ -183,8 +183,8 @@ def _related(
     faults = [_resized(one, known.get(one), sizes) for one in faults]
     fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
-    begins = {t.name: (float(t.times[0]), float(t.times[-1])) for t in clean}
-    log = Log(dataset.channels, equations, dataset.names, begins, _sensed(model.effects))
+    ends, sensed = {t.name: t.ends for t in clean}, _sensed(model.effects)
+    log = Log(dataset.channels, equations, dataset.names, ends, sensed)
     findings = [*map(log.reading, found), *map(log.sized, sized)]
     findings += clock_findings(mended, equations)
     findings += misfit_finding(contrasts.unexplained(mended, equations), equations)

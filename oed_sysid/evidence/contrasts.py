@@ -48,14 +48,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import combinations, product
 
 import numpy as np
 from scipy.fft import dct, idct
 from scipy.special import stdtrit
 
-from oed_sysid.evidence.corrections import ADDED, level_axis, pivot, undo
+from oed_sysid.evidence.corrections import ADDED, level_axis, logged, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, RELATIVE, Trace, units_of
@@ -64,7 +64,6 @@ from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, RELATIVE, Trace, u
 # its place is refined.
 MOST_BLOCKS = 240
 PLACES = MOST_BLOCKS // 4
-LOCAL = ("step", "burst")
 # Variance of noise at one place of a record over that of the whole.
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
@@ -121,6 +120,11 @@ class Candidate:
     unit_of: str = ""
     rare: float = 0.0
 
+    @property
+    def placed(self) -> bool:
+        """Whether it begins within a record."""
+        return self.span[0] > 0.0
+
     def correction(self, size: float) -> Correction:
         """How to undo a size of it."""
         return Correction(
@@ -137,7 +141,7 @@ class Motion:
     """
 
     def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
-        names = names_of(relations)
+        names = [*names_of(relations), *(logged(n) for r in relations for n in r.driven)]
         self.trace = trace
         self.raw, _ = trace.filled(n for n in names if n in trace.values)
         self.values, self.rates = dict(self.raw), dict[str, np.ndarray]()
@@ -224,8 +228,9 @@ class Question:
         The equations between them.
     common, single : tuple of Candidate
         Faults with a size, of all records and of single ones.
-    local : mapping of str to Candidate
-        A step of every signal.
+    local : tuple of Candidate
+        What may begin at any place of a record: steps (and bursts) of signals, inputs that have
+        lost their effect, forces that set in.
     readings : tuple of Reading
         Other readings of the same numbers.
     given : tuple of Candidate
@@ -235,7 +240,7 @@ class Question:
     relations: tuple[Relation, ...]
     common: tuple[Candidate, ...]
     single: tuple[Candidate, ...] = ()
-    local: Mapping[str, Candidate] = field(default_factory=dict)
+    local: tuple[Candidate, ...] = ()
     readings: tuple[Reading, ...] = ()
     given: tuple[Candidate, ...] = ()
 
@@ -251,7 +256,7 @@ class Question:
         several = traces if 1 < len(traces) <= PLACES else ()
         pairs = ((t, c) for t, c in product(several, apart) if {*c.signals} <= t.values.keys())
         single = dict.fromkeys(replace(c, record=t.name) for t, c in pairs)
-        local = {n: facts.step_of(n) for n in facts.size}
+        local = tuple(map(facts.step_of, facts.size))
         return cls(relations, common, tuple(single), local, tuple(readings(traces, relations)))
 
 
@@ -332,7 +337,7 @@ class Piece:
     ``(n, n_used)`` of the candidates ``used``, ``angle`` the frequencies in rad a block of length
     ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates produces,
     ``level`` that of the left side, ``shares`` the part of each signal in ``walk``, ``ramps`` what
-    a unit of each signal adds to the contrast, in blocks.
+    a unit of each kind of local fault of a signal adds to the contrast, in blocks.
     """
 
     relation: int
@@ -349,7 +354,7 @@ class Piece:
     walk: float
     level: float
     shares: Mapping[str, float]
-    ramps: Mapping[str, np.ndarray]
+    ramps: Mapping[tuple[str, str], np.ndarray]
 
     @property
     def weight(self) -> np.ndarray:
@@ -391,10 +396,14 @@ def contrasts(
         for shape in shapes.values():
             left.append(shape.get(relation.target, zero))
             inside.append(sum((slopes[n] * shape[n] for n in shape if n in slopes), zero))
-        left += [zero] * len(slopes)
-        columns = np.column_stack(left), np.column_stack([*inside, *slopes.values()])
+        ramps = {("step", n): slope for n, slope in slopes.items()}
+        for name in slopes.keys() & {*relation.driven}:
+            ramps["lost", name] = slopes[name] * motion.raw.get(logged(name), motion.raw[name])
+        left += [*[zero] * len(ramps), motion.elapsed]
+        columns = np.column_stack(left), np.column_stack([*inside, *ramps.values(), zero])
         factor = factors.get(relation.target, 1.0)
-        yield from _pieces(trace, (index, relation), columns, [*shapes], slopes, factor)
+        keys = [*ramps, ("drift", relation.target)]
+        yield from _pieces(trace, (index, relation), columns, ([*shapes], keys), slopes, factor)
 
 
 def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
@@ -408,12 +417,12 @@ def _pieces(
     trace: Trace,
     numbered: tuple[int, Relation],
     columns: tuple[np.ndarray, np.ndarray],
-    used: Sequence[int],
+    named: tuple[Sequence[int], Sequence[tuple[str, str]]],
     slopes: Mapping[str, np.ndarray],
     factor: float,
 ) -> Iterator[Piece]:
     """Contrasts over each uninterrupted piece, as cosine coefficients of block means."""
-    (index, relation), (left, inside) = numbered, columns
+    (index, relation), (left, inside), (used, keys) = numbered, columns, named
     rated = relation.is_rate
     power = {name: trace.noise[name] ** 2 * _spacing(trace, name) for name in slopes}
     _, usable = trace.filled(relation.signals)
@@ -449,7 +458,7 @@ def _pieces(
             walk=factor**2 * total * (span if rated else 0.0),
             level=factor * trace.noise[relation.target] / np.sqrt(group),
             shares={name: walk / total if total else 0.0 for name, walk in walks.items()},
-            ramps=dict(zip(slopes, means[:, 2 + len(used) :].T, strict=True)),
+            ramps=dict(zip(keys, means[:, 2 + len(used) :].T, strict=True)),
         )
 
 
@@ -540,7 +549,7 @@ def assemble(
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
     limits = stdtrit(freedom, 1.0 - 0.5 * ALPHA / (n + n_more)) ** 2
     # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
-    limits = limits * np.where([f.kind in LOCAL for f in faults], VARYING, 1.0)
+    limits = limits * np.where([f.placed for f in faults], VARYING, 1.0)
     return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
 
 
@@ -601,25 +610,27 @@ def scanned(
     pieces: Sequence[Piece],
     system: System,
     chosen: Sequence[int],
-    local: Mapping[str, Candidate],
+    local: Sequence[Candidate],
 ) -> list[Candidate]:
-    """The likeliest steps and bursts, beside what is in, of all signals in all records."""
+    """The likeliest steps, bursts and losses beside what is in, of all signals in all records."""
     a = list(chosen)
     inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
     places = np.arange(1, PLACES) / PLACES
     result = []
     numbered = [*zip(pieces, system.levels, strict=True)]
-    for trace, (name, one) in product(traces, local.items()):
+    for trace, one in product(traces, local):
+        name, kinds = one.signals[0], ("step", "burst") if one.kind == "step" else (one.kind,)
         score, power = np.zeros((2, places.size)), np.zeros((2, places.size))
         across = np.zeros((2, places.size, len(a)))
         at = trace.times[0] + places * (trace.times[-1] - trace.times[0])
         for piece, level in numbered:
-            ramp = piece.ramps.get(name)
-            if piece.record != trace.name or name not in (piece.target_name, *piece.ramps):
+            ramp = piece.ramps.get((one.kind, name))
+            level_of = 1.0 * (one.kind == "step" and piece.target_name == name)
+            if piece.record != trace.name or (ramp is None and not level_of):
                 continue
             row = np.searchsorted(piece.times, at)
             ended = row + max(1, round(piece.times.size / PLACES))
-            steps = [_from(piece, name, ramp, k) for k in (row, ended)]
+            steps = [_from(piece, level_of, ramp, k) for k in (row, ended)]
             beside = piece.columns_of(np.array(a, dtype=int))
             for i, shape in enumerate((steps[0], steps[0] - steps[1])):
                 waves = dct(shape, axis=0, norm="ortho")[1:]
@@ -629,7 +640,7 @@ def scanned(
         left = power - np.einsum("kpi,ij,kpj->kp", across, inner, across)
         told = (left > 1e-4 * power) & (power > 0.0)
         gain = np.where(told, score**2 / np.where(told, left, 1.0), 0.0)
-        for i, kind in enumerate(("step", "burst")):
+        for i, kind in enumerate(kinds):
             k = int(np.argmax(gain[i]))
             until = places[k] + 1.0 / PLACES if kind == "burst" else 1.0
             found = replace(one, kind=kind, record=trace.name, span=(places[k], until))
@@ -639,11 +650,11 @@ def scanned(
     return [fault for _, fault in likely[:MOST_FAULTS]]
 
 
-def _from(piece: Piece, name: str, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
+def _from(piece: Piece, level: float, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
     """What a unit of a signal from some blocks on adds to a contrast, ``(n_blocks, n_rows)``."""
     n = piece.times.size
     after = np.arange(n)[:, None] >= rows
-    shape = np.zeros((n, rows.size)) + (piece.target_name == name)
+    shape = np.full((n, rows.size), level)
     if ramp is not None:
         begin = ramp[np.minimum(rows, n - 1)] if piece.is_rate else 0.0
         shape = shape + ramp[:, None] - begin
@@ -781,19 +792,8 @@ class System:
                 for i, f in enumerate(self.faults[k] for k in now)
             ]
             if not any(small):
-                return self._without_pairs(now)
+                return now
             now = [k for k in now if k != now[int(np.argmin(np.where(small, short, np.inf)))]]
-        return now
-
-    def _without_pairs(self, now: list[int]) -> list[int]:
-        """The set without two that only hold each other up: together they do not pay."""
-        a, inverse, price = list(now), self._inverse(now), self.price(now)[now]
-        size = inverse @ self.right[a]
-        for pair in combinations(range(len(a)), 2):
-            both = list(pair)
-            joint = size[both] @ np.linalg.solve(inverse[np.ix_(both, both)], size[both])
-            if joint < price[both].sum():
-                return [k for i, k in enumerate(a) if i not in pair]
         return now
 
 
@@ -861,7 +861,7 @@ def search(
     relations, n_given = question.relations, len(question.given)
     faults = [*question.given, *question.common, *question.single * single]
     n_common = n_given + len(question.common)
-    local = question.local if single else {}
+    local = question.local if single else ()
     n_more = 2 * PLACES * len(local) * len(traces)
     active = _begun(question, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
@@ -903,8 +903,9 @@ def _begun(
     """Faults that a search begins with, and their sizes."""
     keys = {(f.kind, f.signals, f.other): f for f in question.common}
     begun = {keys.get((one.kind, one.signals, one.other)): one.value for one in start}
+    steps = {one.signals[0]: one for one in question.local if one.kind == "step"}
     for one in known:
-        if (step := question.local.get(one.signals[0])) is not None:
+        if (step := steps.get(one.signals[0])) is not None:
             here = replace(step, material=0.0, record=one.record, span=(one.span[0], 1.0))
             begun[here] = one.value
     return {fault: value for fault, value in begun.items() if fault is not None}
@@ -924,9 +925,9 @@ def _linearised(
 
 
 def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
-    """Steps and bursts a little earlier and later, where their places are not known."""
+    """What begins at some place a little earlier and later, where that is not known."""
     for one in active:
-        if one.kind in LOCAL and one.material > 0.0:
+        if one.placed and one.material > 0.0:
             for by in (-shift, shift):
                 begin, end = one.span
                 yield replace(one, span=(begin + by, end + by * (one.kind == "burst")))
@@ -951,9 +952,10 @@ def diagnosed(
     ends = [search(right, question, known=known)] if found else [plain]
     ends += [search(right, question, start=start, known=known)] if start else []
     best = max(ends, key=lambda end: _worth(end, right, question))
-    units = [unit for one in best.found for unit in _as_units(one)]
-    if units:
-        found = [*found, *units]
+    named = [unit for one in best.found for unit in _as_units(one)]
+    named += [lag for one in best.found for lag in _as_lag(one, best, right, question)]
+    if named:
+        found = [*found, *named]
         best = search(mended(found), question, known=known)
     return found, best
 
@@ -965,15 +967,34 @@ def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
 
 
 def _as_units(one: Found) -> list[Reading]:
-    """A scale that is that of a unit within its error, as another reading."""
-    fault = one.candidate
-    units = READINGS.get(fault.unit_of, ()) if fault.kind == "scale" and not fault.record else ()
+    """A scale that is that of a sign or a unit within its error, as another reading."""
+    fault, names = one.candidate, one.candidate.signals
+    if fault.kind not in ("scale", "lost") or fault.record or fault.placed:
+        return []
+    lost = fault.kind == "lost"
+    by = 1.0 - one.size if lost else 1.0 / (1.0 + one.size)
+    error = one.std if lost else one.std * by**2
+    factors = [*READINGS.get(fault.unit_of, ()), *[(-1.0, "")] * lost]
     near = [
-        Reading(Correction("unit", fault.signals, factor), meaning, one.gain)
-        for factor, meaning in units
-        if abs((1.0 + one.size) * factor - 1.0) < max(RELATIVE, 3.0 * one.std * factor)
+        Reading(Correction("unit" if factor > 0.0 else "sign", names, factor), meaning, one.gain)
+        for factor, meaning in factors
+        if abs(by - factor) < max(RELATIVE * abs(by), 3.0 * error)
     ]
     return near[:1]
+
+
+def _as_lag(
+    one: Found, end: Result, traces: Sequence[Trace], question: Question
+) -> Iterator[Reading]:
+    """A late answer to an input, where a lag of first order tells more: its rate is the same."""
+    fault = one.candidate
+    driven = {name for relation in question.relations for name in relation.driven}
+    if fault.kind == "delay" and driven.issuperset(fault.signals) and one.size < 0.0:
+        reading = Reading(Correction("lag", fault.signals, -one.size), gain=one.gain)
+        other = [reading.correction if f is one else f.correction for f in end.found]
+        left = [undo(trace, other, question.relations) for trace in traces]
+        if evidence(left, question).sum() > _worth(end, traces, question) + CLOSE * len(end.found):
+            yield reading
 
 
 def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:

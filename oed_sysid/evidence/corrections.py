@@ -5,6 +5,7 @@ Corrected copies of records: what was found is undone, and said.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -21,9 +22,8 @@ from oed_sysid.physics.model import Model
 
 # What happened last on the way from the vehicle to the log is undone first.
 ORDER = (
-    "blank", "step", "burst", "swap", "sign", "unit", "offset", "frame", "delay", "rate", "bias",
-    "scale",
-    "misalignment", "lever", "drift",
+    "blank", "step", "burst", "swap", "sign", "unit", "offset", "frame", "delay", "lag", "rate",
+    "bias", "scale", "lost", "misalignment", "lever", "drift",
 )  # fmt: skip
 
 
@@ -90,6 +90,23 @@ def shifted(times: np.ndarray, series: np.ndarray, delay: float | np.ndarray) ->
     return np.where(present, moved, np.nan)
 
 
+def lagged(times: np.ndarray, series: np.ndarray, lag: float) -> np.ndarray:
+    r"""Answer of first order to a signal, :math:`T \dot a = s - a`; ahead of it where ``lag < 0``.
+
+    Examples
+    --------
+    >>> t = np.arange(0.0, 10.0, 0.01)
+    >>> print(lagged(t, 1.0 * (t > 0.0), 2.0)[200].round(2))
+    0.63
+    """
+    from scipy.signal import lfilter
+
+    if lag <= 0.0:
+        return np.asarray(series - lag * np.gradient(series, times))
+    keep = math.exp(-float(np.median(np.diff(times))) / lag)
+    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], series, zi=[keep * series[0]])[0])
+
+
 def _undone(
     trace: Trace, one: Correction, relations: tuple[Relation, ...]
 ) -> dict[str, np.ndarray]:
@@ -97,7 +114,8 @@ def _undone(
     if one.kind == "frame":
         return body_axes(trace, one.signals, relations)
     if one.kind not in ("swap", "misalignment"):
-        return {name: _mended(trace, name, one) for name in one.signals}
+        kept = {logged(n): trace.values[n] for n in one.signals} if one.kind == "lost" else {}
+        return kept | trace.values | {name: _mended(trace, name, one) for name in one.signals}
     first, second = one.signals
     x, y = trace.values[first], trace.values[second]
     if one.kind == "swap":
@@ -111,11 +129,20 @@ def share_of(since: np.ndarray) -> np.ndarray:
     return since / max(since[-1], 1e-300)
 
 
+def logged(name: str) -> str:
+    """Name of an input as it was before its loss was undone: what is lost is a share of that."""
+    return f"{name} as logged"
+
+
 # What a unit of a fault adds to a signal ``(n_times,)``: from the fault (its other signals and its
 # span), the signals and the time since the beginning of the record in s.
 ADDED: dict[str, Callable[[Any, Mapping[str, np.ndarray], np.ndarray], np.ndarray]] = {
     "bias": lambda one, values, since: np.ones_like(since),
-    "drift": lambda one, values, since: since,
+    "drift": lambda one, values, since: np.maximum(since - one.span[0] * since[-1], 0.0),
+    "lost": lambda one, values, since: (
+        values.get(logged(one.signals[0]), values[one.signals[0]])
+        * (share_of(since) >= one.span[0])
+    ),
     "lever": lambda one, values, since: values[one.other[0]],
     "step": lambda one, values, since: 1.0 * (share_of(since) >= one.span[0]),
     "burst": lambda one, values, since: (
@@ -138,6 +165,7 @@ def _mended(trace: Trace, name: str, one: Correction) -> np.ndarray:
         "scale": lambda: (series + size * pivot(series, trace.units[name])) / (1.0 + size),
         "blank": lambda: np.where(np.isin(index, rows), np.nan, series),
         "delay": lambda: shifted(times, series, size),
+        "lag": lambda: lagged(times, series, size),
         "rate": lambda: shifted(times, series, size * since),
         "sign": lambda: size * series,
         "unit": lambda: size * series,
@@ -231,6 +259,41 @@ def corrected_copies(
     if not undone:
         return dataset, ()
     return corrected(dataset, undone, relations(model)), tuple(done)
+
+
+# Samples that repeat a measurement, or were made of two: they hold nothing that was measured.
+MADE = ("held", "interpolated")
+
+
+def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, ...]]:
+    """Return records with only the samples that were measured, and what was left out in sentences.
+
+    A value that is held for ten samples is one measurement, and a straight line between two is two:
+    counted as what the log shows, they make errors too small by the root of their number. Held
+    values are also late by half of the time that they are held. The first sample of each, and the
+    ends of each line, are kept; the others become empty.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        The records that were checked, or some of them.
+    found : LogCheck
+        Result of :func:`~oed_sysid.evidence.check`.
+
+    Returns
+    -------
+    records : Dataset
+    left_out : tuple of str
+    """
+    made = [one for one in found.findings if one.kind in MADE and {*one.records} & {*dataset.names}]
+    if not made:
+        return dataset, ()
+    words = tuple(
+        f"{', '.join(one.signals)} was measured every {one.size:.3g} s: samples in between are "
+        "left empty here, they hold nothing that was measured."
+        for one in made
+    )
+    return corrected(dataset, [one.correction for one in made if one.correction]), words
 
 
 def _undoable(found: LogCheck) -> Iterable[tuple[Correction, Finding]]:

@@ -19,6 +19,7 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
 from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.compare import SUSPECT_NOISE
+from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.improvement import (
     Improvement,
     Step,
@@ -27,7 +28,7 @@ from oed_sysid.evidence.improvement import (
     proposed_term,
 )
 from oed_sysid.evidence.locate import Located, likeliest, locate
-from oed_sysid.evidence.preparation import prepared
+from oed_sysid.evidence.preparation import Prepared, prepared
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
@@ -132,7 +133,7 @@ def improve(
     logs = train if test is None else together(train, test)
     # Tests at given motion are no log.
     log = None if logs.only_tests else check(logs, model).without("duplicate")
-    ready = prepared(train, test)
+    ready, left_out = _measured(prepared(train, test), train, test, log)
     train, test = ready.train, ready.validation
     candidates, told = settled(model, train, candidates, log)
     said = [disturbances] if isinstance(disturbances, str) else disturbances
@@ -154,7 +155,7 @@ def improve(
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
-    notes = [*ready.notes, *told]
+    notes = [*ready.notes, *left_out, *told]
     run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
     end = run.whole(study, base)
     if disturbances == "auto" and _hidden_by_forces(end):
@@ -169,6 +170,18 @@ def improve(
     result = keep.once("every step", lambda: _result(end, location, notes, log, nominal, logs))
     found = (*_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*found, *result.notes))
+
+
+def _measured(
+    ready: Prepared, train: Dataset, test: Dataset | None, log: LogCheck | None
+) -> tuple[Prepared, tuple[str, ...]]:
+    """Records of a search without samples that repeat others; what is thinned keeps its own."""
+    if log is None or ready.whole is not None:
+        return ready, ()
+    (train, words), given = as_measured(train, log), test and as_measured(test, log)
+    if given:
+        test, words = given[0], tuple(dict.fromkeys((*words, *given[1])))
+    return (prepared(train, test), words) if words else (ready, ())
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ from functools import lru_cache
 from itertools import combinations, product
 
 import numpy as np
+from scipy.fft import idct
 from scipy.linalg import block_diag
 
 from oed_sysid.compiled.kernels import Kernel, kernel
@@ -41,10 +42,12 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.contrasts import (
     MOST_BLOCKS,
+    UNEXPLAINED,
     Candidate,
     Question,
     Reading,
     System,
+    contrasts,
     diagnosed,
     plain_readings,
 )
@@ -65,7 +68,9 @@ BEYOND = 1.5
 # A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
 LEAST_PRIOR = 0.25
 # What is asked of an input.
-ASKED = ("sign", "unit", "scale", "delay")
+ASKED = ("sign", "unit", "scale", "delay", "lost")
+# Twice the logarithm of the odds by which an actuator fails more rarely than forces set in.
+RARER = 4.0
 
 
 @dataclass(frozen=True)
@@ -79,6 +84,11 @@ class Nominal(Relation):
         """Inputs and parameters, whose errors are asked."""
         model = self.run.model
         return (*model.input_names, *model.free_names)
+
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Inputs, whose actuators may fail."""
+        return self.run.model.input_names
 
     def __call__(self, values: Mapping[str, np.ndarray], times: np.ndarray) -> np.ndarray:
         """Mean rate of the state from every sample to the next, ``(n_times,)``; the last is 0."""
@@ -154,14 +164,56 @@ def input_findings(
         return beyond, [replace(row, says=traces) for row in rows], f"{about}{traces}."
     question = _question(traces, model)
     found, ended = diagnosed(traces, question)
-    log = Log(dataset.channels, (), dataset.names)
-    findings = [*map(log.reading, found), *map(log.sized, ended.found)]
+    log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
+    # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
+    sized = [one for one in ended.found if one.candidate.kind != "drift"]
+    findings = [*map(log.reading, found), *map(log.sized, sized)]
+    findings += _unlogged(traces, question, model)
     # What the motion says of an input holds what its range says.
     named = {name for one in findings for name in one.signals}
     findings += [one for one in beyond if not named & set(one.signals)]
     units = {one.name: one.unit for one in model.inputs}
     asked = [judged_row(row.fault, row.signal, units[row.signal], ended) for row in rows]
     return findings, asked, ""
+
+
+def _unlogged(traces: Sequence[Trace], question: Question, model: Model) -> Iterator[Finding]:
+    r"""Inputs that never move in the log, although the vehicle moves as if they did.
+
+    With :math:`d_i` the changes over about a second of what the nominal model leaves of equation
+    *i*, and :math:`g_i` those of the contrast of a unit of the input, both over the root mean
+    square of :math:`d_i`, a free input is
+    :math:`\hat\delta = \sum_i g_i d_i / \sum_i g_i^2`. It is what was not logged where the model
+    leaves more than a third of the changes of a state, and this input less than a third of that,
+    in two equations at least: forces from outside seldom act in the ratio of its coefficients.
+    """
+    for name in (n for n in model.input_names if all(np.ptp(t.values[n]) == 0.0 for t in traces)):
+        changes = [one for trace in traces for one in _changes_by(trace, name, question.relations)]
+        if not changes:
+            continue
+        left, column, side = np.concatenate(changes, axis=2)
+        size = [np.sqrt(np.mean(one**2, axis=1)) for one in (left, column, side)]
+        reach = size[1] / size[0]
+        enters = reach > UNEXPLAINED * reach.max()
+        d, g = (one[enters] / size[0][enters, None] for one in (left, column))
+        free = np.sum(g * d, axis=0) / np.sum(g**2, axis=0)
+        share = float(np.sqrt(np.mean((d - g * free) ** 2)))
+        missed = size[0][enters] > UNEXPLAINED * size[2][enters]
+        if len(d) > 1 and missed.any() and share < UNEXPLAINED:
+            words = {"share": f"{100.0 * (1.0 - share**2):.0f}"}
+            records = tuple(t.name for t in traces)
+            yield said("dead", (name,), records, words, row="input dead")
+
+
+def _changes_by(trace: Trace, name: str, equations: tuple[Relation, ...]) -> Iterator[np.ndarray]:
+    """Changes of contrasts, of a unit of an input and of left sides, ``(3, n_equations, n)``."""
+    pieces = [*contrasts(trace, equations, [Candidate("bias", (name,), "", 1.0, 0.0)], {})]
+    if len(pieces) == len(equations):  # a broken record is left out
+        lag = max(1, round(1.0 / pieces[0].span))
+        rows = [[p.residual for p in pieces], [p.columns[:, 0] for p in pieces],
+                [p.target for p in pieces]]  # fmt: skip
+        series = idct(np.pad(rows, ((0, 0), (0, 0), (1, 0))), norm="ortho")
+        yield series[..., lag:] - series[..., :-lag]
 
 
 def _beyond(
@@ -245,12 +297,21 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
     length = max(float(t.times[-1] - t.times[0]) for t in traces)
     reach = {one: max(np.ptp(t.values[one.name]) for t in traces) for one in model.inputs}
     moving = {channel.name: channel.unit for channel, size in reach.items() if size > 0.0}
-    common = list[Candidate]()
+    common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
     for name, unit in moving.items():
-        common.append(Candidate("scale", (name,), "1", LEAST_PRIOR, RELATIVE, unit_of=unit))
-        common.append(Candidate("delay", (name,), "s", max(0.7, 3.0 * step), step))
+        late = max(0.7, 3.0 * step)
+        lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
+        common.append(replace(lost, material=RELATIVE, rare=0.0, unit_of=unit))
+        common.append(Candidate("delay", (name,), "s", late, step))
+        single += [replace(lost, record=t.name) for t in traces if len(traces) > 1]
+        local.append(lost)
+    for target in targets:
+        usual = max(float(np.nanstd(t.values[target])) for t in traces) / length + 1e-12
+        local.append(Candidate("drift", (target,), "", usual, RELATIVE * usual))
     given = tuple(_given(traces, equations, model, length))
-    return Question(equations, tuple(common), readings=tuple(_readings(moving)), given=given)
+    return Question(
+        equations, tuple(common), tuple(single), tuple(local), tuple(_readings(moving)), given
+    )
 
 
 def _given(

@@ -83,6 +83,11 @@ class Relation:
         """Signals of the right side whose errors are asked."""
         return self.signals
 
+    @property
+    def driven(self) -> tuple[str, ...]:
+        """Signals of the right side that may lose their effect: none of kinematics."""
+        return ()
+
     def integral(self, times: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Cumulative integral of rates of :meth:`__call__`, ``(n_times, k)``; first row zero."""
         return integral(times, columns)

@@ -89,6 +89,11 @@ class Trace:
             pushed |= after_steps(column)
         return cls(record.name, record.times, values, units, noise, pushed=pushed)
 
+    @property
+    def ends(self) -> tuple[float, float]:
+        """First and last time, s."""
+        return float(self.times[0]), float(self.times[-1])
+
     def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
         """Return the trace without some samples; ``rows`` by signal."""
         values = dict(self.values)

@@ -28,7 +28,7 @@ BLANK = f"leave these cells empty: {COPY}"
 # Faults that are other readings of the same numbers: seen where a scale of one would be.
 READ = ("sign", "unit", "swap")
 # Rows that tell of the vehicle or of what its model lacks as well as of its log.
-NO_FAULT = ("input lag", "input scale", "run")
+NO_FAULT = ("input lag", "input late", "input scale", "run")
 # What may be wrong in place of an input.
 NOMINAL = "a nominal model or priors that are wrong by as much"
 # Fast noise over the declared level, and a jump of the times in usual steps, that are mentioned.
@@ -219,7 +219,7 @@ SAYS = {
         "{columns}",
     ),
     "input scale": (
-        "{both} acts as if its values were wrong by {shown}.",
+        "{both} acts {left:.2g} times as strongly as logged.",
         "the coefficients of {both} are wrong by as much",
         "calibrate {both}, or correct the unit in the header",
     ),
@@ -228,7 +228,25 @@ SAYS = {
         "lags of actuators and damping are wrong by as much",
         "shift {both} back in time, or the outputs forward, before the columns are joined",
     ),
+    "input lost": (
+        "{both} acts {left:.2g} times as strongly {since} as before or in the other records: its "
+        "actuator failed, or was not coupled.",
+        "the coefficients of {both} are fitted too small, by a compromise",
+        "cut the record there with window(), or leave it out",
+    ),
+    "input dead": (
+        "{both} never changes in the log, but the vehicle moves as if it had: a free input of its "
+        "kind explains {share} % of what the nominal model leaves.",
+        "what {both} did is fitted to forces that were not",
+        "log {both}; without it no coefficient of it can be estimated",
+    ),
     "input lag": (
+        "the vehicle answers {both} as through a lag of first order of {lag:.2g} s: its command "
+        "was logged in place of its feedback.",
+        "damping and added mass take the place of the lag",
+        "log the feedback, or give the model a lag of the actuator as a candidate",
+    ),
+    "input late": (
         "the vehicle answers {both} {shown} late: an actuator lags, or its command was logged in "
         "place of its feedback.",
         "damping and added mass take the place of the lag",
@@ -337,7 +355,7 @@ class Log:
     channels : Channels
     relations : tuple of Relation
     records : tuple of str
-    begins : mapping of str to (float, float)
+    ends : mapping of str to (float, float)
         First and last time of each record, s.
     modelled : frozenset of str
         Signals on which the model has an effect of a sensor.
@@ -346,8 +364,13 @@ class Log:
     channels: Channels
     relations: tuple[Relation, ...]
     records: tuple[str, ...]
-    begins: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     modelled: frozenset[str] = frozenset()
+
+    def at(self, fault: Candidate) -> float:
+        """When a fault begins in its record, s."""
+        start, end = self.ends.get(fault.record, (0.0, 1.0))
+        return start + fault.span[0] * (end - start)
 
     def _channel(self, name: str) -> Input | Output | None:
         return next((channel for channel in self.channels.all if channel.name == name), None)
@@ -402,7 +425,8 @@ class Log:
         have, are = ("has", "is") if len(names) == 1 else ("have", "are")
         words = {key: " and ".join(each) for key, each in lists.items()} | {
             "have": have, "are": are, "meaning": one.meaning, "declared": unit,
-            "times": f"{1.0 / fix.value:.3g}", "factor": fix.value, "frames": self._frame(names),
+            "times": f"{1.0 / fix.value:.3g}", "factor": fix.value, "lag": fix.value,
+            "frames": self._frame(names),
             "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
         }  # fmt: skip
         row, others = "twice" if twice else fix.kind, tuple(map(_say_reading, one.rivals))
@@ -410,7 +434,8 @@ class Log:
             row, others = f"input {row}", (*others, NOMINAL)
         return said(
             fix.kind, names, self.records, words, row=row, gain=one.gain, alternatives=others,
-            correction=None if row == "input swap" else fix,
+            correction=None if row in ("input swap", "input lag") else fix,
+            suspect=row not in NO_FAULT,
         )  # fmt: skip
 
     def sized(self, one: Found) -> Finding:
@@ -420,12 +445,14 @@ class Log:
         row, names, size = self._row_of(fault, one.size, of_input=of_input)
         bounds = interval(size, one.std)
         undone = replace(one.correction, signals=names, value=size)
-        start, end = self.begins.get(fault.record, (0.0, 1.0))
+        at = self.at(fault)
         words = {
             "early": early, "come": "come" if len(names) > 1 else "comes",
             "shown": amount(size, bounds, fault.unit), "unit": fault.unit, "size": abs(size),
             "rate": "".join(fault.other), "record": fault.record,
-            "at": start + fault.span[0] * (end - start),
+            "at": at, "left": 1.0 - size,
+            "since": f"from t = {at:.6g} s of {fault.record} on" if fault.placed
+            else f"in {fault.record}",
             "where": f" in {fault.record}" * bool(fault.record),
             "own": ", per_record=True" * bool(fault.record),
         }  # fmt: skip
@@ -434,8 +461,9 @@ class Log:
         if not fix and "effect" in SAYS[row][2] and self._channel(names[0]) is None:
             fix = f"{' and '.join(names)} is no output of the model: {COPY}"
         others = tuple(_say_sized(*rival) for rival in one.rivals)
+        kinds = {"rate": "clock", "input scale": "scale"}
         return said(
-            {"rate": "clock"}.get(fault.kind, fault.kind), names,
+            kinds.get(row, fault.kind), names,
             (fault.record,) if fault.record else self.records, words, row=row, fix=fix,
             suspect=not allowed and row not in NO_FAULT, size=size, interval=bounds,
             unit=fault.unit, gain=one.gain, alternatives=(*others, *[NOMINAL] * of_input),
@@ -447,8 +475,10 @@ class Log:
     ) -> tuple[str, tuple[str, ...], float]:
         """Row of the table that tells of a fault, the signals it is told of, and its size there."""
         if of_input:
-            lag = fault.kind == "delay" and size < 0.0
-            return f"input {'lag' if lag else fault.kind}", fault.signals, -size if lag else size
+            if fault.kind == "lost" and not fault.record:
+                return "input scale", fault.signals, size
+            late = fault.kind == "delay" and size < 0.0
+            return f"input {'late' if late else fault.kind}", fault.signals, -size if late else size
         if fault.kind == "delay" and size < 0.0:
             # Nothing is measured before it happens: the others lag.
             return "ahead", self._others(fault.signals), -size
@@ -464,10 +494,13 @@ def judged_row(
     sizes = [] if ended is None else [
         (float(v), LARGEST * f.plausible)
         for f, v in zip(ended.faults, ended.visible, strict=True)
-        if f.kind == asked and f.signals == (name,)
+        if f.signals == (name,)
+        and (f.kind == asked or (asked == "scale" and f.kind == "lost" and not f.record))
+        and (kind != "lost" or f.record)
     ]  # fmt: skip
     size, plausible = min(sizes, default=(np.inf, 0.0))
-    unit = {"scale": "1", "delay": "s", "rate": "1", "drift": f"{unit}/s"}.get(kind, unit)
+    units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1"}
+    unit = (units | {"drift": f"{unit}/s"}).get(kind, unit)
     shown = _size(size, unit, ".1g") if kind not in READ and np.isfinite(size) else ""
     why = "nothing that was measured depends on it"
     if kind in READ:
