@@ -518,7 +518,7 @@ def accuracy_range(
         except OedSysidError:
             continue
         names = found.names
-        sizes = [abs(model.values[n]) or model.parameter(n).magnitude for n in names]
+        sizes = [model.parameter(name).reference for name in names]
         errors.append(found.std_errors / sizes)
     if len(errors) < max(2, n_draws // 2):
         raise DesignError(

@@ -62,8 +62,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.optimize import brentq
-from scipy.special import chdtri, chndtr, ndtr
+from scipy.special import chdtri, chndtr, chndtrinc, ndtr
 
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
@@ -622,11 +621,9 @@ class Detect:
         for group in shifts.groups:
             gain = self.needed(group.freedom)
             first, last = (noncentrality(gram, group)[0] for gram in grams)
-
-            def short(value: float, freedom: int = group.freedom, gain: float = gain) -> float:
-                return log_power(value, freedom, gain)[0] - float(np.log(SURE))
-
-            least = float(np.sqrt(brentq(short, 0.0, _CERTAIN) / max(last, 1e-300)))
+            # The gain grows with the square of the size.
+            surely = chndtrinc(gain, group.freedom, 1.0 - SURE)
+            least = float(np.sqrt(surely / max(last, 1e-300)))
             rare, sure = (
                 float(np.exp(log_power(v, group.freedom, gain)[0])) for v in (first, last)
             )

@@ -311,7 +311,7 @@ def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:
         task.scenarios, 1.0 - task.n_waived / n if n else 1.0, family.feedback,
     )  # fmt: skip
     scored = []
-    for run, _, _ in (*bench.zigzags(), *bench.zigzags_ahead()):
+    for run, _ in (*bench.zigzags(), *bench.zigzags_ahead()):
         if (made := motion(task.model, run)) is not None:
             score = objective.score(np.zeros(0), commands=made.inputs, with_scenarios=False)
             scored += [(score, run)] if score.feasible else []

@@ -37,6 +37,7 @@ from oed_sysid.design.criteria import (
     Setting,
     log_determinant,
 )
+from oed_sysid.design.vehicles import check_spread
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information.bound import RunInformation, information_of, prior_factor, triangle
@@ -75,8 +76,7 @@ class Knowledge:
     def __post_init__(self) -> None:
         if isinstance(self.prior, str) and self.prior != "auto":
             raise DesignError(f"prior is {self.prior!r}. Choose 'auto', None or an Information.")
-        if self.spread is not None and not 0 < self.spread < 1:
-            raise DesignError(f"spread is {self.spread}. Give a number between 0 and 1, or None.")
+        check_spread(self.spread)
 
     def before(self, given: Model | Fit, model: Model) -> Information | None:
         """What is known before the run, on all shared free parameters."""
@@ -245,12 +245,23 @@ class ExpectedInformation:
         """
         if self.sea is None or self.shifts is None:
             return self
-        told = [
-            information_of(self.model, run, noise=n, priors=None) for n in (self.sigma, self.sea)
-        ]
-        white, forced = (log_determinant(self.relative(one.matrix)) for one in told)
-        n = len(self.names)
-        return replace(self, raised=float(np.exp(0.5 * max(white - forced, 0.0) / n)))
+        told = information_of(self.model, run, noise=self.sea, priors=None).matrix
+        return replace(self, raised=self.raising(run, self.relative(told)))
+
+    def raising(self, run: Experiment, told: np.ndarray, scales: np.ndarray | None = None) -> float:
+        r"""Factor :math:`\kappa` of the levels at which white noise lets a run tell that little.
+
+        Parameters
+        ----------
+        run : Experiment
+        told : ndarray (n, n)
+            Relative information on the parameters under the forces.
+        scales : ndarray (n,), optional
+            Units of ``told``; by default the parameters' own.
+        """
+        white = information_of(self.model, run, noise=self.sigma, priors=None).matrix
+        more = log_determinant(self.relative(white, scales)) - log_determinant(told)
+        return float(np.exp(0.5 * max(more, 0.0) / len(told)))
 
     def misfits(self, total: np.ndarray) -> dict[tuple[str, str], float]:
         """For discrimination: expected ``2 dlogL`` of every rival over every other."""

@@ -27,6 +27,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import islice, product
 from math import degrees, radians
+from typing import TypeVar
 
 import numpy as np
 
@@ -63,6 +64,7 @@ _HALVES, _SWITCHES = (1.0, 0.5), (1.1, 0.8, 0.6, 0.4, 0.25)
 _PACES = (0.25, 0.6)  # of quick and slow variants, relative to a tenth of the run
 
 
+_Size = TypeVar("_Size")
 # Name, run, and how it was made smaller to keep the limits.
 Standard = tuple[str, Experiment, str]
 
@@ -117,9 +119,8 @@ def standard_manoeuvres(
 
     found = []
     for title, angle in sizes if bench.attitude else [("square wave", 1.0)]:
-        runs = {share: made(title, share * angle) for share in _STANDARD_SHARES}
-        for run, _, _ in bench.keeping("", runs.values()):
-            share = next(share for share, one in runs.items() if one is run)
+        runs = ((share, made(title, share * angle)) for share in _STANDARD_SHARES)
+        for share, run, _ in bench.keeping(runs):
             note = "" if share == 1.0 else f"at {share:.0%} of its angles to keep the limits"
             found.append((title, run, note))
     return found
@@ -394,14 +395,14 @@ class Bench:
     ) -> Iterable[tuple[Experiment, str, float]]:
         """Every kind at its largest size that keeps the limits, and at a gentler one."""
         turns = bool({"psi", "r"} & self.known)
+        closed = {"zigzag": self.zigzags, "zigzag ahead": self.zigzags_ahead}
         for kind in kinds:
-            if kind == "zigzag":
-                yield from self.zigzags()
-            elif kind == "zigzag ahead":
-                yield from self.zigzags_ahead()
+            if kind in closed:
+                yield from ((run, kind, share) for run, share in closed[kind]())
             elif turns or kind not in ("circle", "spiral"):
                 for variant, wave in self.waves(kind, rng):
-                    yield from self.sized(kind, variant, wave)
+                    sized = self.sized(f"{kind}{variant}", wave)
+                    yield from ((run, kind, share) for run, share in sized)
 
     def waves(self, kind: str, rng: np.random.Generator) -> Iterable[tuple[str, np.ndarray]]:
         """Shapes between -1 and 1 of an open-loop kind."""
@@ -434,17 +435,13 @@ class Bench:
         drawn = rng.uniform(-1, 1, n // unit + 1)
         return np.repeat(drawn / np.abs(drawn).max(), unit)[:n]
 
-    def sized(
-        self, kind: str, variant: str, wave: np.ndarray
-    ) -> Iterable[tuple[Experiment, str, float]]:
+    def sized(self, name: str, wave: np.ndarray) -> Iterable[tuple[Experiment, float]]:
         """Return the largest size that keeps the limits, then a gentler one."""
-        name = f"{kind}{variant}"
-        sizes = {size: self.table(name, size, wave) for size in (SHARES if wave.any() else (1.0,))}
-        for run, _, share in self.keeping(kind, sizes.values()):
-            yield run, kind, share
+        runs = ((size, self.table(name, size, wave)) for size in SHARES)
+        for size, run, share in self.keeping(runs if wave.any() else islice(runs, 1)):
+            yield run, share
             if wave.any():
-                size = next(size for size, one in sizes.items() if one is run)
-                yield self.table(name, _GENTLER * size, wave), kind, 1.0
+                yield self.table(name, _GENTLER * size, wave), 1.0
 
     def table(self, kind: str, size: float, wave: np.ndarray) -> Experiment:
         """Commands of one shape and size."""
@@ -455,7 +452,7 @@ class Bench:
         name = f"{kind} {said}" if wave.any() else kind
         return self.held_commands(name, self.neutral + np.abs(room) * (size * wave))
 
-    def zigzags(self) -> Iterable[tuple[Experiment, str, float]]:
+    def zigzags(self) -> Iterable[tuple[Experiment, float]]:
         """Zigzags on the attitude.
 
         Of equal angles, made smaller together until the limits hold, and quick ones, which turn
@@ -470,15 +467,15 @@ class Bench:
             sizes = [(round(control, 3), round(turn, 3)) for control, turn in family]
             named = {f"zigzag {size:g}/{switch:g}": (size, switch) for size, switch in sizes}
             runs = (
-                self.zigzag(name, radians(size), radians(switch))
+                (name, self.zigzag(name, radians(size), radians(switch)))
                 for name, (size, switch) in named.items()
                 if name not in seen and radians(size) <= self.reach
             )
-            for run, kind, share in self.keeping("zigzag", runs):
-                seen.add(run.name)
-                yield run, kind, share
+            for name, run, share in self.keeping(runs):
+                seen.add(name)
+                yield run, share
 
-    def zigzags_ahead(self) -> Iterable[tuple[Experiment, str, float]]:
+    def zigzags_ahead(self) -> Iterable[tuple[Experiment, float]]:
         """Zigzags that look ahead within limits of the attitude, about a keeper of the depth.
 
         Of each pair of control and lead the largest switch that keeps the limits, and the next.
@@ -493,13 +490,13 @@ class Bench:
         for control, share in product(_HALVES, _HALVES):
             size, lead = control * self.reach, float(f"{share * time:.2g}")
             runs = (
-                self.zigzag(
+                (switch, self.zigzag(
                     f"zigzag {degrees(size):.3g}/{degrees(switch):.3g} {lead:g} s ahead",
                     size, switch, (rate, *kept), lead=lead, keep_gain=switch / depth,
-                )
+                ))
                 for switch in (part * room for part in _SWITCHES)
             )  # fmt: skip
-            yield from self.keeping("zigzag ahead", runs, 2)
+            yield from ((run, share) for _, run, share in self.keeping(runs, 2))
 
     def room(self, name: str) -> float:
         """Way from the start to the nearer limit of a signal; infinite where there is none."""
@@ -519,9 +516,9 @@ class Bench:
         return float(self.grid.times[int(np.argmax(gone))]) if gone.any() else None
 
     def keeping(
-        self, kind: str, runs: Iterable[Experiment], most: int = 1
-    ) -> Iterable[tuple[Experiment, str, float]]:
-        """The first runs that keep the limits on enough vehicles, and on which share."""
+        self, runs: Iterable[tuple[_Size, Experiment]], most: int = 1
+    ) -> Iterable[tuple[_Size, Experiment, float]]:
+        """The first sizes whose runs keep the limits on enough vehicles, and on which share."""
         vehicles = (self.model, *self.vehicles)
-        shares = ((run, kept_on(run, vehicles, self.bounds, self.kept)) for run in runs)
-        return islice(((run, kind, share) for run, share in shares if share is not None), most)
+        tried = ((*one, kept_on(one[1], vehicles, self.bounds, self.kept)) for one in runs)
+        return islice(((s, run, kept) for s, run, kept in tried if kept is not None), most)

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
 from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
@@ -120,19 +120,16 @@ class VehicleInformation:
         stops = [*self.edges[1:], len(self.times)]
         for i, (first, stop) in enumerate(zip(self.edges, stops, strict=True)):
             rows[first:stop, :, : len(self.columns)] = dy[first:stop] @ chains[i]
-        rival_nodes = []
-        for position, (rival, values, factor) in enumerate(self.rivals):
-            node, _ = rival.start(self.own, commands[0], values, float(self.times[0]))
-            other = rival.run(self.times, commands, values, node)
-            if not other.ok:
-                return None
+        if (others := self._rivals(commands)) is None:
+            return None
+        for position, (factor, other) in enumerate(others):
             rows[:, :, len(self.columns) + position] = factor * (other.outputs - run.outputs)
-            rival_nodes.append(other.states[self.edges])
         rows /= self.sigma[:, None]
         if not np.abs(rows).max() < _DIVERGED:
             return None
         signals = np.hstack([run.states, run.outputs])
-        return Evaluation(rows, signals, run.states[self.edges], chains, tuple(rival_nodes))
+        rival_nodes = tuple(other.states[self.edges] for _, other in others)
+        return Evaluation(rows, signals, run.states[self.edges], chains, rival_nodes)
 
     def change(
         self,
@@ -179,18 +176,32 @@ class VehicleInformation:
         # <W, S chain> = <W chain', S>: one product, no copy of the sensitivities.
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
         total = float(np.vdot(pulled, run.output_sensitivities))
-        for position, (rival, values, factor) in enumerate(self.rivals):
-            node = evaluation.rival_nodes[position][edge]
-            if edge == 0:
-                node, _ = rival.start(self.own, commands[0], values, float(times[0]))
-            other = rival.run(times, part, values, node)
-            if not other.ok:
-                return None
+        nodes = [every[edge] for every in evaluation.rival_nodes] if edge else None
+        if (others := self._rivals(part, first, nodes)) is None:
+            return None
+        for position, (factor, other) in enumerate(others):
             moved = factor * (other.outputs - run.outputs)
             total += float(np.vdot(weights[:, :, n_kept + position], moved))
         total -= float(np.vdot(by_rows[first:], evaluation.rows[first:]))
         signals = np.hstack([run.states, run.outputs])[:, columns]
         return total, signals - evaluation.signals[first:, columns]
+
+    def _rivals(
+        self, commands: np.ndarray, first: int = 0, nodes: Sequence[np.ndarray] | None = None
+    ) -> list[tuple[float, Run]] | None:
+        """Factor and run of every rival from a sample on; None where one diverges."""
+        times, found = self.times[first:], []
+        for position, (rival, values, factor) in enumerate(self.rivals):
+            node = (
+                rival.start(self.own, commands[0], values, float(times[0]))[0]
+                if nodes is None
+                else nodes[position]
+            )
+            other = rival.run(times, commands, values, node)
+            if not other.ok:
+                return None
+            found.append((factor, other))
+        return found
 
     def _chains(self, maps: np.ndarray) -> np.ndarray:
         """See :class:`Evaluation`; ``maps`` are derivatives of the states at the edges."""

@@ -40,7 +40,6 @@ from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Manoeuvre, Piecewise, ZigZag
-from oed_sysid.information.bound import information_of
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.physics.model import Model
@@ -424,13 +423,8 @@ class _Planner:
         counts[j] -= 1
         n = len(scales)
         matrix = expected.relative(plan.library.total(counts)[0], 1.0 / scales)
-        white = information_of(
-            expected.model, plan.runs[j].experiment, noise=expected.sigma, priors=None
-        )
-        told = (expected.relative(white.matrix, scales), plan.library.information[0, j][:n, :n])
-        # Directions that a run does not see count alike under both kinds of noise.
-        logs = [np.linalg.slogdet(one + 1e-9 * np.eye(n))[1] for one in told]
-        raised = np.exp(0.5 * max(logs[0] - logs[1], 0.0) / n) * sampling
+        told = plan.library.information[0, j][:n, :n]
+        raised = expected.raising(plan.runs[j].experiment, told, scales) * sampling
         return replace(
             expected, model=with_levels(expected.model, raised * expected.sigma), sea=None,
             before=matrix, sigma=raised * expected.sigma, raised=1.0, start="unknown",

@@ -57,6 +57,9 @@ class _Accuracy:
     sea: NoiseModel | None
     spread: AccuracyRange | None
 
+    report = as_text
+    _repr_html_ = as_html
+
     @property
     def names(self) -> tuple[str, ...]:
         """Parameters."""
@@ -183,8 +186,6 @@ class Design(_Accuracy):
     spread: AccuracyRange | None = None
     chances: tuple[Detection, ...] = ()
 
-    _repr_html_ = as_html
-
     def __repr__(self) -> str:
         worst = int(np.argmax(self.relative_errors))
         return (
@@ -250,8 +251,6 @@ class Design(_Accuracy):
                 Section("Sea-trial card", listing=self.sea_trial_card(), only="page"),
             ),
         )  # fmt: skip
-
-    report = as_text
 
     def _answer(self) -> str:
         """What the run will tell, and whether it keeps its limits."""
@@ -486,8 +485,6 @@ class Programme(_Accuracy):
     misfits: Mapping[tuple[str, str], float] = field(default_factory=dict)
     chances: tuple[Detection, ...] = ()
 
-    _repr_html_ = as_html
-
     def __repr__(self) -> str:
         return f"<Programme for {self.model.name!r}: {len(self.runs)} runs, {self.hours:.3g} h>"
 
@@ -587,8 +584,6 @@ class Programme(_Accuracy):
                 Section("Compared", compared, indent=2),
             ),
         )
-
-    report = as_text
 
     def _plan(self) -> Table:
         rows = []

@@ -265,6 +265,15 @@ UNCERTAINTY = ASSUMED
 DOUBT = 3.0
 
 
+def check_spread(spread: float | None) -> None:
+    """Refuse a relative half-width of uniform draws that is none."""
+    if spread is not None and not 0 < spread < 1:
+        raise DesignError(
+            f"There is no spread {spread}. Give a number between 0 and 1, or None to draw from "
+            "what is known."
+        )
+
+
 @dataclass(frozen=True)
 class Robust:
     """Expected or worst value of a criterion over sampled parameter values.
@@ -300,11 +309,9 @@ class Robust:
     softness: float = 0.3
 
     def __post_init__(self) -> None:
-        if self.n_sets < 1 or (self.spread is not None and not 0 < self.spread < 1):
-            raise DesignError(
-                f"Robust has spread {self.spread} and {self.n_sets} sets. Give a spread between 0 "
-                "and 1 (or None for the prior) and one set or more."
-            )
+        check_spread(self.spread)
+        if self.n_sets < 1:
+            raise DesignError(f"Robust has {self.n_sets} sets. Give one or more.")
 
     @property
     def name(self) -> str:
@@ -427,11 +434,7 @@ class Caution:
                 f"{self.n_checks} checks. Give a probability from 0.5 to below 1 and 20 or more "
                 "of both."
             )
-        if self.spread is not None and not 0 < self.spread < 1:
-            raise DesignError(
-                f"Caution has spread {self.spread}. Give a number between 0 and 1, or None to draw "
-                "from what is known."
-            )
+        check_spread(self.spread)
 
 
 @dataclass(frozen=True, eq=False)
