@@ -38,14 +38,6 @@ DIFFERENCE_ERROR = 1.5
 LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
 
 
-def noise_floor(dataset: Dataset) -> np.ndarray:
-    """Standard deviation of the white part of each output, shape ``(n_outputs,)``.
-
-    See :func:`white_levels`.
-    """
-    return white_levels(dataset)[0]
-
-
 def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
     """Level of the white part of each output, and whether it is the noise that one sees.
 
@@ -237,7 +229,7 @@ def start_levels(
         floor = earlier
     else:
         # Model errors dominate at first; a floor far below them would stiffen the start.
-        floor = np.maximum(noise_floor(dataset), 0.02 * signal_spread(dataset))
+        floor = np.maximum(white_levels(dataset)[0], 0.02 * signal_spread(dataset))
     levels = np.where(estimated, floor, declared)
     return np.where(measured, levels, 1.0), estimated
 
