@@ -291,6 +291,54 @@ def test_fmu_runs_in_a_master(tmp_path: Path) -> None:
     np.testing.assert_allclose(result["psi_measured"], run.output("psi"), atol=1e-10)
 
 
+@pytest.mark.skipif(COMPILER is None, reason="needs a C compiler")
+@pytest.mark.parametrize("kind", ["fmu", "fmu3"])
+@pytest.mark.parametrize(("role", "error"), [("CoSimulation", 1e-9), ("ModelExchange", 1e-4)])
+def test_both_interfaces_in_both_roles(tmp_path: Path, kind: str, role: str, error: float) -> None:
+    """The unit steps as the package does, and an importer's own integrator arrives there too."""
+    fmpy = pytest.importorskip("fmpy")
+    from fmpy.validation import validate_fmu
+
+    model = yaw_model()
+    (file,) = export(model, kind, tmp_path)
+    assert validate_fmu(str(file)) == []
+    result = fmpy.simulate_fmu(
+        str(file), fmi_type=role, stop_time=50.0, step_size=0.5, output_interval=0.5,
+        relative_tolerance=1e-9, start_values={"delta": 0.2, "K": 0.3, "r_start": 0.01},
+    )  # fmt: skip
+    run = simulate_inputs(
+        model.with_values({"K": 0.3}),
+        np.arange(101) * 0.5,
+        inputs={"delta": 0.2},
+        initial={"r": 0.01},
+    )
+    assert relative(result["psi_measured"], run.output("psi")) < error
+
+
+@pytest.mark.skipif(COMPILER is None, reason="needs a C compiler")
+@pytest.mark.parametrize("kind", ["fmu", "fmu3"])
+def test_a_unit_with_sampled_memory_steps_by_itself(tmp_path: Path, kind: str) -> None:
+    """Memory of a sensor that is sampled is no continuous state: co-simulation only."""
+    fmpy = pytest.importorskip("fmpy")
+    (file,) = export(yaw_model() + sensor_lag("gyro", "psi", value=0.3), kind, tmp_path)
+    described = fmpy.read_model_description(str(file))
+    assert described.modelExchange is None and described.coSimulation is not None
+
+
+@pytest.mark.slow
+def test_a_crossing_compiler_adds_the_other_platforms(tmp_path: Path) -> None:
+    """Each library is of the format of its platform."""
+    pytest.importorskip("ziglang")
+    (file,) = export(yaw_model(), "fmu3", tmp_path)
+    begin = {"windows": b"MZ", "linux": b"\x7fELF", "darwin": b"\xcf\xfa\xed\xfe"}
+    with zipfile.ZipFile(file) as unit:
+        names = [name for name in unit.namelist() if name.startswith("binaries/")]
+        assert len(names) == 5
+        for name in names:
+            system = name.split("/")[1].split("-")[1]
+            assert unit.read(name).startswith(begin[system]), name
+
+
 def test_control_model_is_the_linear_model(tmp_path: Path, fit: Fit) -> None:
     """Matrices equal those of linearise; errors of the entries are those of the calculus."""
     (file,) = export(fit, "control", tmp_path / "linear.py", trim={"delta": 0.05})

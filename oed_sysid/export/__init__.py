@@ -37,8 +37,12 @@ TEXTS: dict[str, dict[str, Text]] = {
     "latex": {".tex": latex_text},
 }
 # Kinds that are more than texts.
-WRITERS = {"casadi": write_casadi, "fmu": write_fmu}
-KINDS = ("c", "python", "casadi", "fmu", "matlab", "control", "sympy", "latex")
+WRITERS: dict[str, Callable[[Program, Path], tuple[Path, ...]]] = {
+    "casadi": write_casadi,
+    "fmu": write_fmu,
+    "fmu3": partial(write_fmu, version="3.0"),
+}
+KINDS = ("c", "python", "casadi", "fmu", "fmu3", "matlab", "control", "sympy", "latex")
 
 
 def export(
@@ -53,8 +57,8 @@ def export(
         Where its process noise has taken the work of physics, the values are those of
         :func:`~oed_sysid.likelihood.replay.replayed`, and a warning says so.
     kind : str
-        ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"``, ``"matlab"``, ``"control"``,
-        ``"sympy"`` or ``"latex"``.
+        ``"c"``, ``"python"``, ``"casadi"``, ``"fmu"`` (FMI 2.0), ``"fmu3"`` (FMI 3.0),
+        ``"matlab"``, ``"control"``, ``"sympy"`` or ``"latex"``.
     path : str or Path
         A folder; of kinds with a single file also the file.
     trim : mapping of str to float, optional

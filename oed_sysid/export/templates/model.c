@@ -53,6 +53,13 @@ void ${name}_measure(double *z, const double *u, const double *p, double t, doub
         for (int i = 0; i < NS; ++i) z[NX + NA + i] = next[i];
 }
 
+void ${name}_rates(const double *z, const double *u, const double *p, double t, double *dx)
+{
+    double d[MAX1(ND)], discard[MAX1(NA)];
+    actuate(z + NX, u, p, t, ${upper}_STEP, d, discard);
+    rates(z, d, p, t, dx);
+}
+
 void ${name}_advance(double *z, const double *u, const double *u_end, const double *p, double t,
                      double interval)
 {

@@ -39,6 +39,10 @@ void ${name}_start(const double *own, const double *u, const double *p, double t
 void ${name}_measure(double *z, const double *u, const double *p, double t, double h, double *y,
                      int remember);
 
+/* Rates of the states at time t, for an integrator of your own; actuators that remember act as over
+ * one STEP. */
+void ${name}_rates(const double *z, const double *u, const double *p, double t, double *dx);
+
 /* From t to t + interval; u at the beginning and, for inputs that are interpolated, at the end. */
 void ${name}_advance(double *z, const double *u, const double *u_end, const double *p, double t,
                      double interval);
