@@ -389,12 +389,12 @@ def sources_of(
     gradient : ndarray (n_shared,), optional
         Slope of the whole where it is not zero, because scores are approximate.
     """
-    tests = [i for i, record in enumerate(records) if record.independent]
-    series = [i for i in range(len(matrices)) if i not in tests]
-    if not series or not len(prior):
+    tests = np.zeros(len(matrices), dtype=bool)
+    tests[: len(records)] = [record.independent for record in records]
+    if tests.all() or not len(prior):
         return None
+    told, scored = np.array(matrices), np.array(scores)
     slope = np.zeros(len(prior)) if gradient is None else gradient
-    known = sum((matrices[i] for i in tests), prior)
-    told = [scores[i] for i in series]
-    before = slope - np.sum(told, axis=0)
-    return Sources(np.array([known, *(matrices[i] for i in series)]), np.array([before, *told]))
+    known = prior + told[tests].sum(axis=0)
+    before = slope - scored[~tests].sum(axis=0)
+    return Sources(np.array([known, *told[~tests]]), np.array([before, *scored[~tests]]))

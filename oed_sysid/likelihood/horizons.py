@@ -131,7 +131,7 @@ def _uncertainty(
         layout.shared_names, whole, limits.scale[:n_shared] * slopes
     )
     sums = [rows.sum(axis=0) for _, rows in told]
-    sources = sources_of([*matrices], sums, prior, shooting.records)
+    sources = sources_of(list(matrices), sums, prior, shooting.records)
     covariance = information.covariance
     if coloured == "never" or not n_shared:
         return information, covariance, sources, False
