@@ -12,7 +12,7 @@ from turning_ship import GAIN, NOISE, SHIP, TIME, record
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, jackknife, turning_circle
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.likelihood.between_records import record_scatter
+from oed_sysid.likelihood.between_records import sources_of
 
 WHITE = MultipleShooting(disturbances="none")
 
@@ -86,7 +86,7 @@ def test_intervals_hold_and_are_not_smaller_than_honest(variation: float) -> Non
     errors, squares, held, stated = [], [], [], []
     for _ in range(500):
         matrices, scores, error, inverse = sums(rng, variation)
-        scatter = record_scatter(matrices, scores, np.zeros((2, 2)))
+        scatter = sources_of(matrices, scores, np.zeros((2, 2))).scatter()
         assert scatter is not None
         errors.append(error)
         squares.append(np.diag(scatter.covariance))
@@ -108,7 +108,7 @@ def test_differences_that_noise_explains_are_seldom_told() -> None:
         count = 0
         for _ in range(500):
             matrices, scores, _, inverse = sums(rng, variation)
-            scatter = record_scatter(matrices, scores, np.zeros((2, 2)))
+            scatter = sources_of(matrices, scores, np.zeros((2, 2))).scatter()
             assert scatter is not None
             white = np.diag(inverse)
             count += bool(scatter.exceeds(white, white)[1].any())
@@ -121,11 +121,13 @@ def test_a_parameter_of_one_record_has_no_scatter() -> None:
     """What a single record tells is infinite between records, and does not spoil the others."""
     matrices = [np.diag([4.0, 1.0 if index == 2 else 0.0]) for index in range(5)]
     scores = [np.array([value, 0.0]) for value in (1.0, -1.0, 2.0, -2.0, 0.0)]
-    scatter = record_scatter(matrices, scores, np.zeros((2, 2)))
+    scatter = sources_of(matrices, scores, np.zeros((2, 2))).scatter()
     assert scatter is not None
     assert np.isinf(scatter.covariance[1, 1])
     assert scatter.covariance[0, 1] == 0.0
-    alone = record_scatter([m[:1, :1] for m in matrices], [s[:1] for s in scores], np.zeros((1, 1)))
+    alone = sources_of(
+        [m[:1, :1] for m in matrices], [s[:1] for s in scores], np.zeros((1, 1))
+    ).scatter()
     assert alone is not None
     assert scatter.covariance[0, 0] == pytest.approx(alone.covariance[0, 0])
     factor, clear = scatter.exceeds(np.full(2, 1e-9), np.full(2, 0.05))
@@ -138,7 +140,7 @@ def test_what_a_prior_decides_keeps_its_error() -> None:
     rng = np.random.default_rng(6)
     matrices, scores, _, _ = sums(rng, 2.0)
     weak = [1e-4 * matrix for matrix in matrices]
-    scatter = record_scatter(weak, [1e-4 * score for score in scores], np.eye(2))
+    scatter = sources_of(weak, [1e-4 * score for score in scores], np.eye(2)).scatter()
     assert scatter is not None
     assert np.diag(scatter.covariance) == pytest.approx(np.ones(2), rel=0.1)
     factor, clear = scatter.exceeds(np.ones(2), np.diag(np.linalg.inv(np.eye(2) + sum(weak))))

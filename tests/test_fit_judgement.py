@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.stats import false_discovery_control, norm
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
 from oed_sysid.baselines import JointKalmanFilter
@@ -21,7 +22,13 @@ from oed_sysid.likelihood.departures import estimate_delays
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_levels import spike_masks, spike_sizes
+from oed_sysid.likelihood.noise_levels import (
+    FALSE_SHARE,
+    _depth,
+    held_masks,
+    spike_masks,
+    spike_sizes,
+)
 from oed_sysid.physics import Parameter
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -133,6 +140,92 @@ def test_a_slow_bump_is_no_spike() -> None:
     assert not spike_masks([series[:, None]])[0].any()
     series[700] += 9.0
     assert np.flatnonzero(spike_masks([series[:, None]])[0]).tolist() == [700]
+
+
+def test_groups_that_jump_are_no_motion() -> None:
+    """A group that jumps there and back goes; a smooth bump stays, and so do answers to inputs."""
+    rng = np.random.default_rng(2)
+    noise, samples = rng.standard_normal(1000), np.arange(1000)
+    step = np.isin(samples, [100, 300, 500])
+
+    def found(series: np.ndarray, stepped: np.ndarray) -> list[int]:
+        return np.flatnonzero(spike_masks([series[:, None]], stepped=[stepped])[0]).tolist()
+
+    smooth = noise + 15.0 * np.exp(-0.5 * ((samples - 600.0) / 10.0) ** 2)
+    assert not found(smooth, step)
+    group = np.zeros(1000)
+    group[700:710] = 15.0
+    assert found(noise + group, step) == list(range(700, 710))
+    answers = np.zeros(1000)
+    for first in (100, 300, 500):
+        answers[first : first + 4] = 15.0
+    assert not found(noise + answers, step)
+    # One group in three that begins as an input steps: most do not, so none answers.
+    chance = group + np.roll(group, -250) + np.where((samples >= 100) & (samples < 104), 15.0, 0.0)
+    assert len(found(noise + chance, step)) == 24
+    # Beside a gap it may have moved.
+    gap = noise + group
+    gap[710:740] = np.nan
+    assert not found(gap, step)
+    signs = np.zeros(1000)
+    signs[300:304] = 15.0, 15.0, -15.0, 15.0
+    assert found(noise + signs, step) == [300, 301, 302, 303]
+
+
+def test_repeated_values_are_no_measurements() -> None:
+    """A value held for twelve samples goes where it is off; one that is right stays."""
+    rng = np.random.default_rng(3)
+    truth = 20.0 * np.sin(0.05 * np.arange(900.0))
+    series = truth + rng.standard_normal(900)
+    series[200:212] = 0.0
+    series[628:640] = series[627]
+    residuals = (series - truth)[:, None]
+    (mask,) = held_masks([series[:, None]], [residuals], np.ones(1))
+    assert np.flatnonzero(mask).tolist() == [*range(200, 212), *range(627, 640)]
+    residuals[200:212] = 0.3
+    (mask,) = held_masks([series[:, None]], [residuals], np.ones(1))
+    assert np.flatnonzero(mask).tolist() == list(range(627, 640))
+    limited = np.minimum(series, 15.0)
+    residuals = (limited - truth)[:, None]
+    (mask,) = held_masks([limited[:, None]], [residuals], np.ones(1))
+    assert not mask[limited == 15.0].any()
+    coarse = 5.0 * np.round(series / 5.0)
+    assert not held_masks([coarse[:, None]], [(coarse - truth)[:, None]], np.ones(1))[0].any()
+
+
+def test_small_spikes_are_sought_as_deep_as_their_share_allows() -> None:
+    """The limit is that of Benjamini and Hochberg, as SciPy has it."""
+    rng = np.random.default_rng(4)
+    sizes = np.abs(rng.standard_normal(2000))
+    sizes[:100] = np.abs(5.0 + rng.standard_normal(100))
+    chance = 2.0 * norm.sf(sizes)
+    expected = false_discovery_control(chance) <= FALSE_SHARE
+    assert np.array_equal(sizes > _depth(sizes, 0, 9.0), expected)
+    expected = false_discovery_control(np.r_[np.zeros(40), chance])[40:] <= FALSE_SHARE
+    assert np.array_equal(sizes > _depth(sizes, 40, 9.0), expected)
+    assert _depth(np.full(50, 0.5), 0, 9.0) == 9.0
+
+
+def test_drop_outs_and_bursts_do_not_pass_for_process_noise() -> None:
+    """The default fit leaves them out, and is within a standard error of the clean one."""
+    clean = yaw_data(5)
+
+    def spoil(record: Record) -> np.ndarray:
+        outputs = record.outputs.copy()
+        if len(outputs) < 120:
+            return outputs
+        outputs[60:75, 0] = 0.0
+        outputs[100:105, 1] += 20.0 * NOISE[1] * np.array([1.0, 1.0, -1.0, 1.0, -1.0])
+        return outputs
+
+    true = MultipleShooting(noise=NOISE).fit(yaw_model(), clean)
+    fit = MultipleShooting(noise=NOISE).fit(yaw_model(), changed(clean, spoil))
+    assert fit.status.ok
+    assert not fit.noise.has_forces
+    assert fit.excluded["psi"][0] >= 15
+    assert fit.excluded["r"][0] >= 5
+    for name, error in true.std_errors.items():
+        assert abs(fit.values[name] - true.values[name]) < error
 
 
 @pytest.mark.parametrize("delay", [0.25, -0.2])

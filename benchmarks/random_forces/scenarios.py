@@ -184,6 +184,9 @@ class Manoeuvre:
 
     It turns when the measured angle plus ``lead`` (s) times its measured rate
     passes the switching angle; or, with a finite ``hold``, every so many seconds.
+    With a ``gain`` it is a helmsman instead, who steers courses of plus and minus the
+    switching angle in turn: the command is the gain times how far the measured angle,
+    with its lead, is from the course, up to the amplitude.
     """
 
     name: str
@@ -193,6 +196,7 @@ class Manoeuvre:
     duration: float | None = None
     lead: float = 0.0
     hold: float = math.inf
+    gain: float = 0.0
 
 
 RECORDS = {kind: tuple(Manoeuvre(**row) for row in rows) for kind, rows in DATA["records"].items()}

@@ -232,7 +232,7 @@ def _pilot(
     """Fin or rudder of all records, from sample and measured state: relays, or by the clock."""
     amplitude, switch = np.radians([[m.amplitude, m.switch] for m in manoeuvres]).T
     lead = np.array([m.lead for m in manoeuvres])
-    hold = np.array([m.hold for m in manoeuvres])
+    hold, gain = np.array([[m.hold, m.gain] for m in manoeuvres]).T
     relay = np.ones(len(manoeuvres))
 
     def command(k: int, seen: np.ndarray) -> np.ndarray:
@@ -242,6 +242,9 @@ def _pilot(
         elapsed = k * vehicle.sample_time - vehicle.begin + 1e-9
         by_clock = np.where(np.floor(elapsed / hold) % 2 == 0, 1.0, -1.0)
         relay = np.where(hold < np.inf, by_clock, relay)
+        # A helmsman's rudder is a share of the amplitude.
+        held = np.clip(gain * (angle - by_clock * switch) / amplitude, -1.0, 1.0)
+        relay = np.where(gain > 0.0, held, relay)
         # A bow-down fin lowers theta, a positive rudder raises psi.
         return vehicle.sense * relay * amplitude * (elapsed >= 0.0)
 

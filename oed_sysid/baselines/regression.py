@@ -42,7 +42,7 @@ from oed_sysid.likelihood.information import (
     coloured_score_covariance,
     effective_sample_size,
 )
-from oed_sysid.likelihood.noise_levels import given_levels, noise_floor
+from oed_sysid.likelihood.noise_levels import given_levels, white_levels
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 
@@ -187,7 +187,7 @@ def root_mean_square(values: np.ndarray) -> np.ndarray:
 def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:
     """Standard deviations ``(n_outputs,)``: as declared, else from differences of the samples."""
     levels = given_levels(model.outputs)
-    return np.where(np.isfinite(levels), levels, noise_floor(dataset))
+    return np.where(np.isfinite(levels), levels, white_levels(dataset)[0])
 
 
 def information_from_covariance(model: Model, covariance: np.ndarray) -> Information:

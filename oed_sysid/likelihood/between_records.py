@@ -77,7 +77,6 @@ A 143, 383-430 (priors that records contradict).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,88 +150,6 @@ class RecordScatter:
         return float(stdtrit(self.n_records - 1, 0.5 + level / 2)) * errors
 
 
-def record_scatter(
-    matrices: Sequence[np.ndarray] | np.ndarray,
-    scores: Sequence[np.ndarray] | np.ndarray,
-    prior: np.ndarray,
-    *,
-    gradient: np.ndarray | None = None,
-) -> RecordScatter | None:
-    """Scatter of estimates by leaving out one record after the other, to first order.
-
-    Parameters
-    ----------
-    matrices : sequence of ndarray (n_shared, n_shared)
-        Information of each record.
-    scores : sequence of ndarray (n_shared,)
-        Slope of each record's log-likelihood.
-    prior : ndarray (n_shared, n_shared)
-        Information that is there without records.
-    gradient : ndarray (n_shared,), optional
-        Slope of the whole where it is not zero, because scores are approximate; the scatter is
-        taken about where it would be.
-
-    Returns
-    -------
-    RecordScatter or None
-        None for fewer than four records, or where nothing is to be estimated.
-
-    Examples
-    --------
-    The mean of four numbers has the standard error of the textbook:
-
-    >>> numbers = (1.0, -2.0, 3.0, -2.0)
-    >>> one = np.eye(1)
-    >>> found = record_scatter([one] * 4, [np.array([x]) for x in numbers], np.zeros((1, 1)))
-    >>> round(float(found.covariance[0, 0]), 9), float(np.var(numbers, ddof=1) / 4)
-    (1.5, 1.5)
-    >>> float(found.expected[0]), float(found.freedom[0])  # four numbers of variance one
-    (0.25, 3.0)
-    """
-    n, size = len(matrices), len(prior)
-    if n < FEWEST_RECORDS or not size:
-        return None
-    whole = prior + np.sum(matrices, axis=0)
-    scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
-    alone = scale == 0
-    scale = np.where(alone, 1.0, scale)
-    inverse, _ = _inverse(whole, scale)
-    step = np.zeros(size) if gradient is None else inverse @ gradient
-    moved, shares = np.empty((n, size)), np.empty((n, size))
-    for index, (matrix, score) in enumerate(zip(matrices, scores, strict=True)):
-        without, blind = _inverse(whole - matrix, scale)
-        alone |= blind
-        moved[index] = without @ (score - matrix @ step)
-        shares[index] = np.diag(without @ matrix @ inverse)
-    moved -= moved.mean(axis=0)
-    assumed = inverse @ prior @ inverse
-    covariance = (n - 1) / n * moved.T @ moved + assumed
-    covariance[alone, :] = covariance[:, alone] = 0.0
-    covariance[alone, alone] = np.inf
-    shares = np.maximum(shares, 0.0)
-    total = shares.sum(axis=0)
-    squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
-    freedom = np.clip(total**2 / squares - 1.0, 1.0, n - 1.0)
-    return RecordScatter(covariance, (n - 1) / n * total + np.diag(assumed), freedom, n)
-
-
-def scatter_of(sources: Sources) -> RecordScatter | None:
-    """Scatter between the records of a fit; None for fewer than four."""
-    gradient = sources.scores.sum(axis=0)
-    return record_scatter(
-        sources.matrices[1:], sources.scores[1:], sources.matrices[0], gradient=gradient
-    )
-
-
-def _inverse(matrix: np.ndarray, scale: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Inverse, and which unknowns have a part in directions that the matrix does not see."""
-    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale)
-    clear = values > NOTHING * max(float(values[-1]), 0.0)
-    inner = vectors[:, clear] / scale[:, None]
-    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > TOLD
-    return (inner / values[clear]) @ inner.T, blind
-
-
 @dataclass(frozen=True)
 class Agreement:
     """How well sources agree.
@@ -292,6 +209,56 @@ class Sources:
         """Records, independent tests not among them."""
         return len(self.matrices) - 1
 
+    def scatter(self) -> RecordScatter | None:
+        """Scatter of estimates by leaving out one record after the other, to first order.
+
+        It is taken about where the slope of the whole, zero but for approximate scores, would be.
+
+        Returns
+        -------
+        RecordScatter or None
+            None for fewer than four records, or where nothing is to be estimated.
+
+        Examples
+        --------
+        The mean of four numbers has the standard error of the textbook:
+
+        >>> numbers = np.array([1.0, -2.0, 3.0, -2.0])
+        >>> matrices = np.array([0.0, 1.0, 1.0, 1.0, 1.0])[:, None, None]  # no prior
+        >>> found = Sources(matrices, np.array([0.0, *numbers])[:, None]).scatter()
+        >>> round(float(found.covariance[0, 0]), 9), float(np.var(numbers, ddof=1) / 4)
+        (1.5, 1.5)
+        >>> round(float(found.expected[0]), 9), float(found.freedom[0])  # variance one
+        (0.25, 3.0)
+        """
+        n, size, prior = self.n_records, self.matrices.shape[-1], self.matrices[0]
+        if n < FEWEST_RECORDS or not size:
+            return None
+        whole = self.matrices.sum(axis=0)
+        scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
+        alone = scale == 0
+        onto, _ = _coordinates(whole)
+        inverse = onto @ onto.T
+        step = inverse @ self.scores.sum(axis=0)
+        moved, shares = np.empty((n, size)), np.empty((n, size))
+        for index, (matrix, score) in enumerate(
+            zip(self.matrices[1:], self.scores[1:], strict=True)
+        ):
+            onto, blind = _coordinates(whole - matrix, scale)
+            without, alone = onto @ onto.T, alone | blind
+            moved[index] = without @ (score - matrix @ step)
+            shares[index] = np.diag(without @ matrix @ inverse)
+        moved -= moved.mean(axis=0)
+        assumed = inverse @ prior @ inverse
+        covariance = (n - 1) / n * moved.T @ moved + assumed
+        covariance[alone, :] = covariance[:, alone] = 0.0
+        covariance[alone, alone] = np.inf
+        shares = np.maximum(shares, 0.0)
+        total = shares.sum(axis=0)
+        squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
+        freedom = np.clip(total**2 / squares - 1.0, 1.0, n - 1.0)
+        return RecordScatter(covariance, (n - 1) / n * total + np.diag(assumed), freedom, n)
+
     def agreement(
         self, *, allowance: np.ndarray | None = None, stated: np.ndarray | None = None
     ) -> Agreement:
@@ -329,7 +296,7 @@ class Sources:
             matrices = shrink @ matrices
             matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
             scores = (shrink @ scores[..., None])[..., 0]
-        onto = _coordinates(matrices.sum(axis=0))
+        onto, _ = _coordinates(matrices.sum(axis=0))
         shares = onto.T @ matrices @ onto
         slopes = scores @ onto
         slopes = slopes - (shares @ slopes.sum(axis=0)[:, None])[..., 0]
@@ -348,7 +315,7 @@ class Sources:
     def _grown(self, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Information and scores of the records where errors are as a covariance states."""
         whole = self.matrices.sum(axis=0)
-        onto = _coordinates(whole)
+        onto, _ = _coordinates(whole)
         back = whole @ onto  # the transposed inverse, where anything is told
         grown, axes = np.linalg.eigh(back.T @ np.where(np.isfinite(stated), stated, 0.0) @ back)
         less = (axes / np.sqrt(np.maximum(grown, 1.0))) @ axes.T
@@ -364,28 +331,39 @@ class Sources:
 
         Zero where the others, or it alone, do not tell a parameter.
         """
-        others = self.matrices.sum(axis=0) - self.matrices[index]
-        own = self.matrices[index]
-        both = others + own
-        size = np.sqrt(np.maximum(np.diag(both), 0.0))
-        size = np.where(size > 0, size, 1.0)
-        left, joint = (
-            np.linalg.pinv(m / size[:, None] / size, rcond=NOTHING, hermitian=True)
-            for m in (others, both)
-        )
-        moved = left @ (self.scores[index] / size)
+        whole = self.matrices.sum(axis=0)
+        told = (_coordinates(one)[0] for one in (whole - self.matrices[index], whole))
+        left, joint = (onto @ onto.T for onto in told)
+        moved = left @ self.scores[index]
         variance = np.diag(left) - np.diag(joint)
         usable = variance > TOLD * np.diag(joint)
         return np.where(usable, moved / np.sqrt(np.where(usable, variance, 1.0)), 0.0)
 
 
-def _coordinates(whole: np.ndarray) -> np.ndarray:
-    """Coordinates in which an information is the identity, where it tells anything."""
-    scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
+def _coordinates(
+    information: np.ndarray, scale: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates in which an information is the identity, where it tells anything.
+
+    Parameters
+    ----------
+    information : ndarray (n, n)
+    scale : ndarray (n,), optional
+        Units of its directions; by default the roots of its diagonal.
+
+    Returns
+    -------
+    onto : ndarray (n, n_told)
+        Its product with its transpose is the pseudo-inverse.
+    blind : ndarray of bool (n,)
+        Which unknowns have a part in directions of which nothing is told.
+    """
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0)) if scale is None else scale
     scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(whole / scale[:, None] / scale)
+    values, vectors = np.linalg.eigh(information / scale[:, None] / scale)
     clear = values > NOTHING * max(float(values.max(initial=0.0)), 0.0)
-    return np.asarray(vectors[:, clear] / scale[:, None] / np.sqrt(values[clear]))
+    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > TOLD
+    return vectors[:, clear] / scale[:, None] / np.sqrt(values[clear]), blind
 
 
 def sources_of(

@@ -36,6 +36,8 @@ from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     EXACT,
     credible_levels,
+    held_masks,
+    input_steps,
     residual_levels,
     signal_spread,
     spike_masks,
@@ -356,6 +358,9 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
+        if not fit.status.ok:  # bent so far that it ends nowhere
+            robust = looking._fit(model, fit.dataset, None, None, known_starts)
+            again = robust if robust.status.ok else fit
         for _ in range(4):  # large ones hide small ones
             left = _left(again, before)
             if left is None:
@@ -659,7 +664,12 @@ def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
     if not all(np.isfinite(part).all() for part in fit.predictions):
         return None
     taken = before - _measured(fit.dataset)
-    masks = spike_masks(fit.series, declared=~fit.sigma_estimated, taken=taken)
+    stepped = [input_steps(record) for record in fit.dataset]
+    known = ~fit.sigma_estimated
+    single = spike_masks(fit.series, declared=known, taken=taken, stepped=stepped)
+    outputs = [record.outputs for record in fit.dataset]
+    held = held_masks(outputs, fit.series, fit.sigma)
+    masks = [one | other for one, other in zip(single, held, strict=True)]
     return without_spikes(fit.dataset, masks) if any(mask.any() for mask in masks) else None
 
 

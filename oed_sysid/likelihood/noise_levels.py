@@ -7,17 +7,21 @@ With :math:`\epsilon_k` the one-step errors of an output,
 :math:`d_k = \epsilon_k - \operatorname{median}(\epsilon_{k-2}, \epsilon_{k-1},
 \epsilon_{k+1}, \epsilon_{k+2})` over its median absolute deviation; a spike exceeds what the
 largest of as many normal numbers does, and stands alone (Hampel 1974, *J. Am. Stat. Assoc.* 69).
+Groups of samples are a sensor's fault, not motion, where they jump away and jump back, or repeat
+one value to the last digit longer than noise lets them.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from math import comb
 
 import numpy as np
-from scipy.special import ndtri
+from scipy.special import chdtri, ndtr, ndtri
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
@@ -32,14 +36,6 @@ DIFFERENCE_ERROR = 1.5
 # White noise below this share of the signal is the last digit of a file, not a sensor; and where
 # no sensor's noise is seen, as in a filtered log, it is not taken to be finer than FINEST_NOISE.
 LAST_DIGIT, FINEST_NOISE = 1e-5, 1e-3
-
-
-def noise_floor(dataset: Dataset) -> np.ndarray:
-    """Standard deviation of the white part of each output, shape ``(n_outputs,)``.
-
-    See :func:`white_levels`.
-    """
-    return white_levels(dataset)[0]
 
 
 def white_levels(dataset: Dataset) -> tuple[np.ndarray, np.ndarray]:
@@ -233,7 +229,7 @@ def start_levels(
         floor = earlier
     else:
         # Model errors dominate at first; a floor far below them would stiffen the start.
-        floor = np.maximum(noise_floor(dataset), 0.02 * signal_spread(dataset))
+        floor = np.maximum(white_levels(dataset)[0], 0.02 * signal_spread(dataset))
     levels = np.where(estimated, floor, declared)
     return np.where(measured, levels, 1.0), estimated
 
@@ -268,6 +264,8 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
 BEYOND = 4.0
 # Chance that noise as declared is taken for spikes in a data set, or for a scatter of tests.
 RARE = 1e-3
+# Share of good samples among those left out where spikes are clear (Benjamini & Hochberg 1995).
+FALSE_SHARE = 0.1
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
 STRUCTURED_SPIKE = 8.0
 # Spread of the departure of white noise from the median of its four neighbours.
@@ -279,8 +277,9 @@ def spike_masks(
     *,
     declared: np.ndarray | None = None,
     taken: np.ndarray | None = None,
+    stepped: Sequence[np.ndarray] | None = None,
 ) -> tuple[np.ndarray, ...]:
-    """Samples that stand out alone, per record.
+    """Samples that stand out alone, per record; with inputs, also groups that jump there and back.
 
     Parameters
     ----------
@@ -291,6 +290,8 @@ def spike_masks(
         no sample is a spike, however smooth the others are.
     taken : ndarray of int (n_outputs,), optional
         Samples of each output that were taken out as spikes before.
+    stepped : sequence of ndarray of bool (n_times,), optional
+        Where an input has just stepped (:func:`input_steps`): a motion may jump there.
 
     Returns
     -------
@@ -307,6 +308,10 @@ def spike_masks(
         count = 0 if taken is None else taken[column]
         chance = RARE / n_outputs
         found = _outliers(series, pieces, max(usual, BESIDE * least), least, count, chance)
+        if stepped is not None:
+            calm = [~part[index] for part, index in zip(stepped, rows, strict=True)]
+            groups = _jumping(series, rows, calm, least, chance)
+            found = [one | group for one, group in zip(found, groups, strict=True)]
         for mask, index, one in zip(masks, rows, found, strict=True):
             mask[index, column] = one
     return masks
@@ -347,24 +352,137 @@ def _outliers(
         usual = max(usual, float(np.quantile(np.abs(np.concatenate(pieces)), 0.9) / ndtri(0.95)))
     else:
         # Neighbours that happen to lie on the other side do not make a spike.
-        limit = max(4.0, float(-ndtri(0.5 / n)))
-        off, spread = [values - middle for values in series], slow
+        off, spread, limit = [values - middle for values in series], slow, surely
     sizes = [
         np.minimum(np.abs(piece) / usual, np.abs(away) / (spread or usual))
         for piece, away in zip(pieces, off, strict=True)
     ]
     masks = [np.zeros(len(values), dtype=bool) for values in series]
     if np.any(np.concatenate(sizes) > surely):
-        # Where spikes are clear, what chance does in one sample of n is one of them too.
+        # Where spikes are clear, small ones hide among the noise: how deep depends on their share.
+        limit = limit if structured else _depth(np.concatenate(sizes), count, surely)
         masks = [size > limit for size in sizes]
         count += sum(int(mask.sum()) for mask in masks)
     if structured or count < 3:
         return masks
     # Where there are several spikes some meet: as many in a row as chance makes of so many.
-    longest = max(int(np.log(RARE / n) / np.log(min(count / n, 0.5))), 2)
+    longest = _longest(count, n)
     for mask, away in zip(masks, off, strict=True):
         big = np.abs(away) > surely * slow
         mask |= big & (_run_lengths(big) <= longest)
+    return masks
+
+
+def _depth(sizes: np.ndarray, taken: int, surely: float) -> float:
+    r"""Least size beyond which normal noise makes up no more than its share of what is there.
+
+    With ``k`` of ``n`` samples beyond a size ``t``, spikes taken before included,
+    :math:`2 n \Phi(-t) \le k` :data:`FALSE_SHARE` (Benjamini & Hochberg 1995).
+    """
+    ordered = np.sort(sizes)[::-1]
+    found = taken + np.arange(1, len(ordered) + 1)
+    chance = 2.0 * (len(ordered) + taken) * ndtr(-ordered)
+    beyond = np.flatnonzero(chance <= FALSE_SHARE * found)
+    return float(np.nextafter(ordered[beyond[-1]], 0.0)) if len(beyond) else surely
+
+
+def _longest(count: int, n: int) -> int:
+    """Most events in a row that chance makes of so many among ``n`` samples."""
+    return max(int(np.log(RARE / n) / np.log(min(count / n, 0.5))), 2)
+
+
+def _jumping(
+    series: Sequence[np.ndarray],
+    rows: Sequence[np.ndarray],
+    calm: Sequence[np.ndarray],
+    least: float,
+    chance: float,
+) -> list[np.ndarray]:
+    """Groups of samples that are off and jump as nothing does that moves.
+
+    There and back, or from one side to the other. Where most groups begin as an input steps, it
+    is the vehicle that answers, at once. Over a gap in the ``rows`` a motion may go far. Other
+    parameters as of :func:`_outliers`; ``calm`` are samples before which no input has stepped.
+    """
+    steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in series]
+    own, step = np.concatenate(series), _deviation(np.concatenate(steps))
+    middle, surely = float(np.median(own)), float(-ndtri(0.5 * chance / len(own)))
+    far = surely * max(_deviation(own - middle), least)
+    jump = surely * max(step, np.sqrt(2.0) * least)
+    found = [np.zeros(len(values), dtype=bool) for values in series]
+    answers, elsewhere = [], 0
+    for mask, values, away, row, still in zip(found, series, steps, rows, calm, strict=True):
+        apart = np.diff(row, prepend=row[:1], append=row[-1:])
+        close = apart <= 2.0 * np.median(apart) if len(row) else apart > 0
+        big, jumps = np.abs(values - middle) > far, (np.abs(away) > jump) & close
+        edges = np.flatnonzero(np.diff(np.r_[False, big, False].astype(int)))
+        for first, stop in zip(edges[::2], edges[1::2], strict=True):
+            above = values[first:stop] > middle
+            across = bool(np.any((above[1:] != above[:-1]) & jumps[first + 1 : stop]))
+            if across or (jumps[first] and jumps[stop] and still[first]):
+                mask[first:stop] = True
+                elsewhere += 1
+            elif jumps[first] and jumps[stop]:
+                answers.append(mask[first:stop])
+    for group in answers if len(answers) < elsewhere else ():
+        group[:] = True
+    return found
+
+
+def input_steps(record: Record) -> np.ndarray:
+    """Samples ``(n_times,)`` at or after which an input steps, by more than it usually moves."""
+    moves = np.abs(np.diff(record.inputs, axis=0))
+    if not len(moves):
+        return np.ones(record.n_samples, dtype=bool)
+    usual = 1.4826 * np.nanmedian(moves, axis=0)
+    stepped = np.r_[False, np.any(moves > BEYOND * usual, axis=1)]
+    return stepped | np.r_[False, stepped[:-1]] | np.r_[stepped[1:], False]
+
+
+def held_masks(
+    outputs: Sequence[np.ndarray], whitened: Sequence[np.ndarray], sigma: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Samples that repeat one value longer than noise lets them, and that are off, per record.
+
+    Noise breaks a repetition where it exceeds the resolution of a signal, the least difference
+    of neighbours. A sensor that repeats itself (a drop-out that reads zero, a value that is
+    held) says nothing new. A group whose squares are those of noise does no harm and stays, and
+    so does the largest or the least value of a signal where it is not jumped to: a limit may be
+    the vehicle's.
+
+    Parameters
+    ----------
+    outputs : sequence of ndarray (n_times, n_outputs)
+        Measurements, NaN where missing.
+    whitened : sequence of ndarray (n_times, n_outputs)
+        Their residuals in units of ``sigma``.
+    sigma : ndarray (n_outputs,)
+        Standard deviation of each.
+    """
+    masks = tuple(np.zeros(part.shape, dtype=bool) for part in outputs)
+    for column, level in enumerate(sigma):
+        rows, away, _, _ = _departures(whitened, column)
+        values = [part[index, column] for part, index in zip(outputs, rows, strict=True)]
+        steps = np.abs(np.concatenate([np.diff(part) for part in values]))
+        n, equal = len(steps) + 1, int(np.sum(steps == 0.0))
+        if equal < 2 or equal == len(steps):
+            continue
+        usual = _deviation(np.concatenate(away))
+        if usual * level < np.min(steps[steps > 0.0]):
+            continue  # too coarse: repetitions are the resolution's
+        longest, every = _longest(equal, n), np.concatenate(values)
+        ends, jump = (every.min(), every.max()), -np.sqrt(2.0) * usual * ndtri(0.5 * RARE / n)
+        for mask, index, part, off in zip(masks, rows, values, away, strict=True):
+            edges = np.flatnonzero(np.diff(part, prepend=np.nan, append=np.nan) != 0.0)
+            for first, stop in itertools.pairwise(edges):
+                square = float(np.sum(off[first:stop] ** 2)) / usual**2
+                if stop - first <= longest:
+                    continue
+                around = np.diff(off[max(first - 1, 0) : stop + 1])[[0, -1]]
+                if part[first] in ends and np.abs(around).max() < jump:
+                    continue
+                if square > chdtri(stop - first, RARE / n):
+                    mask[index[first:stop], column] = True
     return masks
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.likelihood.between_records import Sources, scatter_of
+from oed_sysid.likelihood.between_records import Sources
 from oed_sysid.likelihood.covariance import ReducedFilter, ReducedProblem
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.filtered import Filtered
@@ -99,7 +99,7 @@ class Procedure:
             estimates=layout.shared_values(unknowns)[0],
             information=information,
             covariance=information.covariance,
-            record_scatter=None if sources is None else scatter_of(sources),
+            record_scatter=None if sources is None else sources.scatter(),
             sources=sources,
             coloured=False,
             sigma=problem.white(unknowns).copy(),

@@ -1,0 +1,242 @@
+r"""Spikes, bursts and drop-outs of sensors: what the default fit makes of them.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.spikes [worlds] [--sets 100] [--seed 0] [--kinds 2%_20]
+
+Data sets of `benchmarks.random_forces` are spoilt after the simulation (the pilot saw none of it)
+and fitted with ``MultipleShooting()``; each is compared with the fit to the same set unspoilt.
+A world is a vehicle and what moves it beside its inputs: ``white`` and ``ship_white`` nothing,
+``medium`` and ``ship_gusts`` first-order forces. What spoils a record:
+
+``share_size``
+    This share of the samples of every output is off by so many standard deviations of its noise,
+    up or down; with ``_up`` all upward; ``mixed``: 5 to 50, uniform.
+``bursts``
+    2 % of the samples, 20 standard deviations of either sign, in groups of two to five.
+``zeros``
+    2 % of the samples, in groups of five to twenty, read zero.
+``absent``
+    The same groups are not there (NaN).
+``held``
+    The same groups repeat the last value before them.
+
+A kind counts: the share of 95 % intervals that hold the truth, its lowest for one parameter; the
+error over that of the clean sets, root mean square over sets for each parameter, its root mean
+square over parameters and the highest; fits that did not converge, raised, or took processes for
+disturbance forces; samples left out over those spoilt; processor time over that of clean sets.
+``clean`` compares the fit with the one that looks for no spikes (``loss="square"``).
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import lru_cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.harness import RESULTS, Row, Store, command, known, markdown, run_cases
+from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
+from benchmarks.random_forces.simulator import Set, believed, simulate, stream
+from benchmarks.random_forces.trial import _model, dataset
+from benchmarks.rates import TWO_SIDED_95
+from oed_sysid import MultipleShooting
+
+WORLDS = ("white", "ship_white")
+# Spoils the outputs of one record; noise levels and random numbers as arguments.
+Spoil = Callable[[np.ndarray, np.ndarray, np.random.Generator], np.ndarray]
+
+
+def single(
+    outputs: np.ndarray, noise: np.ndarray, rng: np.random.Generator,
+    *, share: float, sizes: tuple[float, float], up: bool = False,
+) -> np.ndarray:  # fmt: skip
+    """Single samples that are off by some standard deviations."""
+    hit = rng.random(outputs.shape) < share
+    size = rng.uniform(*sizes, outputs.shape)
+    sign = np.where(up | (rng.random(outputs.shape) < 0.5), 1.0, -1.0)
+    return np.where(hit, outputs + sign * size * noise, outputs)
+
+
+def groups(
+    outputs: np.ndarray, noise: np.ndarray, rng: np.random.Generator,
+    *, kind: str, share: float, lengths: tuple[int, int],
+) -> np.ndarray:  # fmt: skip
+    """Groups of samples that are off, read zero, repeat the last value, or are absent."""
+    spoilt = outputs.copy()
+    n, n_outputs = outputs.shape
+    middle = 0.5 * sum(lengths)
+    for column in range(n_outputs):
+        for first in np.flatnonzero(rng.random(n) < share / middle):
+            part = slice(max(first, 1), first + int(rng.integers(lengths[0], lengths[1] + 1)))
+            there = spoilt[part, column]
+            sign = np.where(rng.random(len(there)) < 0.5, -1.0, 1.0)
+            spoilt[part, column] = {
+                "bursts": there + 20.0 * noise[column] * sign,
+                "zeros": np.zeros(len(there)),
+                "absent": np.full(len(there), np.nan),
+                "held": np.full(len(there), spoilt[part.start - 1, column]),
+            }[kind]
+    return np.where(np.isnan(outputs), np.nan, spoilt)
+
+
+KINDS: dict[str, Spoil] = {
+    f"{100 * share:g}%_{size:g}{'_up' * up}": partial(
+        single, share=share, sizes=(size, size), up=up
+    )
+    for share in (0.005, 0.02, 0.05)
+    for size in (5.0, 10.0, 20.0, 50.0)
+    for up in (False, True)
+}
+KINDS |= {
+    f"{100 * share:g}%_mixed": partial(single, share=share, sizes=(5.0, 50.0))
+    for share in (0.005, 0.02, 0.05)
+}
+KINDS["bursts"] = partial(groups, kind="bursts", share=0.02, lengths=(2, 5))
+for name in ("zeros", "absent", "held"):
+    KINDS[name] = partial(groups, kind=name, share=0.02, lengths=(5, 20))
+FEW = ("0.5%_20", "2%_5", "2%_20", "2%_20_up", "2%_50", "5%_20", "2%_mixed", "bursts", "zeros")
+
+
+def fitted(world: str, data: Set, spoil: Spoil | None, seed: int, loss: str = "auto") -> Row:
+    """Errors, stated errors and what else a fit to one set says."""
+    scenario = SCENARIOS[world]
+    vehicle = VEHICLES[scenario.vehicle]
+    model = _model(scenario.vehicle).with_values(believed(scenario))
+    runs, spoilt = [], 0
+    for run in data.runs:
+        outputs = run.outputs
+        if spoil is not None:
+            rng = stream(seed, data.number, run.name, "spoilt")
+            outputs = spoil(outputs, np.array(vehicle.noise_std), rng)
+        spoilt += int(np.sum((outputs != run.outputs) & np.isfinite(outputs)))
+        runs.append(replace(run, outputs=outputs))
+    names = list(vehicle.believed)
+    empty = dict.fromkeys(("error", "std"), [np.nan] * len(names))
+    began = time.process_time()
+    try:
+        fit = MultipleShooting(loss=loss).fit(model, dataset(scenario, model, runs))
+    except Exception as error:  # counted, not stopped at
+        return {**empty, "status": f"raised {type(error).__name__}", "seconds": np.nan,
+                "forces": False, "left_out": 0, "spoilt": spoilt, "concerns": []}  # fmt: skip
+    seconds = time.process_time() - began
+    return {
+        "error": [fit.values[name] - data.truth[name] for name in names],
+        "std": [fit.std_errors[name] for name in names],
+        "status": fit.status.code,
+        "seconds": seconds,
+        "forces": bool(np.any(np.atleast_1d(fit.noise.force) > 0.0) or fit.noise.seas),
+        "left_out": sum(count for count, _ in fit.excluded.values()),
+        "spoilt": spoilt,
+        "concerns": sorted({concern.kind for concern in fit.concerns}),
+    }
+
+
+@lru_cache(maxsize=1)
+def unspoilt(world: str, sets: int, seed: int) -> tuple[list[Set], list[Row]]:
+    """Data sets and what the default fit says of them."""
+    data = simulate(SCENARIOS[world], seed, range(sets))
+    fitted(world, data[0], None, seed)  # compile
+    return data, [fitted(world, one, None, seed) for one in data]
+
+
+def case(world: str, kind: str, sets: int, seed: int) -> Row:
+    """One kind of spoilt samples in one world: all its numbers."""
+    data, clean = unspoilt(world, sets, seed)
+    spoil = KINDS.get(kind)
+    if spoil is None:
+        clean = [fitted(world, one, None, seed, "square") for one in data]
+    spoilt = [fitted(world, one, spoil, seed) for one in data]
+    return {"key": [world, kind, sets, seed], **measured(spoilt, clean)}
+
+
+def measured(fits: Sequence[Row], clean: Sequence[Row]) -> Row:
+    """What the fits to spoilt sets state, against the truth and the clean ones."""
+
+    def column(rows: Sequence[Row], name: str) -> np.ndarray:
+        return np.array([row[name] for row in rows], dtype=float)
+
+    error, std = column(fits, "error"), column(fits, "std")
+    held = np.abs(error) <= TWO_SIDED_95 * std  # NaN is no
+    size, of_clean = (np.sqrt(np.nanmean(column(r, "error") ** 2, axis=0)) for r in (fits, clean))
+    concerns = sorted({c for row in fits for c in row["concerns"]})
+    found: dict[str, Any] = {
+        "coverage": 100 * float(held.mean()),
+        "coverage_error": 100 * float(held.mean(axis=1).std() / np.sqrt(len(fits))),
+        "worst": 100 * float(held.mean(axis=0).min()),
+        "ratio": float(np.sqrt(np.mean((size / of_clean) ** 2))),
+        "worst_ratio": float((size / of_clean).max()),
+        "not_ok": sum(row["status"] not in ("converged",) for row in fits),
+        "raised": sum(row["status"].startswith("raised") for row in fits),
+        "forces": sum(row["forces"] for row in fits),
+        "left_out": float(column(fits, "left_out").sum() / max(column(fits, "spoilt").sum(), 1.0)),
+        "seconds": float(np.nanmedian(column(fits, "seconds"))),
+        "slower": float(np.nansum(column(fits, "seconds")) / np.nansum(column(clean, "seconds"))),
+        "concerns": {c: sum(c in row["concerns"] for row in fits) for c in concerns},
+    }
+    return {name: round(v, 4) if isinstance(v, float) else v for name, v in found.items()}
+
+
+HEAD = (
+    "world", "spoilt by", "95 % intervals hold (worst)", "error over clean (worst)",
+    "not converged", "raised", "forces", "left out / spoilt", "s", "time over clean", "concerns",
+)  # fmt: skip
+
+
+def cells(row: Row) -> tuple[object, ...]:
+    """One line of the table."""
+    world, kind, sets, _ = row["key"]
+    concerns = ", ".join(f"{name} {count}" for name, count in row["concerns"].items())
+    return (
+        f"{world} ({sets})", kind,
+        f"{row['coverage']:.1f} ± {row['coverage_error']:.1f} ({row['worst']:.0f})",
+        f"{row['ratio']:.3f} ({row['worst_ratio']:.2f})", row["not_ok"], row["raised"],
+        row["forces"], f"{row['left_out']:.2f}", f"{row['seconds']:.2f}",
+        f"{row['slower']:.2f}", concerns,
+    )  # fmt: skip
+
+
+def main(
+    worlds: Sequence[str] = WORLDS,
+    *,
+    sets: int = 100,
+    seed: int = 0,
+    kinds: Sequence[str] = ("clean", *KINDS),
+    few: bool = False,
+    store: Path = RESULTS / "spikes.jsonl",
+) -> None:
+    """Measure what is not in the store yet, and print.
+
+    Parameters
+    ----------
+    worlds : sequence of str
+        scenarios of random_forces
+    sets, seed : int
+        data sets of each
+    sets : int
+        data sets of each
+    seed : int
+        of the data sets
+    kinds : sequence of str
+        what spoils them; all by default
+    few : bool
+        ten kinds only
+    store : Path
+        where finished cases are
+    """
+    chosen = ("clean", *FEW) if few else tuple(kinds)
+    for kind in chosen:
+        known(kind, ("clean", *KINDS), "kind")
+    keys = [(known(world, SCENARIOS, "world"), k, sets, seed) for world in worlds for k in chosen]
+    kept = Store(store, key=lambda row: tuple(row["key"]))
+    rows = run_cases(
+        kept, keys, lambda left: (partial(case, *key) for key in left),  # type: ignore[misc]
+        tell=lambda row: " | ".join(map(str, cells(row))),
+    )  # fmt: skip
+    print("\n".join(markdown(HEAD, (cells(row) for row in rows))))
+
+
+if __name__ == "__main__":
+    command(main)
