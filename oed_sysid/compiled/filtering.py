@@ -30,7 +30,7 @@ four, the velocity of a second such pair that the first one drives,
 below its peak and with a tail above, as the spectra of a sea. A force that is held over steps has
 the tail beyond half a step's frequency folded back to low ones, where manoeuvres are: with
 :math:`\omega^6` above, whose tail falls with :math:`\omega^{-2}`, that is more than the steeper
-flank saves. In a basis
+flank saves unless steps are short. In a basis
 :math:`\dot x = \omega A x + B n` whose stationary covariance is the unit matrix, what acts its
 first component, over a time :math:`h`
 
