@@ -53,7 +53,7 @@ def test_all_and_nothing_else_is_accepted() -> None:
     assert accepted({"effects": [], "steps": []})
 
 
-@pytest.mark.parametrize(("seed", "cases"), [(20261126, 111), (20261127, 73)])
+@pytest.mark.parametrize(("seed", "cases"), [(20261126, 111), (20261127, 73), (20261128, 120)])
 def test_the_page_has_the_rates_of_the_store(seed: int, cases: int) -> None:
     """Every rate of the page is that of the stored cases of its seed."""
     stored = [json.loads(line) for line in STORE.read_text("utf-8").splitlines()]

@@ -27,7 +27,10 @@ four, the velocity of a second such pair that the first one drives,
     \left[(\omega_2^2 - \omega^2)^2 + (2 \zeta_2 \omega_2 \omega)^2\right]}
 
 (Spanos 1983, *ARMA algorithms for ocean wave modeling*, J. Energy Resour. Technol. 105), steep
-below its peak and with a tail above, as the spectra of a sea. In a basis
+below its peak and with a tail above, as the spectra of a sea. A force that is held over steps has
+the tail beyond half a step's frequency folded back to low ones, where manoeuvres are: with
+:math:`\omega^6` above, whose tail falls with :math:`\omega^{-2}`, that is more than the steeper
+flank saves unless steps are short. In a basis
 :math:`\dot x = \omega A x + B n` whose stationary covariance is the unit matrix, what acts its
 first component, over a time :math:`h`
 

@@ -79,6 +79,9 @@ MOST_FAULTS, SWEEPS = 6, 12
 CLOSE = -2.0 * math.log(ALPHA)
 # Errors are that much wider than said: the law of the noise is estimated, faults are selected.
 WIDER = 1.15
+# Twice the logarithm of the odds, 7 to 1, by which some faults (a scale of positions, an actuator
+# that fails) are rarer than their rivals; halved and doubled it is 3 and 55 to 1.
+RARER = 4.0
 # What a linearisation leaves of a fault, as a share of its statistic.
 CURVED = 1e-3
 
@@ -287,7 +290,7 @@ class Facts:
                 yield Candidate("bias", (n,), self.units[n], 0.3 * size, self.least(n))
         for n in self.size:
             # Positions and depths are told by satellites and pressure: rarely of wrong scale.
-            rare = 4.0 * (n in self.integrated)
+            rare = RARER * (n in self.integrated)
             yield Candidate("scale", (n,), "1", 0.25, RELATIVE, unit_of=self.units[n], rare=rare)
 
     def clocks(self) -> Iterator[Candidate]:

@@ -42,6 +42,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.contrasts import (
     MOST_BLOCKS,
+    RARER,
     UNEXPLAINED,
     Candidate,
     Question,
@@ -69,8 +70,6 @@ BEYOND = 1.5
 LEAST_PRIOR = 0.25
 # What is asked of an input.
 ASKED = ("sign", "unit", "scale", "delay", "lost")
-# Twice the logarithm of the odds by which an actuator fails more rarely than forces set in.
-RARER = 4.0
 
 
 @dataclass(frozen=True)
@@ -166,12 +165,12 @@ def input_findings(
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
     # Forces that set in are what the vehicle met: rivals of a fault, and none themselves.
-    sized = [one for one in ended.found if one.candidate.kind != "drift"]
+    sized = filter(lambda one: one.candidate.kind != "drift", ended.found)
     findings = [*map(log.reading, found), *map(log.sized, sized)]
     findings += _unlogged(traces, question, model)
     # What the motion says of an input holds what its range says.
-    named = {name for one in findings for name in one.signals}
-    findings += [one for one in beyond if not named & set(one.signals)]
+    named = set().union(*(one.signals for one in findings))
+    findings += [one for one in beyond if named.isdisjoint(one.signals)]
     units = {one.name: one.unit for one in model.inputs}
     asked = [judged_row(row.fault, row.signal, units[row.signal], ended) for row in rows]
     return findings, asked, ""
@@ -187,22 +186,29 @@ def _unlogged(traces: Sequence[Trace], question: Question, model: Model) -> Iter
     leaves more than a third of the changes of a state, and this input less than a third of that,
     in two equations at least: forces from outside seldom act in the ratio of its coefficients.
     """
-    for name in (n for n in model.input_names if all(np.ptp(t.values[n]) == 0.0 for t in traces)):
+    for name in (n for n in model.input_names if not _moves(traces, n)):
         changes = [one for trace in traces for one in _changes_by(trace, name, question.relations)]
-        if not changes:
-            continue
-        left, column, side = np.concatenate(changes, axis=2)
-        size = [np.sqrt(np.mean(one**2, axis=1)) for one in (left, column, side)]
-        reach = size[1] / size[0]
-        enters = reach > UNEXPLAINED * reach.max()
-        d, g = (one[enters] / size[0][enters, None] for one in (left, column))
-        free = np.sum(g * d, axis=0) / np.sum(g**2, axis=0)
-        share = float(np.sqrt(np.mean((d - g * free) ** 2)))
-        missed = size[0][enters] > UNEXPLAINED * size[2][enters]
-        if len(d) > 1 and missed.any() and share < UNEXPLAINED:
+        share = _left_by(*np.concatenate(changes, axis=2)) if changes else 1.0
+        if share < UNEXPLAINED:
             words = {"share": f"{100.0 * (1.0 - share**2):.0f}"}
             records = tuple(t.name for t in traces)
             yield said("dead", (name,), records, words, row="input dead")
+
+
+def _left_by(left: np.ndarray, column: np.ndarray, side: np.ndarray) -> float:
+    """Share of misfits that a free input leaves, 1 where it could not be told from a force.
+
+    All are ``(n_equations, n)``: misfits, what a unit of the input makes, and left sides.
+    """
+    misfit, moved = (np.sqrt(np.mean(one**2, axis=1)) for one in (left, side))
+    d, g = left / misfit[:, None], column / misfit[:, None]
+    reach = np.sqrt(np.mean(g**2, axis=1))
+    enters = reach > UNEXPLAINED * reach.max()
+    if np.sum(enters) < 2 or not np.any(enters & (misfit > UNEXPLAINED * moved)):
+        return 1.0
+    d, g = d[enters], g[enters]
+    free = np.sum(g * d, axis=0) / np.sum(g**2, axis=0)
+    return float(np.sqrt(np.mean((d - g * free) ** 2)))
 
 
 def _changes_by(trace: Trace, name: str, equations: tuple[Relation, ...]) -> Iterator[np.ndarray]:
@@ -284,34 +290,41 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
 
 def _question(traces: Sequence[Trace], model: Model) -> Question:
     """What is asked of inputs, with errors of the parameters and constant forces beside it."""
+    equations = _nominal(model)
+    length = max(end - start for start, end in (t.ends for t in traces))
+    moving = {one.name: one.unit for one in model.inputs if _moves(traces, one.name)}
+    late = max(0.7, 3.0 * traces[0].step)
+    common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
+    for name, unit in moving.items():
+        lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
+        common.append(replace(lost, material=RELATIVE, rare=0.0, unit_of=unit))
+        common.append(Candidate("delay", (name,), "s", late, traces[0].step))
+        single += [replace(lost, record=t.name) for t in traces]
+        local.append(lost)
+    for name in (one.target for one in equations):
+        usual = max(float(np.nanstd(t.values[name])) for t in traces) / length + 1e-12
+        local.append(Candidate("drift", (name,), "", usual, RELATIVE * usual))
+    alone = tuple(single) if len(traces) > 1 else ()
+    given = tuple(_given(traces, equations, model, length))
+    return Question(equations, tuple(common), alone, tuple(local), (*_readings(moving),), given)
+
+
+def _nominal(model: Model) -> tuple[Nominal, ...]:
+    """Equations of the states that forces act on."""
     run, free = kernel(model), set(model.free_names)
     own = set(model.axes.values()) or {
         state for state, text in model.kinematics.items() if names_in(text) & free
     }
     every = (*model.state_names, *model.input_names, *model.free_names)
-    targets = [state for state in model.state_names if state in own]
-    equations = tuple(
+    targets = (state for state in model.state_names if state in own)
+    return tuple(
         Nominal(target, every, "the nominal model", True, (), {}, run=run) for target in targets
     )
-    step = float(np.median([t.step for t in traces]))
-    length = max(float(t.times[-1] - t.times[0]) for t in traces)
-    reach = {one: max(np.ptp(t.values[one.name]) for t in traces) for one in model.inputs}
-    moving = {channel.name: channel.unit for channel, size in reach.items() if size > 0.0}
-    common, local, single = list[Candidate](), list[Candidate](), list[Candidate]()
-    for name, unit in moving.items():
-        late = max(0.7, 3.0 * step)
-        lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
-        common.append(replace(lost, material=RELATIVE, rare=0.0, unit_of=unit))
-        common.append(Candidate("delay", (name,), "s", late, step))
-        single += [replace(lost, record=t.name) for t in traces if len(traces) > 1]
-        local.append(lost)
-    for target in targets:
-        usual = max(float(np.nanstd(t.values[target])) for t in traces) / length + 1e-12
-        local.append(Candidate("drift", (target,), "", usual, RELATIVE * usual))
-    given = tuple(_given(traces, equations, model, length))
-    return Question(
-        equations, tuple(common), tuple(single), tuple(local), tuple(_readings(moving)), given
-    )
+
+
+def _moves(traces: Sequence[Trace], name: str) -> bool:
+    """Whether an input changes within a record."""
+    return any(np.ptp(t.values[name]) > 0.0 for t in traces)
 
 
 def _given(

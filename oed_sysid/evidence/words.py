@@ -486,17 +486,21 @@ class Log:
         return "current" if current else fault.kind, fault.signals, size
 
 
+def _kinds_of(fault: Candidate) -> tuple[str, ...]:
+    """Rows of the table of what was tested that a fault with a size stands for."""
+    if fault.kind == "scale" or (fault.kind == "lost" and not fault.record):
+        return ("scale", *READ)
+    return (fault.kind,)
+
+
 def judged_row(
     kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
 ) -> Judged:
     """Whether a fault was tested, from which size on, or why it was not."""
-    asked = "scale" if kind in READ else kind
     sizes = [] if ended is None else [
         (float(v), LARGEST * f.plausible)
         for f, v in zip(ended.faults, ended.visible, strict=True)
-        if f.signals == (name,)
-        and (f.kind == asked or (asked == "scale" and f.kind == "lost" and not f.record))
-        and (kind != "lost" or f.record)
+        if f.signals == (name,) and kind in _kinds_of(f)
     ]  # fmt: skip
     size, plausible = min(sizes, default=(np.inf, 0.0))
     units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1"}

@@ -367,7 +367,7 @@ class MultipleShooting:
                 break
             again = looking._fit(model, left, again, None, known_starts)
             iterations += again.iterations
-        if np.array_equal(_measured(again.dataset), before):
+        if again is fit:
             return fit
         again = plain._fit(model, again.dataset, again, None, known_starts)
         pairs = zip(before.tolist(), _measured(again.dataset).tolist(), strict=True)

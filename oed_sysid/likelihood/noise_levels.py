@@ -447,7 +447,8 @@ def held_masks(
     Noise breaks a repetition where it exceeds the resolution of a signal, the least difference
     of neighbours. A sensor that repeats itself (a drop-out that reads zero, a value that is
     held) says nothing new. A group whose squares are those of noise does no harm and stays, and
-    so does the largest or the least value of a signal: a limit may be the vehicle's.
+    so does the largest or the least value of a signal where it is not jumped to: a limit may be
+    the vehicle's.
 
     Parameters
     ----------
@@ -470,12 +471,15 @@ def held_masks(
         if usual * level < np.min(steps[steps > 0.0]):
             continue  # too coarse: repetitions are the resolution's
         longest, every = _longest(equal, n), np.concatenate(values)
-        ends = every.min(), every.max()
+        ends, jump = (every.min(), every.max()), -np.sqrt(2.0) * usual * ndtri(0.5 * RARE / n)
         for mask, index, part, off in zip(masks, rows, values, away, strict=True):
             edges = np.flatnonzero(np.diff(part, prepend=np.nan, append=np.nan) != 0.0)
             for first, stop in itertools.pairwise(edges):
                 square = float(np.sum(off[first:stop] ** 2)) / usual**2
-                if part[first] in ends or stop - first <= longest:
+                if stop - first <= longest:
+                    continue
+                around = np.diff(off[max(first - 1, 0) : stop + 1])[[0, -1]]
+                if part[first] in ends and np.abs(around).max() < jump:
                     continue
                 if square > chdtri(stop - first, RARE / n):
                     mask[index[first:stop], column] = True

@@ -347,7 +347,8 @@ def average_structures(
 
 def _weights(found: Sequence[Transfer], power: float) -> np.ndarray:
     """Share of each structure by its score; structures that give nothing, or others, are said."""
-    best = min(one.score for one in found)
+    scores = np.array([one.score for one in found])
+    best = min(scores)
     if not math.isfinite(best):
         raise ModelError(
             "No structure gives the wanted quantities: "
@@ -362,9 +363,7 @@ def _weights(found: Sequence[Transfer], power: float) -> np.ndarray:
                 "same names for all."
             )
     # Nothing is better than no error at all.
-    raw = np.array(
-        [(one.score / best) ** -power if best > 0 else float(one.score == 0) for one in found]
-    )
+    raw = (scores / best) ** -power if best > 0 else (scores == 0).astype(float)
     return np.asarray(raw / raw.sum())
 
 

@@ -33,6 +33,8 @@ from oed_sysid.runtime.display import (
 from oed_sysid.text.units import shown_unit
 
 SIDES = ("starboard", "port")
+# States of a turn, zero or steady on a straight course.
+TURNING = ("v", "r", "p", "phi")
 # Heading change that is simulated: a full turn, then half a turn to call steady.
 TURN = 3.0 * math.pi
 NEAR_AMIDSHIPS = math.radians(10.0)
@@ -345,7 +347,7 @@ def _approach(
     Amidships where there is no such course nearby.
     """
     held = {"psi": 0.0, **start}
-    turning = [name for name in ("v", "r", "p", "phi") if name in model.state_names]
+    turning = [name for name in TURNING if name in model.state_names]
     if "r" in turning:
         held["r"] = 0.0
     if not turning:
@@ -371,8 +373,8 @@ def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float
     """A sentence about a speed of approach that the propulsion does not keep."""
     if "u" not in model.state_names:
         return []
-    sideways = [name for name in ("psi", "v", "r", "p", "phi") if name in model.state_names]
-    held: dict[str, float] = {name: start.get(name, 0.0) for name in sideways}
+    sideways = ("psi", *TURNING)
+    held = {name: start.get(name, 0.0) for name in sideways if name in model.state_names}
     added = (state.name for effect in model.effects for state in effect.states)
     try:
         found = equilibrium(
