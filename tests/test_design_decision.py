@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.stats import norm
 from test_design import LIMITS, quick, ship
 
 from oed_sysid import Dataset, Experiment, Force, Limits, MultipleShooting, NoiseModel, Parameter
@@ -352,6 +353,9 @@ def test_a_design_reveals_what_the_records_could_not_show() -> None:
     assert cubic.gain_before == pytest.approx(left, rel=1e-3)
     assert cubic.before < 0.2 < 0.9 < cubic.after
     assert cubic.least < 1.0
+    # Of one amplitude: a normal variable beyond either end, 1 % of false claims over two effects.
+    seen, edge = cubic.least * np.sqrt(cubic.gain_after), norm.isf(0.5 * 0.01 / 2)
+    assert norm.sf(edge - seen) + norm.cdf(-edge - seen) == pytest.approx(0.9, abs=1e-9)
     assert "would show at their usual size" in found.report()
     assert found.to_dict()["chances"][0]["after"] == cubic.after
 

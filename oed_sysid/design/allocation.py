@@ -202,6 +202,13 @@ def weights(
         found.append(relaxed(library, limit, tolerance=tolerance))
         if all(other @ found[-1].repetitions <= 1 + 1e-9 for other in limits):
             return found[-1]
+    return _within_both(library, limits, found, tolerance)
+
+
+def _within_both(
+    library: Library, limits: Sequence[np.ndarray], found: list[Weights], tolerance: float
+) -> Weights:
+    """Best weights within two limits, of which each alone leads beyond the other."""
     time, count = limits
     low, high = 0.0, 1.0
     for _ in range(8):

@@ -249,14 +249,11 @@ def assess_limits(
     -------
     Assurance
     """
-    n_vehicles = vehicles if isinstance(vehicles, int) else len(vehicles)
-    if n_vehicles < 20:
+    fresh = vehicles
+    if isinstance(fresh, int):
+        fresh = draw_models(model, spread, fresh, prior, rng, others)
+    if (n_vehicles := len(fresh)) < 20:
         raise DesignError(f"{n_vehicles} vehicles tell no probability. Give 20 or more.")
-    fresh = (
-        draw_models(model, spread, n_vehicles, prior, rng, others)
-        if isinstance(vehicles, int)
-        else tuple(vehicles)
-    )
     bounds = LimitBounds.of(model, limits or experiment.limits)
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     extremes, first, tracks = [], [], []

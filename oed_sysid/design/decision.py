@@ -429,18 +429,14 @@ def decide(
     expected = ExpectedInformation.of(fit, DOptimal(), Knowledge(prior=prior, noise=noise))
     outlook = _Outlook.of(expected, candidates, goals)
     contradiction = _contradiction(fit, goals) if isinstance(fit, Fit) else None
-    # Nothing but one run has told the parameters, so that nothing could contradict it.
-    is_alone = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
-    needs_check = outlook.is_met and contradiction is None and is_alone
+    needs_check = outlook.is_met and contradiction is None and _is_of_one_run(fit)
     chosen: int | None = None
     safe: Assurance | None = None
     if needs_check or not outlook.is_met:
         outlook, chosen, safe = _safe_run(
             outlook, expected, limits, certainty, rng, check=needs_check
         )
-    next_run = None if chosen is None else outlook.runs[chosen]
-    then = outlook.now if chosen is None else outlook.deviations(outlook.told[chosen])
-    steps = [] if chosen is None else [chosen] if needs_check else outlook.path()
+    next_run, then, steps = outlook.plan(chosen, check=needs_check)
     action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
         model=expected.model,
@@ -455,6 +451,11 @@ def decide(
         assurance=safe,
         contradiction=contradiction,
     )
+
+
+def _is_of_one_run(fit: Fit | Model) -> bool:
+    """Whether but one run has told the parameters, so that nothing could contradict it."""
+    return isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
 
 
 def _action(
@@ -504,12 +505,7 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
     sources = fit.sources
     if sources is None or not fit.status.ok:
         return None
-    shared = {g.name: g for g in goals if isinstance(g, ParameterGoal)}
-    allowed = [
-        IMMATERIAL * shared[n].tolerance * fit.model.parameter(n).reference if n in shared else 0.0
-        for n in fit.names
-    ]
-    found = sources.agreement(allowance=np.array(allowed), stated=fit.covariance)
+    found = sources.agreement(allowance=_allowance(fit, goals), stated=fit.covariance)
     if found.chance >= CHANCE:
         return None
     least = int(np.argmin(found.chances))
@@ -523,6 +519,13 @@ def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
         chance=found.chance,
         apart={fit.names[i]: float(apart[i]) for i in order},
     )
+
+
+def _allowance(fit: Fit, goals: Sequence[Goal]) -> np.ndarray:
+    """Differences of the parameters that no goal cares for, ``(n_names,)``."""
+    wanted = {goal.name: goal.tolerance for goal in goals if isinstance(goal, ParameterGoal)}
+    sizes = np.array([fit.model.parameter(name).reference for name in fit.names])
+    return np.asarray(IMMATERIAL * sizes * [wanted.get(name, 0.0) for name in fit.names])
 
 
 @dataclass(frozen=True, eq=False)
@@ -590,6 +593,15 @@ class _Outlook:
             worth = (gains > WORTH) | meets
         order = np.argsort(-gains / self.costs[left], kind="stable")
         return [left[int(i)] for i in order if worth[i]]
+
+    def plan(
+        self, chosen: int | None, *, check: bool
+    ) -> tuple[Candidate | None, np.ndarray, list[int]]:
+        """The next run, standard deviations after it, and all runs that are left."""
+        if chosen is None:
+            return None, self.now, []
+        steps = [chosen] if check else self.path()
+        return self.runs[chosen], self.deviations(self.told[chosen]), steps
 
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""

@@ -214,6 +214,18 @@ def find_design(
             if not may_be_unsafe:
                 raise
             break
+    return _designed(task, search, found, assurance, references, began)
+
+
+def _designed(
+    task: Task,
+    search: Search,
+    found: _Found,
+    assurance: Assurance | None,
+    references: Sequence[Standard],
+    began: float,
+) -> Design:
+    """What is found as a result: what it tells, beside standard manoeuvres, and what it reaches."""
     expected, grid, best = task.expected, task.grid, found.best
     played = task.experiment(best.commands)
     compared = []

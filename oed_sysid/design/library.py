@@ -213,22 +213,23 @@ def candidate_runs(
     DesignError
         If no run keeps the limits.
     """
-    listed = [patterns] if isinstance(patterns, Experiment) else list(patterns)
-    for kind in kinds:
-        if kind not in KINDS:
-            raise DesignError(f"There is no kind of run {kind!r}. Kinds are {', '.join(KINDS)}.")
-    if not listed or turnaround < 0:
-        raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
+    if unknown := {*kinds} - {*KINDS}:
+        raise DesignError(
+            f"There is no kind of run {min(unknown)!r}. Kinds are {', '.join(KINDS)}."
+        )
     found: list[Candidate] = []
-    speeds = _distinct(listed)
+    speeds = _distinct([patterns] if isinstance(patterns, Experiment) else patterns)
+    if not speeds or turnaround < 0:
+        raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     for number, pattern in enumerate(speeds):
-        for length in durations or (float(pattern.duration or 0.0),):
-            bench = Bench.of(model, limits, pattern, float(length), vehicles, kept)
-            speed = "" if len(speeds) == 1 else f" at {_label(model, pattern, number)}"
-            tail = speed if durations is None or len(durations) == 1 else f"{speed}, {length:g} s"
+        speed = _label(model, pattern, number) if len(speeds) > 1 else ""
+        lengths = list(map(float, durations or (pattern.duration or 0.0,)))
+        for length in lengths:
+            bench = Bench.of(model, limits, pattern, length, vehicles, kept)
+            tail = f"{speed}, {length:g} s" if len(lengths) > 1 else speed
             for experiment, kind, share in bench.runs(kinds, rng):
                 named = replace(experiment, name=f"{experiment.name}{tail}")
-                found.append(Candidate(named, kind, float(length) + turnaround, share))
+                found.append(Candidate(named, kind, length + turnaround, share))
     if not found:
         raise DesignError(
             "No run of any kind keeps the limits on the vehicles that are possible. Widen the "
@@ -237,7 +238,7 @@ def candidate_runs(
     return tuple(found)
 
 
-def _distinct(patterns: Sequence[Experiment]) -> list[Experiment]:
+def _distinct(patterns: Iterable[Experiment]) -> list[Experiment]:
     """Patterns that differ in constants or start."""
     kept: list[Experiment] = []
     for one in patterns:
@@ -249,8 +250,8 @@ def _distinct(patterns: Sequence[Experiment]) -> list[Experiment]:
 def _label(model: Model, pattern: Experiment, number: int) -> str:
     for state in model.states:
         if state.name == "u" and pattern.initial.get("u"):
-            return f"{pattern.initial['u']:.3g} {state.unit}"
-    return f"start {number + 1}"
+            return f" at {pattern.initial['u']:.3g} {state.unit}"
+    return f" at start {number + 1}"
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
 from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
@@ -120,16 +120,17 @@ class VehicleInformation:
         stops = [*self.edges[1:], len(self.times)]
         for i, (first, stop) in enumerate(zip(self.edges, stops, strict=True)):
             rows[first:stop, :, : len(self.columns)] = dy[first:stop] @ chains[i]
-        if (others := self._rivals(commands)) is None:
+        if (others := self._rivals(commands, run.outputs)) is None:
             return None
-        for position, (factor, other) in enumerate(others):
-            rows[:, :, len(self.columns) + position] = factor * (other.outputs - run.outputs)
+        nodes = []
+        for position, (moved, states) in enumerate(others, start=len(self.columns)):
+            rows[:, :, position] = moved
+            nodes.append(states[self.edges])
         rows /= self.sigma[:, None]
         if not np.abs(rows).max() < _DIVERGED:
             return None
         signals = np.hstack([run.states, run.outputs])
-        rival_nodes = tuple(other.states[self.edges] for _, other in others)
-        return Evaluation(rows, signals, run.states[self.edges], chains, rival_nodes)
+        return Evaluation(rows, signals, run.states[self.edges], chains, tuple(nodes))
 
     def change(
         self,
@@ -177,19 +178,25 @@ class VehicleInformation:
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
         total = float(np.vdot(pulled, run.output_sensitivities))
         nodes = [every[edge] for every in evaluation.rival_nodes] if edge else None
-        if (others := self._rivals(part, first, nodes)) is None:
+        if (others := self._rivals(part, run.outputs, first, nodes)) is None:
             return None
-        for position, (factor, other) in enumerate(others):
-            moved = factor * (other.outputs - run.outputs)
-            total += float(np.vdot(weights[:, :, n_kept + position], moved))
+        for position, (moved, _) in enumerate(others, start=n_kept):
+            total += float(np.vdot(weights[:, :, position], moved))
         total -= float(np.vdot(by_rows[first:], evaluation.rows[first:]))
         signals = np.hstack([run.states, run.outputs])[:, columns]
         return total, signals - evaluation.signals[first:, columns]
 
     def _rivals(
-        self, commands: np.ndarray, first: int = 0, nodes: Sequence[np.ndarray] | None = None
-    ) -> list[tuple[float, Run]] | None:
-        """Factor and run of every rival from a sample on; None where one diverges."""
+        self,
+        commands: np.ndarray,
+        outputs: np.ndarray,
+        first: int = 0,
+        nodes: Sequence[np.ndarray] | None = None,
+    ) -> list[tuple[np.ndarray, np.ndarray]] | None:
+        """Shifts of some outputs by every rival from a sample on, and its states.
+
+        None where one diverges.
+        """
         times, found = self.times[first:], []
         for position, (rival, values, factor) in enumerate(self.rivals):
             node = (
@@ -200,7 +207,7 @@ class VehicleInformation:
             other = rival.run(times, commands, values, node)
             if not other.ok:
                 return None
-            found.append((factor, other))
+            found.append((factor * (other.outputs - outputs), other.states))
         return found
 
     def _chains(self, maps: np.ndarray) -> np.ndarray:

@@ -304,6 +304,15 @@ class _Planner:
         """Time that some of the optional sensors take, h."""
         return float(sum(self.budget.sensors[name] for name in subset))
 
+    def seconds(self, subset: Sequence[str]) -> float | None:
+        """Time that is left for runs beside some of the optional sensors, s; None: no limit."""
+        if self.budget.hours is None:
+            return None
+        left = 3600.0 * (self.budget.hours - self.sensor_hours(subset))
+        if left <= 0:
+            raise DesignError("The sensors alone take longer than there is time. Give more hours.")
+        return left
+
     def information(
         self, runs: Sequence[Candidate], outputs: tuple[str, ...]
     ) -> list[np.ndarray | None]:
@@ -339,10 +348,7 @@ class _Planner:
             expected.relative(expected.before, self.scales), np.array([run.cost for run in kept]),
             expected.criterion, expected.measure(scales=self.scales),
         )  # fmt: skip
-        hours, n_runs = self.budget.hours, self.budget.n_runs
-        budget = None if hours is None else 3600.0 * (hours - self.sensor_hours(subset))
-        if budget is not None and budget <= 0:
-            raise DesignError("The sensors alone take longer than there is time. Give more hours.")
+        budget, n_runs = self.seconds(subset), self.budget.n_runs
         shares = weights(library, budget=budget, n_runs=n_runs)
         before = [] if begin is None else [np.append(begin, np.zeros(len(there) - len(begin), int))]
         chosen = select(library, shares, budget=budget, n_runs=n_runs, begin=before)

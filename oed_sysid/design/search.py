@@ -31,7 +31,7 @@ import numpy as np
 from scipy.optimize import linprog
 
 from oed_sysid.design.objective import Objective, Score, Slope
-from oed_sysid.design.waveforms import Grid
+from oed_sysid.design.waveforms import Grid, Shape
 from oed_sysid.runtime.journal import Journal
 
 # Amplitudes tried, as shares of the actuator range, until the limits are kept.
@@ -93,27 +93,32 @@ def starts(
         Manoeuvres of the designed inputs that are tried first, at full size.
     """
     shape = objective.shape
-    found: list[Score] = []
-    for number in range(len(given) + n_candidates):
-        is_rough = number >= len(given)
-        if is_rough:
-            unit = rough_commands(grid, rng)
-            room = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
-            numbers = shape.start(grid.limited((grid.neutral + room * unit)[None])[0])
-        else:
-            numbers = shape.start(given[number])
-        if numbers is None and is_rough:
-            numbers = rng.random(shape.size)
-        if numbers is not None:
-            found += _largest(objective, grid, numbers, with_scenarios=False)
+    members = [one for one in map(shape.start, given) if one is not None]
+    members += [_rough(shape, grid, rng) for _ in range(n_candidates)]
+    tried = (_largest(objective, grid, one, with_scenarios=False) for one in members)
+    found = [score for scores in tried for score in scores]
     found.sort(key=lambda score: (not score.feasible, -score.value))
-    kept: list[Score] = []
-    for score in found:
-        apart = [np.sqrt(np.mean((score.numbers - other.numbers) ** 2)) for other in kept]
-        if len(kept) < n_starts and np.isfinite(score.value) and min(apart, default=1.0) > 0.05:
-            kept.append(score)
+    kept = _different(found)[:n_starts]
     # Many vehicles take time: only what is kept is shrunk until they keep the limits too.
     return again(objective, grid, kept) if objective.scenarios is not None else kept
+
+
+def _different(scores: Sequence[Score]) -> list[Score]:
+    """Members in their order, without those that hardly differ from one before."""
+    kept: list[Score] = []
+    for score in scores:
+        apart = [np.sqrt(np.mean((score.numbers - other.numbers) ** 2)) for other in kept]
+        if np.isfinite(score.value) and min(apart, default=1.0) > 0.05:
+            kept.append(score)
+    return kept
+
+
+def _rough(shape: Shape, grid: Grid, rng: np.random.Generator) -> np.ndarray:
+    """Numbers nearest to a rough manoeuvre; in a family that is too narrow, any."""
+    unit = rough_commands(grid, rng)
+    room = np.where(unit > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
+    numbers = shape.start(grid.limited((grid.neutral + room * unit)[None])[0])
+    return rng.random(shape.size) if numbers is None else numbers
 
 
 def again(objective: Objective, grid: Grid, before: Sequence[Score]) -> list[Score]:

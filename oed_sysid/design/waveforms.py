@@ -353,13 +353,9 @@ class Multisines:
                 f"{self.n_lines} lines do not fit below half the sampling frequency. Ask for fewer."
             )
         top = max(highest * duration, self.n_lines)
-        allowed = np.array(
-            [
-                k
-                for k in range(1, int(top) + 1)
-                if not any(low <= k / duration <= high for low, high in self.forbidden)
-            ]
-        )
+        allowed = np.arange(1, int(top) + 1)
+        for low, high in self.forbidden:
+            allowed = allowed[(allowed / duration < low) | (allowed / duration > high)]
         if len(allowed) < self.n_lines:
             raise DesignError(
                 f"Only {len(allowed)} multiples of {1 / duration:.3g} Hz up to "

@@ -77,11 +77,13 @@ A 143, 383-430 (priors that records contradict).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import chdtrc, stdtrit
 
+from oed_sysid.data.record import Record
 from oed_sysid.likelihood.projection import NOTHING
 
 # Records from which on their scatter tells something: three degrees of freedom.
@@ -367,9 +369,10 @@ def _coordinates(
 
 
 def sources_of(
-    matrices: list[np.ndarray],
-    scores: list[np.ndarray],
+    matrices: Sequence[np.ndarray],
+    scores: Sequence[np.ndarray],
     prior: np.ndarray,
+    records: Sequence[Record] = (),
     *,
     gradient: np.ndarray | None = None,
 ) -> Sources | None:
@@ -377,15 +380,21 @@ def sources_of(
 
     Parameters
     ----------
-    matrices, scores : list of ndarray
+    matrices, scores : sequence of ndarray
         Information and score of each record.
     prior : ndarray (n_shared, n_shared)
         Information that is there without records.
+    records : sequence of Record
+        Independent tests among them are known before the series, as it were.
     gradient : ndarray (n_shared,), optional
         Slope of the whole where it is not zero, because scores are approximate.
     """
-    if not matrices or not len(prior):
+    tests = np.zeros(len(matrices), dtype=bool)
+    tests[: len(records)] = [record.independent for record in records]
+    if tests.all() or not len(prior):
         return None
+    told, scored = np.array(matrices), np.array(scores)
     slope = np.zeros(len(prior)) if gradient is None else gradient
-    before = slope - np.sum(scores, axis=0)
-    return Sources(np.array([prior, *matrices]), np.array([before, *scores]))
+    known = prior + told[tests].sum(axis=0)
+    before = slope - scored[~tests].sum(axis=0)
+    return Sources(np.array([known, *told[~tests]]), np.array([before, *scored[~tests]]))

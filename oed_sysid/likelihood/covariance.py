@@ -55,6 +55,7 @@ from oed_sysid.likelihood.information import (
     Information,
     coloured_score_covariance,
     effective_sample_size,
+    own_samples,
 )
 from oed_sysid.likelihood.noise_levels import RARE
 from oed_sysid.likelihood.projection import BLIND, eliminate, inverse_of, share_of
@@ -106,7 +107,7 @@ class Scores:
         """Positions of the records that are series in time."""
         return [i for i, record in enumerate(self.records) if not record.independent]
 
-    @property
+    @cached_property
     def tests(self) -> tuple[np.ndarray, np.ndarray]:
         """Rows and errors of all independent tests."""
         chosen = [i for i, record in enumerate(self.records) if record.independent]
@@ -116,10 +117,41 @@ class Scores:
             np.concatenate([nothing[1], *(self.errors[i] for i in chosen)]),
         )
 
-    def stray(self, white: np.ndarray) -> bool:
-        """Whether independent tests scatter more than their noise allows."""
+    def _leverage(self, white: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Degrees of freedom and sums of squares of tests by output, and their ``H = J C J'``."""
         rows, errors = self.tests
-        return bool(len(rows)) and bool(white.size) and tests_stray(rows, errors, white)
+        finite = np.isfinite(np.diag(white))
+        taken = rows @ np.where(np.outer(finite, finite), white, 0.0) @ rows.transpose(0, 2, 1)
+        freedom = np.isfinite(errors).sum(axis=0) - np.einsum("tii->i", taken)
+        return freedom, np.nansum(errors**2, axis=0), taken
+
+    def stray(self, white: np.ndarray) -> bool:
+        """Whether independent tests scatter more than chance lets their declared noise do.
+
+        ``white`` is the covariance ``C`` if noise is as declared, ``(n_shared, n_shared)``.
+        """
+        if not white.size:
+            return False
+        freedom, squares, _ = self._leverage(white)
+        told = freedom > 0.5
+        chances = gammaincc(0.5 * freedom[told], 0.5 * squares[told])
+        return bool((chances * np.sum(told) < RARE).any())
+
+    def of_tests(self, white: np.ndarray, *, scattered: bool) -> np.ndarray:
+        r"""Covariance of the summed scores of tests, from their residuals where ``scattered``.
+
+        :math:`\sum_j J_j' (e_j e_j' + S H_j S) J_j`, or :math:`\sum_j J_j' J_j`, see the head of
+        this module.
+        """
+        rows, errors = self.tests
+        if not scattered:
+            flat = rows.reshape(-1, rows.shape[2])
+            return np.asarray(flat.T @ flat)
+        freedom, squares, taken = self._leverage(white)
+        each = np.einsum("tip,ti->tp", rows, np.nan_to_num(errors))
+        lost = np.sqrt(np.maximum(1.0, squares / np.maximum(freedom, 1.0)))  # S
+        rows = rows * lost[:, None]
+        return np.asarray(each.T @ each + np.einsum("tip,tij,tjq->pq", rows, taken, rows))
 
     def white(self) -> np.ndarray:
         """Covariance of the summed scores of all series, were their errors white."""
@@ -215,16 +247,12 @@ class ReducedProblem:
     @property
     def sources(self) -> Sources | None:
         """What priors and each record say of the shared parameters; None without any."""
-        if not len(self.shooting.layout.shared):
-            return None
-        n_shared, series = len(self.shooting.layout.shared), self.told.series
-        flat = [rows.reshape(-1, n_shared) for rows in self.rows]
+        n_shared = len(self.shooting.layout.shared)
+        flat = [rows.reshape(rows.shape[0] * rows.shape[1], n_shared) for rows in self.rows]
         pairs = zip(self.told.jacobians, self.told.errors, strict=True)
         scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
-        # Independent tests are known before the series, as it were.
-        before = [rows for i, rows in enumerate(flat) if i not in series]
-        prior = sum(rows.T @ rows for rows in (*before, *self.prior_rows))
-        return sources_of([flat[i].T @ flat[i] for i in series], [scores[i] for i in series], prior)
+        prior = sum(rows.T @ rows for rows in self.prior_rows)
+        return sources_of([rows.T @ rows for rows in flat], scores, prior, self.shooting.records)
 
     @property
     def is_coloured(self) -> bool:
@@ -273,64 +301,9 @@ class ReducedProblem:
         else:
             middle = told.white()
         if coloured or not robust:
-            middle += tests_middle(*told.tests, white, scattered=scattered)
+            middle += told.of_tests(white, scattered=scattered)
         middle += sum(rows.T @ rows for rows in self.prior_rows)
         return sandwich(white, middle)
-
-
-def tests_stray(rows: np.ndarray, scores: np.ndarray, white: np.ndarray) -> bool:
-    """Whether residuals of independent tests are larger than chance makes them.
-
-    Parameters
-    ----------
-    rows : ndarray (n_tests, n_outputs, n_shared)
-        Jacobian in units of the noise, zero where nothing was measured.
-    scores : ndarray (n_tests, n_outputs)
-        Residuals in units of the noise, NaN where nothing was measured.
-    white : ndarray (n_shared, n_shared)
-        Covariance if the noise is as declared.
-    """
-    freedom, squares, _ = _leverage(rows, scores, white)
-    told = freedom > 0.5
-    chances = gammaincc(0.5 * freedom[told], 0.5 * squares[told])
-    return bool((chances * np.sum(told) < RARE).any())
-
-
-def tests_middle(
-    rows: np.ndarray, scores: np.ndarray, white: np.ndarray, *, scattered: bool
-) -> np.ndarray:
-    """Covariance of the summed scores of independent tests, from noise or from residuals.
-
-    Parameters
-    ----------
-    rows, scores, white
-        See :func:`tests_stray`.
-    scattered : bool
-        Whether from residuals; otherwise from the noise as declared.
-
-    Returns
-    -------
-    ndarray (n_shared, n_shared)
-    """
-    if not scattered:
-        flat = rows.reshape(-1, rows.shape[2])
-        return np.asarray(flat.T @ flat)
-    freedom, squares, taken = _leverage(rows, scores, white)
-    each = np.einsum("tip,ti->tp", rows, np.nan_to_num(scores))
-    lost = np.sqrt(np.maximum(1.0, squares / np.maximum(freedom, 1.0)))
-    rows = rows * lost[:, None]
-    return np.asarray(each.T @ each + np.einsum("tip,tij,tjq->pq", rows, taken, rows))
-
-
-def _leverage(
-    rows: np.ndarray, scores: np.ndarray, white: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Degrees of freedom and sums of squares of independent tests by output, their ``J C J'``."""
-    finite = np.isfinite(np.diag(white))
-    known = np.where(np.outer(finite, finite), white, 0.0)
-    taken = rows @ known @ rows.transpose(0, 2, 1)
-    freedom = np.isfinite(scores).sum(axis=0) - np.einsum("tii->i", taken)
-    return freedom, np.nansum(scores**2, axis=0), taken
 
 
 def _counts(column: np.ndarray) -> bool:
@@ -480,7 +453,7 @@ def clear_peaks(
     for group in sampled_alike(records):
         regular = [i for i in group if _is_regular(records[i].times)]
         for column, name in enumerate(outputs):
-            series, time = _own_samples([whitened[i][:, column] for i in regular])
+            series, time = own_samples([whitened[i][:, column] for i in regular])
             if not series:
                 continue
             peak = spectral_peak(series, time * records[regular[0]].sample_time, name)
@@ -495,17 +468,6 @@ def _is_regular(times: np.ndarray) -> bool:
     """Whether intervals differ by less than a tenth."""
     steps = np.diff(times)
     return len(steps) > 1 and bool(np.ptp(steps) < 0.1 * np.median(steps))
-
-
-def _own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:
-    """Rows at which a sensor slower than the records can have sampled, and their stride."""
-    rows = [np.flatnonzero(np.isfinite(one)) for one in series]
-    steps = [np.diff(one) for one in rows if len(one) > 1]
-    if not steps:
-        return [], 1
-    stride = int(np.gcd.reduce(np.concatenate(steps)))
-    parts = [one[own[0] :: stride] for one, own in zip(series, rows, strict=True) if len(own) > 1]
-    return parts, stride
 
 
 def onto_shared(
@@ -631,9 +593,8 @@ class ReducedFilter:
         independent = any(record.independent for record in self.problem.records)
         if not (tests and independent and len(white)) or not self.told.stray(white):
             return covariance, False
-        rows, residuals = self.told.tests
-        more = tests_middle(rows, residuals, white, scattered=True)
-        more -= tests_middle(rows, residuals, white, scattered=False)
+        more = self.told.of_tests(white, scattered=True)
+        more -= self.told.of_tests(white, scattered=False)
         seen = np.where(np.isfinite(white), white, 0.0)
         return covariance + seen @ more @ seen, True
 
@@ -649,7 +610,7 @@ class ReducedFilter:
         if self.problem.knowledge is not None:
             middle = middle + self.problem.knowledge.information
         middle = self._by_values(middle) + self.told.coloured(25.0 * period)
-        middle += tests_middle(*self.told.tests, white, scattered=False)
+        middle += self.told.of_tests(white, scattered=False)
         robust = sandwich(white, middle)
         least, found = np.diag(white)[finite], np.diag(robust)[finite]
         grow = np.ones(n_shared)
@@ -665,15 +626,14 @@ class ReducedFilter:
         """
         limits, n_shared = self.problem.limits, len(self._slopes)
         each = [self._of_record(index) for index in range(len(self.passes))]
-        matrices, scores = (np.array(part) for part in zip(*each, strict=True))
-        tests = np.array([record.independent for record in self.problem.records])
+        matrices, scores = zip(*each, strict=True)
         weight = limits.prior_weight[:n_shared]
-        prior = np.diag(weight / self._slopes**2) + matrices[tests].sum(axis=0)
+        prior = np.diag(weight / self._slopes**2)
         if self.problem.knowledge is not None:
             prior = prior + self._by_values(self.problem.knowledge.information)
         away = limits.prior_mean[:n_shared] - self.unknowns[:n_shared]
-        gradient = weight * away / self._slopes + scores.sum(axis=0)
-        return sources_of([*matrices[~tests]], [*scores[~tests]], prior, gradient=gradient)
+        gradient = weight * away / self._slopes + np.sum(scores, axis=0)
+        return sources_of(matrices, scores, prior, self.problem.records, gradient=gradient)
 
     def _of_record(self, index: int) -> tuple[np.ndarray, np.ndarray]:
         """Information and score of the shared parameters from one record.

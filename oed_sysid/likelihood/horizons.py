@@ -34,7 +34,6 @@ from oed_sysid.likelihood.covariance import (
     Scores,
     onto_shared,
     sandwich,
-    tests_middle,
 )
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Progress, Solution
@@ -126,22 +125,22 @@ def _uncertainty(
     prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
     told = _told_by_records(problem, point)
     tests = np.array([record.independent for record in shooting.records])
-    every = np.array([matrix for matrix, _ in told])
-    matrices, scores = every[~tests], [told[i][1] for i in np.flatnonzero(~tests)]
-    known = prior + every[tests].sum(axis=0)
-    whole = known + matrices.sum(axis=0)
+    matrices = np.array([matrix for matrix, _ in told])
+    whole = prior + matrices.sum(axis=0)
     information = Information.from_matrix(
         layout.shared_names, whole, limits.scale[:n_shared] * slopes
     )
-    sources = sources_of(list(matrices), [rows.sum(axis=0) for rows in scores], known)
+    sums = [rows.sum(axis=0) for _, rows in told]
+    sources = sources_of(list(matrices), sums, prior, shooting.records)
     covariance = information.covariance
     if coloured == "never" or not n_shared:
         return information, covariance, sources, False
     alone = _tests(shooting, np.flatnonzero(tests).tolist(), unknowns)
     scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
-    middle = prior + _middle(problem, point, scores, whole - known)
+    scores = [told[i][1] for i in np.flatnonzero(~tests)]
+    middle = prior + _middle(problem, point, scores, matrices[~tests].sum(axis=0))
     if alone is not None:
-        middle += tests_middle(*alone.tests, covariance, scattered=scattered)
+        middle += alone.of_tests(covariance, scattered=scattered)
     return information, sandwich(covariance, middle), sources, scattered
 
 

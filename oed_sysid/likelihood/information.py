@@ -176,7 +176,7 @@ def effective_sample_size(series: np.ndarray) -> float:
     Uses the initial positive pair sums of the autocorrelation (Geyer 1992),
     never more than the number of samples.
     """
-    series = _own_samples(series)
+    series = [*own_samples([series])[0], series][0]
     n = int(np.isfinite(series).sum())
     if n < 8:
         return float(n)
@@ -215,12 +215,18 @@ class Whiteness:
         return self.p_value > 1e-3
 
 
-def _own_samples(series: np.ndarray) -> np.ndarray:
-    """Rows at which a sensor slower than the record can have sampled."""
-    rows = np.flatnonzero(np.isfinite(series))
-    if len(rows) < 2:
-        return series
-    return series[rows[0] :: int(np.gcd.reduce(np.diff(rows)))]
+def own_samples(series: Sequence[np.ndarray]) -> tuple[list[np.ndarray], int]:
+    """Rows at which a sensor slower than the records can have sampled, and their stride.
+
+    Series with fewer than two samples are left out.
+    """
+    rows = [np.flatnonzero(np.isfinite(one)) for one in series]
+    steps = [np.diff(one) for one in rows if len(one) > 1]
+    if not steps:
+        return [], 1
+    stride = int(np.gcd.reduce(np.concatenate(steps)))
+    parts = [one[own[0] :: stride] for one, own in zip(series, rows, strict=True) if len(own) > 1]
+    return parts, stride
 
 
 def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
@@ -228,7 +234,7 @@ def whiteness(series: np.ndarray, n_lags: int = 20) -> Whiteness:
 
     Lags count samples of the sensor itself, which may be slower than the record.
     """
-    series = _own_samples(series)
+    series = [*own_samples([series])[0], series][0]
     n = int(np.isfinite(series).sum())
     n_lags = min(n_lags, max(1, n // 5))
     rho = autocorrelation(series, n_lags)
