@@ -26,12 +26,13 @@ from oed_sysid.runtime.files import make_folder, write_text
 if TYPE_CHECKING:
     from oed_sysid.data.dataset import Record
     from oed_sysid.design import Design, Servo
-    from oed_sysid.evidence.compare import ModelMisfit
+    from oed_sysid.evidence.compare import Comparison, ModelMisfit
     from oed_sysid.evidence.result import LogCheck
     from oed_sysid.experiments.experiment import Experiment, Limits
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.model import Model
+    from oed_sysid.runtime.display import Report
 
 NOMINAL, IMPROVED = "nominal", "improved"
 
@@ -260,7 +261,9 @@ def fit(study: Study, show: Shown) -> Outcome:
     )  # fmt: skip
 
 
-def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcome:
+def compare(
+    study: Study, show: Shown, *, added: tuple[str, ...] = (), frequency: bool = False
+) -> Outcome:
     """Fit to training records and say where predictions of validation records fail.
 
     [bold]Example[/bold]: oed-sysid compare remus_diving_plane dive_1.csv dive_2.csv
@@ -276,7 +279,24 @@ def compare(study: Study, show: Shown, *, added: tuple[str, ...] = ()) -> Outcom
         check_disjoint(one.dataset, validation)
     log = _log_of(study)
     measured = replace(study, train=as_measured(study.training(), log)[0])
-    return _compared(study, show, fits_of(measured, models, show) | saved, log)
+    outcome = _compared(study, show, fits_of(measured, models, show) | saved, log)
+    if frequency and outcome.comparison is not None:
+        return _with_frequency(outcome, outcome.comparison)
+    return outcome
+
+
+def _with_frequency(outcome: Outcome, comparison: Comparison) -> Outcome:
+    """A comparison with the frequency responses of records and models."""
+    from oed_sysid.evidence.frequency import compare_frequency
+
+    found = compare_frequency(comparison)
+
+    def added(document: Report) -> Report:
+        return replace(document, sections=(*document.sections, found.section()))
+
+    make = outcome.document
+    facts = {**outcome.facts, "frequency": found.to_dict()}
+    return replace(outcome, said=added(outcome.said), facts=facts, make=lambda: added(make()))
 
 
 def _log_of(study: Study) -> LogCheck:

@@ -10,6 +10,7 @@ of the sensors, disturbance forces, or structure.
 module                          question
 =============================== ===========================================================
 ``compare``, ``forecasts``      how far are models from records: where, when, in which regime
+``frequency``                   over which band of frequencies they hold
 ``preparation``                 what a search reads of the records
 ``study``                       what stays the same while models are compared
 ``locate``                      at which place of the chain does it fail

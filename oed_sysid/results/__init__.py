@@ -35,6 +35,7 @@ from oed_sysid.results.fit_plots import (
     plot_prediction_error,
     plot_profile,
 )
+from oed_sysid.results.frequency_plots import figure_frequency
 from oed_sysid.results.improvement_plots import (
     figure_diagnosis,
     figure_force,

@@ -1,0 +1,455 @@
+r"""Frequency responses of records beside those of models.
+
+Spectra are means over windows of all records, half overlapping, tapered by Hann's window and free
+of a linear trend (Welch; :func:`scipy.signal.csd`). With inputs :math:`u` and an output :math:`y`,
+
+.. math::
+    H = G_{uu}^{-1} G_{uy}, \quad G_{ee} = G_{yy} - G_{yu} G_{uu}^{-1} G_{uy}, \quad
+    \gamma_i^2 = \frac{|H_i|^2}{|H_i|^2 + G_{ee}\,[G_{uu}^{-1}]_{ii}}
+
+are the responses to each input with the others accounted for, what no input explains, and the
+partial coherence. The multiple coherence is :math:`1 - G_{ee}/G_{yy}`. With :math:`n` independent
+windows and :math:`q` inputs,
+
+.. math::
+    \sigma_i^2 = \frac{1}{2n} \frac{n}{n - q}\, G_{ee}\,[G_{uu}^{-1}]_{ii}
+
+is the variance of the real and of the imaginary part of :math:`H_i`, thus of its magnitude, and,
+over :math:`|H_i|`, of its phase: :math:`\sqrt{1 - \gamma_i^2}\,/\,(|\gamma_i| \sqrt{2n})` of
+Bendat and Piersol, without its bias for few windows.
+
+**Over which band a model holds.** The model's run on the same inputs goes through the same windows,
+so that leakage, sampling, actuators and nonlinearity are in both responses. At a frequency the
+record *tells* of a response where its partial coherence is at least 0.6; there the model *holds*
+where
+
+.. math:: \frac{|H_i - H_i^\text{model}|^2}{2 \sigma_i^2} \le F_{1 - \alpha/m}(2,\, 2(n - q))
+
+with :math:`m` such frequencies and responses and :math:`\alpha` of a hundredth altogether. Errors
+of the model's own parameters are left out, and so is leakage, which at the lowest frequencies moves
+a response by more than its random error: against a closed form these count for little.
+
+References
+----------
+J. S. Bendat, A. G. Piersol, *Random Data*, Wiley, 4th ed. (2010), chapters 7 and 9.
+P. D. Welch, *IEEE Transactions on Audio and Electroacoustics* 15 (1967) 70-73.
+M. B. Tischler, R. K. Remple, *Aircraft and Rotorcraft System Identification*, AIAA, 2nd ed. (2012).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from scipy.signal import csd, get_window
+from scipy.stats import f as f_distribution
+
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.errors import DataError, SimulationError
+from oed_sysid.evidence.claim import FALSE_CLAIMS
+from oed_sysid.evidence.compare import Comparison, ModelMisfit
+from oed_sysid.experiments.steady import equilibrium, linearise
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain
+
+# Partial coherence from which a record tells of a response: with ten windows the random error is
+# 18 per cent; the rule of Tischler and Remple. Higher narrows the bands that are judged.
+TOLD = 0.6
+# Lengths of a window in all records together: more give smaller random errors and coarser
+# frequencies.
+WINDOWS = 10
+
+HOLDS, FAILS, UNTOLD = "holds", "fails", "untold"
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyResponse:
+    """What records say of the response of every output to every input.
+
+    Attributes
+    ----------
+    inputs, outputs : tuple of str
+        Inputs that move, and outputs that were measured.
+    frequencies : ndarray (n_frequencies,)
+        Hz.
+    values : ndarray of complex (n_frequencies, n_outputs, n_inputs)
+        Responses, SI; NaN where inputs cannot be told apart.
+    errors : ndarray (n_frequencies, n_outputs, n_inputs)
+        Standard deviations of the real and of the imaginary part.
+    coherence : ndarray (n_frequencies, n_outputs, n_inputs)
+        Partial coherence, squared.
+    multiple : ndarray (n_frequencies, n_outputs)
+        Multiple coherence, squared.
+    input_spectra, output_spectra : ndarray (n_frequencies, n_inputs or n_outputs)
+        One-sided power spectral densities, SI squared per Hz.
+    window : float
+        Length of a window, s.
+    sample_time : float
+        s.
+    averages : float
+        Independent windows.
+    records : tuple of str
+        Records that are long enough.
+    """
+
+    inputs: tuple[str, ...]
+    outputs: tuple[str, ...]
+    frequencies: np.ndarray
+    values: np.ndarray
+    errors: np.ndarray
+    coherence: np.ndarray
+    multiple: np.ndarray
+    input_spectra: np.ndarray
+    output_spectra: np.ndarray
+    window: float
+    sample_time: float
+    averages: float
+    records: tuple[str, ...]
+
+    to_dict = as_dict()
+
+    @property
+    def told(self) -> np.ndarray:
+        """Where the records tell of a response, ``(n_frequencies, n_outputs, n_inputs)``."""
+        return self.coherence >= TOLD
+
+
+def frequency_response(
+    dataset: Dataset,
+    *,
+    outputs: Sequence[np.ndarray] | None = None,
+    window: float | None = None,
+) -> FrequencyResponse:
+    """Estimate the frequency responses of records.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Records; gaps are bridged linearly, and uneven samples are interpolated.
+    outputs : sequence of ndarray (n_times, n_outputs), optional
+        What stands in the place of the measured outputs, such as a model's; only where these
+        were measured.
+    window : float, optional
+        Length of a window, s; by default a tenth of all records together, at most the longest.
+
+    Raises
+    ------
+    DataError
+        If records are independent tests, no input moves, or too few windows are at hand.
+    """
+    if dataset.only_tests:
+        raise DataError("Independent tests have no frequency response. Give records of motion.")
+    runs = [r.outputs for r in dataset] if outputs is None else outputs
+    step = float(np.median([record.sample_time for record in dataset]))
+    names = dataset.channels
+    moving = [
+        i for i, n in enumerate(names.input_names) if any(np.ptp(r.input(n)) for r in dataset)
+    ]
+    seen = [
+        j for j in range(len(names.output_names))
+        if all(np.isfinite(record.outputs[:, j]).sum() > 1 for record in dataset)
+    ]  # fmt: skip
+    if not moving or not seen:
+        raise DataError(
+            "No input moves or no output was measured in every record: there is no frequency "
+            "response. Give records in which an input moves."
+        )
+    longest = max(record.duration for record in dataset)
+    length = window or min(sum(record.duration for record in dataset) / WINDOWS, longest)
+    size = max(round(length / step), 1)
+    spectra, count, used = 0.0, 0, []
+    for record, run in zip(dataset, runs, strict=True):
+        series = _series(record, run, step, moving, seen)
+        if (own := (series.shape[1] - size) // (size - size // 2) + 1) < 1:
+            continue
+        _, found = csd(
+            series[:, np.newaxis], series[np.newaxis], 1.0 / step, nperseg=size,
+            noverlap=size // 2, detrend="linear",
+        )  # fmt: skip
+        spectra, count = spectra + own * found, count + own
+        used.append(record.name)
+    averages, n_inputs = _independent(count, size), len(moving)
+    if averages <= n_inputs + 1.0:
+        raise DataError(
+            f"{averages:.1f} independent windows of {size * step:.3g} s cannot tell {n_inputs} "
+            "input(s) apart. Give a shorter window or longer records."
+        )
+    # Neither the mean, which the trend takes, nor half the sampling rate, where spectra are real.
+    kept = slice(1, (size + 1) // 2)
+    matrix = np.moveaxis(np.asarray(spectra) / count, -1, 0)[kept]
+    power = np.einsum("kii->ki", matrix).real
+    return FrequencyResponse(
+        tuple(names.input_names[i] for i in moving), tuple(names.output_names[j] for j in seen),
+        np.fft.rfftfreq(size, step)[kept], *_responses(matrix, n_inputs, averages),
+        power[:, :n_inputs], power[:, n_inputs:], size * step, step, averages, tuple(used),
+    )  # fmt: skip
+
+
+def _series(
+    record: Record, run: np.ndarray, step: float, moving: list[int], seen: list[int]
+) -> np.ndarray:
+    """Moving inputs and seen outputs at even times, ``(n_signals, n_even)``."""
+    even = record.times[0] + step * np.arange(int(record.duration / step + 1e-6) + 1)
+    found = [np.interp(even, record.times, record.inputs[:, i]) for i in moving]
+    for j in seen:
+        present = np.isfinite(record.outputs[:, j]) & np.isfinite(run[:, j])
+        if not present.any():
+            raise DataError(f"The run of {record.name!r} diverges: it has no frequency response.")
+        found.append(np.interp(even, record.times[present], run[present, j]))
+    return np.array(found)
+
+
+def _independent(count: int, size: int) -> float:
+    """Windows without overlap that average as well as ``count`` half overlapping ones (Welch)."""
+    taper = get_window("hann", size)
+    lag = size - size // 2
+    shared = float(taper[:-lag] @ taper[lag:] / (taper @ taper)) ** 2
+    return count / (1.0 + 2.0 * shared * (count - 1) / max(count, 1))
+
+
+def _responses(
+    matrix: np.ndarray, n_inputs: int, averages: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Responses, errors, partial and multiple coherence from all spectra ``(n, n_all, n_all)``."""
+    own, cross = matrix[:, :n_inputs, :n_inputs], matrix[:, :n_inputs, n_inputs:]
+    power = np.einsum("kjj->kj", matrix[:, n_inputs:, n_inputs:]).real
+    scale = np.sqrt(np.maximum(np.einsum("kii->ki", own).real, np.finfo(float).tiny))
+    alike = own / (scale[:, :, np.newaxis] * scale[:, np.newaxis])
+    apart = np.linalg.matrix_rank(alike, hermitian=True) == n_inputs
+    inverse = np.full(own.shape, np.nan, dtype=complex)
+    inverse[apart] = np.linalg.inv(alike[apart])
+    inverse /= scale[:, :, np.newaxis] * scale[:, np.newaxis]
+    values = inverse @ cross
+    explained = np.einsum("kij,kij->kj", cross.conj(), values).real
+    left = np.maximum(power - explained, 0.0)
+    spread = np.einsum("kj,kii->kji", left, inverse).real
+    values = np.swapaxes(values, 1, 2)
+    size = np.abs(values) ** 2
+    with np.errstate(invalid="ignore", divide="ignore"):
+        partial = np.nan_to_num(size / (size + spread))
+        multiple = np.nan_to_num(explained / power)
+    errors = np.sqrt(spread / (2.0 * (averages - n_inputs)))
+    return values, errors, partial, multiple
+
+
+@dataclass(frozen=True, eq=False)
+class ModelResponse:
+    """Frequency responses of one model beside those of the records.
+
+    Attributes
+    ----------
+    label : str
+    values : ndarray of complex (n_frequencies, n_outputs, n_inputs)
+        Of the model's run on the records' inputs, through the same windows.
+    linear : ndarray of complex (n_frequencies, n_outputs, n_inputs) or None
+        Of the model linearised at the equilibrium of the records' mean inputs, actuators and
+        sensors settled; None where there is none.
+    verdicts : ndarray of str (n_frequencies, n_outputs, n_inputs)
+        ``holds``, ``fails`` or ``untold``.
+    """
+
+    label: str
+    values: np.ndarray
+    linear: np.ndarray | None
+    verdicts: np.ndarray
+
+
+@dataclass(frozen=True)
+class Band:
+    """A response of a model over neighbouring frequencies of one verdict.
+
+    Attributes
+    ----------
+    model, input, output : str
+    low, high : float
+        Hz.
+    verdict : str
+        ``holds``, ``fails`` or ``untold``.
+    ratio : float
+        Magnitude of the model's response over that of the records, mean of the logarithms.
+    phase : float
+        Mean of the model's phase minus that of the records, rad.
+    """
+
+    model: str
+    input: str
+    output: str
+    low: float
+    high: float
+    verdict: str
+    ratio: float
+    phase: float
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyComparison:
+    """Frequency responses of records and of models, and the bands over which these hold.
+
+    Attributes
+    ----------
+    record : FrequencyResponse
+    models : tuple of ModelResponse
+    """
+
+    record: FrequencyResponse
+    models: tuple[ModelResponse, ...]
+
+    @property
+    def bands(self) -> tuple[Band, ...]:
+        """Bands of every model and response, in the order of their frequencies."""
+        return tuple(band for one in self.models for band in _bands(self.record, one))
+
+    @property
+    def verdict(self) -> tuple[str, ...]:
+        """Over which band each model holds, one sentence for each response."""
+        found = list[str]()
+        for one in self.models:
+            own = tuple(_bands(self.record, one))
+            for output in self.record.outputs:
+                for command in self.record.inputs:
+                    bands = [b for b in own if (b.input, b.output) == (command, output)]
+                    found.append(_sentence(one.label, command, output, bands))
+        return tuple(found)
+
+    def section(self) -> Section:
+        """Return the comparison as a part of a document."""
+        rows = [
+            (one.model, f"{one.input} to {one.output}", f"{one.low:.3g} to {one.high:.3g}",
+             one.verdict, *_apart(one))
+            for one in self.bands
+        ]  # fmt: skip
+        record = self.record
+        words = (
+            f"{record.averages:.3g} independent windows of {record.window:.3g} s; a response is "
+            f"judged where its partial coherence is at least {TOLD:g}.",
+            *self.verdict,
+        )
+        heads = ("model", "response", "band [Hz]", "verdict", "magnitude", "phase [deg]")
+        drawn = [
+            Figure(
+                "figure_frequency", self,
+                f"{name}: dots are the records' response with its 95 % random error, lines the "
+                "models' runs, thin lines the linearised models. Shaded: the records tell nothing.",
+                (name,),
+            )
+            for name in record.outputs
+        ]  # fmt: skip
+        tables = (Table(heads, rows, words=(1, 3)),)
+        return Section("Frequency responses", words, tables, drawn, heading=True, indent=2)
+
+    def document(self) -> Report:
+        """Return the comparison."""
+        records = ", ".join(self.record.records)
+        return Report(f"frequency responses of {records}", sections=(self.section(),))
+
+    report = as_text
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain data; complex numbers are pairs."""
+        return dict(plain({
+            "record": self.record, "bands": self.bands, "verdict": self.verdict,
+            "models": [
+                {"label": m.label, "values": m.values, "linear": m.linear} for m in self.models
+            ],
+        }))  # fmt: skip
+
+
+def compare_frequency(
+    comparison: Comparison, *, window: float | None = None
+) -> FrequencyComparison:
+    """Say over which band of frequencies the models of a comparison hold.
+
+    Parameters
+    ----------
+    comparison : Comparison
+        Of :func:`~oed_sysid.evidence.compare.compare`.
+    window : float, optional
+        Length of a window, s; see :func:`frequency_response`.
+
+    Raises
+    ------
+    DataError
+        If the records have no frequency response, or a model's run diverges.
+    """
+    dataset = comparison.dataset
+    record = frequency_response(dataset, window=window)
+    models = []
+    for one in comparison.models:
+        run = frequency_response(dataset, outputs=one.prediction.outputs, window=window)
+        verdicts = _verdicts(record, run.values)
+        models.append(ModelResponse(one.label, run.values, _linear(one, record), verdicts))
+    return FrequencyComparison(record, tuple(models))
+
+
+def _verdicts(record: FrequencyResponse, values: np.ndarray) -> np.ndarray:
+    """Verdict on a model's responses at every frequency."""
+    told, n_inputs = record.told, len(record.inputs)
+    chance = 1.0 - FALSE_CLAIMS / max(int(told.sum()), 1)
+    most = f_distribution.ppf(chance, 2, 2.0 * (record.averages - n_inputs))
+    off = np.abs(record.values - values) ** 2 > most * 2.0 * record.errors**2
+    return np.where(told, np.where(off, FAILS, HOLDS), UNTOLD)
+
+
+def _linear(one: ModelMisfit, record: FrequencyResponse) -> np.ndarray | None:
+    """Responses of the model linearised at the records' mean inputs, sampled as the records are."""
+    dataset, model = one.prediction.dataset, one.model
+    mean = np.concatenate([run.inputs for run in dataset]).mean(axis=0)
+    guess = {
+        name: float(np.mean([start[name] for start in one.prediction.initial_states]))
+        for name in model.state_names
+    }
+    try:
+        point = equilibrium(
+            model, inputs=dict(zip(model.input_names, map(float, mean), strict=True)), guess=guess
+        )
+        system = linearise(model, point, outputs=record.outputs)
+    except SimulationError:
+        return None
+    circle = np.exp(2j * np.pi * record.frequencies * record.sample_time)
+    found = np.empty(record.values.shape, dtype=complex)
+    for place, name in enumerate(record.inputs):
+        column = model.input_names.index(name)
+        # What an input does between samples is part of the response that samples show.
+        way = "zoh" if model.inputs[column].interpolation == "hold" else "foh"
+        sampled = system[:, column].sample(record.sample_time, method=way)
+        found[:, :, place] = np.moveaxis(sampled(circle, squeeze=False), -1, 0)[:, :, 0]
+    return found
+
+
+def _bands(record: FrequencyResponse, one: ModelResponse) -> Iterator[Band]:
+    """Neighbouring frequencies of one verdict, for every response."""
+    for j, output in enumerate(record.outputs):
+        for i, command in enumerate(record.inputs):
+            said = one.verdicts[:, j, i]
+            edges = [0, *(np.flatnonzero(said[1:] != said[:-1]) + 1), len(said)]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                apart = np.log(one.values[:, j, i] / record.values[:, j, i])
+            for low, high in pairwise(edges):
+                mean = apart[low:high].mean()
+                yield Band(
+                    one.label, command, output, float(record.frequencies[low]),
+                    float(record.frequencies[high - 1]), str(said[low]),
+                    float(np.exp(mean.real)), float(mean.imag),
+                )  # fmt: skip
+
+
+def _apart(band: Band) -> tuple[str, str]:
+    """Mean distance of model and record over a band, in words."""
+    if band.verdict == UNTOLD:
+        return "", ""
+    return f"x {band.ratio:.3g}", f"{np.degrees(band.phase):+.1f}"
+
+
+def _sentence(label: str, command: str, output: str, bands: Sequence[Band]) -> str:
+    """Where a model holds for one response."""
+    where = {
+        verdict: ", ".join(f"{b.low:.3g} to {b.high:.3g} Hz" for b in bands if b.verdict == verdict)
+        for verdict in (HOLDS, FAILS)
+    }
+    if not any(where.values()):
+        return f"{label}, {command} to {output}: the records tell nothing at any frequency."
+    words = f"holds over {where[HOLDS]}" if where[HOLDS] else "holds nowhere"
+    more = f", fails over {where[FAILS]}" if where[FAILS] else ""
+    return f"{label}, {command} to {output}: {words}{more}; elsewhere the records tell nothing."
