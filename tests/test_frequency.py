@@ -13,6 +13,9 @@ from simple_models import NOMOTO, K, T
 import oed_sysid
 from oed_sysid import Dataset, Experiment, Input, Model, Output, Record, State, write_csv
 from oed_sysid.cli import DONE, main
+from oed_sysid.cli.script import part_of
+from oed_sysid.cli.study import Study
+from oed_sysid.cli.tasks import TASKS
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import compare
 from oed_sysid.evidence.frequency import (
@@ -154,3 +157,12 @@ def test_the_command_compares_frequency_responses(tmp_path: Path) -> None:
     assert {band["verdict"] for band in found["bands"]} >= {HOLDS}
     assert any("delta to r: holds over" in words for words in found["verdict"])
     assert "Frequency responses" in page.read_text()
+
+
+def test_the_script_of_the_page_compares_frequency_responses() -> None:
+    """The same in Python has the call only where it was asked for."""
+    study = Study.named("online_ship")
+    asked = part_of(TASKS["compare"], study, {"frequency": True})
+    compile(asked, "study.py", "exec")
+    assert "compare_frequency(comparison)" in asked
+    assert "compare_frequency" not in part_of(TASKS["compare"], study, {})

@@ -141,36 +141,18 @@ def frequency_response(
     """
     if dataset.only_tests:
         raise DataError("Independent tests have no frequency response. Give records of motion.")
-    runs = [r.outputs for r in dataset] if outputs is None else outputs
     step = float(np.median([record.sample_time for record in dataset]))
-    names = dataset.channels
-    moving = [
-        i for i, n in enumerate(names.input_names) if any(np.ptp(r.input(n)) for r in dataset)
-    ]
-    seen = [
-        j for j in range(len(names.output_names))
-        if all(np.isfinite(record.outputs[:, j]).sum() > 1 for record in dataset)
-    ]  # fmt: skip
-    if not moving or not seen:
-        raise DataError(
-            "No input moves or no output was measured in every record: there is no frequency "
-            "response. Give records in which an input moves."
-        )
-    longest = max(record.duration for record in dataset)
-    length = window or min(sum(record.duration for record in dataset) / WINDOWS, longest)
-    size = max(round(length / step), 1)
-    spectra, count, used = 0.0, 0, []
-    for record, run in zip(dataset, runs, strict=True):
-        series = _series(record, run, step, moving, seen)
-        if (own := (series.shape[1] - size) // (size - size // 2) + 1) < 1:
-            continue
-        _, found = csd(
-            series[:, np.newaxis], series[np.newaxis], 1.0 / step, nperseg=size,
-            noverlap=size // 2, detrend="linear",
-        )  # fmt: skip
-        spectra, count = spectra + own * found, count + own
-        used.append(record.name)
-    averages, n_inputs = _independent(count, size), len(moving)
+    moving, seen = _signals(dataset)
+    n_inputs = len(moving)
+    size = _window(dataset, step, window)
+    runs = [record.outputs for record in dataset] if outputs is None else outputs
+    parts = {
+        record.name: _spectra(_series(record, run, step, moving, seen), step, size)
+        for record, run in zip(dataset, runs, strict=True)
+    }
+    used = {name: part for name, part in parts.items() if part[1]}
+    count = sum(own for _, own in used.values())
+    averages = _independent(count, size)
     if averages <= n_inputs + 1.0:
         raise DataError(
             f"{averages:.1f} independent windows of {size * step:.3g} s cannot tell {n_inputs} "
@@ -178,13 +160,56 @@ def frequency_response(
         )
     # Neither the mean, which the trend takes, nor half the sampling rate, where spectra are real.
     kept = slice(1, (size + 1) // 2)
-    matrix = np.moveaxis(np.asarray(spectra) / count, -1, 0)[kept]
+    total = np.sum([own * part for part, own in used.values()], axis=0)
+    matrix = np.moveaxis(total / count, -1, 0)[kept]
     power = np.einsum("kii->ki", matrix).real
     return FrequencyResponse(
-        tuple(names.input_names[i] for i in moving), tuple(names.output_names[j] for j in seen),
+        _named(dataset.channels.input_names, moving), _named(dataset.channels.output_names, seen),
         np.fft.rfftfreq(size, step)[kept], *_responses(matrix, n_inputs, averages),
         power[:, :n_inputs], power[:, n_inputs:], size * step, step, averages, tuple(used),
     )  # fmt: skip
+
+
+def _window(dataset: Dataset, step: float, window: float | None) -> int:
+    """Samples of a window: as given, or a share of all records, at most the longest."""
+    durations = [record.duration for record in dataset]
+    return max(round((window or min(sum(durations) / WINDOWS, max(durations))) / step), 1)
+
+
+def _named(names: Sequence[str], columns: Sequence[int]) -> tuple[str, ...]:
+    return tuple(names[column] for column in columns)
+
+
+def _signals(dataset: Dataset) -> tuple[list[int], list[int]]:
+    """Columns of the inputs that move and of the outputs that every record has."""
+    inputs, outputs = dataset.channels.input_names, dataset.channels.output_names
+    moving = [i for i, name in enumerate(inputs) if any(np.ptp(r.input(name)) for r in dataset)]
+    seen = [
+        j
+        for j, name in enumerate(outputs)
+        if all(np.isfinite(record.output(name)).sum() > 1 for record in dataset)
+    ]
+    if not moving or not seen:
+        raise DataError(
+            "No input moves or no output was measured in every record: there is no frequency "
+            "response. Give records in which an input moves."
+        )
+    return moving, seen
+
+
+def _spectra(series: np.ndarray, step: float, size: int) -> tuple[np.ndarray, int]:
+    """Mean of all spectra ``(n_signals, n_signals, n_frequencies)`` over windows, and their count.
+
+    None of a record that is shorter than a window.
+    """
+    count = max((series.shape[1] - size) // (size - size // 2) + 1, 0)
+    if not count:
+        return np.empty(0), 0
+    _, found = csd(
+        series[:, np.newaxis], series[np.newaxis], 1.0 / step, nperseg=size, noverlap=size // 2,
+        detrend="linear",
+    )  # fmt: skip
+    return found, count
 
 
 def _series(
