@@ -7,6 +7,7 @@ import runpy
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -558,3 +559,18 @@ def test_two_records_never_share_a_file(tmp_path: Path) -> None:
         write_runs([one.rename("a/b"), one.rename("a_b")], tmp_path / "runs")
     assert not (tmp_path / "runs").exists()
     assert [file.name for file in write_runs([one.rename("a/b")], tmp_path)] == ["a_b.csv"]
+
+
+def test_a_fit_of_held_samples_counts_what_was_measured(ferry: Path, tmp_path: Path) -> None:
+    """A heading that is held for five samples reaches the estimation once in five."""
+    study = load_problem(ferry)
+    rng = np.random.default_rng(1)
+    record = simulate(study.model, study.experiments["zigzag_20"], rng=rng)
+    outputs = record.outputs.copy()
+    outputs[:, 0] = np.repeat(outputs[::5, 0], 5)[: len(outputs)]
+    log, saved = tmp_path / "held.csv", tmp_path / "fit.json"
+    write_csv(replace(record, outputs=outputs), log)
+    assert main(["fit", str(ferry), str(log), "--save", str(saved)]) == DONE
+    heading, rate = np.isfinite(Fit.load(saved).dataset[0].outputs).sum(axis=0)
+    assert heading == -(-len(outputs) // 5)
+    assert rate == len(outputs)

@@ -207,16 +207,6 @@ def test_runs_that_may_leave_their_limits_are_refused(fit, candidates) -> None:
     assert closed.action == "useless"
 
 
-def test_decision_takes_less_than_a_second(fit, candidates) -> None:
-    """On board nobody waits: one decision over the whole library, warm."""
-    goals = goals_of(fit.model, {"all": 0.005})
-    import time
-
-    began = time.process_time()
-    decide(fit, candidates, goals, rng=np.random.default_rng(0))
-    assert time.process_time() - began < 1.0
-
-
 def test_goals_that_do_not_fit_are_named(fit, candidates) -> None:
     """Unknown parameters, outputs and empty lists are said."""
     rng = np.random.default_rng(0)

@@ -236,14 +236,13 @@ def fit(study: Study, show: Shown) -> Outcome:
     """
     from oed_sysid.data.dataset import check_disjoint
     from oed_sysid.evidence.check import with_estimates
-    from oed_sysid.evidence.corrections import as_measured
 
     model, train = study.problem.model, study.training()
     if study.test is not None:
         check_disjoint(train, study.test)
     log = oed_sysid.quick_check(train, study.problem)
-    measured, left_out = as_measured(train, log)
-    result = fits_of(replace(study, train=measured), {"": model}, show)[""]
+    study, left_out = _as_measured(study, log)
+    result = fits_of(study, {"": model}, show)[""]
     log = with_estimates(log, result)
     facts = {**result.to_dict(), "log": log.to_dict()}
     text, comparison, figure = result.report(), None, Figure("figure_fit", result, "")
@@ -270,7 +269,6 @@ def compare(
     --validate dive_3.csv
     """
     from oed_sysid.data.dataset import check_disjoint
-    from oed_sysid.evidence.corrections import as_measured
 
     study.training()
     validation = study.validation()
@@ -278,8 +276,8 @@ def compare(
     for one in saved.values():
         check_disjoint(one.dataset, validation)
     log = _log_of(study)
-    measured = replace(study, train=as_measured(study.training(), log)[0])
-    outcome = _compared(study, show, fits_of(measured, models, show) | saved, log)
+    study, left_out = _as_measured(study, log)
+    outcome = _compared(study, show, fits_of(study, models, show) | saved, log, left_out)
     if frequency and outcome.comparison is not None:
         return _with_frequency(outcome, outcome.comparison)
     return outcome
@@ -297,6 +295,14 @@ def _with_frequency(outcome: Outcome, comparison: Comparison) -> Outcome:
     make = outcome.document
     facts = {**outcome.facts, "frequency": found.to_dict()}
     return replace(outcome, said=added(outcome.said), facts=facts, make=lambda: added(make()))
+
+
+def _as_measured(study: Study, log: LogCheck) -> tuple[Study, tuple[str, ...]]:
+    """The study with only what was measured in its training records, and words on the rest."""
+    from oed_sysid.evidence.corrections import as_measured
+
+    train, left_out = as_measured(study.training(), log)
+    return replace(study, train=train), left_out
 
 
 def _log_of(study: Study) -> LogCheck:
@@ -318,6 +324,7 @@ def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
     from oed_sysid.evidence.claim import threshold
 
     log, model = _log_of(study), study.problem.model
+    study, left_out = _as_measured(study, log)
     fits = fits_of(study, {NOMINAL: model}, show)
     full = fits[NOMINAL]
     ranking = oed_sysid.rank_parameters(
@@ -338,14 +345,16 @@ def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
             if lost <= chance
             else "these values are wrong. Keep some of them free (--keep), or correct them."
         )
-    outcome = _compared(study, show, fits, log)
+    outcome = _compared(study, show, fits, log, left_out)
     more = {"fixed": fixed, "lost": lost, "subset": ranking.together.to_dict()}
     sections = (*outcome.said.sections, *ranking.together.document().sections)
     said = replace(outcome.said, answer=told, sections=sections)
     return replace(outcome, said=said, facts={**outcome.facts, **more})
 
 
-def _compared(study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck) -> Outcome:
+def _compared(
+    study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck, left_out: Sequence[str]
+) -> Outcome:
     """What validation records say of several fits."""
     from oed_sysid.evidence.check import with_estimates
 
@@ -361,7 +370,8 @@ def _compared(study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck)
     return Outcome(
         result, result.document(), {**result.to_dict(), "log": log.to_dict()},
         partial(result.document, title=study.problem.title, log=log), predicted(result.models),
-        above=log.warning(), notes=tuple(notes), fits=dict(fits), comparison=result,
+        above="\n".join(filter(None, (log.warning(), *left_out))), notes=tuple(notes),
+        fits=dict(fits), comparison=result,
         status=_status(list(fits.values()), suspect=log.suspect),
     )  # fmt: skip
 

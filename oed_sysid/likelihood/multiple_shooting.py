@@ -358,7 +358,7 @@ class MultipleShooting:
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
-        if not fit.status.ok:  # bent so far that it ends nowhere
+        if fit.status.code not in ENDED:  # bent so far that it ends nowhere
             robust = looking._fit(model, fit.dataset, None, None, known_starts)
             again = robust if robust.status.ok else fit
         for _ in range(4):  # large ones hide small ones
