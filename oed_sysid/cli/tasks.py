@@ -254,8 +254,7 @@ def fit(study: Study, show: Shown) -> Outcome:
         figure = predicted([comparison.best])
     return Outcome(
         result, result.document(comparison), facts, partial(result.document, comparison, log=log),
-        figure, text, "\n".join(filter(None, (log.warning(), *left_out))),
-        fits={NOMINAL: result}, comparison=comparison,
+        figure, text, _above(log, left_out), fits={NOMINAL: result}, comparison=comparison,
         status=_status([result], suspect=log.suspect),
     )  # fmt: skip
 
@@ -297,12 +296,17 @@ def _with_frequency(outcome: Outcome, comparison: Comparison) -> Outcome:
     return replace(outcome, said=added(outcome.said), facts=facts, make=lambda: added(make()))
 
 
-def _as_measured(study: Study, log: LogCheck) -> tuple[Study, tuple[str, ...]]:
+def _as_measured(study: Study, log: LogCheck) -> tuple[Study, str]:
     """The study with only what was measured in its training records, and words on the rest."""
     from oed_sysid.evidence.corrections import as_measured
 
     train, left_out = as_measured(study.training(), log)
-    return replace(study, train=train), left_out
+    return replace(study, train=train), "\n".join(left_out)
+
+
+def _above(log: LogCheck, left_out: str) -> str:
+    """What stands above a result: what is wrong with the log, and what was left out of it."""
+    return "\n".join(filter(None, (log.warning(), left_out)))
 
 
 def _log_of(study: Study) -> LogCheck:
@@ -353,7 +357,7 @@ def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
 
 
 def _compared(
-    study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck, left_out: Sequence[str]
+    study: Study, show: Shown, fits: Mapping[str, Fit], log: LogCheck, left_out: str
 ) -> Outcome:
     """What validation records say of several fits."""
     from oed_sysid.evidence.check import with_estimates
@@ -370,8 +374,7 @@ def _compared(
     return Outcome(
         result, result.document(), {**result.to_dict(), "log": log.to_dict()},
         partial(result.document, title=study.problem.title, log=log), predicted(result.models),
-        above="\n".join(filter(None, (log.warning(), *left_out))), notes=tuple(notes),
-        fits=dict(fits), comparison=result,
+        above=_above(log, left_out), notes=tuple(notes), fits=dict(fits), comparison=result,
         status=_status(list(fits.values()), suspect=log.suspect),
     )  # fmt: skip
 

@@ -40,7 +40,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any
 
 import numpy as np
@@ -321,22 +321,32 @@ class FrequencyComparison:
     record: FrequencyResponse
     models: tuple[ModelResponse, ...]
 
+    def bands_of(self, one: ModelResponse, command: str, output: str) -> tuple[Band, ...]:
+        """Bands of a model for one response, in the order of their frequencies."""
+        return tuple(_bands(self.record, one, command, output))
+
     @property
     def bands(self) -> tuple[Band, ...]:
-        """Bands of every model and response, in the order of their frequencies."""
-        return tuple(band for one in self.models for band in _bands(self.record, one))
+        """Bands of every model and response."""
+        each = (self.bands_of(one, *key) for one in self.models for key in self._responses)
+        return tuple(chain.from_iterable(each))
+
+    def said_of(self, command: str, output: str) -> tuple[str, ...]:
+        """Over which bands each model holds for one response, in sentences."""
+        return tuple(self._sentence(one, command, output) for one in self.models)
 
     @property
     def verdict(self) -> tuple[str, ...]:
-        """Over which band each model holds, one sentence for each response."""
-        found = list[str]()
-        for one in self.models:
-            own = tuple(_bands(self.record, one))
-            for output in self.record.outputs:
-                for command in self.record.inputs:
-                    bands = [b for b in own if (b.input, b.output) == (command, output)]
-                    found.append(_sentence(one.label, command, output, bands))
-        return tuple(found)
+        """Over which bands each model holds, one sentence for each response."""
+        return tuple(self._sentence(one, *key) for one in self.models for key in self._responses)
+
+    @property
+    def _responses(self) -> list[tuple[str, str]]:
+        """Input and output of every response."""
+        return [(command, out) for out in self.record.outputs for command in self.record.inputs]
+
+    def _sentence(self, one: ModelResponse, command: str, output: str) -> str:
+        return _sentence(one.label, command, output, self.bands_of(one, command, output))
 
     def section(self) -> Section:
         """Return the comparison as a part of a document."""
@@ -443,21 +453,22 @@ def _linear(one: ModelMisfit, record: FrequencyResponse) -> np.ndarray | None:
     return found
 
 
-def _bands(record: FrequencyResponse, one: ModelResponse) -> Iterator[Band]:
-    """Neighbouring frequencies of one verdict, for every response."""
-    for j, output in enumerate(record.outputs):
-        for i, command in enumerate(record.inputs):
-            said = one.verdicts[:, j, i]
-            edges = [0, *(np.flatnonzero(said[1:] != said[:-1]) + 1), len(said)]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                apart = np.log(one.values[:, j, i] / record.values[:, j, i])
-            for low, high in pairwise(edges):
-                mean = apart[low:high].mean()
-                yield Band(
-                    one.label, command, output, float(record.frequencies[low]),
-                    float(record.frequencies[high - 1]), str(said[low]),
-                    float(np.exp(mean.real)), float(mean.imag),
-                )  # fmt: skip
+def _bands(
+    record: FrequencyResponse, one: ModelResponse, command: str, output: str
+) -> Iterator[Band]:
+    """Neighbouring frequencies of one verdict of a response."""
+    at = slice(None), record.outputs.index(output), record.inputs.index(command)
+    said = one.verdicts[at]
+    edges = [0, *(np.flatnonzero(said[1:] != said[:-1]) + 1), len(said)]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        apart = np.log(one.values[at] / record.values[at])
+    for low, high in pairwise(edges):
+        mean = apart[low:high].mean()
+        yield Band(
+            one.label, command, output, float(record.frequencies[low]),
+            float(record.frequencies[high - 1]), str(said[low]),
+            float(np.exp(mean.real)), float(mean.imag),
+        )  # fmt: skip
 
 
 def _apart(band: Band) -> tuple[str, str]:

@@ -351,9 +351,9 @@ _IN_3 = {
 def _add_variables_3(root: ElementTree.Element, rows: list[Variable]) -> None:
     """Add the variables and the time, as FMI 3.0 names them: by value references."""
     variables = ElementTree.SubElement(root, "ModelVariables")
-    n_states = sum(row[-1]["causality"] == "local" and "of" not in row[-1] for row in rows)
-    # The C code counts derivatives in any case, whether the importer may ask for them or not.
-    time = len(rows) + (0 if any("of" in row[-1] for row in rows) else n_states)
+    # The C code counts a derivative for each state, whether the importer may ask for it or not.
+    own = [row for row in rows if "of" not in row[-1]]
+    time = len(own) + sum(row[-1]["causality"] == "local" for row in own)
     titles = distinct([*(title for title, _, _, _ in rows), "time"])
     for number, (title, row) in enumerate(zip(titles, rows, strict=False)):
         more = {"derivative" if key == "of" else key: text for key, text in row[-1].items()}

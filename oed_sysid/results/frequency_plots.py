@@ -58,7 +58,7 @@ def figure_frequency(found: FrequencyComparison, output: str) -> Figure:
                 hertz, low_end, high_end, where=~told, color="0.93", step="mid", lw=0, zorder=0
             )
             ax.set(xscale="log", ylim=(low_end, high_end))
-        said = " ".join(words for words in found.verdict if f"{command} to {output}:" in words)
+        said = " ".join(found.said_of(command, output))
         draw.done(gain, said, ylabel=f"{command} to {output}\nmagnitude [dB]", legend=3)
         draw.done(turn, ylabel="phase [deg]")
         share.set_ylim(0.0, 1.02)

@@ -93,99 +93,10 @@ EXPORT fmi2Status fmi2NewDiscreteStates(fmi2Component c, fmi2EventInfo *event)
     return fmi2OK;
 }
 
-EXPORT fmi2Status fmi2CompletedIntegratorStep(fmi2Component c, fmi2Boolean final, fmi2Boolean *event,
-                                              fmi2Boolean *terminate)
-{
-    (void)c; (void)final;
-    *event = *terminate = 0;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SetTime(fmi2Component c, fmi2Real t)
-{
-    ((vehicle *)c)->t = t;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SetContinuousStates(fmi2Component c, const fmi2Real x[], size_t n)
-{
-    if (n != NX) return fmi2Error;
-    memcpy(((vehicle *)c)->z, x, sizeof(double) * NX);
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2GetContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
-{
-    if (n != NX) return fmi2Error;
-    memcpy(x, ((vehicle *)c)->z, sizeof(double) * NX);
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2GetDerivatives(fmi2Component c, fmi2Real dx[], size_t n)
-{
-    vehicle *one = c;
-    if (n != NX) return fmi2Error;
-    ${name}_rates(one->z, one->u, one->p, one->t, dx);
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2GetNominalsOfContinuousStates(fmi2Component c, fmi2Real x[], size_t n)
-{
-    (void)c;
-    for (size_t i = 0; i < n; ++i) x[i] = 1.0;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2GetEventIndicators(fmi2Component c, fmi2Real v[], size_t n)
-{
-    (void)c; (void)v;
-    return n ? fmi2Error : fmi2OK;
-}
+EXCHANGED(fmi2, fmi2Component, fmi2Real, fmi2Boolean, fmi2GetDerivatives)
+KEPT(fmi2, fmi2Component, fmi2FMUstate, fmi2Byte, FMUstate, fmi2DeSerializeFMUstate)
 
 EXPORT fmi2Status fmi2CancelStep(fmi2Component c) { (void)c; return fmi2Error; }
-
-EXPORT fmi2Status fmi2GetFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    return kept(c, state) ? fmi2OK : fmi2Error;
-}
-
-EXPORT fmi2Status fmi2SetFMUstate(fmi2Component c, fmi2FMUstate state)
-{
-    memcpy(c, state, sizeof(vehicle));
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2FreeFMUstate(fmi2Component c, fmi2FMUstate *state)
-{
-    (void)c;
-    free(*state);
-    *state = NULL;
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SerializedFMUstateSize(fmi2Component c, fmi2FMUstate state, size_t *size)
-{
-    (void)c; (void)state;
-    *size = sizeof(vehicle);
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2SerializeFMUstate(fmi2Component c, fmi2FMUstate state, fmi2Byte bytes[],
-                                        size_t size)
-{
-    (void)c;
-    if (size < sizeof(vehicle)) return fmi2Error;
-    memcpy(bytes, state, sizeof(vehicle));
-    return fmi2OK;
-}
-
-EXPORT fmi2Status fmi2DeSerializeFMUstate(fmi2Component c, const fmi2Byte bytes[], size_t size,
-                                          fmi2FMUstate *state)
-{
-    (void)c;
-    if (size < sizeof(vehicle)) return fmi2Error;
-    return kept((const vehicle *)(const void *)bytes, state) ? fmi2OK : fmi2Error;
-}
 
 /* There are real variables only, and neither derivatives nor steps in the background. */
 #define NONE(name, type)                                                                          \

@@ -109,4 +109,87 @@ static int kept(const vehicle *one, void **state)
     return *state != NULL;
 }
 
+/* What the importer integrates in model exchange; there are no events but those of the inputs. */
+#define EXCHANGED(v, Instance, Real, Boolean, rates)                                               \
+    EXPORT v##Status v##CompletedIntegratorStep(Instance c, Boolean final, Boolean *event,         \
+                                                Boolean *terminate)                                \
+    {                                                                                              \
+        (void)c; (void)final;                                                                      \
+        *event = *terminate = 0;                                                                   \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##SetTime(Instance c, Real t)                                                \
+    {                                                                                              \
+        ((vehicle *)c)->t = t;                                                                     \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##SetContinuousStates(Instance c, const Real x[], size_t n)                  \
+    {                                                                                              \
+        if (n != NX) return v##Error;                                                              \
+        memcpy(((vehicle *)c)->z, x, sizeof(double) * NX);                                         \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##GetContinuousStates(Instance c, Real x[], size_t n)                        \
+    {                                                                                              \
+        if (n != NX) return v##Error;                                                              \
+        memcpy(x, ((vehicle *)c)->z, sizeof(double) * NX);                                         \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status rates(Instance c, Real dx[], size_t n)                                        \
+    {                                                                                              \
+        vehicle *one = c;                                                                          \
+        if (n != NX) return v##Error;                                                              \
+        ${name}_rates(one->z, one->u, one->p, one->t, dx);                                         \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##GetNominalsOfContinuousStates(Instance c, Real x[], size_t n)              \
+    {                                                                                              \
+        (void)c;                                                                                   \
+        for (size_t i = 0; i < n; ++i) x[i] = 1.0;                                                 \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##GetEventIndicators(Instance c, Real x[], size_t n)                         \
+    {                                                                                              \
+        (void)c; (void)x;                                                                          \
+        return n ? v##Error : v##OK;                                                               \
+    }
+
+/* State of an instance, kept, put back and as bytes. */
+#define KEPT(v, Instance, State, Byte, name, restore)                                              \
+    EXPORT v##Status v##Get##name(Instance c, State *state)                                        \
+    {                                                                                              \
+        return kept(c, state) ? v##OK : v##Error;                                                  \
+    }                                                                                              \
+    EXPORT v##Status v##Set##name(Instance c, State state)                                         \
+    {                                                                                              \
+        memcpy(c, state, sizeof(vehicle));                                                         \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##Free##name(Instance c, State *state)                                       \
+    {                                                                                              \
+        (void)c;                                                                                   \
+        free(*state);                                                                              \
+        *state = NULL;                                                                             \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##Serialized##name##Size(Instance c, State state, size_t *size)              \
+    {                                                                                              \
+        (void)c; (void)state;                                                                      \
+        *size = sizeof(vehicle);                                                                   \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status v##Serialize##name(Instance c, State state, Byte bytes[], size_t size)        \
+    {                                                                                              \
+        (void)c;                                                                                   \
+        if (size < sizeof(vehicle)) return v##Error;                                               \
+        memcpy(bytes, state, sizeof(vehicle));                                                     \
+        return v##OK;                                                                              \
+    }                                                                                              \
+    EXPORT v##Status restore(Instance c, const Byte bytes[], size_t size, State *state)            \
+    {                                                                                              \
+        (void)c;                                                                                   \
+        if (size < sizeof(vehicle)) return v##Error;                                               \
+        return kept((const vehicle *)(const void *)bytes, state) ? v##OK : v##Error;               \
+    }
+
 $functions
