@@ -354,29 +354,42 @@ class MultipleShooting:
         """Fit again without samples that stand out alone, and how many of how many they were."""
         if self.loss != "auto" or self.horizon is not None:
             return fit
-        before, again, iterations = _measured(fit.dataset), fit, fit.iterations
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
-        if fit.status.code not in ENDED:  # bent so far that it ends nowhere
-            robust = looking._fit(model, fit.dataset, None, None, known_starts)
-            again = robust if robust.status.ok else fit
-        for _ in range(4):  # large ones hide small ones
-            left = _left(again, before)
-            if left is None:
-                break
-            again = looking._fit(model, left, again, None, known_starts)
-            iterations += again.iterations
+
+        def without(again: Fit) -> Fit:
+            for _ in range(4):  # large ones hide small ones
+                left = _left(again, before)
+                if left is None:
+                    break
+                again = looking._fit(model, left, again, None, known_starts)
+                spent.append(again.iterations)
+            return again
+
+        before, spent = _measured(fit.dataset), [fit.iterations]
+        again = without(fit)
+        if not (fit.status.ok or _is_white(again)):
+            # Bent so far that none shows, or by process noise, which no samples take away: first
+            # steps that outliers do not bend tell which.
+            few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
+            begun = replace(looking, solver=few)
+            robust = begun._fit(model, fit.dataset, None, None, known_starts)
+            spent.append(robust.iterations)
+            robust = without(robust)
+            fewer = np.any(_measured(robust.dataset) < before)
+            again = robust if fewer and _is_white(robust) else again
         if again is fit:
             return fit
         again = plain._fit(model, again.dataset, again, None, known_starts)
+        spent.append(again.iterations)
         pairs = zip(before.tolist(), _measured(again.dataset).tolist(), strict=True)
         counts = {
             name: (n - m, n)
             for name, (n, m) in zip(model.output_names, pairs, strict=True)
             if m < n
         }
-        return replace(again, iterations=iterations + again.iterations, excluded=counts)
+        return replace(again, iterations=sum(spent), excluded=counts)
 
     def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
@@ -685,6 +698,13 @@ def _carried(shooting: Shooting, point: Point, warm: Fit | None) -> Start | None
     whole, layout = point.unknowns, shooting.layout
     states = [shooting.initial_state(whole, index) for index in range(len(shooting.records))]
     return Start(shooting.model.values, states, layout.local_values(whole), warm.noise)
+
+
+def _is_white(fit: Fit) -> bool:
+    """Whether white noise of its levels may have left a fit's residuals; see :func:`_bent`."""
+    errors = np.concatenate([part.ravel() for part in fit.series])
+    with np.errstate(over="ignore"):  # of a run that diverges
+        return bool(np.nanmean(errors**2) <= CLEARLY**2)
 
 
 def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
