@@ -6,7 +6,8 @@ A solver that does not converge is not an error but a status (see
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from difflib import get_close_matches
 from functools import wraps
 from typing import Any, ParamSpec, TypeVar
 
@@ -48,6 +49,56 @@ class UnitWarning(UserWarning):
 
 class PrecisionWarning(UserWarning):
     """A calculation has lost so many digits to rounding that its result is not to be trusted."""
+
+
+# -- names that there are not ----------------------------------------------------------
+
+
+def closest(name: str, names: Iterable[str]) -> str:
+    """Sentence that suggests the nearest name, empty if none is near."""
+    # Letters that differ in size only are the nearest.
+    known = {one.lower(): one for one in names}
+    matches = get_close_matches(name.lower(), list(known), n=1)
+    return f" Did you mean {known[matches[0]]!r}?" if matches else ""
+
+
+def located(
+    error: type[OedSysidError],
+    lacking: str,
+    names: Iterable[str],
+    known: Iterable[str],
+    advice: str = "",
+) -> list[int]:
+    """Positions of names among those that there are; an error about the first that is not there.
+
+    Parameters
+    ----------
+    error : type
+        Of the error.
+    lacking : str
+        Who has no such name, and what it would be.
+    names, known : iterable of str
+        What is asked for, and what there is.
+    advice : str
+        What to do, after what there is.
+
+    Examples
+    --------
+    >>> located(DesignError, "Model 'ship' has no output", ["r"], ["psi", "r"])
+    [1]
+    >>> located(DesignError, "Model 'ship' has no output", ["rr"], ["psi", "r"])
+    Traceback (most recent call last):
+        ...
+    oed_sysid.errors.DesignError: Model 'ship' has no output 'rr'. It has psi, r. Did you mean 'r'?
+    """
+    there = [*known]
+    places = {name: index for index, name in reversed([*enumerate(there)])}
+    for name in (wanted := [*names]):
+        if name not in places:
+            has = ", ".join(map(str, there)) or "none"
+            near, said = closest(str(name), map(str, there)), f" {advice}" if advice else ""
+            raise error(f"{lacking} {name!r}. It has {has}.{near}{said}")
+    return [places[name] for name in wanted]
 
 
 # -- old spellings ---------------------------------------------------------------------

@@ -12,8 +12,7 @@ from bad_input.csv_files import CHANNELS, GOOD, NOTED, READ, REFUSED
 
 from oed_sysid import Channels, Input, Output, Record, load_problem, read_csv
 from oed_sysid.cli import BAD_INPUT, DONE, main
-from oed_sysid.data.record import closest
-from oed_sysid.errors import DataError, ProblemError, UnitWarning
+from oed_sysid.errors import DataError, ProblemError, UnitWarning, closest
 from oed_sysid.text import csv_table
 from oed_sysid.text.csv_table import Table, read_table, write_table
 

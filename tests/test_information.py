@@ -353,7 +353,7 @@ def test_noise_that_does_not_fit_is_named() -> None:
     """Missing sensors and sensors without noise are said."""
     model = ship()
     short = NoiseModel.white_only(np.array([5e-3]), ("psi",))
-    with pytest.raises(DesignError, match=r"says nothing of the output.* r "):
+    with pytest.raises(DesignError, match="no level for an output"):
         information_of(model, TEST, noise=short)
     perfect = NoiseModel.white_only(np.array([5e-3, 0.0]), model.output_names)
     with pytest.raises(DesignError, match="white noise of r"):

@@ -302,7 +302,7 @@ def of_zero(fit) -> dict[str, float]:
         ({"purpose": of_zero}, "Quantity 'side' is 0 with structure 'linear'"),
         ({"purpose": lambda fit: {}}, "gives no quantity"),
         ({"purpose": lambda fit: fit.values}, "gives a with structure 'linear' and b with"),
-        ({"scored": ["resistence"]}, "'resistence', which is none of .* 'resistance'"),
+        ({"scored": ["resistence"]}, "'resistence'.* Did you mean 'resistance'"),
         ({"power": -4.0}, "power is -4.0. Give a number above zero"),
         ({"floor": -0.5}, "floor is -0.5. Give a share"),
         ({"horizon": 0.0}, "horizon is 0.0. Give seconds above zero"),

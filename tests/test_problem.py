@@ -341,7 +341,7 @@ def test_templates_read_as_programs(template: str) -> None:
 
 def test_unknown_template_is_refused(tmp_path: Path) -> None:
     """A kind of vehicle that has no template is answered with those that have."""
-    with pytest.raises(ProblemError, match="Choose generic, ship, auv"):
+    with pytest.raises(ProblemError, match="It has generic, ship, auv"):
         new_problem(tmp_path / "boat", template="hovercraft")
     assert not (tmp_path / "boat").exists()
 

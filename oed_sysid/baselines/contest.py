@@ -18,8 +18,7 @@ from oed_sysid import baselines as methods
 from oed_sysid.baselines.kalman import RELATIVE_PRIOR
 from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.record import closest
-from oed_sysid.errors import ModelError, ProblemError, SimulationError
+from oed_sysid.errors import ModelError, ProblemError, SimulationError, closest
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
 from oed_sysid.experiments.problem import Problem, load_problem

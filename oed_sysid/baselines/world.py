@@ -22,8 +22,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.signal import lfilter
 
-from oed_sysid.data.record import Record, closest
-from oed_sysid.errors import ProblemError
+from oed_sysid.data.record import Record
+from oed_sysid.errors import ProblemError, closest
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import Place, with_disturbance_inputs

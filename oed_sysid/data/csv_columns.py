@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.data.record import TIME_ADVICE, closest, time_fault, wrap_fault
-from oed_sysid.errors import DataError, UnitWarning
+from oed_sysid.data.record import TIME_ADVICE, time_fault, wrap_fault
+from oed_sysid.errors import DataError, UnitWarning, closest
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import Table, time_stamp
 from oed_sysid.text.units import (

@@ -35,8 +35,8 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
-from oed_sysid.data.record import Record, closest
-from oed_sysid.errors import DataError
+from oed_sysid.data.record import Record
+from oed_sysid.errors import DataError, closest
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text.csv_table import Table, read_table, write_table

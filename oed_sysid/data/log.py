@@ -44,8 +44,8 @@ from types import ModuleType
 
 import numpy as np
 
-from oed_sysid.data.record import closest, on_circle
-from oed_sysid.errors import DataError
+from oed_sysid.data.record import on_circle
+from oed_sysid.errors import DataError, closest
 from oed_sysid.runtime.display import align
 from oed_sysid.text.units import is_unit, parse_header
 

@@ -45,8 +45,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.log import Log, Series, symbol_of
-from oed_sysid.data.record import closest
-from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.errors import DataError, OedSysidError, closest
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.files import write_text
 from oed_sysid.text.units import dimension, to_si

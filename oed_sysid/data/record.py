@@ -20,9 +20,8 @@ Records that were sampled alike.
 
 from __future__ import annotations
 
-import difflib
 import hashlib
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
@@ -30,7 +29,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels
 from oed_sysid.runtime.display import as_html, counted
 
@@ -495,12 +494,7 @@ class Record:
         return self.outputs[:, self._index(name, self.channels.output_names, "output")]
 
     def _index(self, name: str, names: tuple[str, ...], kind: str) -> int:
-        if name not in names:
-            raise DataError(
-                f"Record {self.name!r} has no {kind} {name!r}. It has {', '.join(names)}."
-                + closest(name, names)
-            )
-        return names.index(name)
+        return located(DataError, f"Record {self.name!r} has no {kind}", [name], names)[0]
 
     def _take(self, rows: slice | np.ndarray, name: str) -> Record:
         outputs = self.outputs[rows]
@@ -606,14 +600,6 @@ def time_fault(times: np.ndarray) -> tuple[int, str] | None:
         return None
     index = int(late[0]) + 1
     return index, "repeats" if times[index] == times[index - 1] else "runs backwards"
-
-
-def closest(name: str, names: Iterable[str]) -> str:
-    """Sentence that suggests the nearest name, empty if none is near."""
-    # Letters that differ in size only are the nearest.
-    known = {one.lower(): one for one in names}
-    matches = difflib.get_close_matches(name.lower(), list(known), n=1)
-    return f" Did you mean {known[matches[0]]!r}?" if matches else ""
 
 
 # -- records that were sampled alike ---------------------------------------------------

@@ -21,12 +21,11 @@ from oed_sysid.data.record import (
     GAP,
     MINIMUM_SAMPLES,
     Record,
-    closest,
     empty_outputs,
     unwrapped,
     wrap_fault,
 )
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, closest
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.units import converts, same_unit, to_si
 

@@ -25,8 +25,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from oed_sysid.data.record import closest
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, closest
 from oed_sysid.runtime.files import write_bytes
 
 # -- from the files of third parties as they publish them to the form that this package reads

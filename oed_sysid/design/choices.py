@@ -7,7 +7,7 @@ from typing import Any, TypeVar
 
 from oed_sysid.design.criteria import AOptimal, DOptimal, EOptimal
 from oed_sysid.design.waveforms import Levels, Multisines, Pulses
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 
 CRITERIA: Mapping[str, Callable[[], Any]] = {"D": DOptimal, "A": AOptimal, "E": EOptimal}
 FAMILIES: Mapping[str, Callable[..., Any]] = {
@@ -33,6 +33,5 @@ def named(what: str, name: str, choices: Mapping[str, T]) -> T:
     DesignError
         If it stands for nothing; the message lists the names.
     """
-    if name not in choices:
-        raise DesignError(f"There is no {what} {name!r}. Choose one of {', '.join(choices)}.")
+    located(DesignError, f"This package has no {what}", [name], choices)
     return choices[name]

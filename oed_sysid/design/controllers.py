@@ -40,7 +40,7 @@ from oed_sysid.data.log import library
 from oed_sysid.design.assurance import AbortRule
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.design.vehicles import outside, quantity, units_of
-from oed_sysid.errors import DesignError, FileError
+from oed_sysid.errors import DesignError, FileError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
 from oed_sysid.experiments.simulation import simulate
@@ -119,8 +119,7 @@ def write_controller(
         If the kind is unknown, the run has another feedback than zigzags, or a signal is not one
         that autopilots know.
     """
-    if kind not in KINDS:
-        raise DesignError(f"There is no controller {kind!r}. Kinds are {', '.join(KINDS)}.")
+    located(DesignError, "This package has no controller", [kind], KINDS)
     plan = plan_of(model, experiment, aborts)
     place = Path(path)
     if kind == "words":
@@ -394,19 +393,14 @@ def write_overrides(
     DesignError
         If a servo belongs to no input, two share a channel, or none is given.
     """
-    for name in servos:
-        if name not in model.input_names:
-            raise DesignError(
-                f"The servo {name!r} is no input of model {model.name!r}; it has "
-                f"{', '.join(model.input_names)}."
-            )
+    lacking = f"Model {model.name!r} has no input"
+    columns = located(DesignError, lacking, servos, model.input_names)
     channels = [servo.channel for servo in servos.values()]
     if len(set(channels)) < len(channels) or not channels:
         raise DesignError("Give one servo or more, each on a channel of its own.")
-    columns = [
-        servo.pulses(inputs[:, model.input_names.index(name)]) for name, servo in servos.items()
-    ]
-    pulses = np.column_stack(columns)
+    pulses = np.column_stack(
+        [servo.pulses(inputs[:, i]) for servo, i in zip(servos.values(), columns, strict=True)]
+    )
     changed = np.concatenate([[True], np.any(np.diff(pulses, axis=0) != 0, axis=1)])
     changed[-1] = True
     table = np.column_stack([np.rint(1000.0 * (times - times[0])), pulses])[changed]

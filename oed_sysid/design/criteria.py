@@ -64,7 +64,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.special import chdtri, chndtr, chndtrinc, ndtr
 
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.information import plays, respond
 from oed_sysid.information.shifts import GROUP_WIDTH, Group, Shifts
@@ -253,13 +253,8 @@ class DsOptimal:
 
     def bind(self, setting: Setting) -> Measure:
         """Return ``log det`` of the Schur complement and its derivative."""
-        for wanted in self.interest:
-            if wanted not in setting.names:
-                raise DesignError(
-                    f"The parameter of interest {wanted!r} is not estimated. Estimated are "
-                    f"{', '.join(setting.names)}."
-                )
-        last = [setting.names.index(name) for name in self.interest]
+        lacking = f"Model {setting.model.name!r} has no parameter that is estimated"
+        last = located(DesignError, lacking, self.interest, setting.names)
         order = np.array([i for i in range(len(setting.names)) if i not in last] + last)
         n_drop = len(order) - len(last)
 

@@ -57,7 +57,7 @@ from oed_sysid.design.vehicles import (
     quantity,
     units_of,
 )
-from oed_sysid.errors import DesignError, FileError
+from oed_sysid.errors import DesignError, FileError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.information.noise import Levels
@@ -130,19 +130,18 @@ class ParameterGoal:
 
     def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
         """Unit vector over the value."""
-        if self.parameter not in names:
-            raise DesignError(
-                f"The goal {self.parameter!r} is no free parameter of model {model.name!r}; free "
-                f"are {', '.join(names)}."
-            )
-        parameter = model.parameter(self.parameter)
+        (column,) = located(DesignError, _no_goal(model), [self.parameter], names)
         row = np.zeros((1, len(names)))
-        row[0, list(names).index(self.parameter)] = 1.0 / parameter.reference
+        row[0, column] = 1.0 / model.parameter(self.parameter).reference
         return row
 
     def words(self, model: Model, deviation: float) -> str:
         """Return a share in per cent."""
         return percent(deviation)
+
+
+def _no_goal(model: Model) -> str:
+    return f"A goal is about a free parameter; model {model.name!r} has no"
 
 
 @dataclass(frozen=True)
@@ -169,12 +168,10 @@ class PredictionGoal:
 
     def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
         """Derivatives of the output at every sample."""
-        if self.output not in model.output_names:
-            raise DesignError(
-                f"The goal is about {self.output!r}, which is no output of model {model.name!r}. "
-                f"It has {', '.join(model.output_names)}."
-            )
-        column = model.output_names.index(self.output)
+        outputs = model.output_names
+        (column,) = located(
+            DesignError, f"Model {model.name!r} has no output", [self.output], outputs
+        )
         response = respond(model, plays(model, self.experiment)[0])
         wanted = [len(model.states) + model.free_names.index(name) for name in names]
         return np.asarray(response.jacobian[:, column, wanted])
@@ -625,11 +622,7 @@ class _Outlook:
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:
     """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free."""
     names = [p.name for p in model.free_parameters if not p.per_record]
-    if unknown := [key for key in given if key not in (*names, "all")]:
-        raise DesignError(
-            f"The goal {unknown[0]!r} is no free parameter of model {model.name!r}; free are "
-            f"{', '.join(names)}, or 'all'."
-        )
+    located(DesignError, _no_goal(model), given, (*names, "all"))
     each = [(n, t) for key, t in given.items() for n in (names if key == "all" else [key])]
     return tuple(ParameterGoal(name, tolerance) for name, tolerance in dict(each).items())
 

@@ -33,7 +33,7 @@ import numpy as np
 
 from oed_sysid.design.vehicles import LimitBounds, kept_on
 from oed_sysid.design.waveforms import Grid, neutral_within
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Piecewise, ZigZag, schroeder_phases
 from oed_sysid.experiments.simulation import Trajectory, simulate_inputs
@@ -213,10 +213,7 @@ def candidate_runs(
     DesignError
         If no run keeps the limits.
     """
-    if unknown := {*kinds} - {*KINDS}:
-        raise DesignError(
-            f"There is no kind of run {min(unknown)!r}. Kinds are {', '.join(KINDS)}."
-        )
+    located(DesignError, "The library has no kind of run", kinds, KINDS)
     found: list[Candidate] = []
     speeds = _distinct([patterns] if isinstance(patterns, Experiment) else patterns)
     if not speeds or turnaround < 0:

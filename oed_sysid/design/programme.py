@@ -37,7 +37,7 @@ from oed_sysid.design.result import Design, Programme, Standard, joint_share
 from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import CHECKED, LimitBounds, draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
-from oed_sysid.errors import DesignError, OedSysidError, respelled
+from oed_sysid.errors import DesignError, OedSysidError, located, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Manoeuvre, Piecewise, ZigZag
 from oed_sysid.likelihood.fit import Fit
@@ -292,12 +292,7 @@ class _Planner:
     def measured(self, subset: Sequence[str]) -> tuple[str, ...]:
         """Outputs that are measured with some of the optional sensors."""
         model, optional = self.expected.model, self.budget.sensors
-        for name in optional:
-            if name not in model.output_names:
-                raise DesignError(
-                    f"The sensor {name!r} is no output of model {model.name!r}; it has "
-                    f"{', '.join(model.output_names)}."
-                )
+        located(DesignError, f"Model {model.name!r} has no output", optional, model.output_names)
         return tuple(n for n in model.output_names if n not in optional or n in subset)
 
     def sensor_hours(self, subset: Sequence[str]) -> float:

@@ -25,7 +25,7 @@ from oed_sysid.design.vehicles import (
     in_waves,
 )
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.physics.model import Model
@@ -108,18 +108,12 @@ class Trial:
             )
         for name in dict.fromkeys((*names, *model.input_names)):
             self._check_input(model, name, is_designed=name in names)
-        if unknown := [n for n in self.initial if n not in model.state_names]:
-            raise DesignError(
-                f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
-                f"{', '.join(model.state_names)}."
-            )
+        located(DesignError, f"Model {model.name!r} has no state", self.initial, model.state_names)
         return names
 
     def _check_input(self, model: Model, name: str, *, is_designed: bool) -> None:
         """Refuse an input that the model has not, or of which nothing says what it does."""
-        if name not in model.input_names:
-            has = ", ".join(model.input_names)
-            raise DesignError(f"Model {model.name!r} has no input {name!r}. It has {has}.")
+        located(DesignError, f"Model {model.name!r} has no input", [name], model.input_names)
         if is_designed and not np.all(np.isfinite(self.limits.inputs.get(name, np.inf))):
             raise DesignError(
                 f"The input {name!r} is to be designed but has no finite range. Give "

@@ -42,7 +42,7 @@ from scipy.special import betaincinv
 
 from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.design.criteria import Criterion
-from oed_sysid.errors import DesignError, OedSysidError
+from oed_sysid.errors import DesignError, OedSysidError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
 from oed_sysid.experiments.trajectory import state_names
@@ -156,12 +156,9 @@ class LimitBounds:
         known = {name: n_full + i for i, name in enumerate(model.output_names)}
         known |= {name: i for i, name in enumerate(states)}
         limited = [*limits.signals.items(), *(end or {}).items()]
+        lacking = f"A limit is on nothing: model {model.name!r} has no state or output"
+        located(DesignError, lacking, dict(limited), {**dict.fromkeys(states), **known})
         for name, pair in limited:
-            if name not in known:
-                raise DesignError(
-                    f"The limit of {name!r} is on nothing: model {model.name!r} has the states "
-                    f"and outputs {', '.join(dict.fromkeys((*states, *model.output_names)))}."
-                )
             if not float(pair[0]) < float(pair[1]):
                 raise DesignError(f"The limit of {name!r} is {pair}; lower has to be below upper.")
         lower, upper = np.array([pair for _, pair in limited], dtype=float).reshape(-1, 2).T

@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.runtime.display import plain
 
 #: Times and commands are floating-point sums: they count as equal within this share.
@@ -221,22 +221,17 @@ class Excitation(ABC):
         'doublet of rudder: +0.2 then -0.2, 4 s each, from 0 s'
         """
         known = {kind.kind: kind for kind in _kinds() if "kind" in vars(kind)}
-        name = data.get("kind")
-        if name not in known:
-            raise ModelError(f"Unknown kind of manoeuvre {name!r}. Known: {', '.join(known)}.")
+        name = str(data.get("kind"))
+        located(ModelError, "This package has no kind of manoeuvre", [name], known)
         found = known[name]
         if not issubclass(found, cls):
             raise ModelError(
                 f"A stored {name!r} is a {found.__name__}, not a {cls.__name__}. "
                 "Use Excitation.from_dict."
             )
-        allowed = {field.name for field in _settings(found)}
+        allowed = [field.name for field in _settings(found)]
         settings = {key: _revived(value) for key, value in data.items() if key != "kind"}
-        if unknown := settings.keys() - allowed:
-            raise ModelError(
-                f"A stored {name!r} has the unknown setting(s) {', '.join(sorted(unknown))}. "
-                f"Known: {', '.join(sorted(allowed))}."
-            )
+        located(ModelError, f"A {name!r} has no setting", settings, allowed)
         try:
             return found(**settings)
         except TypeError as error:

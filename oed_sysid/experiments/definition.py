@@ -25,8 +25,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.record import closest
-from oed_sysid.errors import OedSysidError, ProblemError
+from oed_sysid.errors import OedSysidError, ProblemError, closest, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Channels, settle
@@ -225,7 +224,7 @@ class Problem:
         """
         if name in self.others:
             return self.others[name]
-        self._check_known("model", name, self.variants, f" ({DEFAULT} is the nominal one)")
+        self._check_known("model", name, self.variants)
         if name == DEFAULT:
             return self
         model = self.models[name]
@@ -261,13 +260,9 @@ class Problem:
         self._check_known("experiment", name, self.experiments)
         return self.experiments[name]
 
-    def _check_known(self, kind: str, name: str, known: Iterable[str], note: str = "") -> None:
+    def _check_known(self, kind: str, name: str, known: Iterable[str]) -> None:
         """Raise :class:`ProblemError` for a part that there is not."""
-        if name not in known:
-            raise ProblemError(
-                f"Problem {self.name!r} has no {kind} {name!r}. It has "
-                f"{', '.join(known) or 'none'}{note}." + closest(name, known)
-            )
+        located(ProblemError, f"Problem {self.name!r} has no {kind}", [name], known)
 
     def data(self) -> Dataset:
         """Return the measured records of this problem.

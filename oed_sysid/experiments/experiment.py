@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.base import ROUNDING
 from oed_sysid.experiments.manoeuvres import Combined, Excitation, Manoeuvre
 from oed_sysid.physics.channels import settle
@@ -99,7 +99,8 @@ class Limits:
             ("input", (*self.inputs, *self.rates), model.input_names),
             ("signal", self.signals, (*model.state_names, *states, *model.output_names)),
         ):
-            _known(limited, known, f"The limit of {kind} {{}} is on nothing: model {model.name!r}")
+            lacking = f"A limit is on nothing: model {model.name!r} has no {kind}"
+            located(DesignError, lacking, limited, known)
 
 
 @dataclass(frozen=True)
@@ -313,18 +314,17 @@ class Experiment:
 
     def check_model(self, model: Model) -> None:
         """Raise :class:`DesignError` if the experiment does not fit a model."""
-        owner, its = f"Experiment {self.name!r}", f"model {model.name!r}"
-        _known(self.inputs, model.input_names, f"{owner} commands {{}}, but {its}")
-        _known(self.initial, model.state_names, f"{owner} starts at {{}}, but {its}")
-        _known(self.noise, model.output_names, f"{owner} adds noise to {{}}, but {its}")
+        seen = [name for manoeuvre in self.manoeuvres for name in manoeuvre.feedback]
+        for kind, names, known in (
+            ("input", self.inputs, model.input_names),
+            ("state", self.initial, model.state_names),
+            ("output", self.noise, model.output_names),
+            ("output or state", seen, (*model.output_names, *model.state_names)),
+        ):
+            lacking = f"Experiment {self.name!r} does not fit: model {model.name!r} has no {kind}"
+            located(DesignError, lacking, names, known)
         if missing := [name for name in model.input_names if name not in self.inputs]:
             raise DesignError(self._no_command(missing))
-        for manoeuvre in self.manoeuvres:
-            _known(
-                manoeuvre.feedback,
-                (*model.output_names, *model.state_names),
-                f"{owner} reacts to {{}}, but {its}",
-            )
         self.limits.check_names(model)
 
     def describe(self) -> str:
@@ -388,13 +388,3 @@ def _beyond(
                 f"{side} its limit of {bound:g}"
             )
     return broken
-
-
-def _known(names: Iterable[str], known: Sequence[str], message: str) -> None:
-    """Raise if a name is unknown; the message has a place for it."""
-    for name in names:
-        if name not in known:
-            raise DesignError(
-                f"{message.format(repr(name))} has only {', '.join(known) or 'none'}. "
-                "Correct the name."
-            )

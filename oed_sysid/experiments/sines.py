@@ -27,7 +27,7 @@ from typing import ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.experiments import base
 from oed_sysid.experiments.base import FloatArray, Numbers, Rule, Waveform
 from oed_sysid.experiments.schedules import about, within
@@ -295,8 +295,8 @@ def orthogonal_multisines(
     (1.44, 1.52)
     """
     for given in (spectra, neutral):
-        if peaks and (unknown := [name for name in given or {} if name not in peaks]):
-            raise ModelError(f"{unknown[0]!r} has no peak. Inputs are {', '.join(peaks)}.")
+        if peaks:
+            located(ModelError, "The set of peaks has no input", given or {}, peaks)
     lines = _common_lines(tuple(peaks), period, lowest, highest)
     found = []
     for position, (name, peak) in enumerate(peaks.items()):

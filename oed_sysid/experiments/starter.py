@@ -28,7 +28,7 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.data.dataset import write_csv
-from oed_sysid.errors import DataError, FileError, ProblemError
+from oed_sysid.errors import DataError, FileError, ProblemError, located
 from oed_sysid.experiments.catalogue import FILE, load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.runtime.files import make_folder, write_text
@@ -105,8 +105,7 @@ def new_problem(
             f"{place} exists already and is not an empty folder. Give a new name, or go on with "
             "it: oed-sysid problems FOLDER, in Python oed_sysid.load_problem(folder)."
         )
-    if template not in TEMPLATES:
-        raise ProblemError(f"No template is called {template!r}. Choose {', '.join(TEMPLATES)}.")
+    located(ProblemError, "This package has no template", [template], TEMPLATES)
     words = {
         "name": name,
         "title": name.replace("_", " ").capitalize(),
@@ -252,10 +251,7 @@ def _column_name(name: str, before: list[_Signal]) -> str:
 def _commands(log: Path, signals: list[_Signal], inputs: tuple[str, ...]) -> list[_Signal]:
     if inputs:
         known = {s.column: s for s in signals} | {s.name: s for s in signals}
-        if unknown := [name for name in inputs if name not in known]:
-            raise ProblemError(
-                f"{log.name} has no column {unknown[0]!r} with a unit. It has {', '.join(known)}."
-            )
+        located(ProblemError, f"{log.name} has no column with a unit called", inputs, known)
         return [known[name] for name in inputs]
     found = [s for s in signals if _COMMAND.search(s.name) and np.isfinite(s.values).all()]
     if not found:

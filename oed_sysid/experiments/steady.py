@@ -12,7 +12,7 @@ from scipy.optimize import least_squares
 
 from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.graph import Graph
-from oed_sysid.errors import SimulationError
+from oed_sysid.errors import SimulationError, located
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.trajectory import state_scales
 from oed_sysid.physics.model import Model
@@ -241,16 +241,11 @@ def linearise(
         )
     graph = graph_module.build(model)
     kept = tuple(outputs) if outputs is not None else model.output_names
-    if unknown := [name for name in kept if name not in model.output_names]:
-        raise SimulationError(
-            f"Model {model.name!r} has no output {unknown[0]!r}. It has "
-            f"{', '.join(model.output_names)}."
-        )
+    rows = located(SimulationError, f"Model {model.name!r} has no output", kept, model.output_names)
     n_states = graph.n_states
     x = np.array([point.states[name] for name in graph.state_names])
     u = np.array([point.inputs[name] for name in model.input_names])
     motion, seen = map(np.array, _settled(graph, model.step)(x, u, model.value_vector)[1:])
-    rows = [model.output_names.index(name) for name in kept]
     return control.ss(
         motion[:, :n_states],
         motion[:, n_states:],
@@ -300,11 +295,8 @@ def _check(
     mentioned: tuple[str, ...],
 ) -> None:
     """Raise if a name is unknown, or an input neither given nor free."""
-    for name in (*given, *free, *mentioned):
-        if name not in known:
-            raise SimulationError(
-                f"Model {model.name!r} has no state or input {name!r}. It has {', '.join(known)}."
-            )
+    lacking = f"Model {model.name!r} has no state or input"
+    located(SimulationError, lacking, (*given, *free, *mentioned), known)
     if both := set(given) & set(free):
         raise SimulationError(f"{', '.join(sorted(both))} is both given and free. Choose one.")
     for name in model.input_names:

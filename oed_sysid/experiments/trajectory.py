@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.kernels import kernel
-from oed_sysid.errors import SimulationError
+from oed_sysid.errors import SimulationError, located
 from oed_sysid.physics.model import Model
 
 # Real-axis limit of stability of the classical Runge-Kutta method.
@@ -67,17 +67,13 @@ class Trajectory:
         input: ``signal("z")`` is the true depth, ``output("z")`` the measured.
         """
         known = self.signals
-        if name not in known:
-            raise SimulationError(f"There is no signal {name!r}. There are {', '.join(known)}.")
+        located(SimulationError, "This trajectory has no signal", [name], known)
         return known[name]
 
     def output(self, name: str) -> np.ndarray:
         """Return one noise-free output, shape ``(n_times,)``."""
-        if name not in self.output_names:
-            raise SimulationError(
-                f"There is no output {name!r}. There are {', '.join(self.output_names)}."
-            )
-        return self.outputs[:, self.output_names.index(name)]
+        lacking = "This trajectory has no output"
+        return self.outputs[:, located(SimulationError, lacking, [name], self.output_names)[0]]
 
     @property
     def signals(self) -> dict[str, np.ndarray]:
@@ -214,11 +210,7 @@ def start_array(model: Model, initial: Mapping[str, float] | ArrayLike | None) -
     if initial is None:
         return np.zeros(len(names))
     if isinstance(initial, Mapping):
-        if unknown := [name for name in initial if name not in names]:
-            raise SimulationError(
-                f"The start names {unknown[0]!r}, but model {model.name!r} has the states "
-                f"{', '.join(names)}."
-            )
+        located(SimulationError, f"Model {model.name!r} has no state", initial, names)
         own = np.array([initial.get(name, 0.0) for name in names], dtype=float)
     else:
         own = np.asarray(initial, dtype=float)

@@ -13,8 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
-from oed_sysid.data.record import closest
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, closest
 from oed_sysid.export.c_code import example_test, header, source, write_fmu
 from oed_sysid.export.program import Program, identifier, program_of
 from oed_sysid.export.scripts import control_text, matlab_text, python_text, write_casadi

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError, OedSysidError, respelled
+from oed_sysid.errors import DesignError, OedSysidError, located, respelled
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import Levels, noise_of
@@ -130,12 +130,8 @@ class RunInformation:
         outputs: Sequence[str] | None = None,
         shifts: Shifts | None = None,
     ) -> None:
-        for name in outputs or ():
-            if name not in model.output_names:
-                raise DesignError(
-                    f"There is no output {name!r} in model {model.name!r}; it has "
-                    f"{', '.join(model.output_names)}."
-                )
+        lacking = f"Model {model.name!r} has no output"
+        located(DesignError, lacking, outputs or (), model.output_names)
         disturbed, self._levels = expected_noise(model, noise)
         self._model, self._start, self._outputs = model, start, outputs
         self._shifts = shifts
@@ -254,14 +250,10 @@ def prior_factor(
     if priors is None:
         return np.zeros((0, len(names)))
     if isinstance(priors, Information):
-        missing = [name for name in priors.names if name not in names]
-        if missing:
-            raise DesignError(
-                f"The prior knows about {', '.join(missing)}, which is not free in model "
-                f"{model.name!r}. Free it, or give information on {', '.join(names)}."
-            )
+        lacking = f"The prior is about more than is free: model {model.name!r} has no"
+        columns = located(DesignError, lacking, priors.names, names)
         rows = np.zeros((len(priors.factor), len(names)))
-        rows[:, [names.index(name) for name in priors.names]] = priors.factor / priors.scales
+        rows[:, columns] = priors.factor / priors.scales
         return rows
     if isinstance(priors, str):
         if priors != "model":

@@ -11,7 +11,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.errors import DesignError, SimulationError
+from oed_sysid.errors import DesignError, SimulationError, located
 from oed_sysid.information.bound import RunInformation
 from oed_sysid.information.response import Play, respond
 from oed_sysid.likelihood.information import Information
@@ -428,13 +428,8 @@ def _cosine(one: Sequence[str], other: Sequence[str], motions: Mapping[str, np.n
 
 
 def _columns(information: Information, names: Sequence[str]) -> np.ndarray:
-    unknown = [name for name in names if name not in information.names]
-    if unknown:
-        raise DesignError(
-            f"There is no information on {', '.join(unknown)}; only on "
-            f"{', '.join(information.names)}."
-        )
-    return information.factor[:, [information.names.index(name) for name in names]]
+    known = information.names
+    return information.factor[:, located(DesignError, "Information has no", names, known)]
 
 
 @dataclass(frozen=True)

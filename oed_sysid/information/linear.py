@@ -11,19 +11,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.simulation import Equilibrium, linearise
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, as_dict, as_text
-
-
-def _place(model: Model, kind: str, name: str, known: Sequence[str]) -> int:
-    """Position of a signal of the model, or :class:`DesignError`."""
-    if name not in known:
-        raise DesignError(
-            f"Model {model.name!r} has no {kind} {name!r}. It has {', '.join(known)}."
-        )
-    return known.index(name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +105,7 @@ def subsystem(
     inputs : ndarray (n, n_inputs)
     """
     linear = linearise(model, point)
-    names = list(linear.state_labels)
-    rows = [_place(model, "state", name, names) for name in states]
+    rows = located(DesignError, f"Model {model.name!r} has no state", states, linear.state_labels)
     return np.asarray(linear.A)[np.ix_(rows, rows)], np.asarray(linear.B)[rows]
 
 
@@ -185,7 +175,8 @@ def nomoto(
     K. Nomoto, T. Taguchi, K. Honda, S. Hirano, On the steering qualities of
     ships, *International Shipbuilding Progress* 4 (1957) 354-370.
     """
-    column = _place(model, "input", rudder, model.input_names)
+    lacking = f"Model {model.name!r} has no input"
+    (column,) = located(DesignError, lacking, [rudder], model.input_names)
     matrix, columns = subsystem(model, point, (sway, yaw))
     return nomoto_of(matrix, columns[:, column])
 

@@ -23,7 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.response import Levels, plays
@@ -58,7 +58,7 @@ def noise_of(
     names = model.output_names
     stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
     if isinstance(levels, Mapping):
-        _known(model, levels)
+        located(DesignError, f"Model {model.name!r} has no output", levels, names)
         stds |= levels
     elif levels is not None:
         given = np.asarray(levels, dtype=float)
@@ -76,15 +76,6 @@ def noise_of(
                 f"Output(noise_std=...) or noise={{{name!r}: standard deviation}}."
             )
     return np.array([stds[name] for name in names], dtype=float)
-
-
-def _known(model: Model, given: Mapping[str, object]) -> None:
-    for name in given:
-        if name not in model.output_names:
-            raise DesignError(
-                f"Noise is given for {name!r}, which is no output of model {model.name!r}. It has "
-                f"{', '.join(model.output_names)}."
-            )
 
 
 SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DesignError, respelled
+from oed_sysid.errors import DesignError, located, respelled
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.bound import COLOURED, RunInformation
 from oed_sysid.information.identifiability import Subset, identifiable_subset
@@ -97,10 +97,8 @@ class SensitivityRanking:
 
     def row(self, name: str) -> Sensitivity:
         """Return one parameter."""
-        if name not in self.by_information:
-            ranked = ", ".join(self.by_information)
-            raise DesignError(f"{name!r} was not ranked; ranked are {ranked}.")
-        return self.rows[self.by_information.index(name)]
+        lacking = "The ranking has no parameter"
+        return self.rows[located(DesignError, lacking, [name], self.by_information)[0]]
 
     def document(self, *, title: str = "") -> Report:
         """Return the ranking, and which parameters can be estimated together."""
@@ -252,11 +250,7 @@ def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
     run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial, throw=False)
     known = {name: run.signal(name) for name in run.state_names}
     known |= {name: run.output(name) for name in run.output_names}
-    if unknown := [name for name in names if name not in known]:
-        raise DesignError(
-            f"Model {model.name!r} has no output or state {unknown[0]!r}. It has "
-            f"{', '.join(dict.fromkeys((*model.output_names, *run.state_names)))}."
-        )
+    located(DesignError, f"Model {model.name!r} has no output or state", names, known)
     return np.column_stack([known[name] for name in names])
 
 

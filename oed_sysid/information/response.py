@@ -34,7 +34,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import filter_kernel
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import DesignError
+from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places
@@ -330,13 +330,8 @@ def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
     """
     names = model.output_names
     if noise.outputs and tuple(noise.outputs) != names:
-        missing = [name for name in names if name not in noise.outputs]
-        if missing:
-            raise DesignError(
-                f"The noise says nothing of the output(s) {', '.join(missing)} of model "
-                f"{model.name!r}; it knows {', '.join(noise.outputs)}. Add their levels."
-            )
-        order = [noise.outputs.index(name) for name in names]
+        lacking = f"The noise has no level for an output of model {model.name!r},"
+        order = located(DesignError, lacking, names, noise.outputs, "Add it.")
         noise = replace(
             noise, white=noise.white[order], colour=noise.colour[order],
             colour_time=noise.colour_time[order], outputs=names,

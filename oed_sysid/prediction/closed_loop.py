@@ -26,7 +26,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.record import Record
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import measured_columns, measured_states
 from oed_sysid.physics.model import Model
@@ -165,11 +165,7 @@ def closed_loop(
         If the model has no such input.
     """
     fit, model = asked(fit_or_model)
-    if control.input not in model.input_names:
-        raise ModelError(
-            f"The law gives {control.input!r}; model {model.name!r} has the inputs "
-            f"{', '.join(model.input_names)}."
-        )
+    located(ModelError, f"Model {model.name!r} has no input", [control.input], model.input_names)
     rng = rng or np.random.default_rng(0)
     sigma = np.zeros(len(model.outputs)) if fit is None else fit.sigma
     held = model.fix(*model.free_names)

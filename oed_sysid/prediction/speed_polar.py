@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.experiments.experiment import Limits
 from oed_sysid.experiments.simulation import equilibrium
 from oed_sysid.likelihood.fit import Fit
@@ -51,11 +51,8 @@ class SailingNames:
             ((self.wind_speed, self.wind_from, self.sheet, self.helm), model.input_names, "input"),
             ((self.speed, self.heading), model.state_names, "state"),
         ):
-            if missing := [name for name in needed if name not in have]:
-                raise ModelError(
-                    f"Model {model.name!r} has no {kind} {missing[0]!r}: {', '.join(have)}. Say "
-                    "what it is called with names=SailingNames(...)."
-                )
+            advice = "Say what it is called with names=SailingNames(...)."
+            located(ModelError, f"Model {model.name!r} has no {kind}", needed, have, advice)
 
 
 @dataclass(frozen=True, eq=False)

@@ -33,8 +33,7 @@ from scipy.special import ndtri
 
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.data.record import closest
-from oed_sysid.errors import DataError, ModelError, OedSysidError
+from oed_sysid.errors import DataError, ModelError, OedSysidError, located
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import first_state
@@ -484,11 +483,7 @@ def _changes(
     scored: Sequence[str],
 ) -> list[float]:
     """Relative changes of the scored quantities from each rung to all records."""
-    if unknown := [name for name in scored if name not in values]:
-        raise ModelError(
-            f"scored names {unknown[0]!r}, which is none of the wanted quantities: "
-            f"{', '.join(values) or 'there are none'}.{closest(unknown[0], values)}"
-        )
+    located(ModelError, "The purpose has no quantity", scored, values)
     if not values:
         raise ModelError("The purpose gives no quantity. Return at least one, by name.")
     moved = []

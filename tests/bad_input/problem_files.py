@@ -259,9 +259,9 @@ REFUSED: tuple[tuple[str, str | dict[str, str | bytes], tuple[str, ...]], ...] =
     ("experiment beyond the limits", swap('constants={"rudder": 0.1}', 'constants={"rudder": 10.0}'),
      ("holds 'rudder' at 10", "[-0.6, 0.6]")),
     ("start of an unknown state", swap("duration=60.0", "duration=60.0, initial={'x': 1.0}"),
-     ("starts at 'x'",)),
+     ("no state 'x'",)),
     ("limit as text", swap("(-0.6, 0.6)", "('-0.6', '0.6')"), ("Limit of input 'rudder'",)),
     ("limit of one number", swap("(-0.6, 0.6)", "0.6"), ("Limit of input 'rudder' is 0.6",)),
     ("zigzag of an unknown input", swap('Experiment("still", duration=60.0, constants={"rudder": 0.1})',
-     'Experiment("z", ZigZag("helm", 0.1, 0.1), duration=60.0)'), ("commands 'helm'",)),
+     'Experiment("z", ZigZag("helm", 0.1, 0.1), duration=60.0)'), ("no input 'helm'",)),
 )  # fmt: skip
