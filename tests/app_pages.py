@@ -4,10 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cloudpickle
 import pytest
 
 from oed_sysid import load_problem, new_problem
+from oed_sysid.app.jobs import Desk, Job, Request, _name, said_of
 from oed_sysid.cli.study import Study
+from oed_sysid.cli.terminal import Shown
 
 testing = pytest.importorskip("streamlit.testing.v1", reason="needs the extra 'app'")
 PATIENCE = 300.0  # s, for a loaded computer; a free one needs a tenth
@@ -42,12 +45,33 @@ def following(app):
 
 def at_fit(app):
     """The page Fit, the check of the log behind it."""
+    app = fine(checked(app))
+    assert app.header[0].value == "Check the log"
+    return following(app)
+
+
+def records_for(app, use: str):
+    """The choice of records for training or validation."""
+    return next(choice for choice in app.multiselect if choice.label == f"{use} records")
+
+
+def uploaded(problem: object, kind: str, *files: tuple[str, bytes]):
+    """The first page with files of the user: ``"CSV files"`` or ``"logs"``."""
+    app = opened(problem)
+    app.button_group[0].set_value(f"My {kind}").run()
+    app.file_uploader[0].set_value([(*file, "text/csv") for file in files]).run()
+    return app
+
+
+def checked(app):
+    """The page Check with its result."""
     from oed_sysid.app.visit import desk
 
     app = following(app)
-    assert app.header[0].value == "Check the log"
     desk().wait()
-    return following(fine(app.run()))
+    app = app.run()
+    assert not app.exception
+    return app
 
 
 def done(app, button: str):
@@ -80,12 +104,26 @@ def reopened(app, problem: object = None):
     return again.run()
 
 
+class DeskHere(Desk):
+    """Does the work of pages in a thread of this process, which has everything imported."""
+
+    def _run(self, job: Job, key: str, request: Request) -> None:
+        try:
+            outcome = request.task(request.study(), Shown(), request.options)
+            self._store.write(_name(key), cloudpickle.dumps(outcome.drawn()))
+            job.result = self._read(key)
+            job.end("done")
+        except Exception as error:
+            job.fail(said_of(error))
+
+
 @pytest.fixture(autouse=True, scope="module")
 def own_shelf(tmp_path_factory):
     """Studies and results of these tests, not the user's."""
     folder = tmp_path_factory.mktemp("private")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("oed_sysid.app.visit.private_cache", lambda: folder)
+        patch.setattr("oed_sysid.app.visit.Desk", DeskHere)
         from oed_sysid.app.visit import desk
 
         desk.clear()

@@ -16,11 +16,13 @@ import pytest
 from app_pages import (  # noqa: F401
     PATIENCE,
     at_fit,
+    checked,
     done,
     fine,
     following,
     opened,
     own_shelf,
+    records_for,
     reopened,
     script,
     ship_folder,
@@ -28,6 +30,7 @@ from app_pages import (  # noqa: F401
     testing,
     text_of,
     typed,
+    uploaded,
 )
 
 from oed_sysid import Fit, OedSysidError, load_problem, read_csv, write_csv
@@ -90,8 +93,8 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
 def test_shipped_problem_with_other_records() -> None:
     """Other records of a shipped problem can be chosen; fit and report are of these."""
     app = opened("nomoto_sparse_heading")
-    for part, names in (("Validation records", []), ("Training records", ["fast_rudder"])):
-        next(w for w in app.multiselect if w.label == part).set_value(names).run()
+    for use, names in (("Validation", []), ("Training", ["fast_rudder"])):
+        records_for(app, use).set_value(names).run()
     app = done(at_fit(app), "fit")
     assert app.caption[0].value == "Fitted by multiple shooting to fast_rudder"
     while app.header[0].value != "Report":
@@ -105,15 +108,10 @@ def test_shipped_problem_with_other_records() -> None:
 def test_files_of_the_user(ship: Path) -> None:
     """Uploaded files become records or say why not, and stay when the page is left."""
     good = (ship / "data" / "turning_circle.csv").read_bytes()
-    app = opened(ship)
-    app.button_group[0].set_value("My CSV files").run()
-    bad = ("bad.csv", b"t,rudder\n0,1\n", "text/csv")
-    files = [("circle.csv", good, "text/csv"), bad]
-    app.file_uploader[0].set_value(files).run()
+    app = uploaded(ship, "CSV files", ("circle.csv", good), ("bad.csv", b"t,rudder\n0,1\n"))
     assert not app.exception
     assert [error.value for error in app.error if "**bad.csv** was refused" in error.value]
-    learn = next(w for w in app.multiselect if w.label == "Training records")
-    assert list(learn.options) == ["circle"]
+    assert list(records_for(app, "Training").options) == ["circle"]
     app = app.button(key="next").click().run()
     app.button(key="next").click().run()
     assert [button.key for button in app.button if button.key == "ask:fit"]
@@ -127,11 +125,7 @@ def test_columns_are_mapped_by_choice(ship: Path) -> None:
     psi = record.output("psi")
     rows = zip(record.times, np.degrees(psi) % 360.0, record.input("rudder"), strict=True)
     lines = ["clock,compass [deg],helm [rad]", *(f"{1000 * t},{h},{u}" for t, h, u in rows)]
-    app = opened(ship)
-    app.button_group[0].set_value("My logs").run()
-    content = "\n".join(lines).encode()
-    app.file_uploader[0].set_value([("circle.csv", content, "text/csv")]).run()
-    fine(app)
+    app = fine(uploaded(ship, "logs", ("circle.csv", "\n".join(lines).encode())))
     assert app.info[0].value.startswith("Choose the column")
     key = f"keep:map:{ship}"
     app.selectbox(key=f"{key}:time").set_value("clock").run()
@@ -148,16 +142,13 @@ def test_columns_are_mapped_by_choice(ship: Path) -> None:
     again = fine(reopened(app, ship))
     assert again.selectbox(key=f"{key}:psi:field").value == "circle.compass [deg]"
     assert again.session_state[f"{key}:psi:wrap"] is True
-    learn = next(w for w in again.multiselect if w.label == "Training records")
-    assert learn.value == ["circle"]
+    assert records_for(again, "Training").value == ["circle"]
 
 
 def test_file_that_is_taken_back(ship: Path) -> None:
     """A file is forgotten when it is taken out, and only then."""
     content = (ship / "data" / "turning_circle.csv").read_bytes()
-    app = opened(ship)
-    app.button_group[0].set_value("My CSV files").run()
-    app.file_uploader[0].set_value([("one.csv", content, "text/csv")]).run()
+    app = uploaded(ship, "CSV files", ("one.csv", content))
     assert app.session_state[f"files:{ship}"] == {"one.csv": content}
     for _ in range(2):
         app.run()
@@ -180,8 +171,8 @@ def test_nothing_is_downloaded_unasked(tmp_path: Path, monkeypatch) -> None:
 def test_a_record_cannot_be_learnt_from_and_judged_with(ship: Path) -> None:
     """Choosing one record for both is said in words."""
     app = opened(ship)
-    for part in ("Training records", "Validation records"):
-        next(w for w in app.multiselect if w.label == part).set_value(["zigzag_10_10"]).run()
+    for use in ("Training", "Validation"):
+        records_for(app, use).set_value(["zigzag_10_10"]).run()
     assert not app.exception
     assert "chosen for training and for validation" in app.error[0].value
 
@@ -310,10 +301,6 @@ def test_application_is_not_imported_with_the_package() -> None:
 
 def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
     """Swapped columns are named on the page Check, with corrected copies to take away."""
-    from oed_sysid.app.visit import desk
-
-    app = opened(ship)
-    app.button_group[0].set_value("My CSV files").run()
     table = (ship / "data" / "zigzag_20_20.csv").read_text().splitlines()
     names = table[0].split(",")
     first, second = (next(i for i, n in enumerate(names) if n.startswith(k)) for k in ("psi", "r "))
@@ -323,11 +310,7 @@ def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
     )
     swapped[second] = names[second].replace("r [", "psi [").replace("/s", "")
     content = "\n".join([",".join(swapped), *table[1:]]) + "\n"
-    app.file_uploader[0].set_value([("log.csv", content.encode(), "text/csv")]).run()
-    app = following(app)
-    desk().wait()
-    app = app.run()
-    assert not app.exception
+    app = checked(uploaded(ship, "CSV files", ("log.csv", content.encode())))
     assert "Log suspect" in app.error[0].value
     assert "swap" in app.error[0].value
     assert "Corrected copies (ZIP)" in {one.label for one in app.get("download_button")}
@@ -336,8 +319,6 @@ def test_check_page_names_a_wrong_log_and_offers_copies(ship: Path) -> None:
 
 def test_check_page_says_what_it_does_not_correct(ship: Path) -> None:
     """A heading of another run is no fault that a copy could undo."""
-    from oed_sysid.app.visit import desk
-
     channels = load_problem(ship).channels
     runs = read_csv([ship / "data" / f"zigzag_{k}.csv" for k in ("10_10", "20_20")], channels)
     n = min(len(run.times) for run in runs)
@@ -347,12 +328,7 @@ def test_check_page_says_what_it_does_not_correct(ship: Path) -> None:
     outputs[:, psi] = runs[1].outputs[:n, psi][::-1]
     wrong = ship / "wrong.csv"
     write_csv(run.with_outputs(outputs), wrong)
-    app = opened(ship)
-    app.button_group[0].set_value("My CSV files").run()
-    app.file_uploader[0].set_value([("log.csv", wrong.read_bytes(), "text/csv")]).run()
-    app = following(app)
-    desk().wait()
-    app = app.run()
+    app = checked(uploaded(ship, "CSV files", ("log.csv", wrong.read_bytes())))
     assert any(one.value.startswith("Not corrected: ") for one in app.warning)
 
 
@@ -595,19 +571,16 @@ def test_reload_finds_the_study_again(ship: Path) -> None:
     app.button_group[0].set_value("My CSV files").run()
     files = [(name, content, "text/csv") for name in ("one.csv", "two.csv")]
     app.file_uploader[0].set_value(files).run()
-    next(w for w in app.multiselect if w.label == "Validation records").set_value([]).run()
+    records_for(app, "Validation").set_value([]).run()
     app = fine(reopened(app))
     assert app.session_state["keep:source"] == str(ship)
-    chosen = {w.label: w.value for w in app.multiselect}
-    assert chosen["Training records"] == ["one"]
-    assert chosen["Validation records"] == []
+    assert [records_for(app, use).value for use in ("Training", "Validation")] == [["one"], []]
 
 
 def test_choices_outlive_their_widgets(ship: Path) -> None:
     """What streamlit forgets of widgets that are not drawn, as beside a job, is chosen still."""
     app = opened(ship)
-    learn = next(w for w in app.multiselect if w.label == "Training records")
-    learn.set_value(["zigzag_10_10"]).run()
+    records_for(app, "Training").set_value(["zigzag_10_10"]).run()
     app = following(app)
     for side in ("train", "test"):
         del app.session_state[f"keep:{side}:{ship}:default:With the problem"]
@@ -619,7 +592,9 @@ def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     """A job goes on while the browser is away, and its result is found by the same address."""
     from oed_sysid.app.visit import desk
 
-    app = at_fit(opened(ship))
+    app = opened(ship)
+    records_for(app, "Training").set_value(["turning_circle"]).run()
+    app = at_fit(app)
     assert not text_of(app)
     app.button(key="ask:fit").click().run()
     (job,) = [j for (who, key), j in desk()._jobs.items()
@@ -635,8 +610,6 @@ def test_two_tabs_are_two_studies(ship: Path) -> None:
     one, two = opened(ship), opened(ship)
     assert one.session_state["study"] != two.session_state["study"]
     for app, name in ((one, "zigzag_10_10"), (two, "turning_circle")):
-        next(w for w in app.multiselect if w.label == "Training records").set_value([name]).run()
+        records_for(app, "Training").set_value([name]).run()
     for app, name in ((one, "zigzag_10_10"), (two, "turning_circle")):
-        again = fine(reopened(app, ship))
-        learn = next(w for w in again.multiselect if w.label == "Training records")
-        assert learn.value == [name]
+        assert records_for(fine(reopened(app, ship)), "Training").value == [name]

@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.stats import t as student
 from turning_ship import SHIP, record
 
@@ -259,7 +260,7 @@ def test_hidden_effects_need_a_checkout(
 BEGIN, END = "<!-- disjoint: begin -->", "<!-- disjoint: end -->"
 
 
-@pytest.mark.parametrize("variation", [0.0, 0.15])
+@pytest.mark.parametrize("variation", [0.0, *slow(0.15)])
 def test_simulated_truth(variation: float) -> None:
     """Errors between records hold with one ship and with five, those of the fit less often then."""
     rng = np.random.default_rng(1)

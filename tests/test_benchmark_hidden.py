@@ -68,6 +68,7 @@ def test_simulator_reproduces_records_of_another_simulator() -> None:
     assert same > 0.9 * data.shape[0] * data.shape[1]
 
 
+@pytest.mark.slow
 def test_noise_is_what_was_asked_for_and_differs_between_records() -> None:
     """Size, colour and independence of sensor noise, over records and cases."""
     cases = [Case(f"{i}", PRIORS, noise=Noise(colour=0.5), seed=i) for i in range(6)]
@@ -273,6 +274,7 @@ def test_an_improvement_that_takes_too_long_is_an_abort() -> None:
         sum(range(1000))
 
 
+@pytest.mark.slow
 def test_problem_of_the_times_has_its_size() -> None:
     """Twelve states, twenty-five free parameters and 36,030 samples."""
     from benchmarks.speed import six_degrees_task
@@ -469,6 +471,7 @@ def test_candidates_are_the_hidden_effects(name: str) -> None:
         )
 
 
+@pytest.mark.slow
 def test_expected_gain_is_what_least_squares_finds() -> None:
     """Noise-free record of a weak effect: the sum of squares that a nominal fit leaves."""
     vehicle = shortened(VEHICLES["motor"], 60)

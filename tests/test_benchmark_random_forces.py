@@ -330,6 +330,7 @@ def test_shipped_reference_fits_the_simulator() -> None:
             assert abs(line["estimates"][name] - value) < 5 * line["std_errors"][name]
 
 
+@pytest.mark.slow
 def test_errors_of_an_unstable_vehicle_are_not_those_of_rounding() -> None:
     """From two starts the errors are the same, and the truth is within four of them.
 

@@ -111,6 +111,7 @@ def test_what_is_believed_departs_and_truth_does_not() -> None:
     }
 
 
+@pytest.mark.slow
 def test_spikes_hurt_who_takes_them_for_motion(tmp_path: Path) -> None:
     """The disturbed fit leaves spikes out; the plain one is bent by them; tables say so."""
     result = benchmark(
@@ -157,6 +158,7 @@ def test_models_with_actuators_are_pushed_too() -> None:
     assert (moved < 1.0).all()
 
 
+@pytest.mark.slow
 def test_bounds_count_what_the_world_adds() -> None:
     """Under disturbance forces nobody can reach what white noise alone would allow.
 

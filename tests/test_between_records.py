@@ -45,18 +45,20 @@ def fit(differing: Dataset) -> Fit:
 
 
 @pytest.mark.parametrize(
-    ("estimator", "force", "near"),
+    ("estimator", "force", "n", "near"),
     [
-        (WHITE, 0.0, 0.15),
-        (MultipleShooting(disturbances="none", horizon=10.0), 0.0, 0.15),
+        (WHITE, 0.0, 6, 0.15),
+        (MultipleShooting(disturbances="none", horizon=10.0), 0.0, 6, 0.15),
         # Levels of the forces are estimated anew in refits, and held to first order.
-        (MultipleShooting(), 0.02, 0.35),
+        (MultipleShooting(), 0.02, 4, 0.35),
     ],
     ids=["whole records", "horizon", "disturbance forces"],
 )
-def test_first_order_is_near_refits(estimator: MultipleShooting, force: float, near: float) -> None:
+def test_first_order_is_near_refits(
+    estimator: MultipleShooting, force: float, n: int, near: float
+) -> None:
     """Leaving a record out of the sums moves estimates as leaving it out of the data does."""
-    data = ships(6, 0.05, seed=1, force=force)
+    data = ships(n, 0.05, seed=1, force=force)
     found = estimator.fit(SHIP, data)
     assert (found.innovations is not None) == (force > 0)
     refits = jackknife(estimator, SHIP, data).std_errors

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden_files import restored
+from marks import slow
 
 from oed_sysid.baselines import OutputError
 from oed_sysid.data.dataset import Dataset
@@ -233,7 +234,7 @@ def test_errors_of_a_wrong_hull_are_those_of_white() -> None:
     assert fit.std_errors["N_v"] == pytest.approx(np.sqrt(inverse[0, 0]), rel=0.4)
 
 
-@pytest.mark.parametrize("noise", ["given", "estimate"])
+@pytest.mark.parametrize("noise", ["estimate", *slow("given")])
 def test_intervals_of_captive_tests_hold_the_truth(noise: str) -> None:
     """Of 4 times 80 intervals of a right model 95 % hold the truth."""
     held = []
@@ -288,14 +289,14 @@ def test_tests_of_a_model_that_remembers_begin_anew() -> None:
         "lag", {"delta": "angle"}, states=(ExtraState("angle", "(delta - angle)/5", "delta"),)
     )
     tests = drift_series(quadratic=0.0)
-    slow = ship() + lag
-    assert len(tests.records(slow)) == 60
-    fit = tests.fit(MultipleShooting(), slow)
+    late = ship() + lag
+    assert len(tests.records(late)) == 60
+    fit = tests.fit(MultipleShooting(), late)
     fast = tests.fit(MultipleShooting(), ship())
     for name in ("Y_v", "Y_d", "N_v", "N_d"):
         assert fit.values[name] == pytest.approx(fast.values[name], rel=1e-6)
         assert fit.std_errors[name] == pytest.approx(fast.std_errors[name], rel=1e-6)
-    found = drift_tests().predict(slow.with_values(TRUTH))
+    found = drift_tests().predict(late.with_values(TRUTH))
     assert found["N"] == pytest.approx(drift_tests().forces["N"], abs=1e-9)
     assert "records       carriage 1 to carriage 60 (60 tests)" in fit.report()
 

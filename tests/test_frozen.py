@@ -47,7 +47,7 @@ def findings(data: Dataset) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize("name", ["nothing", *SPOILT[:2], *slow(*SPOILT[2:])])
+@pytest.mark.parametrize("name", ["nothing", *SPOILT[:1], *slow(*SPOILT[1:])])
 def test_findings_of_the_check(name: str) -> None:
     """Kinds and signals of the findings, in good records and in spoilt copies of them."""
     data = records(AUV)
@@ -94,6 +94,7 @@ def test_claim_on_a_turning_ship(name: str, options: dict[str, float]) -> None:
     check("improve", name, claim(found), FILTERED)
 
 
+@pytest.mark.slow
 def test_diagnosis() -> None:
     """Where the model fails and the ranking of all candidates."""
     found = diagnosed_diver().to_dict()
@@ -120,13 +121,18 @@ def test_design() -> None:
     check("design", "turning ship", kept | {"commands": commands[::5].tolist()}, FILTERED)
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+QUICK = ("cascaded_tanks/torricelli", "esso_osaka", "kvlcc2", "remus_diving_plane")
+
+
+@pytest.mark.parametrize("name", [*QUICK, *slow(*(one for one in SHIPPED if one not in QUICK))])
 def test_shipped_records(name: str) -> None:
     """Process noise is chosen and estimated from shipped records."""
     check("process_noise", name, facts(fit_of(name, disturbances="auto")), FILTERED)
 
 
-@pytest.mark.parametrize("name", SIMULATED)
+@pytest.mark.parametrize(
+    "name", [*(one for one in SIMULATED if one != "sailboat"), *slow("sailboat")]
+)
 def test_disturbed_records(name: str) -> None:
     """Process noise is found where it acts."""
     found = facts(fit_of(name, disturbed=True, disturbances="auto"))
