@@ -21,7 +21,6 @@ module                          subject
 ``start_guess``, ``starts``     where to begin: measurements, kinematics, an earlier fit
 ``windows``                     windows with free start states: globalisation, horizons
 ``shooting``                    white sensors: nodes, condensed derivatives, losses
-``horizons``                    predictions a short time ahead, and their errors
 ``captive``                     forces measured at given motion, in the same likelihood
 ``filtered``, ``random_forces`` process noise and autocorrelated sensors: filter, levels
 ``score_test``                  whether process noise acts at all

@@ -34,6 +34,12 @@ Where a peak is clear, errors are those of the sandwich :math:`H^{-1} B H^{-1}`,
 the autocovariances of the innovations over several periods
 (:func:`~oed_sysid.likelihood.information.coloured_score_covariance`), and never below
 :math:`H^{-1}`.
+
+Scores of windows (:mod:`oed_sysid.likelihood.windows`) are not independent where residuals are
+coloured: ``B`` is then their covariance, neighbours within a tenth of the record included (Newey &
+West 1987, Econometrica 55). Where windows are too few for that, the covariance is :math:`H^{-1}`
+times the residuals' mean square in units of the noise and the samples per independent one.
+Independent tests add to ``B`` what stands above, priors as much as they say.
 """
 
 from __future__ import annotations
@@ -58,9 +64,10 @@ from oed_sysid.likelihood.information import (
     own_samples,
 )
 from oed_sysid.likelihood.noise_levels import RARE
-from oed_sysid.likelihood.projection import BLIND, eliminate, inverse_of, share_of
-from oed_sysid.likelihood.shooting import Linearisation, Loss, Shooting
+from oed_sysid.likelihood.projection import eliminate, inverse_of, project_out, share_of
+from oed_sysid.likelihood.shooting import Linearisation, Loss, Point, Shooting
 from oed_sysid.likelihood.unknowns import Posed
+from oed_sysid.likelihood.windows import Windows
 
 # Residuals below this share of the noise say nothing about it.
 SILENT = 0.01
@@ -83,6 +90,36 @@ def sandwich(white: np.ndarray, middle: np.ndarray) -> np.ndarray:
     result = white.copy()
     result[block] = white[block] @ middle[block] @ white[block]
     return result
+
+
+@dataclass(frozen=True, eq=False)
+class Errors:
+    """What the end of a search says of the shared parameters, everything else estimated along.
+
+    Attributes
+    ----------
+    information : Information
+        As if one-step errors were white.
+    covariance : ndarray (n_shared, n_shared)
+        As they are.
+    sources : Sources or None
+        What priors and each record say.
+    coloured : bool
+        Whether the covariance holds their autocorrelation.
+    scattered : bool
+        Whether it holds that independent tests scatter more than declared.
+    """
+
+    information: Information
+    covariance: np.ndarray
+    sources: Sources | None = None
+    coloured: bool = False
+    scattered: bool = False
+
+
+def asks(coloured: str, found: bool) -> bool:
+    """Whether errors hold what was or was not found in the residuals."""
+    return coloured == "always" or (coloured == "auto" and found)
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +263,7 @@ class ReducedProblem:
             prior = np.sqrt(shooting.limits.prior_weight[columns[drop]])
             inner = np.vstack([flat[:, drop], np.diag(prior)])
             outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
-            reduced = _project_out(inner, outer)
+            reduced = project_out(inner, outer)
             self.rows.append(reduced[: len(flat)].reshape(*residual.shape, n_shared))
             self.prior_rows.append(reduced[len(flat) :])
         own = np.sqrt(shooting.limits.prior_weight[:n_shared])
@@ -238,21 +275,44 @@ class ReducedProblem:
     @property
     def information(self) -> Information:
         """Information of the shared parameters, as if residuals were white."""
-        n_shared = len(self.shooting.layout.shared)
-        scales = self.shooting.limits.scale[:n_shared] * self._slopes
-        stacked = [rows.reshape(rows.shape[0] * rows.shape[1], n_shared) for rows in self.rows]
-        jacobian = np.vstack([*stacked, *self.prior_rows])
+        scales = self.shooting.limits.scale[: len(self._slopes)] * self._slopes
+        jacobian = np.vstack([*self._flat, *self.prior_rows])
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
+
+    @property
+    def _flat(self) -> list[np.ndarray]:
+        """Rows of every record, ``(n_times * n_outputs, n_shared)``."""
+        return [rows.reshape(rows.shape[0] * rows.shape[1], -1) for rows in self.rows]
+
+    def errors(self, coloured: str, *, weighed: bool) -> Errors:
+        """Errors of the shared parameters; of white residuals where they are not ``weighed``.
+
+        Parameters
+        ----------
+        coloured : str
+            See :class:`~oed_sysid.likelihood.summary.Procedure`.
+        weighed : bool
+        """
+        information, told = self.information, self.told
+        white = covariance = information.covariance
+        use, scattered = (asks(coloured, one) for one in (self.is_coloured, told.stray(white)))
+        if ((use or scattered) and weighed) or self.shooting.loss is not None:
+            covariance = self.sandwich(white, coloured=use, scattered=scattered)
+        scattered = scattered and len(told.series) < len(told.records)
+        return Errors(information, covariance, self.sources, use, scattered)
 
     @property
     def sources(self) -> Sources | None:
         """What priors and each record say of the shared parameters; None without any."""
-        n_shared = len(self.shooting.layout.shared)
-        flat = [rows.reshape(rows.shape[0] * rows.shape[1], n_shared) for rows in self.rows]
         pairs = zip(self.told.jacobians, self.told.errors, strict=True)
         scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
-        prior = sum(rows.T @ rows for rows in self.prior_rows)
-        return sources_of([rows.T @ rows for rows in flat], scores, prior, self.shooting.records)
+        matrices = [rows.T @ rows for rows in self._flat]
+        return sources_of(matrices, scores, self._prior, self.shooting.records)
+
+    @property
+    def _prior(self) -> np.ndarray:
+        """Information of what is known before, ``(n_shared, n_shared)``."""
+        return np.asarray(sum(rows.T @ rows for rows in self.prior_rows))
 
     @property
     def is_coloured(self) -> bool:
@@ -302,8 +362,7 @@ class ReducedProblem:
             middle = told.white()
         if coloured or not robust:
             middle += told.of_tests(white, scattered=scattered)
-        middle += sum(rows.T @ rows for rows in self.prior_rows)
-        return sandwich(white, middle)
+        return sandwich(white, middle + self._prior)
 
 
 def _counts(column: np.ndarray) -> bool:
@@ -311,7 +370,7 @@ def _counts(column: np.ndarray) -> bool:
     return int(np.isfinite(column).sum()) > 20
 
 
-def is_coloured(residuals: Sequence[np.ndarray], limit: float = COLOUR_LIMIT) -> bool:
+def is_coloured(residuals: Sequence[np.ndarray]) -> bool:
     """Whether residuals count fewer independent samples than a share of their number."""
     effective = total = 0.0
     for residual in residuals:
@@ -319,7 +378,7 @@ def is_coloured(residuals: Sequence[np.ndarray], limit: float = COLOUR_LIMIT) ->
             if _counts(column):
                 effective += effective_sample_size(column)
                 total += int(np.isfinite(column).sum())
-    return total > 0 and effective < limit * total
+    return total > 0 and effective < COLOUR_LIMIT * total
 
 
 def _scores(
@@ -339,19 +398,6 @@ def _scores(
     count = np.maximum(seen.sum(axis=0), 1)
     gain = np.where(seen, slopes, 0.0).sum(axis=0) / count
     return [score(residual) for residual in residuals], np.maximum(gain, 0.05)
-
-
-def _project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
-    """Part of the columns of ``outer`` that those of ``inner`` cannot explain."""
-    norms = np.linalg.norm(inner, axis=0)
-    inner = inner[:, norms > 0] / norms[norms > 0]
-    if not inner.shape[1]:
-        return outer
-    # By way of a factorization: singular vectors of a tall matrix take several times as long.
-    basis, triangle = np.linalg.qr(inner)
-    rotation, values, _ = np.linalg.svd(triangle)
-    basis = basis @ rotation[:, values > BLIND * values[0]]
-    return outer - basis @ (basis.T @ outer)
 
 
 # Periods that are searched: at least so many samples, and so many of them in a block.
@@ -579,24 +625,24 @@ class ReducedFilter:
             scores.append(part.innovations / np.sqrt(part.variances))
         return Scores(self.problem.records, jacobians, scores)
 
-    def covariance(self, *, tests: bool) -> tuple[np.ndarray, bool]:
-        """Covariance of the shared parameters, and whether independent tests scatter.
+    def errors(self, coloured: str) -> Errors:
+        """Errors of the shared parameters.
 
         Parameters
         ----------
-        tests : bool
-            Whether their part is that of their residuals where these are larger than declared.
+        coloured : str
+            ``"never"`` to hold what independent tests scatter beyond what was declared.
         """
         white = covariance = self.information.covariance
         if self.peaks:
             covariance = self._widened(max(peak.period for peak in self.peaks))
-        independent = any(record.independent for record in self.problem.records)
-        if not (tests and independent and len(white)) or not self.told.stray(white):
-            return covariance, False
-        more = self.told.of_tests(white, scattered=True)
-        more -= self.told.of_tests(white, scattered=False)
-        seen = np.where(np.isfinite(white), white, 0.0)
-        return covariance + seen @ more @ seen, True
+        scattered = coloured != "never" and any(one.independent for one in self.problem.records)
+        if scattered := scattered and self.told.stray(white):
+            more = self.told.of_tests(white, scattered=True)
+            more -= self.told.of_tests(white, scattered=False)
+            seen = np.where(np.isfinite(white), white, 0.0)
+            covariance = covariance + seen @ more @ seen
+        return Errors(self.information, covariance, self.sources, bool(self.peaks), scattered)
 
     def _widened(self, period: float) -> np.ndarray:
         """Covariance where innovations swing with a period, never below that of white ones."""
@@ -667,3 +713,105 @@ class ReducedFilter:
                 error = 0.5 * error / value if value > 0 else np.inf
             found[name] = float(error)
         return found
+
+
+# Share of a record's windows over which scores are taken to be related, and windows per parameter
+# that a covariance from their scores needs.
+RELATED, ENOUGH = 0.1, 4
+
+
+def errors_of_windows(problem: Windows, point: Point, coloured: str) -> Errors:
+    """Errors of the shared parameters from windows of a horizon.
+
+    Unless they are ``"never"`` to hold the colour of residuals, they are those at the head of this
+    module.
+    """
+    shooting, unknowns = problem.shooting, point.unknowns
+    layout, limits = shooting.layout, shooting.limits
+    n_shared = len(layout.shared)
+    slopes = layout.shared_values(unknowns)[1]
+    prior = np.diag(limits.prior_weight[:n_shared] / slopes**2)
+    told = _told_by_records(problem, point)
+    tests = np.array([record.independent for record in shooting.records])
+    matrices = np.array([matrix for matrix, _ in told])
+    whole = prior + matrices.sum(axis=0)
+    information = Information.from_matrix(
+        layout.shared_names, whole, limits.scale[:n_shared] * slopes
+    )
+    sums = [rows.sum(axis=0) for _, rows in told]
+    sources = sources_of(list(matrices), sums, prior, shooting.records)
+    covariance = information.covariance
+    use = coloured != "never" and problem.n_windows > 0
+    if coloured == "never" or not n_shared:
+        return Errors(information, covariance, sources, use)
+    alone = _linearised_tests(shooting, np.flatnonzero(tests).tolist(), unknowns)
+    scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
+    scores = [told[i][1] for i in np.flatnonzero(~tests)]
+    middle = prior + _middle(problem, point, scores, matrices[~tests].sum(axis=0))
+    if alone is not None:
+        middle += alone.of_tests(covariance, scattered=scattered)
+    return Errors(information, sandwich(covariance, middle), sources, use, scattered)
+
+
+def _told_by_records(problem: Windows, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
+    """What every record says of the shared parameters, its own ones estimated along.
+
+    Information ``(n_shared, n_shared)``, and scores of the windows in their order,
+    ``(n_windows, n_shared)``.
+    """
+    shooting, n_free = problem.shooting, len(problem.shooting.layout.free_names)
+    matrices = np.zeros((len(shooting.records), n_free, n_free))
+    scores: list[list[np.ndarray]] = [[] for _ in shooting.records]
+    for part, matrix, own in problem.told(point):
+        matrices[part.record] += matrix
+        scores[part.record].append(np.column_stack([part.starts[part.counted], own]))
+    told = []
+    for index, matrix in enumerate(matrices):
+        onto, _ = onto_shared(shooting, point.unknowns, index, matrix)
+        rows = np.vstack(scores[index])
+        rows = rows[np.argsort(rows[:, 0]), 1:]
+        told.append((onto @ matrix @ onto.T, rows @ onto.T))
+    return told
+
+
+def _middle(
+    problem: Windows, point: Point, scores: Sequence[np.ndarray], told: np.ndarray
+) -> np.ndarray:
+    """Covariance of the summed scores of the windows; from the residuals where they are few."""
+    if problem.n_windows < ENOUGH * len(told):
+        return _inflation(problem, point) * told
+    return sum(map(_summed, scores), np.zeros_like(told))
+
+
+def _linearised_tests(shooting: Shooting, tests: list[int], unknowns: np.ndarray) -> Scores | None:
+    """Jacobian and residuals of independent tests; None without any."""
+    if not tests:
+        return None
+    alone, own = shooting.part(tests, unknowns)
+    found = alone.linearise(alone.continuous(own))
+    assert found is not None
+    return ReducedProblem(alone, found, own).told
+
+
+def _summed(rows: np.ndarray) -> np.ndarray:
+    """Covariance of the sum of a record's scores ``(n_windows, n_shared)``, neighbours related."""
+    middle = rows.T @ rows
+    reach = int(RELATED * len(rows)) + 1
+    for lag in range(1, min(reach, len(rows) - 1) + 1):
+        # Weights of Bartlett: the sum stays positive semidefinite.
+        related = rows[lag:].T @ rows[:-lag]
+        middle += (1 - lag / (reach + 1)) * (related + related.T)
+    return np.asarray(middle)
+
+
+def _inflation(problem: Windows, point: Point) -> float:
+    """Mean square of the residuals in units of the noise, times samples per independent one."""
+    shooting = problem.shooting
+    ratios = []
+    for record, residual in zip(shooting.records, problem.residuals(point), strict=True):
+        for column in (residual / shooting.sigma).T:
+            seen = column[np.isfinite(column)]
+            if len(seen) > 10 and not record.independent:
+                mean_square = float(np.mean(seen**2))
+                ratios.append(mean_square * len(seen) / effective_sample_size(column))
+    return max(float(np.mean(ratios)) if ratios else 0.0, 1.0)

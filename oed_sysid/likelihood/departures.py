@@ -48,7 +48,7 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
 from oed_sysid.likelihood.estimate import ActuatorStart, Delay, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
-from oed_sysid.likelihood.projection import inverse_of
+from oed_sysid.likelihood.projection import inverse_of, project_out
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
@@ -111,7 +111,7 @@ def _evidence(
             return []
         raw = rows[:, len(order) :]
         apart = np.column_stack([rows[:, :n_shared], raw, errors])
-        apart = apart - _projected(rows[:, n_shared : len(order)], apart)
+        apart = project_out(rows[:, n_shared : len(order)], apart)
         square = float(errors @ errors)
         found.append(
             _Evidence(record.name, apart.T @ apart, np.sum(raw**2, axis=0), square, len(errors))
@@ -301,14 +301,6 @@ def _sensitivities(
     if found is None or not np.isfinite(found).all():
         return None
     return run, found[:, :, : runner.n_full], by_unknowns(found, dz0, runner.n_own)
-
-
-def _projected(columns: np.ndarray, rows: np.ndarray) -> np.ndarray:
-    """Part of some rows that columns explain."""
-    size = np.linalg.norm(columns, axis=0)
-    u, values, _ = np.linalg.svd(columns[:, size > 0] / size[size > 0], full_matrices=False)
-    basis = u[:, values > 1e-9 * values.max(initial=0.0)]
-    return np.asarray(basis @ (basis.T @ rows))
 
 
 DEGREE = np.pi / 180.0

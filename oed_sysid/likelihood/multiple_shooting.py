@@ -27,11 +27,6 @@ from oed_sysid.likelihood.estimator import (
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
-from oed_sysid.likelihood.horizons import (
-    check_horizon,
-    solve_windows,
-    summarise_windows,
-)
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     EXACT,
@@ -63,9 +58,14 @@ from oed_sysid.likelihood.starts import (
     warm_model,
     warm_point,
 )
-from oed_sysid.likelihood.summary import Procedure, summarise, summarise_filtered
+from oed_sysid.likelihood.summary import (
+    Procedure,
+    summarise,
+    summarise_filtered,
+    summarise_windows,
+)
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
-from oed_sysid.likelihood.windows import wide_start
+from oed_sysid.likelihood.windows import check_horizon, solve_windows, wide_start
 from oed_sysid.physics.base import RandomProcess
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
@@ -128,7 +128,7 @@ class MultipleShooting:
         :mod:`oed_sysid.likelihood.noise_model`.
     horizon : float or None
         How far ahead the fit has to be right, s: records are predicted in windows of this
-        length, each from a start state of its own (:mod:`oed_sysid.likelihood.horizons`). ``None``
+        length, each from a start state of its own (:mod:`oed_sysid.likelihood.windows`). ``None``
         predicts whole records. A short horizon keeps misfit of structure out of the
         derivatives; disturbance forces are then not looked for.
     """

@@ -109,3 +109,16 @@ def root_of(covariance: np.ndarray) -> np.ndarray:
     """A matrix whose product with its transpose is a covariance, ``(n, n)``."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def project_out(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
+    """Part of the columns of ``outer`` that those of ``inner`` cannot explain."""
+    norms = np.linalg.norm(inner, axis=0)
+    inner = inner[:, norms > 0] / norms[norms > 0]
+    if not inner.shape[1]:
+        return outer
+    # By way of a factorization: singular vectors of a tall matrix take several times as long.
+    basis, triangle = np.linalg.qr(inner)
+    rotation, values, _ = np.linalg.svd(triangle)
+    basis = basis @ rotation[:, values > BLIND * values[0]]
+    return outer - basis @ (basis.T @ outer)

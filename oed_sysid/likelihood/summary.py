@@ -8,8 +8,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.likelihood.between_records import Sources
-from oed_sysid.likelihood.covariance import ReducedFilter, ReducedProblem
+from oed_sysid.likelihood.covariance import (
+    Errors,
+    ReducedFilter,
+    ReducedProblem,
+    errors_of_windows,
+)
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
@@ -61,20 +65,15 @@ class Procedure:
     began: float
     coloured: str = "auto"
 
-    def asks(self, found: bool) -> bool:
-        """Whether errors hold what was or was not found in the residuals."""
-        return self.coloured == "always" or (self.coloured == "auto" and found)
-
     def fit(
         self,
         problem: Shooting | Filtered,
         unknowns: np.ndarray,
         end: tuple[str, float],
-        information: Information,
+        errors: Errors,
         paths: Sequence[tuple[np.ndarray, np.ndarray]],
-        sources: Sources | None = None,
     ) -> Fit:
-        """The result at some unknowns, errors as if residuals were white.
+        """The result at some unknowns.
 
         Parameters
         ----------
@@ -82,13 +81,12 @@ class Procedure:
         unknowns : ndarray (n_unknowns,)
         end : pair of str and float
             How the iterations ended, and the cost.
-        information : Information
+        errors : Errors
             Of the shared parameters.
         paths : sequence of pair of ndarray
             Outputs ``(n_times, n_outputs)`` and states ``(n_times, n_full)``, per record.
-        sources : Sources, optional
         """
-        layout, starts = problem.layout, problem.known_starts
+        layout, starts, sources = problem.layout, problem.known_starts, errors.sources
         outputs = tuple(outputs for outputs, _ in paths)
         own = range(len(problem.records))
         return Fit(
@@ -97,11 +95,12 @@ class Procedure:
             estimator=self.name,
             names=layout.shared_names,
             estimates=layout.shared_values(unknowns)[0],
-            information=information,
-            covariance=information.covariance,
+            information=errors.information,
+            covariance=errors.covariance,
             record_scatter=None if sources is None else sources.scatter(),
             sources=sources,
-            coloured=False,
+            coloured=errors.coloured,
+            tests_scatter=errors.scattered,
             sigma=problem.white(unknowns).copy(),
             sigma_estimated=np.asarray(self.estimated, dtype=bool),
             predictions=outputs,
@@ -136,19 +135,26 @@ def summarise(
     if solution is None:
         return _failed(shooting, how)
     unknowns = solution.point.unknowns
-    reduced = ReducedProblem(shooting, solution.linearisation, unknowns)
+    errors = ReducedProblem(shooting, solution.linearisation, unknowns).errors(
+        how.coloured, weighed=weighed
+    )
     runs = [shooting.run(unknowns, index) for index in range(len(shooting.records))]
-    fit = how.fit(
-        shooting, unknowns, (solution.reason, solution.cost), reduced.information,
-        [(run.outputs, run.states) for run in runs], reduced.sources,
-    )  # fmt: skip
-    covariance, use = fit.covariance, how.asks(reduced.is_coloured)
-    scattered = how.asks(reduced.told.stray(covariance))
-    if ((use or scattered) and weighed) or shooting.loss is not None:
-        covariance = reduced.sandwich(covariance, coloured=use, scattered=scattered)
-    tests = any(record.independent for record in shooting.records)
-    scattered = scattered and tests
-    return replace(fit, covariance=covariance, coloured=use, tests_scatter=scattered)
+    paths = [(run.outputs, run.states) for run in runs]
+    return how.fit(shooting, unknowns, (solution.reason, solution.cost), errors, paths)
+
+
+def summarise_windows(solution: Solution, how: Procedure) -> Fit:
+    """Build the result of windows of a horizon; predictions and residuals are those of these."""
+    problem, point = solution.problem, solution.point
+    paths, n_own = problem.paths(point), problem.shooting.layout.n_own
+    errors = errors_of_windows(problem, point, how.coloured)
+    end = solution.reason, solution.cost
+    return replace(
+        how.fit(problem.shooting, point.unknowns, end, errors, paths),
+        initial_states=tuple(states[0, :n_own].copy() for _, states in paths),
+        horizon=problem.horizon,
+        n_windows=problem.n_windows,
+    )
 
 
 def _failed(shooting: Shooting, how: Procedure) -> Fit:
@@ -160,7 +166,8 @@ def _failed(shooting: Shooting, how: Procedure) -> Fit:
         for record in shooting.records
     ]
     nothing = Information(layout.shared_names, np.zeros((n, n)), np.ones(n))
-    fit = how.fit(shooting, shooting.start_unknowns(), ("diverged", np.inf), nothing, paths)
+    errors = Errors(nothing, nothing.covariance)
+    fit = how.fit(shooting, shooting.start_unknowns(), ("diverged", np.inf), errors, paths)
     unknown = tuple(np.full(layout.n_own, np.nan) for _ in shooting.records)
     return replace(fit, initial_states=unknown, local_values=({},) * len(unknown), start_states=())
 
@@ -178,18 +185,13 @@ def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
     """
     problem, unknowns = solution.problem, solution.point.unknowns
     reduced = ReducedFilter(problem, unknowns, solution.matrix)
-    covariance, scattered = reduced.covariance(tests=how.coloured != "never")
     paths = []
     for index in range(len(problem.records)):
         outputs, path, _ = problem.alone(unknowns, index)
         paths.append((outputs, path if problem.own is None else path[:, problem.own]))
     cost = 0.5 * sum(part.square for part in reduced.passes) + problem.prior_cost(unknowns)
-    end = solution.reason, cost
-    fit = how.fit(problem, unknowns, end, reduced.information, paths, reduced.sources)
     return replace(
-        fit,
-        covariance=covariance,
-        coloured=bool(reduced.peaks),
+        how.fit(problem, unknowns, (solution.reason, cost), reduced.errors(how.coloured), paths),
         noise=problem.noise(unknowns),
         noise_std=reduced.level_errors,
         innovations=tuple(part.innovations for part in reduced.passes),
@@ -197,5 +199,4 @@ def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
             np.where(np.isfinite(record.outputs), one, 1.0)
             for record, one in zip(problem.records, reduced.std, strict=True)
         ),
-        tests_scatter=scattered,
     )

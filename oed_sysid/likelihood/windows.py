@@ -17,19 +17,35 @@ begin from the start states that are given.
 Far from the truth, trajectories over a whole record explode and their derivatives are useless. Over
 a second or so, from measured states, they do not. Dropping continuity altogether gives a problem
 that is nearly linear in the parameters; its solution starts the real one (:func:`wide_start`).
+
+How far ahead a fit has to be right is a horizon :math:`H` (:func:`solve_windows`). Windows of that
+length overlap by one sample, so that every transition from a sample to the next belongs to exactly
+one, and begin from states of their own, :math:`\Omega = 0`. Over one step this is a regression of
+the motion on the state before; over the whole record it is maximum likelihood with white noise.
+Where the structure is wrong a long horizon lets its misfit into the derivatives, a short one weighs
+noise in the states more. Errors are those of :mod:`oed_sysid.likelihood.covariance`.
 """
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from oed_sysid.compiled.normal_equations import Elimination, eliminate
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.gauss_newton import Convergence, Descent, Equations, Iterate, StepControl
+from oed_sysid.errors import DataError
+from oed_sysid.likelihood.gauss_newton import (
+    Convergence,
+    Descent,
+    Equations,
+    Iterate,
+    Progress,
+    Solution,
+    StepControl,
+)
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
 from oed_sysid.likelihood.start_guess import VAGUE
 from oed_sysid.likelihood.unknowns import Limits
@@ -345,3 +361,45 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
         if 2 * n_samples <= shortest:
             unknowns = climb(plain, unknowns, n_samples)
     return shooting.start_point(unknowns)
+
+
+def check_horizon(shooting: Shooting, horizon: float) -> None:
+    """Raise :class:`DataError` where a horizon is shorter than one step of the records."""
+    series = [record for record in shooting.records if not record.independent]
+    longest = max((record.sample_time for record in series), default=0.0)
+    if not horizon >= 0.99 * longest:
+        raise DataError(
+            f"horizon is {horizon:g} s, and a step of the records {longest:g} s. Give at least one "
+            "step; horizon=None predicts whole records."
+        )
+
+
+def solve_windows(
+    shooting: Shooting,
+    point: Point,
+    *,
+    horizon: float,
+    max_iterations: int,
+    tolerance: float,
+    callback: Callable[[Progress], None] | None = None,
+) -> Solution | None:
+    """Minimise over windows of a horizon; None where the model diverges within the first.
+
+    Parameters
+    ----------
+    shooting : Shooting
+        The problem.
+    point : Point
+        Where to begin; only its unknowns are used.
+    horizon : float
+        Length of a window, s.
+    max_iterations, tolerance, callback
+        See :func:`oed_sysid.likelihood.gauss_newton.solve`.
+    """
+    problem = Windows.overlapping(shooting, horizon, point.unknowns)
+    begin = problem.at(problem.start)
+    if begin is None:
+        return None
+    descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
+    reason = descent.run(max_iterations, callback=callback)
+    return Solution(descent.now, descent.steps + 1, reason)
