@@ -254,7 +254,7 @@ def test_robust_losses_are_weighed_sample_by_sample() -> None:
     outputs = data[0].outputs.copy()
     outputs[10:14, 0] += 40 * NOISE[0]
     shooting = Shooting(yaw_model(), Dataset((data[0].with_outputs(outputs),)), NOISE)
-    robust = shooting.with_loss(loss_by_name("huber"))
+    robust = shooting.having(loss=loss_by_name("huber"))
     plain, solution = (solve(s, s.start_point()) for s in (shooting, robust))
     matrix, right = robust.normal_equations(solution.linearisation)
     assert right @ np.linalg.solve(matrix, right) < 1e-5

@@ -18,7 +18,7 @@ on cheap derivatives first (sums of products; frozen gain), then on exact ones.
 module                          subject
 =============================== ===========================================================
 ``unknowns``                    layout, bounds, priors, scales
-``start_guess``, ``starts``     where to begin: measurements, kinematics, an earlier fit
+``start_guess``                 where to begin: measurements, kinematics
 ``windows``                     windows with free start states: globalisation, horizons
 ``shooting``                    white sensors: nodes, condensed derivatives, losses
 ``captive``                     forces measured at given motion, in the same likelihood

@@ -12,7 +12,6 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
-from oed_sysid.likelihood.binding import binding
 from oed_sysid.likelihood.departures import CLEARLY, clear_delay, clear_starts, estimate_delays
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
@@ -40,7 +39,7 @@ from oed_sysid.likelihood.noise_levels import (
     without_spikes,
 )
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
-from oed_sysid.likelihood.nonlinear_program import NonlinearProgram
+from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, binding
 from oed_sysid.likelihood.random_forces import (
     FIRST_STEPS,
     Start,
@@ -49,15 +48,6 @@ from oed_sysid.likelihood.random_forces import (
 from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.start_guess import check_channels
-from oed_sysid.likelihood.starts import (
-    DOUBTFUL,
-    FAR,
-    GOOD,
-    check_enough_samples,
-    misfit,
-    warm_model,
-    warm_point,
-)
 from oed_sysid.likelihood.summary import (
     Procedure,
     summarise,
@@ -71,6 +61,9 @@ from oed_sysid.physics.model import Model
 from oed_sysid.physics.unknown import random_effects
 from oed_sysid.runtime.threads import one_thread
 
+# Mean square misfit, in noise units, from which a start is far; from which it is
+# doubtful; and which a good fit stays below.
+FAR, DOUBTFUL, GOOD = 500.0, 30.0, 4.0
 # Iterations of a white fit after which residuals that are no noise end it where disturbance forces
 # are known from an earlier fit, and the share of the cost that has to be left.
 KNOWN, ENOUGH = 2, 0.7
@@ -247,7 +240,7 @@ class MultipleShooting:
         began = time.perf_counter()
         shooting, estimated = self._begun(model, dataset, warm, initial_states, known_starts)
         model = shooting.model
-        point = warm_point(shooting, warm if initial_states is None else None)
+        point = shooting.warm_point(warm if initial_states is None else None)
         wanted = self._wants_process_noise(model, dataset)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
@@ -285,7 +278,7 @@ class MultipleShooting:
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
         shooting = Shooting(
-            model if warm is None else warm_model(model, warm),
+            model if warm is None else _at_values(model, warm),
             dataset,
             sigma,
             interval=self.interval,
@@ -293,7 +286,7 @@ class MultipleShooting:
             initial_states=initial_states,
             known_starts=known_starts,
         )
-        check_enough_samples(shooting)
+        shooting.check_enough_samples()
         if self.horizon is not None:
             check_horizon(shooting, self.horizon)
             if known_starts is not None and known_starts.of_series(dataset):
@@ -302,7 +295,8 @@ class MultipleShooting:
                     "states of their own. Drop one of the two."
                 )
         if self.solver.method == "ipopt":
-            shooting = shooting.with_every_node()
+            every = [np.arange(len(r.times), dtype=np.intc) for r in shooting.records]
+            shooting = shooting.having(starts=tuple(every))
         return shooting, estimated
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
@@ -509,7 +503,7 @@ class MultipleShooting:
         """Iterate from near, from far, or from both, and return the better end."""
         if self.start == "near" or self.horizon is not None:
             return minimise(shooting, point)
-        begin = misfit(shooting, point)
+        begin = shooting.misfit(point)
         far = self.start == "wide" or begin > FAR
         first = None if far else minimise(shooting, point)
         # A local minimum is worth a second attempt only if the start was doubtful.
@@ -543,6 +537,19 @@ class _Task:
     how: Procedure
 
 
+def _at_values(model: Model, warm: Fit) -> Model:
+    """Return the model with its free parameters at an earlier fit's values, within bounds."""
+    free = {parameter.name: parameter for parameter in model.free_parameters}
+    earlier = warm.model.values | warm.values
+    return model.with_values(
+        {
+            name: float(np.clip(earlier[name], parameter.lower, parameter.upper))
+            for name, parameter in free.items()
+            if name in earlier and np.isfinite(earlier[name])
+        }
+    )
+
+
 def _asked(given: Disturbances) -> str | tuple[str, ...]:
     """Places that disturbances are asked for; all where nothing but a sea is."""
     if isinstance(given, str):
@@ -563,7 +570,7 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
     for _ in range(12):  # three or four suffice as a rule
         sigma = np.where(estimated, np.maximum(end.levels, least), shooting.sigma)
         change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
-        shooting = shooting.with_sigma(sigma)
+        shooting = shooting.having(sigma=sigma)
         if change < 1e-3 or end.reason == "interrupted":
             break
         again = minimise(shooting, end.point)
@@ -577,7 +584,7 @@ def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
     """Whether an end is no doubtful minimum: it began or ended near the records."""
     if found.reason not in ENDED:
         return found.reason == "interrupted"
-    return begin < DOUBTFUL or misfit(shooting, found.point) < GOOD
+    return begin < DOUBTFUL or shooting.misfit(found.point) < GOOD
 
 
 def _better(*ends: Solution | None) -> Solution | None:

@@ -28,7 +28,6 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Solution, solve
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
-from oed_sysid.likelihood.starts import warm_unknowns
 from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -304,7 +303,7 @@ class _Walker:
     def __init__(self, shooting: Shooting, fit: Fit, name: str) -> None:
         self.shooting = shooting
         self.position = shooting.layout.shared_names.index(name)
-        found = solve(shooting, shooting.continuous(warm_unknowns(shooting, fit)))
+        found = solve(shooting, shooting.continuous(shooting.warm_unknowns(fit)))
         if found is None:
             raise ModelError("The fit's own trajectory diverges; there is nothing to profile.")
         self.best = found

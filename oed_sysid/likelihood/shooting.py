@@ -22,7 +22,8 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.compiled.normal_equations import Blocks, gather
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import DataError, ModelError
+from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.start_guess import (
     check_channels,
     cut,
@@ -417,20 +418,6 @@ class Shooting(Posed):
             own[columns] = unknowns[self._columns[index]]
         return alone, own
 
-    def with_every_node(self) -> Shooting:
-        """Return the same problem cut at every sample."""
-        return self._with(
-            starts=tuple(np.arange(len(r.times), dtype=np.intc) for r in self.records)
-        )
-
-    def with_loss(self, loss: Loss | None) -> Shooting:
-        """Return the same problem with another loss."""
-        return self._with(loss=loss)
-
-    def with_sigma(self, sigma: np.ndarray) -> Shooting:
-        """Return the same problem with other noise levels."""
-        return self._with(sigma=np.asarray(sigma, dtype=float))
-
     @property
     def n_unknowns(self) -> int:
         """Number of unknowns without start states of independent tests, which have none."""
@@ -445,7 +432,61 @@ class Shooting(Posed):
     @property
     def interval_samples(self) -> int:
         """Longest interval, in samples."""
-        return max(
-            int(np.diff([*starts, len(record.times)]).max())
-            for starts, record in zip(self.starts, self.records, strict=True)
-        )
+        pairs = zip(self.starts, self.records, strict=True)
+        return max(int(np.diff([*own, len(record.times)]).max()) for own, record in pairs)
+
+    # -- where it begins -------------------------------------------------------------
+
+    def check_enough_samples(self) -> None:
+        """Raise :class:`DataError` where there are fewer samples than unknowns."""
+        layout = self.layout
+        n_samples = sum(int(np.isfinite(record.outputs).sum()) for record in self.records)
+        n_priors = int(np.count_nonzero(self.limits.prior_weight))
+        held = min(int(self.limits.held.sum()), layout.n_records * layout.n_own)
+        if n_samples + n_priors < layout.n_unknowns - held:
+            raise DataError(
+                f"{n_samples} measured samples and {n_priors} priors cannot determine "
+                f"{layout.n_unknowns} unknowns ({len(layout.shared)} parameters and, for each of "
+                f"{layout.n_records} records, {layout.n_own} initial states and "
+                f"{len(layout.local)} parameters of its own). Add records, fix parameters, or give "
+                "them a prior_std."
+            )
+
+    def warm_unknowns(self, warm: Estimate) -> np.ndarray:
+        """Start values with the initial states and local parameters of an earlier fit.
+
+        Of its records those count that are here too and begin at the same time.
+        """
+        unknowns = self.start_unknowns()
+        local_names = self.layout.local_names
+        earlier = {(record.name, record.times[0]): i for i, record in enumerate(warm.dataset)}
+        for index, record in enumerate(self.records):
+            i = earlier.get((record.name, record.times[0]))
+            if i is not None:
+                states = dict(zip(warm.model.state_names, warm.initial_states[i], strict=True))
+                own = np.array([states.get(name, np.nan) for name in self.model.state_names])
+                local = {n: v for n, v in warm.local_values[i].items() if n in local_names}
+                self.fill(unknowns, index, own, local)
+        return np.clip(unknowns, self.limits.lower, self.limits.upper)
+
+    def warm_point(self, warm: Estimate | None) -> Point:
+        """Start on the trajectory of an earlier fit; on the measurements where it diverges."""
+        if warm is None:
+            return self.start_point()
+        unknowns = self.warm_unknowns(warm)
+        point = self.continuous(unknowns)
+        finite = all(np.isfinite(nodes).all() for nodes in point.nodes)
+        return point if finite else self.start_point(unknowns)
+
+    def misfit(self, point: Point) -> float:
+        """Mean square residual in units of noise; infinite where the model diverges."""
+        squares, count = 2.0 * self.limits.prior_cost(point.unknowns), 0
+        for index, record in enumerate(self.records):
+            run = self.run(point.unknowns, index, point.nodes[index])
+            present = np.isfinite(record.outputs)
+            scaled = ((record.outputs - run.outputs) / self.sigma)[present]
+            if not run.ok or not np.isfinite(scaled).all():
+                return np.inf
+            squares += float(scaled @ scaled)
+            count += len(scaled)
+        return squares / max(count, 1)

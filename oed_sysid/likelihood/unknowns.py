@@ -373,7 +373,8 @@ class Posed:
         unknowns[states[told]] = own[told]
         unknowns[free[known]] = self.layout.inward(np.where(known, given, 1.0))[known]
 
-    def _with(self, **changes: object) -> Self:
+    def having(self, **changes: object) -> Self:
+        """Return the same problem with some attributes changed."""
         other = copy.copy(self)
         other.__dict__.update(changes)
         return other
@@ -382,7 +383,7 @@ class Posed:
         """Return the same problem with some unknowns held at given values."""
         lower, upper = self.limits.lower.copy(), self.limits.upper.copy()
         lower[positions] = upper[positions] = values
-        return self._with(limits=replace(self.limits, lower=lower, upper=upper))
+        return self.having(limits=replace(self.limits, lower=lower, upper=upper))
 
 
 def node_maps(

@@ -355,7 +355,7 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
     rungs = list(LADDER)
     while 3 * rungs[-1] <= shooting.interval_samples < shortest:
         rungs.append(3 * rungs[-1])
-    plain = shooting.with_loss(None)
+    plain = shooting.having(loss=None)
     unknowns = point.unknowns
     for n_samples in rungs:
         if 2 * n_samples <= shortest:
