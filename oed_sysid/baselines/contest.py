@@ -24,7 +24,7 @@ from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import information_of
-from oed_sysid.likelihood.estimator import Estimator
+from oed_sysid.likelihood.estimator import Estimator, Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
@@ -201,6 +201,7 @@ _SPLITS: Mapping[str, tuple[str, Mapping[str, Any], str, Callable[[Problem], Man
 
 OURS = "multiple_shooting"
 OURS_DISTURBED = "multiple_shooting_disturbed"
+OURS_IPOPT = "multiple_shooting_ipopt"
 OURS_BELIEVING = "multiple_shooting_prior"
 OURS_DISTURBED_BELIEVING = "multiple_shooting_disturbed_prior"
 # Noise of the sensors alone, and the fit's own choice of noise.
@@ -208,8 +209,11 @@ PLAIN = MultipleShooting(disturbances="none", loss="square")
 AUTOMATIC = MultipleShooting(disturbances="auto", loss="auto")
 
 
+# A search by a population goes from this part of a start value to as many times that value, where
+# the problem has no bounds.
+REGION = 4.0
 # Take start values as a prior by their nature.
-BELIEVERS = ("ekf", "ukf")
+BELIEVERS = ("ekf", "ukf", "ekf_tuned", "ukf_tuned")
 
 
 @dataclass(frozen=True)
@@ -226,8 +230,8 @@ class Contestant:
         with the filter makes it.
     knows_start : bool
         Be told the true start state where there is one training run, as in the
-        source of the differential swarm. An advantage over all others, which
-        estimate or measure it.
+        source of the differential swarm, and a region. An advantage over all others, which
+        estimate or measure the start.
     """
 
     estimator: Estimator
@@ -239,8 +243,10 @@ class Contestant:
     ) -> tuple[Estimator, Model]:
         """Return the estimator with a seed, and the model with what is believed of it."""
         changes: dict[str, Any] = {"seed": seed} if hasattr(self.estimator, "seed") else {}
-        if self.knows_start and start is not None:
-            changes["initial"] = dict(start)
+        if self.knows_start:
+            model = with_region(model)
+            if start is not None:
+                changes["initial"] = dict(start)
         estimator = self.estimator
         if changes:
             estimator = cast(Estimator, replace(cast(Any, estimator), **changes))
@@ -252,6 +258,7 @@ class Contestant:
 CONTESTANTS: Mapping[str, Contestant] = {
     OURS: Contestant(PLAIN),
     OURS_DISTURBED: Contestant(AUTOMATIC),
+    OURS_IPOPT: Contestant(replace(PLAIN, solver=Solver("ipopt"))),
     OURS_BELIEVING: Contestant(PLAIN, believes=True),
     OURS_DISTURBED_BELIEVING: Contestant(AUTOMATIC, believes=True),
     "output_error": Contestant(methods.OutputError()),
@@ -259,11 +266,16 @@ CONTESTANTS: Mapping[str, Contestant] = {
     "equation_error_simpson": Contestant(methods.EquationError(rule="simpson")),
     "total_least_squares": Contestant(methods.TotalLeastSquares()),
     "ls_svm": Contestant(methods.LeastSquaresSVM()),
+    "ls_svm_tuned": Contestant(
+        methods.LeastSquaresSVM(C="cross-validated", scale="unit", rule="local")
+    ),
     "online_ls_svm": Contestant(methods.OnlineRegression(C=3e5)),
     "svr": Contestant(methods.SupportVectorRegression()),
     "gibbs": Contestant(methods.GibbsRegression(n_draws=500, burn_in=200)),
     "ekf": Contestant(methods.JointKalmanFilter()),
     "ukf": Contestant(methods.JointKalmanFilter(kind="unscented")),
+    "ekf_tuned": Contestant(methods.JointKalmanFilter(process_std="likeliest")),
+    "ukf_tuned": Contestant(methods.JointKalmanFilter(kind="unscented", process_std="likeliest")),
     "heading_differences": Contestant(methods.HeadingDifferences()),
     "heading_differences_central": Contestant(methods.HeadingDifferences("central")),
     "differential_swarm": Contestant(methods.DifferentialSwarm(n_workers=1), knows_start=True),
@@ -296,6 +308,25 @@ def contestant_by_name(name: str) -> Contestant:
             + closest(name, CONTESTANTS)
         )
     return CONTESTANTS[name]
+
+
+def with_region(model: Model) -> Model:
+    """Return the model whose free parameters lie between a quarter and four times their values.
+
+    Bounds that the problem states stay.
+    """
+
+    def bounded(p: Parameter) -> Parameter:
+        if p.name not in model.free_names:
+            return p
+        low, high = sorted((p.value / REGION, p.value * REGION))
+        return replace(
+            p,
+            lower=p.lower if np.isfinite(p.lower) else low,
+            upper=p.upper if np.isfinite(p.upper) else high,
+        )
+
+    return _changed(model, bounded)
 
 
 def with_beliefs(model: Model) -> Model:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import block_diag
+from scipy.optimize import minimize_scalar
 
 from oed_sysid.baselines.equations import check_together
 from oed_sysid.baselines.regression import (
@@ -18,12 +19,17 @@ from oed_sysid.baselines.regression import (
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
+from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.start_guess import check_channels, measured_columns, measured_states
 from oed_sysid.physics.model import Model
 
 KINDS = ("extended", "unscented")
+LIKELIEST = "likeliest"
+# Shares of a velocity's scale, per root second, among which the likeliest process noise is sought:
+# from what no record shows to what hides every motion.
+LEAST_SHARE, LARGEST_SHARE = 1e-4, 1.0
 # A measured start state is known this many noise levels well before its first measurement.
 START_SPREAD = 10.0
 # A start value without a prior is known to this share of its magnitude.
@@ -54,9 +60,10 @@ class JointKalmanFilter(Baseline):
     ----------
     kind : str
         ``"extended"`` or ``"unscented"``.
-    process_std : mapping of str to float
+    process_std : mapping of str to float, or ``"likeliest"``
         Intensity of the noise on each state's rate, in its unit per
-        :math:`\sqrt{s}`; zero where nothing is said.
+        :math:`\sqrt{s}`; zero where nothing is said. The likeliest is one share of the scale of
+        every velocity, chosen so that the innovations are likeliest.
     drift_std : mapping of str to float
         The same for parameters that change in time.
     parameter_std : mapping of str to float
@@ -93,7 +100,7 @@ class JointKalmanFilter(Baseline):
     """
 
     kind: str = "extended"
-    process_std: Mapping[str, float] = field(default_factory=dict)
+    process_std: Mapping[str, float] | str = field(default_factory=dict)
     drift_std: Mapping[str, float] = field(default_factory=dict)
     parameter_std: Mapping[str, float] = field(default_factory=dict)
     state_std: Mapping[str, float] = field(default_factory=dict)
@@ -103,6 +110,8 @@ class JointKalmanFilter(Baseline):
 
     def __post_init__(self) -> None:
         check_choice("kind", self.kind, KINDS)
+        if isinstance(self.process_std, str):
+            check_choice("process_std", self.process_std, (LIKELIEST,))
         if not self.reach > 0:
             raise ModelError(f"reach is {self.reach}. Give a positive number of deviations.")
         if self.passes < 1:
@@ -118,13 +127,7 @@ class JointKalmanFilter(Baseline):
         """Filter all records in turn; parameters are carried over."""
         check_channels(model, dataset)
         self.check(model)
-        filter_ = JointFilter(self, model, assumed_levels(model, dataset))
-        for _ in range(self.passes):
-            filter_.restart()
-            for record in dataset:
-                filter_.run(record)
-            if not filter_.is_finite:
-                break
+        filter_ = self._filtered(model, dataset)
         (values, covariance), status = (
             filter_.parameters,
             consistency(filter_.innovation**2, filter_.count),
@@ -140,6 +143,35 @@ class JointKalmanFilter(Baseline):
         }
         return Regression(values, covariance, status=status, iterations=len(tracks), facts=extras)
 
+    def _filtered(self, model: Model, dataset: Dataset) -> JointFilter:
+        """The filter after all records, with the likeliest process noise where that is wanted."""
+        if isinstance(self.process_std, str):
+            return self._likeliest(model, dataset)
+        filter_ = JointFilter(self, model, assumed_levels(model, dataset))
+        for _ in range(self.passes):
+            filter_.restart()
+            for record in dataset:
+                filter_.run(record)
+            if not filter_.is_finite:
+                break
+        return filter_
+
+    def _likeliest(self, model: Model, dataset: Dataset) -> JointFilter:
+        """The filter whose innovations are likeliest, of all shares of process noise and none."""
+        speeds = set(model.axes.values()) or set(disturbed_equations(model))
+
+        def at(share: float) -> JointFilter:
+            noise = {s.name: share * s.scale for s in model.states if s.name in speeds}
+            return replace(self, process_std=noise)._filtered(model, dataset)
+
+        found = minimize_scalar(
+            lambda power: -at(10.0**power).log_likelihood,
+            bounds=np.log10((LEAST_SHARE, LARGEST_SHARE)),
+            method="bounded",
+            options={"xatol": 0.1},  # a quarter of the level: errors of the values are flat there
+        )
+        return max(at(0.0), at(10.0**found.x), key=lambda one: one.log_likelihood)
+
     def check(self, model: Model) -> None:
         """Raise :class:`ModelError` where settings and model do not belong together."""
         for setting, known in (
@@ -149,7 +181,8 @@ class JointKalmanFilter(Baseline):
             ("drift_std", model.free_names),
             ("parameter_std", model.free_names),
         ):
-            unknown = [name for name in getattr(self, setting) if name not in known]
+            given = getattr(self, setting)
+            unknown = [name for name in given if name not in known and given != LIKELIEST]
             if unknown:
                 raise ModelError(
                     f"{setting} names {unknown[0]!r}; model {model.name!r} has {', '.join(known)}."
@@ -214,7 +247,8 @@ class JointFilter:
         self.columns = [model.parameter_names.index(name) for name in model.free_names]
         self.lower = np.array([p.lower for p in free])
         self.upper = np.array([p.upper for p in free])
-        rates = [settings.process_std.get(s.name, 0.0) for s in model.states]
+        noise = {} if isinstance(settings.process_std, str) else settings.process_std
+        rates = [noise.get(s.name, 0.0) for s in model.states]
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
         self.mean, self.spread = np.empty(0), np.empty((0, 0))
@@ -227,12 +261,18 @@ class JointFilter:
         self._known, self._last = (self.parameters[0], self._first_values()[1]), None
         self.track: list[np.ndarray] = []
         self.spreads: list[np.ndarray] = []
-        self._squares, self.count = 0.0, 0
+        self._squares, self._log_variances, self.count = 0.0, 0.0, 0
 
     @property
     def innovation(self) -> float:
         """Root mean square innovation in units of its stated deviation."""
         return float(np.sqrt(self._squares / max(self.count, 1)))
+
+    @property
+    def log_likelihood(self) -> float:
+        r"""Of the innovations, :math:`-\tfrac12 \sum_k (e_k' S_k^{-1} e_k + \ln\det S_k)`."""
+        found = -0.5 * (self._squares + self._log_variances)
+        return found if self.is_finite and np.isfinite(found) else -np.inf
 
     def _first_values(self) -> tuple[np.ndarray, np.ndarray]:
         """Start values of the parameters and their covariance."""
@@ -400,4 +440,5 @@ class JointFilter:
         free = slice(self.n_z, None)
         self.mean[free] = np.clip(self.mean[free], self.lower / self.unit, self.upper / self.unit)
         self._squares += float(innovation[seen] @ np.linalg.solve(total, innovation[seen]))
+        self._log_variances += float(2 * np.log(unit).sum() + np.linalg.slogdet(scaled)[1])
         self.count += len(seen)

@@ -26,6 +26,10 @@ Kernel = Callable[[np.ndarray, np.ndarray], np.ndarray]
 FORMS = ("primal", "dual")
 # Published weight of the errors.
 WEIGHT = 3e4
+CROSS_VALIDATED = "cross-validated"
+# Stretches of a cross-validation, and its weights for features of unit size: from a pull on every
+# coefficient to none.
+STRETCHES, WEIGHTS = 5, 10.0 ** np.arange(-2, 9)
 
 
 def linear_kernel(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -165,6 +169,37 @@ def ridge(features: np.ndarray, targets: np.ndarray, C: float, *, bias: bool) ->
     return scale * np.linalg.lstsq(matrix * scale, right, rcond=None)[0]
 
 
+def best_weight(features: np.ndarray, targets: np.ndarray, bias: bool) -> float:
+    r"""Weight of the errors that predicts left-out stretches best.
+
+    .. math:: \hat C = \arg\min_C \sum_{j} \sum_{i \in S_j}
+        \big(y_i - w_{-j}(C)^T x_i - b_{-j}(C)\big)^2,
+
+    over stretches :math:`S_j` of consecutive rows: neighbours share their noise, so that rows left
+    out one by one would be predicted by it (Burman, Chow & Nolan 1994, Biometrika 81).
+
+    Parameters
+    ----------
+    features : ndarray (n_samples, n_features)
+    targets : ndarray (n_samples,)
+    bias : bool
+        Whether there is a constant.
+    """
+    size = float(np.mean(features**2)) or 1.0
+    stretches = np.array_split(np.arange(len(targets)), STRETCHES)
+
+    def error(weight: float) -> float:
+        total = 0.0
+        for out in stretches:
+            kept = np.setdiff1d(np.arange(len(targets)), out)
+            solution = ridge(features[kept], targets[kept], weight, bias=bias)
+            errors = targets[out] - features[out] @ solution[:-1] - solution[-1]
+            total += float(errors @ errors)
+        return total
+
+    return min(WEIGHTS / size, key=error)
+
+
 def check_weight(C: float) -> None:
     """Raise :class:`ModelError` for a weight that is not positive."""
     if not C > 0:
@@ -180,11 +215,12 @@ class LeastSquaresSVM(RegressionEstimator):
 
     Parameters
     ----------
-    C : float
+    C : float, or ``"cross-validated"``
         Weight of the errors. It has the unit of one over a squared feature, so
         what it does depends on the scale of the equations: with forces in
         newton the published 30000 penalises next to nothing, with equations
-        divided by :math:`\rho L^n/2` it pulls weak terms to zero.
+        divided by :math:`\rho L^n/2` it pulls weak terms to zero. Cross-validated, each equation
+        takes the weight that predicts left-out stretches of the record best.
     form : str
         ``"primal"`` or ``"dual"``. In newton the dual system is so ill
         conditioned that it loses up to all digits; see ``extras["condition"]``.
@@ -204,7 +240,7 @@ class LeastSquaresSVM(RegressionEstimator):
     LS-SVM, J. Hydrodynamics 24(5), doi 10.1016/S1001-6058(11)60299-0.
     """
 
-    C: float = WEIGHT
+    C: float | str = WEIGHT
     form: str = "primal"
     scale: str | Mapping[str, float] = "raw"
     bias: bool = True
@@ -213,27 +249,36 @@ class LeastSquaresSVM(RegressionEstimator):
     rates: Rates | None = None
 
     def __post_init__(self) -> None:
-        check_weight(self.C)
+        if isinstance(self.C, str):
+            check_choice("C", self.C, (CROSS_VALIDATED,))
+        else:
+            check_weight(self.C)
         check_rule(self.rule, self.window)
         check_choice("form", self.form, FORMS)
 
     @property
     def name(self) -> str:
         """Name and settings, for reports."""
-        return f"LS-SVM ({self.form}, C {self.C:g}, {self.rule} derivatives)"
+        weight = self.C if isinstance(self.C, str) else f"{self.C:g}"
+        return f"LS-SVM ({self.form}, C {weight}, {self.rule} derivatives)"
 
     def _solve(self, rows: Rows) -> Regression:
         def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
-            machine = train(features, targets, C=self.C, form=self.form, bias=bias)
+            given = self.C
+            weight = given if not isinstance(given, str) else best_weight(features, targets, bias)
+            machine = train(features, targets, C=weight, form=self.form, bias=bias)
             assert machine.coefficients is not None  # the kernel is linear
             # Of Gamma = X X' + I/C in the dual; the primal's rows have its root.
             spectrum = np.linalg.svd(features, compute_uv=False)
-            condition = 1.0 + self.C * float(spectrum[0]) ** 2
+            condition = 1.0 + weight * float(spectrum[0]) ** 2
             return SeparateSolution(
                 machine.coefficients,
                 machine.bias,
-                ridge=1.0 / self.C,
-                facts={"condition": condition if self.form == "dual" else np.sqrt(condition)},
+                ridge=1.0 / weight,
+                facts={
+                    "C": weight,
+                    "condition": condition if self.form == "dual" else np.sqrt(condition),
+                },
             )
 
         return separate(rows, solve, scale=self.scale, bias=self.bias)

@@ -8,15 +8,16 @@ forces on all equations of motion,
     \sigma_w = \text{share} \cdot \max |F|,
 
 with :math:`\max|F|` the largest sum of forces of the undisturbed run (largest acceleration, where
-an equation is written as one) and a time of four samples; sensor noise with a memory; noise of
-another size than declared; numbers that are taken as known and are not; spikes; start values off
-by far.
+an equation is written as one) and a time of four samples; swell, which is narrow-band instead;
+sensor noise with a memory; noise of another size than declared; sensors that are off; numbers that
+are taken as known and are not; physics that the model does not have; spikes; start values off by
+far.
 Commands are those of the undisturbed run, and white noise is drawn alike in all worlds.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,12 +28,15 @@ from oed_sysid.errors import ProblemError, closest
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import Place, with_disturbance_inputs
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
+from oed_sysid.physics.base import Force
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 
 # Correlation times, in samples.
 FORCE_TIME, NOISE_TIME = 4.0, 5.0
+# Swell: its period, s, but at least ten waves to a run, and its bandwidth.
+SWELL_PERIOD, SWELL_WAVES, SWELL_BANDWIDTH = 8.0, 10, 0.2
 # Steps per sample in which disturbance forces are drawn and integrated.
 SUBSTEPS = 4
 
@@ -47,6 +51,11 @@ class World:
         For tables.
     forces : float
         Level of disturbance forces, share of the largest force.
+    swell : float
+        The same of narrow-band forces.
+    hidden : float
+        Quadratic damping that the fitted model does not have, at the largest velocity of the
+        undisturbed run, share of the largest force; not of a velocity that a run starts with.
     colour : float
         Share of the sensor noise's variance that has a memory of five samples.
     declared : float
@@ -55,6 +64,8 @@ class World:
         Largest relative error of the numbers that are taken as known.
     spikes : float
         Share of samples that are off by twenty times the noise.
+    offset : float
+        Constant error of every sensor, in multiples of its noise, up or down.
     sparse : int
         Every how many samples outputs are kept; inputs are known at all.
     start : float
@@ -63,10 +74,13 @@ class World:
 
     title: str
     forces: float = 0.0
+    swell: float = 0.0
+    hidden: float = 0.0
     colour: float = 0.0
     declared: float = 1.0
     wrong: float = 0.0
     spikes: float = 0.0
+    offset: float = 0.0
     sparse: int = 1
     start: float = 1.0
 
@@ -86,11 +100,12 @@ class World:
         noise : bool
             Whether sensors are noisy; without it only what is not noise of a sensor acts.
         """
-        for_forces, for_colour, for_spikes = rng.spawn(3)
+        for_forces, for_colour, for_spikes, for_offset = rng.spawn(4)
         std = np.array([output.noise_std for output in model.outputs], dtype=float)
-        if self.forces or self.colour:
+        acts = self.forces or self.swell or self.hidden
+        if acts or self.colour:
             run = simulate(model, experiment, noise=False)
-            if self.forces:
+            if acts:
                 run = self._pushed(model, run, experiment, for_forces)
             outputs = run.outputs.copy()
             if noise:
@@ -106,6 +121,8 @@ class World:
             struck = for_spikes.random(outputs.shape) < self.spikes
             signs = np.sign(for_spikes.standard_normal(outputs.shape))
             outputs += 20.0 * struck * std * signs
+        if self.offset:
+            outputs += self.offset * std * np.sign(for_offset.standard_normal(len(std)))
         if self.sparse > 1:
             kept = np.arange(len(outputs)) % self.sparse == 0
             outputs[~kept] = np.nan
@@ -114,10 +131,11 @@ class World:
     def _pushed(
         self, model: Model, clean: Record, experiment: Experiment, rng: np.random.Generator
     ) -> Record:
-        """The same commands with disturbance forces on every equation of motion."""
-        levels = self._levels(model, clean, experiment)
-        places, start = tuple(levels), _start(model, experiment)
-        pushed = with_disturbance_inputs(model, [Place("force", place) for place in places])
+        """The same commands with what acts on every equation of motion."""
+        largest, start = _largest_forces(model, clean, experiment), _start(model, experiment)
+        places = tuple(largest)
+        damped = model + self._damping(model, clean, experiment, largest) if self.hidden else model
+        pushed = with_disturbance_inputs(damped, [Place("force", place) for place in places])
         pushes = pushed.inputs[len(model.inputs) :]
         linear = (replace(push, interpolation="linear") for push in pushes)
         pushed = replace(pushed, inputs=(*model.inputs, *linear))
@@ -131,28 +149,29 @@ class World:
                 held = np.searchsorted(clean.times, fine * (1 + 1e-12) + 1e-12, side="right") - 1
                 columns.append(values[np.clip(held, 0, n - 1)])
         # Forces run linearly through the fine points, so that substeps see no jumps.
-        push = np.array(list(levels.values())) * _gauss_markov(
-            (len(fine), len(places)), FORCE_TIME * SUBSTEPS, rng
-        )
-        inputs = np.column_stack([*columns, push])
+        shape = len(fine), len(places)
+        push = self.forces * _gauss_markov(shape, FORCE_TIME * SUBSTEPS, rng)
+        if self.swell:
+            period = _swell_period(clean) / experiment.sample_time * SUBSTEPS
+            push += self.swell * _narrow_band(shape, period, SWELL_BANDWIDTH, rng)
+        inputs = np.column_stack([*columns, push * np.array(list(largest.values()))])
         path = simulate_inputs(pushed, fine, inputs=inputs, initial=start)
         return clean.with_outputs(path.outputs[::SUBSTEPS])
 
-    def _levels(self, model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
-        """Standard deviation of the disturbance force on each equation, by axis or state."""
-        places = _equations_of_motion(model)
-        sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
-        # The same vehicle whose only outputs are its forces, or accelerations.
-        probe = replace(
-            model,
-            outputs=tuple(Output(f"sum_{i}", "1", expression=text) for i, text in enumerate(sums)),
-            effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
-        )
-        run = simulate_inputs(
-            probe, clean.times, inputs=clean.inputs, initial=_start(model, experiment)
-        )
-        largest = np.abs(run.outputs).max(axis=0)
-        return dict(zip(places, (self.forces * largest).tolist(), strict=True))
+    def _damping(
+        self, model: Model, clean: Record, experiment: Experiment, largest: Mapping[str, float]
+    ) -> Force:
+        """Quadratic damping of the velocities that a run does not start with."""
+        speeds = _largest(model, clean, experiment, model.state_names)
+        fastest = dict(zip(model.state_names, speeds, strict=True))
+        start = _start(model, experiment)
+        terms = {}
+        for place, force in largest.items():
+            speed = model.axes.get(place, place)
+            if abs(start[speed]) < 0.5 * fastest[speed]:
+                size = self.hidden * force / fastest[speed] ** 2
+                terms[place] = f"-{size!r}*{speed}*abs({speed})"
+        return Force("hidden_damping", terms)
 
     def noise(self, model: Model, experiment: Experiment) -> NoiseModel:
         """Everything random of one run but spikes, as an estimator that knew it would be told.
@@ -164,18 +183,24 @@ class World:
         experiment : Experiment
         """
         std = np.array([output.noise_std for output in model.outputs], dtype=float)
-        levels = {}
-        if self.forces:
+        largest: dict[str, float] = {}
+        seas: tuple[Sea, ...] = ()
+        if self.forces or self.swell:
             clean = simulate(model, experiment, noise=False)
-            levels = self._levels(model, clean, experiment)
+            largest = _largest_forces(model, clean, experiment)
+        if self.swell:
+            levels = {place: self.swell * force for place, force in largest.items()}
+            seas = (Sea(_swell_period(clean), SWELL_BANDWIDTH, levels, "displacement"),)
+        forces = {place: self.forces * force for place, force in largest.items() if self.forces}
         return NoiseModel(
             np.sqrt(max(1.0 - self.colour, 0.01)) * std,  # a filter needs some white noise
             np.sqrt(self.colour) * std,
-            np.array(list(levels.values())),
+            np.array(list(forces.values())),
             NOISE_TIME * experiment.sample_time,
             FORCE_TIME * experiment.sample_time,
             model.output_names,
-            tuple(f"force {place}" for place in levels),
+            tuple(f"force {place}" for place in forces),
+            seas,
         )
 
     def believed(self, model: Model, rng: np.random.Generator) -> Model:
@@ -202,6 +227,32 @@ def _equations_of_motion(model: Model) -> tuple[str, ...]:
     return places
 
 
+def _largest_forces(model: Model, clean: Record, experiment: Experiment) -> dict[str, float]:
+    """Largest force on each equation of the undisturbed run, by axis or state."""
+    places = _equations_of_motion(model)
+    sums = (f'force("{key}")' if key in model.axes else f"dot({key})" for key in places)
+    return dict(zip(places, _largest(model, clean, experiment, tuple(sums)), strict=True))
+
+
+def _largest(
+    model: Model, clean: Record, experiment: Experiment, texts: Sequence[str]
+) -> list[float]:
+    """Largest magnitudes of expressions along the undisturbed run."""
+    # The same vehicle whose only outputs are these.
+    probe = replace(
+        model,
+        outputs=tuple(Output(f"seen_{i}", "1", expression=text) for i, text in enumerate(texts)),
+        effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
+    )
+    start = _start(model, experiment)
+    run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=start)
+    return [float(x) for x in np.abs(run.outputs).max(axis=0)]
+
+
+def _swell_period(clean: Record) -> float:
+    return min(SWELL_PERIOD, float(np.ptp(clean.times)) / SWELL_WAVES)
+
+
 def _start(model: Model, experiment: Experiment) -> dict[str, float]:
     return {name: experiment.initial.get(name, 0.0) for name in model.state_names}
 
@@ -214,17 +265,39 @@ def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator)
     return lfilter([1.0], [1.0, -keep], white, axis=0)
 
 
+def _narrow_band(
+    shape: tuple[int, ...], period: float, bandwidth: float, rng: np.random.Generator
+) -> np.ndarray:
+    r"""Second-order noise of unit variance, ``(n_times, n_signals)``; ``period`` in samples.
+
+    .. math:: w_k = 2 r \cos\omega\, w_{k-1} - r^2 w_{k-2} + \varepsilon_k, \qquad
+        r = e^{-\omega b / 2}
+    """
+    omega = 2 * np.pi / period
+    r = np.exp(-0.5 * bandwidth * omega)
+    before = int(np.ceil(5.0 / (1.0 - r)))  # until e^-5 is left of a start at rest
+    white = rng.standard_normal((shape[0] + before, *shape[1:]))
+    wave = lfilter([1.0], [1.0, -2 * r * np.cos(omega), r**2], white, axis=0)[before:]
+    variance = (1 + r**2) / ((1 - r**2) * (1 + r**4 - 2 * r**2 * np.cos(2 * omega)))
+    return wave / np.sqrt(variance)
+
+
 IDEAL = "ideal"
 WORLDS: Mapping[str, World] = {
     IDEAL: World("as simulated: white noise, as declared"),
     "forces_2": World("disturbance forces of 2 %", forces=0.02),
     "forces_5": World("disturbance forces of 5 %", forces=0.05),
     "forces_10": World("disturbance forces of 10 %", forces=0.10),
+    "swell": World(
+        "swell of 5 %, 8 s (shorter where a run holds fewer than ten waves)", swell=0.05
+    ),
+    "hidden": World("quadratic damping of 10 % that the model does not have", hidden=0.1),
     "coloured": World("sensor noise all coloured", colour=1.0),
     "declared_half": World("noise declared half its size", declared=0.5),
     "declared_twice": World("noise declared twice its size", declared=2.0),
     "wrong_model": World("known numbers off by up to 5 %", wrong=0.05),
     "spikes": World("1 % of samples are spikes", spikes=0.01),
+    "offset": World("every sensor off by twice its noise", offset=2.0),
     "sparse": World("every fourth sample only", sparse=4),
     "far_start": World("start values off by up to a factor of 3", start=3.0),
     "all": World(

@@ -374,6 +374,38 @@ def _draw_level(
     ax.plot([], [], ls="", label=words, **look)
 
 
+def plot_comparison(
+    ratios: np.ndarray, estimators: Sequence[str], worlds: Sequence[str], *, ax: Axes | None = None
+) -> Axes:
+    """Plot how much larger the error of each estimator is, by what acts on the records.
+
+    Colours stand for the logarithm of the ratio; beyond a factor of ten they no longer change.
+    What cannot be treated, or was not run, is left blank.
+
+    Parameters
+    ----------
+    ratios : ndarray (n_estimators, n_worlds)
+        Error over that of the estimator that all are compared with; NaN where there is none.
+    estimators, worlds : sequence of str
+        Their names.
+    ax : Axes, optional
+        Where to draw.
+    """
+    ax = draw.new_axes(ax, size=(2.6 + 0.95 * len(worlds), 0.8 + 0.3 * len(estimators)))
+    powers = np.log10(np.ma.masked_invalid(ratios))
+    ax.imshow(powers, cmap=draw.DIVERGING, vmin=-1, vmax=1, aspect="auto")
+    for (i, j), ratio in np.ndenumerate(ratios):
+        if np.isfinite(ratio):
+            dark = abs(np.log10(ratio)) > 0.7  # colours on which white is read better
+            text = f"{ratio:.2f}" if ratio < 10 else f"{ratio:.0f}"
+            ax.text(j, i, text, ha="center", va="center", color="white" if dark else "black")
+    ax.set_yticks(range(len(estimators)), estimators)
+    ax.set_xticks(range(len(worlds)), worlds)
+    ax.xaxis.tick_top()
+    ax.tick_params(length=0)
+    return draw.say(ax, "error of the determined parameters over that of the default fit")
+
+
 def figure_benchmark(result: Benchmark) -> Figure:
     """All problems of a benchmark, one panel each; see :func:`plot_errors`."""
     groups = [

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from oed_sysid.data.record import Record
@@ -351,11 +350,6 @@ def plot_polar(
 
 # -- estimates and residuals ----------------------------------------------------------------
 
-# Blue over white to vermilion; darkness says how strong in greyscale.
-_DIVERGING = LinearSegmentedColormap.from_list(
-    "correlation", ["#003f66", "#8fbfdc", "white", "#f0a87f", "#8a2f00"]
-)
-
 
 def plot_autocorrelation(
     fit: Fit, output: str, *, max_lag: float | None = None, style: int = 0, ax: Axes | None = None
@@ -485,7 +479,7 @@ def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
     size = 1.6 + 0.42 * len(fit.names)
     ax = draw.new_axes(ax, size=(size + 1.6, size + 0.3))
     matrix = fit.correlation
-    picture = ax.imshow(matrix, cmap=_DIVERGING, vmin=-1, vmax=1)
+    picture = ax.imshow(matrix, cmap=draw.DIVERGING, vmin=-1, vmax=1)
     ticks, symbols = range(len(fit.names)), [draw.symbol_of(name) for name in fit.names]
     ax.set_xticks(ticks, symbols, rotation=60, ha="right", rotation_mode="anchor")
     ax.set_yticks(ticks, symbols)

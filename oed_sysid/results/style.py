@@ -15,6 +15,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import ArrayLike
@@ -35,6 +36,10 @@ COLOURS = ("#D55E00", "#0072B2", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 DASHES = ("--", "-", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (1, 1)))
 HATCHES = ("", "///", "...", "xxx", "\\\\\\", "+++")
 DEGREE = np.degrees(1.0)
+# Blue over white to vermilion; darkness says how strong in greyscale.
+DIVERGING = LinearSegmentedColormap.from_list(
+    "correlation", ["#003f66", "#8fbfdc", "white", "#f0a87f", "#8a2f00"]
+)
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,326 @@
+"""Which estimator, when, and by how much: eight systems, six worlds, all methods.
+
+python -m benchmarks.comparison [--seeds 20] [--problems ...] [--worlds ...] [--estimators ...]
+
+All estimators have the same records, start values and declared noise; each is run as its best user
+would run it without knowing what acts (:data:`oed_sysid.baselines.contest.CONTESTANTS`). A case is
+one problem in one world with one seed. What is in the store is never run again, so that a grid can
+be stopped, resumed and enlarged; docs/comparison.md and its picture are written from the store.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.harness import RESULTS, ROOT, Row, Store, command, markdown, run_cases, write_page
+from oed_sysid.baselines.benchmark import DETERMINED
+from oed_sysid.baselines.contest import BELIEVERS, Cell, Outcome, run_cell
+from oed_sysid.baselines.world import WORLDS
+from oed_sysid.results.estimator_plots import plot_comparison
+from oed_sysid.results.style import save_figure
+
+PAGE = ROOT / "docs" / "comparison.md"
+STORE = Store(
+    RESULTS / "comparison.jsonl",
+    lambda row: (row["problem"], row["world"], row["seed"], *sorted(row["runs"])),
+)
+NOISE = 1.0  # per cent of the peak
+SYSTEMS = {
+    "auv_diving_plane": "AUV, diving plane",
+    "nomoto_sparse_heading": "ship, Nomoto",
+    "online_ship": "tanker, sway and yaw",
+    "sailboat": "sailboat",
+    "torpedo": "torpedo",
+    "remus_diving_plane": "REMUS",
+    "kvlcc2": "KVLCC2, Nomoto",
+    "catamaran": "catamaran",
+}
+ACTING = {
+    "ideal": "white noise",
+    "forces_5": "forces",
+    "swell": "swell",
+    "spikes": "spikes",
+    "offset": "sensors off",
+    "hidden": "missing physics",
+}
+ESTIMATORS = {
+    "multiple_shooting_disturbed": "multiple shooting, default",
+    "multiple_shooting": "multiple shooting, white",
+    "multiple_shooting_ipopt": "multiple shooting, IPOPT",
+    "output_error": "single shooting",
+    "equation_error_simpson": "equation error",
+    "total_least_squares": "total least squares",
+    "ls_svm": "LS-SVM, as published",
+    "ls_svm_tuned": "LS-SVM, tuned",
+    "online_ls_svm": "LS-SVM, recursive",
+    "gibbs": "Gibbs sampling",
+    "heading_differences_central": "heading differences",
+    "differential_swarm": "differential swarm",
+    "differential_evolution": "differential evolution",
+    "cma_es": "CMA-ES",
+    "particle_swarm": "particle swarm",
+    "multiple_shooting_disturbed_prior": "multiple shooting, prior",
+    "ekf": "extended Kalman filter",
+    "ekf_tuned": "extended Kalman, tuned",
+    "ukf_tuned": "unscented Kalman, tuned",
+}
+# Told besides: start values to 50 %; the true start state of a single run, and a region.
+BELIEVING = ("multiple_shooting_disturbed_prior", *BELIEVERS)
+OURS = ("multiple_shooting_disturbed", "multiple_shooting_disturbed_prior")
+
+
+# -- cases -----------------------------------------------------------------------------
+
+
+def run_case(problem: str, world: str, seed: int, estimators: Sequence[str]) -> Row:
+    """Run estimators on one record: a line of the store."""
+    runs: Row = {}
+    for name in estimators:
+        outcome = run_cell(Cell(problem, name, NOISE, seed=seed, world=world))
+        known = [key for key, bound in outcome.bounds.items() if bound < DETERMINED]
+        bounds = np.array([outcome.bounds[key] for key in known])
+        runs[name] = _brief(outcome, known)
+    return {
+        "problem": problem,
+        "world": world,
+        "seed": seed,
+        "determined": [len(known), len(outcome.bounds)],
+        "bound": _short(np.sqrt(np.mean(bounds**2))),
+        "runs": runs,
+    }
+
+
+def _brief(outcome: Outcome, known: Sequence[str]) -> list[object] | str:
+    """Error of determined parameters, intervals that hold, of how many, failed, s; or why not."""
+    if outcome.status == "refused":
+        return outcome.message
+    # A run without estimates is as wrong as knowing nothing.
+    errors = np.array([outcome.errors.get(key, -1.0) for key in known])
+    held = [outcome.covered[key] for key in known if key in outcome.covered]
+    error = _short(np.sqrt(np.mean(errors**2)))
+    return [error, sum(held), len(held), int(outcome.failed), _short(outcome.seconds)]
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def merged(rows: Iterable[Row]) -> dict[tuple[str, str, int], Row]:
+    """Cases, with all estimators that ran on each."""
+    found: dict[tuple[str, str, int], Row] = {}
+    for row in rows:
+        key = row["problem"], row["world"], row["seed"]
+        known = found.get(key)
+        found[key] = {**row, "runs": {**known["runs"], **row["runs"]}} if known else row
+    return found
+
+
+def missing(
+    problems: Sequence[str], worlds: Sequence[str], seeds: int, estimators: Sequence[str]
+) -> Iterator[tuple[Hashable, ...]]:
+    """What is still to be run, the first seed of everything first."""
+    done = merged(STORE.rows())
+    for seed in range(seeds):
+        for problem in problems:
+            for world in worlds:
+                known = done.get((problem, world, seed), {"runs": {}})["runs"]
+                if left := sorted(set(estimators) - set(known)):
+                    yield problem, world, seed, *left
+
+
+def jobs(keys: Sequence[Hashable]) -> Iterator[Callable[[], Row]]:
+    """One call for each case."""
+    for problem, world, seed, *estimators in keys:  # type: ignore[misc, attr-defined]
+        yield partial(run_case, problem, world, seed, estimators)
+
+
+# -- what they say -------------------------------------------------------------------------
+
+
+def cells(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[list[float]] | str]:
+    """Runs by problem, world and estimator; the reason where it cannot treat the problem."""
+    found: dict[tuple[str, str, str], list[list[float]] | str] = {}
+    for row in rows:
+        for name, run in row["runs"].items():
+            key = row["problem"], row["world"], name
+            if isinstance(run, str):
+                found.setdefault(key, run)
+            elif isinstance(known := found.setdefault(key, []), list):
+                known.append(run)
+    return found
+
+
+def ratios(rows: Sequence[Row], world: str, name: str) -> dict[str, float]:
+    """By problem: median over seeds of an estimator's error over that of our default.
+
+    Our default is that with a prior for estimators that take start values for one. Both have the
+    same records, so that what these have in common cancels.
+    """
+    ours = OURS[name in BELIEVING]
+    pairs: dict[str, list[float]] = {}
+    for row in rows:
+        one, other = row["runs"].get(ours), row["runs"].get(name)
+        if row["world"] == world and isinstance(one, list) and isinstance(other, list):
+            pairs.setdefault(row["problem"], []).append(np.log(other[0] / one[0]))
+    return {problem: float(np.exp(np.median(logs))) for problem, logs in pairs.items()}
+
+
+def summary(rows: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str]) -> np.ndarray:
+    """Geometric means of the ratios over the problems, ``(n_estimators, n_worlds)``."""
+    return np.array(
+        [
+            [
+                np.exp(np.mean(np.log(list(found.values())))) if found else np.nan
+                for found in (ratios(rows, world, name) for world in worlds)
+            ]
+            for name in estimators
+        ]
+    )
+
+
+def headline(rows: Sequence[Row]) -> list[str]:
+    """Where our default is first, within the scatter or behind, cell by cell."""
+    first = near = behind = 0
+    for problem in SYSTEMS:
+        for world in ACTING:
+            for believing in (False, True):
+                rivals = [
+                    found[problem]
+                    for name in ESTIMATORS
+                    if (name in BELIEVING) == believing and name not in OURS
+                    if problem in (found := ratios(rows, world, name))
+                ]
+                if rivals:
+                    least = min(rivals)
+                    first += least >= 1.0
+                    near += 1 / 1.1 <= least < 1.0
+                    behind += least < 1 / 1.1
+    total = first + near + behind
+    seeds = len({row["seed"] for row in rows})
+    return [
+        f"{len(rows)} records, up to {seeds} seeds. In {first} of {total} comparisons (a system in "
+        "a world, among those that are told as much) no estimator errs less than the default in "
+        f"the median; in {near} the best rival errs less by up to a tenth, in {behind} by more."
+    ]
+
+
+def per_world(rows: Sequence[Row]) -> list[str]:
+    """Error over that of our default, mean over systems, and how many systems it can treat."""
+    table = summary(rows, list(ACTING), list(ESTIMATORS))
+    lines = []
+    for (name, title), values in zip(ESTIMATORS.items(), table, strict=True):
+        treated = {p for world in ACTING for p in ratios(rows, world, name)}
+        shown = ["–" if np.isnan(x) else f"{x:.3g}" for x in values]
+        lines.append((title, f"{len(treated)} of {len(SYSTEMS)}", *shown))
+    return markdown(("estimator", "systems", *ACTING.values()), lines)
+
+
+def per_system(rows: Sequence[Row], problem: str) -> list[str]:
+    """Median error of determined parameters, per cent, intervals that hold, and the reasons."""
+    own = [row for row in rows if row["problem"] == problem]
+    found = cells(own)
+    lines, reasons = [], {}
+    for name, title in ESTIMATORS.items():
+        shown = []
+        for world in ACTING:
+            runs = found.get((problem, world, name))
+            if isinstance(runs, str):
+                reasons.setdefault(runs, []).append(title)
+            shown.append(_cell(runs))
+        if any(shown):
+            lines.append((title, *shown))
+    bounds = [
+        "{:.3g}".format(
+            100 * np.median([row["bound"] for row in own if row["world"] == world] or [np.nan])
+        )
+        for world in ACTING
+    ]
+    lines.append(("*least possible on average*", *bounds))
+    table = markdown(("estimator", *ACTING.values()), lines)
+    return [
+        *table,
+        "",
+        *(f"- {', '.join(dict.fromkeys(who))}: {why}." for why, who in reasons.items()),
+    ]
+
+
+def _cell(runs: list[list[float]] | str | None) -> str:
+    """Median error, per cent, and in brackets the share of intervals that hold and failed runs."""
+    if not isinstance(runs, list):
+        return ""
+    held, stated = sum(run[1] for run in runs), sum(run[2] for run in runs)
+    failed = sum(run[3] for run in runs)
+    told = [f"{100 * held / stated:.0f} %"] if stated else []
+    told += [f"{failed:.0f}/{len(runs)} failed"] if failed else []
+    brackets = f" ({', '.join(told)})" if told else ""
+    return f"{100 * np.median([run[0] for run in runs]):.3g}{brackets}"
+
+
+def write(output: Path = PAGE) -> None:
+    """Write the page and its picture from the store."""
+    rows = list(merged(STORE.rows()).values())
+    lines = [*headline(rows), "", *per_world(rows), ""]
+    for problem, title in SYSTEMS.items():
+        seeds = [row["seed"] for row in rows if row["problem"] == problem]
+        known = next((row["determined"] for row in rows if row["problem"] == problem), [0, 0])
+        lines += [
+            f"### {title}",
+            "",
+            f"`{problem}`: {len(set(seeds))} seeds; the data determine {known[0]} of {known[1]} "
+            "parameters.",
+            "",
+            *per_system(rows, problem),
+            "",
+        ]
+    write_page(output, "\n".join(lines), "comparison")
+    table = summary(rows, list(ACTING), list(ESTIMATORS))
+    ax = plot_comparison(table, list(ESTIMATORS.values()), list(ACTING.values()))
+    save_figure(ax.figure, output.with_suffix(".png"))
+
+
+def main(
+    *,
+    seeds: int = 20,
+    problems: Sequence[str] = tuple(SYSTEMS),
+    worlds: Sequence[str] = tuple(ACTING),
+    estimators: Sequence[str] = tuple(ESTIMATORS),
+    n_jobs: int = 1,
+    minutes: float = 1e9,
+) -> None:
+    """Run what is not in the store, and write page and picture.
+
+    Parameters
+    ----------
+    seeds : int
+        records of each system in each world
+    problems, worlds, estimators : sequence of str
+        what is run
+    n_jobs : int
+        processes
+    minutes : float
+        time after which the rest is left for the next run; 0 only writes the page
+    """
+    for world in worlds:
+        assert world in WORLDS, f"there is no world {world}"
+    if minutes:
+        keys = list(missing(problems, worlds, seeds, estimators))
+        run_cases(
+            STORE,
+            keys,
+            jobs,
+            n_jobs=n_jobs,
+            deadline=time.time() + 60 * minutes,
+            tell=lambda row: f"{row['problem']} {row['world']} seed {row['seed']}",
+        )
+    write()
+
+
+if __name__ == "__main__":
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    command(main)
