@@ -262,9 +262,8 @@ def _cell(runs: list[list[float]] | str | None) -> str:
     return f"{100 * np.median([run[0] for run in runs]):.3g}{brackets}"
 
 
-def write(output: Path = PAGE) -> None:
-    """Write the page and its picture from the store."""
-    rows = list(merged(STORE.rows()).values())
+def tables(rows: Sequence[Row]) -> str:
+    """Everything that the page says of the store."""
     lines = [*headline(rows), "", *per_world(rows), ""]
     for problem, title in SYSTEMS.items():
         seeds = [row["seed"] for row in rows if row["problem"] == problem]
@@ -278,7 +277,13 @@ def write(output: Path = PAGE) -> None:
             *per_system(rows, problem),
             "",
         ]
-    write_page(output, "\n".join(lines), "comparison")
+    return "\n".join(lines)
+
+
+def write(output: Path = PAGE) -> None:
+    """Write the page and its picture from the store."""
+    rows = list(merged(STORE.rows()).values())
+    write_page(output, tables(rows), "comparison")
     table = summary(rows, list(ACTING), list(ESTIMATORS))
     ax = plot_comparison(table, list(ESTIMATORS.values()), list(ACTING.values()))
     save_figure(ax.figure, output.with_suffix(".png"))

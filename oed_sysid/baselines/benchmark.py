@@ -144,6 +144,7 @@ class Verdict:
     other: str
     outcome: str
     ratio: float
+    world: str = IDEAL
 
     to_dict = as_dict()
 
@@ -177,9 +178,8 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
         # Pairs of runs on the same records: what these have in common cancels.
         logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
         outcome = _outcome(ratio, logs)
-        found.append(
-            Verdict(row.problem, row.noise, row.sampling, ours, row.estimator, outcome, ratio)
-        )
+        where = row.problem, row.noise, row.sampling
+        found.append(Verdict(*where, ours, row.estimator, outcome, ratio, row.world))
     return tuple(found)
 
 
@@ -282,12 +282,12 @@ def verdict_table(found: Sequence[Verdict]) -> list[str]:
     levels = sorted({one.noise for one in found})
     lines = markdown_row(("problem", "other", *(f"noise {level:g}" for level in levels)))
     table = [lines, markdown_row(["---"] * (2 + len(levels)))]
-    groups: dict[tuple[str, int, str], dict[float, Verdict]] = {}
+    groups: dict[tuple[str, str], dict[float, Verdict]] = {}
     for one in found:
-        groups.setdefault((one.problem, one.sampling, one.other), {})[one.noise] = one
-    for (problem, sampling, other), cells in groups.items():
-        shown = [_ratio(cells.get(level)) for level in levels]
-        table.append(markdown_row((_sampled(problem, sampling), other, *shown)))
+        title = _where(_sampled(one.problem, one.sampling), one.world)
+        groups.setdefault((title, one.other), {})[one.noise] = one
+    for (title, other), cells in groups.items():
+        table.append(markdown_row((title, other, *(_ratio(cells.get(x)) for x in levels))))
     return table
 
 
@@ -313,7 +313,8 @@ def _setting_table(rows: Sequence[Row]) -> list[str]:
     first = rows[0]
     runs = "one run" if first.n_runs == 1 else f"{first.n_runs} runs"
     title = (
-        f"{_sampled('Noise', first.sampling)} {first.noise:g} {UNITS[first.noise_unit]}, "
+        f"{_sampled('Noise', first.sampling)} {first.noise:g} {UNITS[first.noise_unit]}"
+        f"{_where('', first.world)}, "
         f"{runs} each; the data determine {first.n_determined} of {first.n_parameters} parameters, "
         f"at best to {_percent(first.bound)} %:"
     )
@@ -341,6 +342,10 @@ def _ratio(verdict: Verdict | None) -> str:
 
 def _sampled(text: str, sampling: int) -> str:
     return text if sampling == 1 else f"{text}, {sampling} x sample time"
+
+
+def _where(text: str, world: str) -> str:
+    return text if world == IDEAL else f"{text}, {world_by_name(world).title}"
 
 
 def _percent(share: float) -> str:

@@ -497,6 +497,7 @@ def estimators(
     noise: list[float] | None = None,
     declared: bool = False,
     sampling: list[int] | None = None,
+    worlds: list[str] | None = None,
     seeds: int = 3,
     jobs: int = 2,
     out: Path = Path("out/benchmark"),
@@ -509,7 +510,10 @@ def estimators(
     from oed_sysid.baselines.contest import CONTESTANTS
 
     chosen = list(CONTESTANTS) if names == ["all"] else names
-    said = {"problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling}
+    said = {
+        "problems": problems, "estimators": chosen, "noise": noise, "sampling": sampling,
+        "worlds": worlds,
+    }  # fmt: skip
     given: dict[str, Any] = {name: value for name, value in said.items() if value}
     with progress("Running") as show:
 

@@ -15,7 +15,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from itertools import groupby
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from matplotlib.animation import FuncAnimation, PillowWriter
@@ -25,7 +25,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from oed_sysid.baselines.benchmark import Benchmark, Row
-from oed_sysid.baselines.contest import OURS, UNITS
+from oed_sysid.baselines.contest import OURS, OURS_DISTURBED, UNITS
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multistart import SAME_OPTIMUM
@@ -406,8 +406,29 @@ def plot_comparison(
     return draw.say(ax, "error of the determined parameters over that of the default fit")
 
 
+def _against(rows: Sequence[Row], names: Sequence[str], worlds: Sequence[str]) -> np.ndarray:
+    """Geometric means, over settings, of errors over those of the first of the estimators."""
+    runs = {(row.setting, row.estimator): row for row in rows if not row.refused}
+    first = next((name for name in (OURS_DISTURBED, OURS) if name in names), names[0])
+    logs: dict[tuple[str, str], list[float]] = {}
+    for (setting, name), row in runs.items():
+        if own := runs.get((setting, first)):
+            ratio = np.divide(np.maximum(row.by_seed, 1e-9), np.maximum(own.by_seed, 1e-9))
+            logs.setdefault((name, row.world), []).append(float(np.median(np.log(ratio))))
+    return np.array(
+        [[np.exp(np.mean(logs.get((name, world), [np.nan]))) for world in worlds] for name in names]
+    )
+
+
 def figure_benchmark(result: Benchmark) -> Figure:
-    """All problems of a benchmark, one panel each; see :func:`plot_errors`."""
+    """All problems of a benchmark, one panel each; see :func:`plot_errors`.
+
+    Where there are several worlds, one comparison of them; see :func:`plot_comparison`.
+    """
+    if len(worlds := list(dict.fromkeys(row.world for row in result.rows))) > 1:
+        names = list(dict.fromkeys(row.estimator for row in result.rows if not row.refused))
+        ax = plot_comparison(_against(result.rows, names, worlds), names, worlds)
+        return cast(Figure, ax.figure)
     groups = [
         (title, list(group))
         for title, group in groupby(result.rows, key=lambda row: (row.problem, row.sampling))
