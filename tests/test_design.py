@@ -95,7 +95,7 @@ def test_discrimination_gradient_equals_differences() -> None:
     rivals = (Force("a", {"r": "E_a*psi"}, (Parameter("E_a", 0.1),)),
               Force("e", {"r": "E_e*r**3"}, (Parameter("E_e", 1.0),)))  # fmt: skip
     criterion = Discriminate(rivals)
-    measure = criterion.bind_shifts(criterion.shifts(ship()), 3)
+    measure = criterion.bind(replace(SETTING, shifts=criterion.shifts(ship())))
     rng = np.random.default_rng(1)
     rows = rng.standard_normal((20, 5))
     matrix = rows.T @ rows
@@ -150,12 +150,10 @@ def test_derivatives_equal_differences(family: Levels) -> None:
     fitted = grid()
     shape = family.on(fitted)
     noise = noise_of(model)
-    vehicle = VehicleInformation(model, fitted.times, shape.edges, np.array([0.0, 0.01]), noise)
+    own, measure = np.array([0.0, 0.01]), DOptimal().bind(SETTING)
+    vehicle = VehicleInformation(model, fitted.times, shape.edges, own, noise, measure, np.eye(3))
     bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)})
-    measure = DOptimal().bind(SETTING)
-    objective = Objective(
-        [vehicle], [measure], [np.eye(3)], shape, np.array([0]), np.zeros(1), bounds
-    )
+    objective = Objective([vehicle], shape, np.array([0]), np.zeros(1), bounds)
     numbers = 0.5 + 0.3 * (np.random.default_rng(5).random(shape.size) - 0.5)
     score = objective.score(numbers)
     slope = objective.linearise(score)

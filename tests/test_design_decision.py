@@ -27,7 +27,7 @@ from oed_sysid.design import (
     design_programme,
     goals_of,
 )
-from oed_sysid.design.criteria import log_power, told_apart
+from oed_sysid.design.criteria import Setting, log_power, told_apart
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.manoeuvres import Doublet, ThreeTwoOneOne
 from oed_sysid.experiments.simulation import simulate
@@ -236,6 +236,11 @@ EFFECTS = (CUBIC, SINES, DEAD)
 RUN = Experiment("doublet", Doublet("rudder", 0.2, pulse_time=10.0), duration=40.0, sample_time=0.5)
 
 
+def setting(shifts: Shifts) -> Setting:
+    """What a criterion is bound to, three parameters of the ship and some effects."""
+    return Setting(ship(), ship().free_names, np.ones(3), np.ones(2), shifts)
+
+
 @pytest.mark.parametrize(
     "criterion",
     [Detect(EFFECTS), Detect(EFFECTS, worst=True), Discriminate(EFFECTS, size=1.0)],
@@ -245,7 +250,7 @@ def test_gradients_by_the_information_equal_differences(criterion: Detect) -> No
     """Mean and smallest chance, and pairs with several amplitudes, have exact derivatives."""
     shifts = criterion.shifts(ship())
     assert len(shifts) == 4
-    measure = criterion.bind_shifts(shifts, 3)
+    measure = criterion.bind(setting(shifts))
     rng = np.random.default_rng(1)
     rows = 0.6 * rng.standard_normal((40, 7))
     matrix = rows.T @ rows
@@ -269,7 +274,7 @@ def test_power_is_the_share_of_simulated_tests_that_exceed_the_threshold() -> No
 def test_concave_log_power_keeps_the_certificate() -> None:
     """Halfway between two informations the mean log chance is at least the mean of both."""
     criterion = Detect(EFFECTS)
-    measure = criterion.bind_shifts(criterion.shifts(ship()), 3)
+    measure = criterion.bind(setting(criterion.shifts(ship())))
     rng = np.random.default_rng(2)
     for _ in range(40):
         ends = [rng.standard_normal((9, 7)) * np.exp(rng.normal(0, 1, 7)) for _ in range(2)]

@@ -35,7 +35,7 @@ from itertools import combinations
 
 import numpy as np
 
-from oed_sysid.design.criteria import NOTHING, AOptimal, ByShifts, Criterion, DOptimal, Measure
+from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 
 # Of the log criterion to its bound at which weights are optimal: far below what a run is worth.
@@ -64,7 +64,7 @@ class Library:
     information: np.ndarray
     prior: np.ndarray
     costs: np.ndarray
-    criterion: Criterion | ByShifts
+    criterion: Criterion
     measure: Measure
 
     def __post_init__(self) -> None:

@@ -41,7 +41,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -63,10 +63,10 @@ from oed_sysid.information.noise import Levels, sea_words
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.realisation import at_sea
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
+NO_LIMIT = "no limit on the motion was given"
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
 _TAIL = 0.025
 # A run is stopped this part of the way from the start before a limit, or, of the width of the
@@ -147,6 +147,14 @@ class Assurance:
     kept: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
     tracks: PredictedTracks | None = field(default=None, repr=False)
 
+    @classmethod
+    def joint(cls, found: Iterable[Assurance]) -> Assurance:
+        """Return how surely all of several runs, judged on the same vehicles, keep their limits."""
+        limited = [one for one in found if one.limited]
+        kept = np.all([one.kept for one in limited] or [np.ones(1, dtype=bool)], axis=0)
+        wanted = max((one.wanted for one in limited if one.wanted), default=None)
+        return cls(int(kept.sum()), len(kept), wanted, None, {}, {}, bool(limited), kept=kept)
+
     @property
     def is_safe(self) -> bool:
         """Whether the limits hold as surely as was asked for, or on nine vehicles of ten."""
@@ -178,7 +186,7 @@ class Assurance:
     def report(self) -> str:
         """Return the probability in words."""
         if not self.limited:
-            return "no limit on the motion was given"
+            return NO_LIMIT
         words = (
             f"limits kept on {self.probability:.1%} of {self.n_checked} simulated vehicles with "
             f"{self.drawn} (at least {self.at_least:.1%} with 95 % confidence)"
@@ -258,37 +266,33 @@ def assess_limits(
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     extremes, first, tracks = [], [], []
     for vehicle in fresh:
-        run = _motion_at_sea(vehicle, experiment, sea, rng)
+        run = motion(vehicle, experiment, sea, rng)
         first.append("diverged" if run is None else bounds.first_left(run))
         if run is not None:
             extremes.append([[s.min(), s.max()] for s in map(run.signal, names)])
             tracks.append(_track(run))
     kept = np.array([one is None for one in first])
-    ranges: dict[str, tuple[float, float]] = {}
-    rules: tuple[AbortRule, ...] = ()
-    stopped = 0.0
-    if extremes:
-        ends = np.array(extremes)
-        low = np.quantile(ends[:, :, 0], _TAIL, axis=0)
-        high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0)
-        ranges = {n: (float(a), float(b)) for n, a, b in zip(names, low, high, strict=True)}
-        rules, stopped = _rules(experiment, bounds, ranges, ends, n_vehicles)
+    ends = np.array(extremes).reshape(-1, len(names), 2)
+    ranges = _ranges(names, ends)
+    rules, stopped = _rules(experiment, bounds, ranges, ends, n_vehicles)
     return Assurance(
         int(kept.sum()), n_vehicles, wanted, spread, dict(Counter(filter(None, first))), ranges,
-        bool(bounds.names),
-        sea_words(sea) if sea is not None and sea.has_forces else "", rules, stopped, kept,
+        bool(bounds.names), _waves(sea), rules, stopped, kept,
         PredictedTracks.of(motion(model, experiment), tracks),
     )  # fmt: skip
 
 
-def _motion_at_sea(
-    vehicle: Model, experiment: Experiment, sea: NoiseModel | None, rng: np.random.Generator
-) -> Trajectory | None:
-    """What a vehicle does, in waves of its own where any are expected; None where it diverges."""
-    run = replace(experiment, limits=Limits())
-    if sea is not None and sea.has_forces:
-        vehicle, run = at_sea(vehicle, run, sea, rng=rng)
-    return motion(vehicle, run)
+def _waves(sea: NoiseModel | None) -> str:
+    return sea_words(sea) if sea is not None and sea.has_forces else ""
+
+
+def _ranges(names: Sequence[str], ends: np.ndarray) -> dict[str, tuple[float, float]]:
+    """What all but the most extreme vehicles stay within; nothing where all diverged."""
+    if not len(ends):
+        return {}
+    low = np.quantile(ends[:, :, 0], _TAIL, axis=0).tolist()
+    high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0).tolist()
+    return dict(zip(names, zip(low, high, strict=True), strict=True))
 
 
 def _rules(
@@ -303,6 +307,8 @@ def _rules(
     ``ends`` are lowest and highest values ``(n_finite, n_names, 2)``; vehicles that diverged fire
     every rule.
     """
+    if not ranges:
+        return (), 0.0
     diverged = n_vehicles - len(ends)
     found, any_fires = [], np.zeros(len(ends), dtype=bool)
     during = bounds.during()

@@ -149,10 +149,10 @@ class TrialCard:
     def _conditions(self) -> Iterable[tuple[str, str]]:
         """How long, from where, what is held, and within which range orders stay."""
         run, model, units = self.experiment, self.model, self._units
-        duration = float(run.duration or 0.0)
         yield (
             "length",
-            f"{duration:g} s ({duration / 60:.1f} min), one run; log every {run.sample_time:g} s "
+            f"{run.duration:g} s ({run.times[-1] / 60:.1f} min), one run; log every "
+            f"{run.sample_time:g} s "
             "or faster, commands and measurements on one clock",
         )
         yield (
@@ -162,15 +162,19 @@ class TrialCard:
         )
         for name, value in run.constants.items():
             yield "hold", f"{name} = {quantity(value, units[name])}"
-        for name, pair in run.limits.inputs.items():
-            if name not in run.constants:
-                rate = run.limits.rates.get(name)
-                most = "" if rate is None else f", at most {quantity(rate, units[name])}/s"
-                yield "orders of", f"{name}: {span(*pair, units[name])}{most}"
+        for name in (name for name in run.limits.inputs if name not in run.constants):
+            yield "orders of", self._range(name)
         levels = [f"{o.name} {quantity(o.noise_std, o.unit)}" for o in model.outputs if o.noise_std]
         yield "noise assumed", ", ".join(levels) or "none"
         if self.sea is not None:
             yield "disturbance forces", sea_words(self.sea)
+
+    def _range(self, name: str) -> str:
+        """Range and rate of the orders of an input."""
+        limits, unit = self.experiment.limits, self._units[name]
+        rate = limits.rates.get(name)
+        most = "" if rate is None else f", at most {quantity(rate, unit)}/s"
+        return f"{name}: {span(*limits.inputs[name], unit)}{most}"
 
     def _start(self) -> list[str]:
         """State at the start, for a vehicle with velocities led by its speed in knots."""

@@ -130,14 +130,9 @@ def write_controller(
             f"The run reacts to {', '.join(unknown)}, which autopilots do not know by that name; "
             f"known are {', '.join(SEEN)}. Name the signal so in the model, or write kind='words'."
         )
-    marks = {"title": plan["name"], "source": f"written by oed_sysid {__version__}", "written": ""}
-    if kind == "ardupilot":
-        _check_servos(plan, servos or {})
-        listed = {name: asdict(servo) for name, servo in (servos or {}).items()}
-        marks["run"] = _lua(plan | {"servos": listed})
-    else:
-        marks["run"] = repr(plan)
-        marks["written"] = repr(_moos_names(model, plan)) if kind == "moos" else ""
+    marks = {"title": plan["name"], "source": f"written by oed_sysid {__version__}"}
+    marks["written"] = repr(_moos_names(model, plan)) if kind == "moos" else ""
+    marks["run"] = _lua(_with_servos(plan, servos or {})) if kind == "ardupilot" else repr(plan)
     folder = files("oed_sysid.design").joinpath("controller_files")
     parts = [folder.joinpath(f"{one}.txt").read_text(encoding="utf-8") for one in KINDS[kind][1]]
     write_text(place, Template("".join(parts)).substitute(marks))
@@ -160,15 +155,15 @@ def plan_of(
     """
     experiment.check_model(model)
     channels = [_channel(one, experiment) for one in experiment.manoeuvres]
-    if aborts is None:
-        bounds = experiment.limits.signals.items()
-        aborts = [AbortRule(name, low, high, 0.0, True) for name, (low, high) in bounds]
+    ends = experiment.limits.signals.items()
+    if aborts is not None:
+        ends = {one.signal: (one.lower, one.upper) for one in aborts}.items()
     # Bounds that every language can write.
-    ends = [np.clip((one.lower, one.upper), -1e30, 1e30).tolist() for one in aborts]
     rules = [
-        {"signal": one.signal, "lower": low, "upper": high}
-        for one, (low, high) in zip(aborts, ends, strict=True)
-    ]
+        dict(zip(("signal", "lower", "upper"), (name, *np.clip(pair, -1e30, 1e30).tolist()),
+                 strict=True))
+        for name, pair in ends
+    ]  # fmt: skip
     signals = [name for one in channels for name in one.get("signals", ())]
     return {
         "name": safe(experiment.name),
@@ -205,7 +200,8 @@ def _channel(manoeuvre: Manoeuvre, experiment: Experiment) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _check_servos(plan: Mapping[str, Any], servos: Mapping[str, Servo]) -> None:
+def _with_servos(plan: dict[str, Any], servos: Mapping[str, Servo]) -> dict[str, Any]:
+    """The plan with the calibration of its servos, which have to reach what is ordered."""
     if missing := [name for name in plan["neutral"] if name not in servos]:
         raise DesignError(
             f"ArduPilot needs a servo for {', '.join(missing)}: "
@@ -214,6 +210,7 @@ def _check_servos(plan: Mapping[str, Any], servos: Mapping[str, Servo]) -> None:
     for one in plan["channels"]:
         most = [s * a for a in one.get("amplitudes", ()) for s in (-1, 1)]
         servos[one["input"]].pulses(np.array([one["neutral"] + a for a in most] or one["values"]))
+    return plan | {"servos": {name: asdict(servo) for name, servo in servos.items()}}
 
 
 def _moos_names(model: Model, plan: Mapping[str, Any]) -> dict[str, tuple[str, float]]:
@@ -272,17 +269,7 @@ def _rules(one: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:
     if one["kind"] == "table":
         orders = zip(one["times"], one["values"], strict=True)
         return [f"From {time:g} s on: {name} = {quantity(value, unit)}." for time, value in orders]
-    signals = one["signals"]
-    signal, by = signals[0], units[signals[0]]
-    zero = f"its value at {one['start']:g} s" if one["reference"] is None else "zero"
-    if one["reference"]:
-        zero = quantity(one["reference"], by)
-    far = f"D = {signal} minus {zero}"
-    if one["lead"]:
-        far += f", plus {one['lead']:.4g} s times {signals[1]}"
-    if one["keep_gain"]:
-        far += f", minus {one['keep_gain']:.4g} times ({signals[-1]} minus its first value)"
-        far += ", this at most half the switch"
+    by = units[one["signals"][0]]
     rate = "" if one["rate"] is None else f", at most {quantity(one['rate'], unit)}/s"
     first = one["first"]
     sizes = ", ".join(quantity(a, unit) for a in one["amplitudes"])
@@ -292,10 +279,25 @@ def _rules(one: Mapping[str, Any], units: Mapping[str, str]) -> list[str]:
         f"Until {one['start']:g} s: {name} = {quantity(one['neutral'], unit)}.",
         f"Then {name} = {quantity(one['neutral'], unit)} {'+' if first > 0 else '-'} {sizes} "
         f"(one after the other, the last again and again){rate}.",
-        f"Count {far}.",
+        f"Count {_deviation(one, by)}.",
         f"Where D has {way} to {ends} (one after the other), reverse {name} and wait for the "
         "opposite.",
     ]  # fmt: skip
+
+
+def _deviation(one: Mapping[str, Any], unit: str) -> str:
+    """What a zigzag reverses on, D, in words."""
+    signal, *others = one["signals"]
+    zero = f"its value at {one['start']:g} s" if one["reference"] is None else "zero"
+    if one["reference"]:
+        zero = quantity(one["reference"], unit)
+    far = f"D = {signal} minus {zero}"
+    if one["lead"]:
+        far += f", plus {one['lead']:.4g} s times {others[0]}"
+    if one["keep_gain"]:
+        far += f", minus {one['keep_gain']:.4g} times ({others[-1]} minus its first value)"
+        far += ", this at most half the switch"
+    return far
 
 
 # Topics of a bag that holds commands.

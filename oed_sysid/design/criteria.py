@@ -162,12 +162,15 @@ class Setting:
         Their units in that matrix.
     sigma : ndarray (n_outputs,)
         Standard deviations of the noise of the outputs.
+    shifts : Shifts or None
+        Absent effects that a criterion asks for: the last columns of that matrix.
     """
 
     model: Model
     names: tuple[str, ...]
     scales: np.ndarray
     sigma: np.ndarray
+    shifts: Shifts | None = None
 
 
 @runtime_checkable
@@ -335,18 +338,22 @@ _SOFTNESS = 0.1
 
 
 @runtime_checkable
-class ByShifts(Protocol):
-    """Contract of criteria that ask what absent effects would do, beside the parameters."""
+class ByShifts(Criterion, Protocol):
+    """Contract of criteria that ask what absent effects would do, beside the parameters.
 
-    @property
-    def name(self) -> str:
-        """Name for reports."""
+    They are bound to a setting with these shifts, and see the information on
+    ``[parameters, shifts]``.
+    """
 
     def shifts(self, nominal: Model) -> Shifts:
         """Return the effects or rivals, on the nominal model."""
 
-    def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
-        """Return the function to maximise, of the information on ``[parameters, shifts]``."""
+
+def _asked(setting: Setting) -> tuple[Shifts, int]:
+    """The absent effects of a setting, and how many parameters stand before them."""
+    if setting.shifts is None:
+        raise DesignError("This criterion needs its effects. Bind it to Setting(..., shifts=...).")
+    return setting.shifts, len(setting.names)
 
 
 def _check(what: str, names: Sequence[str], size: float) -> None:
@@ -424,8 +431,9 @@ class Discriminate:
         """Return what each rival does, built on the nominal model."""
         return Shifts.of(nominal, self.rivals, size=self.size)
 
-    def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
+    def bind(self, setting: Setting) -> Measure:
         """Return the criterion of the information on ``[parameters, shifts]``."""
+        shifts, n_parameters = _asked(setting)
 
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
             gram, mapping = eliminate(matrix, n_parameters)
@@ -576,8 +584,9 @@ class Detect:
         """
         return float(chdtri(freedom, self.false_claims / len(self.candidates)))
 
-    def bind_shifts(self, shifts: Shifts, n_parameters: int) -> Measure:
+    def bind(self, setting: Setting) -> Measure:
         """Return the criterion of the information on ``[parameters, shifts]``."""
+        shifts, n_parameters = _asked(setting)
         needed = [self.needed(group.freedom) for group in shifts.groups]
 
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
@@ -655,6 +664,13 @@ class Detection:
     to_dict = as_dict("name", "sizes", "gain_before", "gain_after", "before", "after", "least")
 
 
+def shown(chances: Sequence[Detection]) -> tuple[int, int]:
+    """How many effects would show surely, before and after."""
+    each = np.array([(one.before, one.after) for one in chances]) >= SURE
+    before, after = each.sum(axis=0).tolist()
+    return before, after
+
+
 def missing_physics(
     misfits: Mapping[tuple[str, str], float], chances: Sequence[Detection]
 ) -> Section:
@@ -673,10 +689,10 @@ def missing_physics(
          f"{one.least:.2g} of usual" if one.least < 1e3 else "-")
         for one in sorted(chances, key=lambda one: one.before - one.after)
     ]  # fmt: skip
-    shown = sum(one.after >= SURE for one in chances)
+    before, after = shown(chances)
     lines.append(
-        f"{shown} of {len(chances)} effects would show at their usual size with 90 % or more, "
-        f"{sum(one.before >= SURE for one in chances)} before."
+        f"{after} of {len(chances)} effects would show at their usual size with 90 % or more, "
+        f"{before} before."
     )
     if hidden := [one.name for one in chances if one.after < 0.5]:
         lines.append(f"Would stay hidden: {', '.join(hidden)}.")

@@ -41,7 +41,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, read_csv
-from oed_sysid.design.assurance import Assurance, assess_limits
+from oed_sysid.design.assurance import NO_LIMIT, Assurance, assess_limits
 from oed_sysid.design.card import TrialCard
 from oed_sysid.design.criteria import DOptimal, inverse
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
@@ -304,7 +304,12 @@ class Decision:
     @property
     def is_check(self) -> bool:
         """Whether the next run is there only to check what is known on paper."""
-        return self.action == "go on" and all(one.is_met for one in self.goals)
+        return self.action == "go on" and not self.unmet
+
+    @property
+    def unmet(self) -> list[Progressed]:
+        """Goals that are not known well enough now."""
+        return [one for one in self.goals if not one.is_met]
 
     @property
     def stop(self) -> bool:
@@ -320,33 +325,31 @@ class Decision:
             Done so far.
         """
         done = f" after {counted(n_runs, 'run')}, {hours:.2g} h" if n_runs else ""
-        run = self.next_run
+        run, unmet = self.next_run, self.unmet
         if run is None:
-            met, n = sum(one.is_met for one in self.goals), len(self.goals)
-            rest = "" if met == n else f" ({met} of {n} goals met)"
+            n = len(self.goals)
+            rest = f" ({n - len(unmet)} of {n} goals met)" if unmet else ""
             return f"STOP{done}: {REASONS[self.action]}{rest}."
-        words = f"GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h)"
-        if self.contradiction is not None:
-            words = (
-                "WARNING: the records contradict one another, so that the errors do not hold; look "
-                f"for what the model lacks (improve) first; {words}"
-            )
-        brings = "checks what one run alone has said"
-        if not self.is_check:
-            unmet = (one for one in self.goals if not one.is_met)
+        brings, left = "checks what one run alone has said", "not all goals can be planned for"
+        if unmet:
             far = max(unmet, key=lambda one: one.now / one.goal.tolerance)
             now, then = (far.goal.words(self.model, value) for value in (far.now, far.then))
             brings = f"brings {far.goal.name} from {now} to {then}"
-        left = "not all goals can be planned for"
         if np.isfinite(self.hours_left):
             left = f"{counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
-        safe = self._safety or "no limit on the motion was given"
-        return f"{words} {brings}; {left}; {safe}."
-
-    @property
-    def _safety(self) -> str:
-        """How surely the next run keeps its limits; empty where there are none."""
-        return self.assurance.report() if self.assurance and self.assurance.limited else ""
+        warned = (
+            ""
+            if self.contradiction is None
+            else (
+                "WARNING: the records contradict one another, so that the errors do not hold; look "
+                "for what the model lacks (improve) first; "
+            )
+        )
+        safe = self.assurance.report() if self.assurance else NO_LIMIT
+        return (
+            f"{warned}GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h) {brings}; {left}; "
+            f"{safe}."
+        )
 
     def document(self) -> Report:
         """Return the decision, the verdict first."""

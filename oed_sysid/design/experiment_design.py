@@ -33,7 +33,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.assurance import Assurance
-from oed_sysid.design.criteria import ByShifts, Criterion, DOptimal
+from oed_sysid.design.criteria import Criterion, DOptimal
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import Bench, Reference, Standard, ZigZags, standard_manoeuvres
 from oed_sysid.design.objective import Objective, Score
@@ -75,7 +75,7 @@ def design_experiment(
     trial: Trial,
     *,
     rng: np.random.Generator,
-    criterion: Criterion | ByShifts | Robust = DOptimal(),  # noqa: B008 (frozen)
+    criterion: Criterion | Robust = DOptimal(),  # noqa: B008 (frozen)
     search: Search = Search(),  # noqa: B008 (frozen)
     knowledge: Knowledge = Knowledge(),  # noqa: B008 (frozen)
     caution: Caution | str | None = "auto",
@@ -195,25 +195,22 @@ def find_design(
         assured = partial(task.assured, found.experiment, rng)
         return found, kept.once("other vehicles", assured, rng=rng)
 
+    # What nothing keeps as surely as that: the first line of the result says so.
+    may_fail = (DesignError,) if may_be_unsafe else ()
     try:
         found, assurance = tried(task)
     except DesignError:
         if not may_be_unsafe or task.caution is None:
             raise
-        # Nothing keeps the limits as surely as that: what follows says so in its first line.
         task = replace(task, scenarios=(), waves=())
         found, assurance = tried(task)
     # With more and stricter vehicles, until fresh ones confirm the probability asked for.
-    for _ in range(3):
-        if assurance is None or not task.scenarios or assurance.is_enough:
-            break
-        task = task.stricter(assurance, rng)
-        try:
+    with suppress(*may_fail):
+        for _ in range(3 if task.scenarios else 0):
+            if assurance is None or assurance.is_enough:
+                break
+            task = task.stricter(assurance, rng)
             found, assurance = tried(task, found.best)
-        except DesignError:
-            if not may_be_unsafe:
-                raise
-            break
     return _designed(task, search, found, assurance, references, began)
 
 

@@ -103,7 +103,7 @@ class ExpectedInformation:
     ----------
     model : Model
         At the values in question, with the sensors' levels in use.
-    criterion : Criterion or ByShifts
+    criterion : Criterion
     sigma : ndarray (n_outputs,)
         Standard deviations of the sensors' noise, white and coloured together.
     sea : NoiseModel or None
@@ -122,7 +122,7 @@ class ExpectedInformation:
     """
 
     model: Model
-    criterion: Criterion | ByShifts
+    criterion: Criterion
     sigma: np.ndarray
     sea: NoiseModel | None
     prior: Information | None
@@ -133,7 +133,7 @@ class ExpectedInformation:
 
     @classmethod
     def of(
-        cls, given: Model | Fit, criterion: Criterion | ByShifts, knowledge: Knowledge
+        cls, given: Model | Fit, criterion: Criterion, knowledge: Knowledge
     ) -> ExpectedInformation:
         """Return what is expected of runs of a vehicle, or after a fit."""
         model = given.model if isinstance(given, Fit) else given
@@ -148,17 +148,23 @@ class ExpectedInformation:
         shifts = criterion.shifts(model) if isinstance(criterion, ByShifts) else None
         n = len(_shared(model))
         before = np.zeros((n if shifts is None else n + len(shifts),) * 2)
-        if shifts is not None and isinstance(given, Fit) and isinstance(knowledge.prior, str):
-            # A fit brings its records, judged at its values: what they would have shown is known.
-            rows = prior_factor(model, _shared(model), "model")
-            before[:n, :n] = rows.T @ rows
-            told = RunInformation(model, sigma if sea is None else sea, shifts=shifts)
-            for play in plays(model, given.dataset, initial_states=given.initial_states):
-                factor = told.factor(play)
-                before += factor.T @ factor
-        elif prior is not None:
+        if prior is not None:
             before[:n, :n] = prior.matrix
-        return cls(model, criterion, sigma, sea, prior, before, knowledge.start, shifts)
+        found = cls(model, criterion, sigma, sea, prior, before, knowledge.start, shifts)
+        if shifts is None or not isinstance(given, Fit) or not isinstance(knowledge.prior, str):
+            return found
+        return found._after_records(given)
+
+    def _after_records(self, fit: Fit) -> ExpectedInformation:
+        """The same with what the records of a fit, judged at its values, show of the effects."""
+        n, before = len(self.names), np.zeros_like(self.before)
+        rows = prior_factor(self.model, self.names, "model")
+        before[:n, :n] = rows.T @ rows
+        told = RunInformation(self.model, self.expected, shifts=self.shifts)
+        for play in plays(self.model, fit.dataset, initial_states=fit.initial_states):
+            factor = told.factor(play)
+            before += factor.T @ factor
+        return replace(self, before=before)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -184,12 +190,9 @@ class ExpectedInformation:
     def measure(self, vehicle: Model | None = None, scales: np.ndarray | None = None) -> Measure:
         """The criterion as a function of matrices in units of the parameters."""
         model = vehicle or self.model
-        if isinstance(self.criterion, ByShifts):
-            shifts = self.shifts_of(model)
-            assert shifts is not None
-            return self.criterion.bind_shifts(shifts, len(self.names))
         units = self.scales(model) if scales is None else scales
-        return self.criterion.bind(Setting(model, self.names, units, self.sigma))
+        setting = Setting(model, self.names, units, self.sigma, self.shifts_of(model))
+        return self.criterion.bind(setting)
 
     def relative(self, matrix: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """A matrix in SI units in units of the parameters; effects are in units of their size."""

@@ -218,15 +218,11 @@ def candidate_runs(
     speeds = _distinct([patterns] if isinstance(patterns, Experiment) else patterns)
     if not speeds or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
-    for number, pattern in enumerate(speeds):
-        speed = _label(model, pattern, number) if len(speeds) > 1 else ""
-        lengths = list(map(float, durations or (pattern.duration or 0.0,)))
-        for length in lengths:
-            bench = Bench.of(model, limits, pattern, length, vehicles, kept)
-            tail = f"{speed}, {length:g} s" if len(lengths) > 1 else speed
-            for experiment, kind, share in bench.runs(kinds, rng):
-                named = replace(experiment, name=f"{experiment.name}{tail}")
-                found.append(Candidate(named, kind, length + turnaround, share))
+    for pattern, tail, length in _variants(model, speeds, durations):
+        bench = Bench.of(model, limits, pattern, length, vehicles, kept)
+        for experiment, kind, share in bench.runs(kinds, rng):
+            named = replace(experiment, name=f"{experiment.name}{tail}")
+            found.append(Candidate(named, kind, length + turnaround, share))
     if not found:
         raise DesignError(
             "No run of any kind keeps the limits on the vehicles that are possible. Widen the "
@@ -242,6 +238,17 @@ def _distinct(patterns: Iterable[Experiment]) -> list[Experiment]:
         if (one.constants, one.initial) not in [(two.constants, two.initial) for two in kept]:
             kept.append(one)
     return kept
+
+
+def _variants(
+    model: Model, speeds: Sequence[Experiment], durations: Sequence[float] | None
+) -> Iterable[tuple[Experiment, str, float]]:
+    """Every pattern at every length, s, with what tells them apart in the names of runs."""
+    for number, pattern in enumerate(speeds):
+        speed = _label(model, pattern, number) if len(speeds) > 1 else ""
+        lengths = list(map(float, durations or (pattern.duration or 0.0,)))
+        for length in lengths:
+            yield pattern, f"{speed}, {length:g} s" if len(lengths) > 1 else speed, length
 
 
 def _label(model: Model, pattern: Experiment, number: int) -> str:
@@ -456,22 +463,24 @@ class Bench:
         Of equal angles, made smaller together until the limits hold, and quick ones, which turn
         before the attitude has reached the control's angle.
         """
-        if not self.attitude:
-            return
-        equal = [[(share * angle, share * angle) for share in SHARES[:4]] for angle in ZIGZAGS]
-        quick = [[(angle, share * angle) for share in _QUICK] for angle in ZIGZAGS[1:]]
+        equal = [(share, share) for share in SHARES[:4]]
+        quick = [(1.0, share) for share in _QUICK]
+        families = [(angle, equal) for angle in ZIGZAGS] + [(a, quick) for a in ZIGZAGS[1:]]
         seen: set[str] = set()
-        for family in (*equal, *quick):
-            sizes = [(round(control, 3), round(turn, 3)) for control, turn in family]
-            named = {f"zigzag {size:g}/{switch:g}": (size, switch) for size, switch in sizes}
-            runs = (
-                (name, self.zigzag(name, radians(size), radians(switch)))
-                for name, (size, switch) in named.items()
-                if name not in seen and radians(size) <= self.reach
-            )
-            for name, run, share in self.keeping(runs):
+        for angle, shares in families:
+            sizes = (one for one in self._sizes(angle, shares) if one[0] not in seen)
+            for name, run, share in self.keeping((one[0], self.zigzag(*one)) for one in sizes):
                 seen.add(name)
                 yield run, share
+
+    def _sizes(
+        self, angle: float, shares: Iterable[tuple[float, float]]
+    ) -> Iterable[tuple[str, float, float]]:
+        """Name, control and attitude of zigzags, shares of an angle in degrees, within reach."""
+        for control, turn in shares:
+            size, switch = round(control * angle, 3), round(turn * angle, 3)
+            if self.attitude and radians(size) <= self.reach:
+                yield f"zigzag {size:g}/{switch:g}", radians(size), radians(switch)
 
     def zigzags_ahead(self) -> Iterable[tuple[Experiment, float]]:
         """Zigzags that look ahead within limits of the attitude, about a keeper of the depth.

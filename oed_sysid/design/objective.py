@@ -66,6 +66,10 @@ class VehicleInformation:
         Start state.
     sigma : ndarray (n_outputs,)
         Standard deviations of the noise of the outputs.
+    measure : Measure
+        Criterion bound to the vehicle.
+    prior : ndarray (n_known, n_known)
+        Scaled information at hand before the experiment.
     start : str or mapping
         See :func:`~oed_sysid.information.bound.information_of`.
     shifts : Shifts, optional
@@ -79,11 +83,14 @@ class VehicleInformation:
         edges: np.ndarray,
         own: np.ndarray,
         sigma: np.ndarray,
+        measure: Measure,
+        prior: np.ndarray,
         *,
         start: str | Mapping[str, float] = "unknown",
         shifts: Shifts | None = None,
     ) -> None:
         self.model, self.times, self.own, self.sigma = model, times, own, sigma
+        self.measure, self.prior = measure, prior
         self.edges = np.ascontiguousarray(edges, dtype=np.intc)
         self.kernel = kernel(model)
         self.values = model.value_vector
@@ -219,6 +226,14 @@ class VehicleInformation:
         chains[:, n_full:, n_own:] = np.eye(n_unknowns - n_own)
         return chains[:, :, self.columns] * self.scales
 
+    def worth(self, evaluation: Evaluation) -> tuple[float, np.ndarray]:
+        """Criterion and its derivative by the whole information matrix."""
+        reduced, mapping = eliminate(self.information(evaluation.rows), self.n_nuisance)
+        n_known = len(self.prior)
+        reduced[:n_known, :n_known] += self.prior
+        value, gradient = self.measure(reduced)
+        return value, mapping.T @ gradient @ mapping
+
     def information(self, rows: np.ndarray) -> np.ndarray:
         """Scaled information on ``[nuisance, parameters, rival shifts]``."""
         flat = rows.reshape(-1, rows.shape[2])
@@ -292,10 +307,6 @@ class Objective:
     ----------
     vehicles : sequence of VehicleInformation
         Sets of values.
-    measures : sequence of Measure
-        Criterion bound to each vehicle.
-    priors : sequence of ndarray (n_parameters, n_parameters)
-        Scaled information at hand before the experiment, per vehicle.
     shape : Shape
         Family of commands.
     positions : ndarray of int
@@ -315,8 +326,6 @@ class Objective:
     def __init__(
         self,
         vehicles: Sequence[VehicleInformation],
-        measures: Sequence[Measure],
-        priors: Sequence[np.ndarray],
         shape: Shape,
         positions: np.ndarray,
         constants: np.ndarray,
@@ -326,8 +335,7 @@ class Objective:
         n_workers: int = 1,
         scenarios: Scenarios | None = None,
     ) -> None:
-        self.vehicles, self.measures, self.priors = tuple(vehicles), tuple(measures), tuple(priors)
-        self.shape, self.bounds = shape, bounds
+        self.vehicles, self.shape, self.bounds = tuple(vehicles), shape, bounds
         self._positions, self._constants = positions, constants
         self._softness = softness
         self.scenarios = scenarios
@@ -362,26 +370,19 @@ class Objective:
         played = self.all_commands(numbers)[0] if commands is None else commands
         self.n_evaluations += 1
         evaluations: list[Evaluation] = []
+        values: list[float] = []
         for vehicle in self.vehicles:
-            evaluation = vehicle.evaluation(played)
-            if evaluation is None:
+            if (evaluation := vehicle.evaluation(played)) is None:
                 return Score(numbers, played, -np.inf, np.inf, ())
             evaluations.append(evaluation)
-        value = self._combined([self._measured(i, one)[0] for i, one in enumerate(evaluations)])[0]
+            values.append(vehicle.worth(evaluation)[0])
+        value = self._combined(values)[0]
         excess = max(self.bounds.worst(one.signals) for one in evaluations)
         runs: list[ScenarioRun] = []
         if (scenarios := self.scenarios) is not None and with_scenarios:
             runs = self._each(lambda i: scenarios.run(i, played), len(scenarios))
             excess = max(excess, scenarios.level(runs))
         return Score(numbers, played, value, excess, tuple(evaluations), tuple(runs))
-
-    def _measured(self, index: int, evaluation: Evaluation) -> tuple[float, np.ndarray]:
-        """Criterion of one vehicle and its derivative by the whole information matrix."""
-        vehicle, prior = self.vehicles[index], self.priors[index]
-        reduced, mapping = eliminate(vehicle.information(evaluation.rows), vehicle.n_nuisance)
-        reduced[: len(prior), : len(prior)] += prior
-        value, gradient = self.measures[index](reduced)
-        return value, mapping.T @ gradient @ mapping
 
     def _combined(self, values: Sequence[float]) -> tuple[float, np.ndarray]:
         """Mean or soft minimum over the vehicles, and the weights of their gradients."""
@@ -395,7 +396,8 @@ class Objective:
         size = self.shape.size
         signs = np.where(score.numbers > 0.5, -1.0, 1.0)
         commands = self.all_commands(score.numbers + np.diag(_STEP * signs))
-        parts = [self._measured(i, evaluation) for i, evaluation in enumerate(score.evaluations)]
+        judged = zip(self.vehicles, score.evaluations, strict=True)
+        parts = [vehicle.worth(evaluation) for vehicle, evaluation in judged]
         _, weights = self._combined([value for value, _ in parts])
         slopes = [
             2 * weight * (one.rows @ slope)

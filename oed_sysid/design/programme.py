@@ -29,11 +29,11 @@ from scipy.optimize import brentq
 
 from oed_sysid.design.allocation import Library, Selection, Weights, order, select, weights
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
-from oed_sysid.design.criteria import AOptimal, ByShifts, Criterion, EOptimal, inverse
+from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, inverse
 from oed_sysid.design.experiment_design import find_design
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge, with_levels
 from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs
-from oed_sysid.design.result import Design, Programme, Standard, joint_share
+from oed_sysid.design.result import Design, Programme, Standard
 from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import CHECKED, LimitBounds, draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
@@ -124,7 +124,7 @@ def design_programme(
     limits: Limits,
     budget: Budget,
     rng: np.random.Generator,
-    criterion: Criterion | ByShifts = AOptimal(),  # noqa: B008 (frozen)
+    criterion: Criterion = AOptimal(),  # noqa: B008 (frozen)
     knowledge: Knowledge = Knowledge(),  # noqa: B008 (frozen)
     search: ProgrammeSearch = ProgrammeSearch(),
     certainty: float = 0.95,
@@ -184,15 +184,26 @@ def design_programme(
     names = tuple(budget.sensors)
     subsets = chain.from_iterable(combinations(names, n) for n in range(len(names) + 1))
     options = [planner.solve(runs, subset) for subset in subsets]
-    first = plan = max(options, key=lambda one: one.chosen.value)
+    plan = max(options, key=lambda one: one.chosen.value)
     for number in range(search.n_rounds):
         tell(f"refining commands, round {number + 1}")
         before, plan = plan.chosen.value, planner.refined(plan, number)
         if plan.chosen.value - before < 1e-3:
             break
     tell("checking limits on other vehicles")
-    plan, safe = planner.kept_within(plan)
-    unrefined = planner.unrefined(plan)
+    return _programme(planner, *planner.kept_within(plan), options, began)
+
+
+def _programme(
+    planner: _Planner,
+    plan: _Plan,
+    safe: Mapping[str, Assurance],
+    options: Sequence[_Plan],
+    began: float,
+) -> Programme:
+    """What is chosen as a result, beside what other sensors and no refinement would tell."""
+    expected, budget = planner.expected, planner.budget
+    unrefined, most = planner.unrefined(plan), max(one.chosen.value for one in options)
     library, chosen = plan.library, plan.chosen
     sequence = [plan.runs[i] for i in order(library, [int(n) for n in chosen.counts])]
     joint = library.total(chosen.counts.astype(float))
@@ -200,12 +211,12 @@ def design_programme(
     errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
     sensor_options = {
         ", ".join(one.subset) or "none": (
-            one.chosen.value, library.factor(one.chosen.value - first.chosen.value)
+            one.chosen.value, library.factor(one.chosen.value - most)
         )
         for one in options
     }  # fmt: skip
     return Programme(
-        model=nominal,
+        model=expected.model,
         runs=tuple(sequence),
         candidates=plan.runs,
         weights=plan.shares.repetitions,
@@ -213,7 +224,7 @@ def design_programme(
             expected.names, totals[0] / scales[:, None] / scales, scales
         ),
         prior=expected.prior,
-        criterion=criterion.name,
+        criterion=expected.criterion.name,
         value=chosen.value,
         bound=plan.shares.bound,
         relaxed=plan.shares.value,
@@ -244,11 +255,12 @@ def _leaving(
     """Runs that are left out for the limits: each unsafe one, or what is worst for all together."""
     limited = {run.name: safe[run.name] for run in picked if safe[run.name].limited}
     leaves = {name for name, one in limited.items() if one.probability < certainty}
-    if leaves or joint_share(list(limited.values())) >= certainty:
+    if leaves or Assurance.joint(limited.values()).probability >= certainty:
         return leaves
 
     def without(name: str) -> float:
-        return joint_share([one for other, one in limited.items() if other != name])
+        others = (one for other, one in limited.items() if other != name)
+        return Assurance.joint(others).probability
 
     return {max(limited, key=without)}
 
@@ -460,16 +472,19 @@ def _tightened(limits: Limits, initial: Mapping[str, float], room: float) -> Lim
 def _standard(names: Sequence[str], plan: _Plan) -> Standard | None:
     """The standard programme within the same limits, and how long it would take."""
     runs, library = plan.runs, plan.library
+
+    def worth(i: int) -> tuple[float, float]:
+        """Of a trial the one at the speed at which it tells most.
+
+        Of a zigzag that keeps the limits nowhere, the one of the largest angle that does.
+        """
+        alone = library.value(100.0 * np.eye(len(runs))[i])
+        return getattr(_zigzag(runs[i]), "amplitude", 0.0), alone
+
     picked: list[int] = []
     for word in STANDARD:
-        found = [i for i in _same(word, runs) if i not in picked]
-        if found:
-            # Of each trial the one at the speed at which it tells most; of a zigzag that keeps
-            # the limits nowhere, the one of the largest angle that does.
-            alone = {i: library.value(100.0 * np.eye(len(runs))[i]) for i in found}
-            shapes = {i: runs[i].experiment.excitation for i in found}
-            angle = {i: s.amplitude if isinstance(s, ZigZag) else 0.0 for i, s in shapes.items()}
-            picked.append(max(found, key=lambda i: (angle[i], alone[i])))
+        if found := [i for i in _same(word, runs) if i not in picked]:
+            picked.append(max(found, key=worth))
     if not picked:
         return None
     counts = np.bincount(picked, minlength=len(runs)).astype(float)
@@ -485,15 +500,20 @@ def _standard(names: Sequence[str], plan: _Plan) -> Standard | None:
 
 def _same(word: str, runs: Sequence[Candidate]) -> list[int]:
     """Runs that are a standard trial, or of its kind; quick zigzags are no standard trials."""
-    same = []
-    for i, run in enumerate(runs):
-        shape = run.experiment.excitation
-        if run.kind == word.partition(" ")[0] and (
-            run.kind != "zigzag"
-            or (isinstance(shape, ZigZag) and shape.amplitude == shape.switch and not shape.lead)
-        ):
-            same.append(i)
+    kind = word.partition(" ")[0]
+    same = [i for i, run in enumerate(runs) if run.kind == kind and not _is_quick(run)]
     return [i for i in same if runs[i].name.startswith(word)] or same
+
+
+def _zigzag(run: Candidate) -> ZigZag | None:
+    shape = run.experiment.excitation
+    return shape if isinstance(shape, ZigZag) else None
+
+
+def _is_quick(run: Candidate) -> bool:
+    """Whether a zigzag turns before its control's angle is reached, or looks ahead."""
+    shape = _zigzag(run)
+    return shape is not None and (shape.amplitude != shape.switch or shape.lead > 0)
 
 
 def _times(library: Library, counts: np.ndarray, target: float) -> float:

@@ -11,14 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
 from textwrap import wrap
 
 import numpy as np
 
-from oed_sysid.design.assurance import TRUSTED, AccuracyRange, Assurance, stated
+from oed_sysid.design.assurance import NO_LIMIT, TRUSTED, AccuracyRange, Assurance, stated
 from oed_sysid.design.card import WIDTH, TrialCard
-from oed_sysid.design.criteria import SURE, Detection, missing_physics, told_apart
+from oed_sysid.design.criteria import Detection, missing_physics, shown, told_apart
 from oed_sysid.design.library import Candidate, Reference
 from oed_sysid.design.vehicles import percent
 from oed_sysid.experiments.experiment import Experiment
@@ -364,12 +365,6 @@ class Design(_Accuracy):
         write_commands(Path(path), self.model, self.trajectory, predicted=predicted)
 
 
-def joint_share(found: Sequence[Assurance]) -> float:
-    """Share of the vehicles on which all of several runs, judged on the same ones, keep limits."""
-    masks = [one.kept for one in found if one.limited]
-    return float(np.logical_and.reduce(masks).mean()) if masks else 1.0
-
-
 @dataclass(frozen=True)
 class Standard:
     """Standard trials, to compare a programme with.
@@ -498,15 +493,20 @@ class Programme(_Accuracy):
         """How far the weights may be below the best weights, in units of the criterion."""
         return self.bound - self.relaxed
 
+    @cached_property
+    def together(self) -> Assurance:
+        """How surely all runs keep their limits."""
+        return Assurance.joint(self.assurances.values())
+
     @property
     def limited(self) -> bool:
         """Whether there is any limit on the motion."""
-        return any(one.limited for one in self.assurances.values())
+        return self.together.limited
 
     @property
     def kept(self) -> float:
         """Share of the simulated vehicles on which all runs keep their limits."""
-        return joint_share(list(self.assurances.values()))
+        return self.together.probability
 
     @property
     def unsafe(self) -> tuple[str, ...]:
@@ -517,8 +517,7 @@ class Programme(_Accuracy):
     @property
     def is_unsafe_together(self) -> bool:
         """Whether one run or another leaves its limits on more vehicles than wanted."""
-        wanted = [one.wanted for one in self.assurances.values() if one.limited and one.wanted]
-        return bool(wanted) and self.kept < max(wanted)
+        return not self.together.is_enough
 
     @property
     def danger(self) -> str:
@@ -546,7 +545,7 @@ class Programme(_Accuracy):
         )  # fmt: skip
         together = []
         if self.limited:
-            checked = max(one.n_checked for one in self.assurances.values())
+            checked = self.together.n_checked
             together.append(f"all together keep them on {self.kept:.0%} of {checked} vehicles")
         worth = (
             f"Of what the best programme of these {len(self.candidates)} runs could tell, this "
@@ -607,7 +606,7 @@ class Programme(_Accuracy):
                 else "; standard trials would never tell as much"
             )
         if not self.limited:
-            words += "; no limit on the motion was given"
+            words += f"; {NO_LIMIT}"
         elif not self.unsafe:
             n_limited = sum(one.limited for one in self.assurances.values())
             together = "all runs keep" if n_limited > 1 else "the run keeps"
@@ -622,10 +621,8 @@ class Programme(_Accuracy):
                 f"{first} and {second} are told apart with a probability of {told_apart(least):.0%}"
             )
         if self.chances:
-            before = sum(one.before >= SURE for one in self.chances)
-            after = sum(one.after >= SURE for one in self.chances)
-            n = len(self.chances)
-            return f"{after} of {n} effects would show, should they be missing (before: {before})"
+            (n_before, n), n_all = shown(self.chances), len(self.chances)
+            return f"{n} of {n_all} effects would show, should they be missing (before: {n_before})"
         if self.sea is not None and not self.relative_errors.max() <= TRUSTED:
             return f"{self._least_certain()[0]}, which stays unidentified"
         before = self.prior_errors[int(self.relative_errors.argmax())]

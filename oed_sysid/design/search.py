@@ -232,10 +232,10 @@ def refine(
     K. Svanberg, The method of moving asymptotes, *Int. J. Numerical Methods in
     Engineering* 24 (1987) 359-373: bounds that follow the sign of the steps.
     """
-    state = _Progressed(start, start if start.feasible else None, start, len(start.numbers))
-    begin = 0
-    if journal is not None and (kept := journal.state()) is not None:
-        begin, state, objective.n_evaluations = kept
+    keep = journal or Journal()
+    begin, state, objective.n_evaluations = keep.state() or (
+        0, _Progressed(start), objective.n_evaluations
+    )  # fmt: skip
     for index in range(begin, n_steps):
         if not state.step(objective):
             break
@@ -244,18 +244,17 @@ def refine(
         # Enough where the last five steps together gained too little.
         if len(state.merits) > 6 and state.merits[-1] - state.merits[-6] < WORTH:
             break
-        if journal is not None:
-            journal.keep((index + 1, state, objective.n_evaluations))
-    return state.best, state.nearest if state.best is None else state.best
+        keep.keep((index + 1, state, objective.n_evaluations))
+    return state.best, state.best or state.nearest
 
 
 class _Progressed:
     """Where a refinement stands: the present member, the best, and the bounds of its steps."""
 
-    def __init__(self, start: Score, best: Score | None, nearest: Score, size: int) -> None:
-        self.current, self.best, self.nearest = start, best, nearest
-        self.radius = np.full(size, _FIRST_RADIUS)
-        self.last_step = np.zeros(size)
+    def __init__(self, start: Score) -> None:
+        self.current, self.best, self.nearest = start, start if start.feasible else None, start
+        self.radius = np.full(len(start.numbers), _FIRST_RADIUS)
+        self.last_step = np.zeros(len(start.numbers))
         self.merits = [_merit(start)]
 
     def step(self, objective: Objective) -> bool:
@@ -396,8 +395,6 @@ def refine_all(
         Keeps every refined start.
     """
     keep = journal or Journal()
-    nearest = min(begin, key=lambda score: score.excess)
-    rough: list[Score] = []
 
     def refined(number: int, start: Score, n_steps: int) -> tuple[Score | None, Score]:
         def tell(index: int, score: Score) -> None:
@@ -411,22 +408,18 @@ def refine_all(
         best, close, objective.n_evaluations = keep.once(f"start {number + 1}", work)
         return best, close
 
-    values = []
-    for number, start in enumerate(begin):
-        found, close = refined(number, start, n_steps)
-        values.append(float("-inf") if found is None else found.value)
-        if found is not None:
-            rough.append(found)
-        nearest = min(nearest, close, key=lambda score: score.excess)
+    ends = [refined(number, start, n_steps) for number, start in enumerate(begin)]
+    reached, closest = zip(*ends, strict=True)
+    rough = [*filter(None, reached)]
+    values = tuple(-np.inf if found is None else found.value for found in reached)
+    nearest = min((*begin, *closest), key=lambda score: score.excess)
     if not rough:
-        return SearchResult(None, nearest, tuple(values))
+        return SearchResult(None, nearest, values)
     best = max(rough, key=lambda score: score.value)
-    for index in range(3):
+    for number in range(len(begin), len(begin) + 3):
         # From slightly smaller commands other corners come within reach.
-        inner = best if index == 0 else objective.score(0.5 + _INWARD * (best.numbers - 0.5))
-        if not inner.evaluations:
-            continue
-        found, _ = refined(len(begin) + index, inner, 2 * n_steps)
-        if found is not None and found.value > best.value:
-            best = found
-    return SearchResult(best, nearest, tuple(values), (*rough, best))
+        first, inner = number == len(begin), 0.5 + _INWARD * (best.numbers - 0.5)
+        start = best if first else objective.score(inner)
+        found = refined(number, start, 2 * n_steps)[0] if start.evaluations else None
+        best = max(filter(None, (best, found)), key=lambda score: score.value)
+    return SearchResult(best, nearest, values, (*rough, best))

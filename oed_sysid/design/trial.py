@@ -283,13 +283,12 @@ class Task:
         vehicles = [
             VehicleInformation(
                 model, self.grid.times, used.edges, own, expected.raised * expected.sigma,
-                start=expected.start,
-                shifts=expected.shifts_of(model),
+                expected.measure(model),
+                expected.relative(expected.before, expected.scales(model)),
+                start=expected.start, shifts=expected.shifts_of(model),
             )
             for model in self.models
         ]  # fmt: skip
-        measures = [expected.measure(model) for model in self.models]
-        priors = [expected.relative(expected.before, expected.scales(one)) for one in self.models]
         scenarios = None
         if self.caution is not None and self.bounds.names and self.scenarios:
             scenarios = Scenarios(
@@ -297,7 +296,7 @@ class Task:
                 self.waves,
             )  # fmt: skip
         return Objective(
-            vehicles, measures, priors, used, self.positions, self.neutral, self.bounds,
+            vehicles, used, self.positions, self.neutral, self.bounds,
             softness=self.softness, n_workers=n_workers, scenarios=scenarios,
         )  # fmt: skip
 

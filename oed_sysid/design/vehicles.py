@@ -343,26 +343,40 @@ def draw_models(
         Other structures, taken in turn; what the prior does not know of them stays at its value.
     """
     structures = (model, *others)
-    found: dict[int, Model] = {}
-    for first, one in enumerate(structures):
-        names = one.free_names
-        values = np.array([one.values[name] for name in names])
-        ends = np.array([(p.lower, p.upper) for p in one.free_parameters]).reshape(-1, 2).T
-        far = np.full(len(names), spread or 0.0)
-        deviations = np.zeros((len(names), len(names)))
-        if spread is None:
-            deviations = _deviations(one, prior)
-            far = np.where(deviations.any(axis=1), 0.0, UNCERTAINTY)
-        for number in range(first, n_sets, len(structures)):
-            wide = DOUBT if prior is None and number // len(structures) % 2 else 1.0
-            drawn = values.copy()
-            if deviations.any():
-                drawn += wide * deviations @ rng.standard_normal(len(names))
-            if far.any():
-                drawn += values * far * rng.uniform(-1, 1, len(names))
-            inside = np.clip(drawn, *ends).tolist()
-            found[number] = one.with_values(dict(zip(names, inside, strict=True)))
-    return tuple(found[number] for number in range(n_sets))
+    n = len(structures)
+    drawn = [
+        _drawn(one, spread, prior, rng, len(range(first, n_sets, n)))
+        for first, one in enumerate(structures)
+    ]
+    return tuple(drawn[number % n][number // n] for number in range(n_sets))
+
+
+def _drawn(
+    model: Model,
+    spread: float | None,
+    prior: Information | None,
+    rng: np.random.Generator,
+    n_sets: int,
+) -> list[Model]:
+    """One structure at values drawn about its own; see :func:`draw_models`."""
+    names, free = model.free_names, model.free_parameters
+    values = np.array([model.values[name] for name in names])
+    ends = np.array([(p.lower, p.upper) for p in free]).reshape(-1, 2).T
+    deviations, far = np.zeros((len(names),) * 2), np.full(len(names), spread or 0.0)
+    if spread is None:
+        deviations = _deviations(model, prior)
+        far = np.where(deviations.any(axis=1), 0.0, UNCERTAINTY)
+    found = []
+    for number in range(n_sets):
+        wide = DOUBT if prior is None and number % 2 else 1.0
+        moved = values.copy()
+        if deviations.any():
+            moved += wide * deviations @ rng.standard_normal(len(names))
+        if far.any():
+            moved += values * far * rng.uniform(-1, 1, len(names))
+        inside = np.clip(moved, *ends).tolist()
+        found.append(model.with_values(dict(zip(names, inside, strict=True))))
+    return found
 
 
 def _deviations(model: Model, prior: Information | None) -> np.ndarray:
@@ -452,7 +466,10 @@ class ScenarioRun:
 
 
 def motion(
-    vehicle: Model, run: Experiment, *, commands: np.ndarray | None = None
+    vehicle: Model,
+    run: Experiment,
+    sea: NoiseModel | None = None,
+    rng: np.random.Generator | None = None,
 ) -> Trajectory | None:
     """What a vehicle does in a run; None where it diverges.
 
@@ -460,13 +477,19 @@ def motion(
     ----------
     vehicle : Model
     run : Experiment
-        One that reacts closes its loop on this vehicle.
-    commands : ndarray (n_times, n_inputs), optional
-        Given commands in its place.
+        One that reacts closes its loop on this vehicle; its limits are not looked at.
+    sea, rng : optional
+        Disturbance forces, and the source of the draw that this vehicle meets.
     """
+    run = replace(run, limits=Limits())
+    if sea is not None and rng is not None and sea.has_forces:
+        vehicle, run = at_sea(vehicle, run, sea, rng=rng)
     try:
-        if commands is None:
-            commands = simulate(vehicle, replace(run, limits=Limits()), noise=False).inputs
+        commands = (
+            simulate(vehicle, run, noise=False).inputs
+            if run.reacts
+            else run.commands(vehicle.input_names)
+        )
         return simulate_inputs(vehicle, run.times, inputs=commands, initial=run.initial)
     except OedSysidError:
         return None
@@ -488,15 +511,12 @@ def kept_on(
     """
     allowed = int((1 - wanted) * len(vehicles) + 1e-9)
     failed = 0
-    commands = None
     for number, vehicle in enumerate(vehicles):
-        found = motion(vehicle, run, commands=commands)
+        found = motion(vehicle, run)
         if found is None or bounds.first_left(found) is not None:
             failed += 1
             if number == 0 or failed > allowed:
                 return None
-        elif number == 0 and not run.reacts:
-            commands = found.inputs  # the same on every vehicle
     return 1.0 - failed / len(vehicles)
 
 
