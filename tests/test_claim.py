@@ -13,8 +13,8 @@ from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
 
 from oed_sysid import Force, NoiseModel, Parameter, improve
 from oed_sysid.errors import DataError
+from oed_sysid.evidence.chance import FALSE_CLAIMS, threshold
 from oed_sysid.evidence.claim import (
-    FALSE_CLAIMS,
     RISE,
     RISE_DISTURBED,
     Claim,
@@ -22,7 +22,7 @@ from oed_sysid.evidence.claim import (
     claim,
     independent_share,
 )
-from oed_sysid.evidence.rank import rank, threshold
+from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.score import two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import disturbed_equations

@@ -11,7 +11,7 @@ import pytest
 import oed_sysid
 from oed_sysid import Experiment, write_csv
 from oed_sysid.cli import DONE, main
-from oed_sysid.evidence.claim import threshold
+from oed_sysid.evidence.chance import threshold
 from oed_sysid.experiments.manoeuvres import Doublet
 from oed_sysid.experiments.simulation import simulate
 

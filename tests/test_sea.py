@@ -18,8 +18,8 @@ from oed_sysid import Force, Sea, improve
 from oed_sysid.compiled.filtering import narrow_band
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
+from oed_sysid.evidence.chance import threshold as threshold_forces
 from oed_sysid.evidence.rank import Ranking, rank
-from oed_sysid.evidence.rank import threshold as threshold_forces
 from oed_sysid.evidence.score import lines
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.problem import load_problem

@@ -24,8 +24,8 @@ from oed_sysid import (
     load_problem,
     replayed,
 )
+from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.improvement import Improvement
-from oed_sysid.evidence.rank import threshold
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.whole_runs import rms, whole_runs

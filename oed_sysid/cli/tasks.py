@@ -325,7 +325,7 @@ def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
     [bold]Example[/bold]: oed-sysid reduce remus_diving_plane dive_1.csv dive_2.csv
     --validate dive_3.csv
     """
-    from oed_sysid.evidence.claim import threshold
+    from oed_sysid.evidence.chance import threshold
 
     log, model = _log_of(study), study.problem.model
     study, left_out = _as_measured(study, log)

@@ -42,7 +42,14 @@ from oed_sysid.evidence.contrasts import Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
-from oed_sysid.evidence.result import Balance, Correction, Finding, Judged, LogCheck
+from oed_sysid.evidence.result import (
+    Balance,
+    Correction,
+    Finding,
+    Judged,
+    LogCheck,
+    kinds_that_are,
+)
 from oed_sysid.evidence.screens import Fault, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
@@ -78,9 +85,6 @@ __all__ = [
 
 # Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
 FAR = 5.0
-# Samples that must not enter any equation; and exact coincidences, which are certain.
-BLANKED = ("spikes", "dropouts", "frozen", "saturated", "held", "interpolated")
-EXACT = ("dead", "copied", *BLANKED[1:])
 # Kind, signal, record and beginning of a fault.
 _Place = tuple[str, str, str, float]
 
@@ -133,7 +137,8 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     equations = tuple(r for r in equations if mute.isdisjoint(r.names))
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
-        clean = [t.blank(marked(faults, t.name, BLANKED)) for t in traces]
+        bad = kinds_that_are("bad samples")
+        clean = [t.blank(marked(faults, t.name, bad)) for t in traces]
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
     findings = [*screen_findings(dataset, traces, faults), *related]
     asked, unchecked = _asked(model, traces, equations, ended), _shared(equations, traces)
@@ -361,7 +366,8 @@ def _ordered(findings: list[Finding]) -> list[Finding]:
     """Suspect ones first, coincidences before gains; a wrong unit explains a wrong noise level."""
     rescaled = {n for f in findings if f.kind in ("unit", "swap", "scale") for n in f.signals}
     kept = [f for f in findings if f.kind != "noise" or not rescaled & set(f.signals)]
-    return sorted(kept, key=lambda o: (not o.suspect, o.kind not in EXACT, -(o.gain or 0.0)))
+    exact = kinds_that_are("coincidence")
+    return sorted(kept, key=lambda o: (not o.suspect, o.kind not in exact, -(o.gain or 0.0)))
 
 
 def _asked(

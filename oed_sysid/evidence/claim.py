@@ -29,7 +29,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtri
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.misfit import WHITE_LEVEL
@@ -40,28 +39,11 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.display import as_dict
 
-# Probability that a search over records without missing physics claims something (alpha).
-FALSE_CLAIMS = 0.01
 # Error of whole validation runs, over that before, that is no rise: arithmetic and parameters a
 # little off; and where process noise acts, under which the runs of the better model wander too.
 RISE, RISE_DISTURBED = 1.02, 1.25
 # Share of a bound's range within which a value is at it: arithmetic.
 AT_BOUND = 1e-4
-
-
-def threshold(
-    n_candidates: int, freedom: int, share: float = FALSE_CLAIMS, *, trials: float = 1.0
-) -> float:
-    """Likelihood-ratio statistic that chance exceeds rarely, however many candidates.
-
-    ``trials`` counts the frequencies of which a candidate takes the best.
-
-    Examples
-    --------
-    >>> round(threshold(40, 1), 1)
-    13.4
-    """
-    return float(chdtri(freedom, share / (max(n_candidates, 1) * max(trials, 1.0))))
 
 
 @dataclass(frozen=True, eq=False)

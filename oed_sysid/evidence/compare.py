@@ -21,6 +21,7 @@ from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.result import LogCheck
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel
@@ -31,10 +32,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
-
-# Factor of a declared noise level, or of what the high-frequency content shows, from which an
-# estimated one is worth a word.
-SUSPECT_NOISE = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,7 +393,7 @@ def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray,
         f"the noise of {name} was estimated by a fit as {level:.2g}, while its high-frequency "
         f"content shows {low:.2g}: part of what counts as noise may be misfit."
         for name, level, low, open_ in zip(names, sigma, floor, unknown, strict=True)
-        if open_ and level > SUSPECT_NOISE * low
+        if open_ and level > WORTH_TELLING * low
     )
     return sigma, notes
 

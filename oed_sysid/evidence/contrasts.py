@@ -55,10 +55,11 @@ import numpy as np
 from scipy.fft import dct, idct
 from scipy.special import stdtrit
 
+from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.corrections import ADDED, level_axis, logged, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, RELATIVE, Trace, units_of
+from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, units_of
 
 # Resolution: block means of a piece; and places a record at which a step or a burst is tried before
 # its place is refined.
@@ -76,7 +77,7 @@ UNEXPLAINED, LOUDER = 1.0 / 3.0, 8.0
 # Effort: faults that one log is explained by, and iterations of its fit, at most.
 MOST_FAULTS, SWEEPS = 6, 12
 # Explanations are one group unless the odds between them are those of a false alarm.
-CLOSE = -2.0 * math.log(ALPHA)
+CLOSE = -2.0 * math.log(FALSE_CLAIMS)
 # Errors are that much wider than said: the law of the noise is estimated, faults are selected.
 WIDER = 1.15
 # Twice the logarithm of the odds, 7 to 1, by which some faults (a scale of positions, an actuator
@@ -550,7 +551,7 @@ def assemble(
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = 2.0 * gram.diagonal() ** 2 / relative
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
-    limits = stdtrit(freedom, 1.0 - 0.5 * ALPHA / (n + n_more)) ** 2
+    limits = stdtrit(freedom, 1.0 - 0.5 * FALSE_CLAIMS / (n + n_more)) ** 2
     # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
     limits = limits * np.where([f.placed for f in faults], VARYING, 1.0)
     return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
@@ -684,7 +685,7 @@ class System:
     def plain(cls, faults: Sequence[Candidate], gram: np.ndarray, right: np.ndarray) -> System:
         """Equations whose noise is known: limits are those of a normal score."""
         n = len(faults)
-        limits = np.full(n, stdtrit(1e6, 1.0 - 0.5 * ALPHA / n) ** 2)
+        limits = np.full(n, stdtrit(1e6, 1.0 - 0.5 * FALSE_CLAIMS / n) ** 2)
         return cls(faults, gram, right, limits, np.zeros(n), ())
 
     def found(self, chosen: Sequence[int] | None = None) -> tuple[Found, ...]:
@@ -1068,7 +1069,7 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
     for _ in range(3 if question.readings else 0):
         least, (best, *others) = _scored(coarse, question, late)
         # What chance exceeds rarely, however many readings are tried.
-        limit = 2.0 * math.log((1 + len(others)) / ALPHA)
+        limit = 2.0 * math.log((1 + len(others)) / FALSE_CLAIMS)
         delayed = best.correction.kind == "delay"
         if delayed and best.gain > limit:
             return found, [best.correction]

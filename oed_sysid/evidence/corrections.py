@@ -15,7 +15,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.evidence.relations import Relation, relations
-from oed_sysid.evidence.result import Correction, Finding, LogCheck
+from oed_sysid.evidence.result import Correction, Finding, LogCheck, is_a
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.model import Model
@@ -218,10 +218,6 @@ def level_axis(
     return found[0] if len(found) == 1 and abs(shares[found[0]] - 1.0) < 1e-6 else None
 
 
-# A current is no fault of the log, and what stands for a dead sensor nobody knows.
-LEFT_ALONE = ("drift", "duplicate", "gap", "clock")
-
-
 def corrected_copies(
     dataset: Dataset, problem: Problem | Model, found: LogCheck
 ) -> tuple[Dataset, tuple[str, ...]]:
@@ -261,10 +257,6 @@ def corrected_copies(
     return corrected(dataset, undone, relations(model)), tuple(done)
 
 
-# Samples that repeat a measurement, or were made of two: they hold nothing that was measured.
-MADE = ("held", "interpolated")
-
-
 def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, ...]]:
     """Return records with only the samples that were measured, and what was left out in sentences.
 
@@ -285,7 +277,11 @@ def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, 
     records : Dataset
     left_out : tuple of str
     """
-    made = [one for one in found.findings if one.kind in MADE and {*one.records} & {*dataset.names}]
+    made = [
+        one
+        for one in found.findings
+        if is_a(one.kind, "made") and {*one.records} & {*dataset.names}
+    ]
     if not made:
         return dataset, ()
     words = tuple(
@@ -299,7 +295,7 @@ def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, 
 def _undoable(found: LogCheck) -> Iterable[tuple[Correction, Finding]]:
     """Corrections that a copy may get, and the findings that they undo."""
     for one in found.findings:
-        if one.correction is not None and one.kind not in LEFT_ALONE:
+        if one.correction is not None and not is_a(one.kind, "left alone"):
             yield one.correction, one
 
 

@@ -49,7 +49,7 @@ from scipy.stats import f as f_distribution
 
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, SimulationError
-from oed_sysid.evidence.claim import FALSE_CLAIMS
+from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.compare import Comparison, ModelMisfit
 from oed_sysid.experiments.steady import equilibrium, linearise
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain

@@ -18,7 +18,6 @@ from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
 from oed_sysid.evidence.claim import claim, own_error
-from oed_sysid.evidence.compare import SUSPECT_NOISE
 from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -45,6 +44,7 @@ from oed_sysid.evidence.search import (
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
@@ -298,7 +298,7 @@ def _other_noise(fit: Fit) -> list[str]:
         concern
         for concern in concerns_of(fit, "noise_level")
         # Where some of it is slow, its white part is no level of the sensor.
-        if concern.signal not in slow and not 1.0 / SUSPECT_NOISE < concern.size < SUSPECT_NOISE
+        if concern.signal not in slow and not 1.0 / WORTH_TELLING < concern.size < WORTH_TELLING
     ]
     if not found:
         return []

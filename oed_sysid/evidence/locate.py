@@ -20,7 +20,7 @@ import numpy as np
 
 from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.evidence.claim import threshold
+from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.misfit import in_words
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.residual_forces import (
@@ -30,27 +30,25 @@ from oed_sysid.evidence.residual_forces import (
     agreement,
     let_in,
 )
+from oed_sysid.evidence.traces import LEAST, RELATIVE
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.random_forces import FEW_STEPS, Start
+from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 
 # Shortest and longest correlation time of the disturbances, s: passing and lasting.
 CORRELATION_TIMES = (1.0, 20.0)
 # Statistic below which no place is accused: what chance rarely gives of fourteen places.
 CLEAR = threshold(14, 1)
-# Share of its gain that a kinematic relation has to be ahead of other places: it is exact, and
-# mostly stands for two sensors that disagree.
-IDENTITY = 0.01
-# Candidates whose signatures are put beside the residual forces, and places that are estimated to
-# the end, their own disturbance smoothed.
-N_RIVALS, N_FIRST = 2, 4
-# Most steps of the fit to white noise and of the first places, of every place at first; the
-# promised fall of the cost at which they end; and decades of levels that are tried first.
-MOST_STEPS, FIRST_STEPS, NEAR_ENOUGH, DECADES = 20, 5, 0.3, 7
+# Candidates whose signatures are put beside the residual forces.
+N_RIVALS = 2
+# Most steps of the fit to white noise and of a place that is estimated to the end.
+MOST_STEPS = 20
 # Pieces into which records are cut where the model diverges along them.
 PIECES = 1, 2, 4, 8
 # Places that a report lists.
@@ -83,7 +81,7 @@ class Located:
     forces : tuple of Series
         Smoothed residual forces, all admitted together, per record.
     discrepancies : dict
-        For the places with the largest gain, the smoothed disturbance there
+        For the best place and those that cannot be told from it, the smoothed disturbance there
         if nothing else is wrong; one :class:`Series` per record.
     signatures : dict
         For every rival, the residual forces ``(n_times, n_forces)`` that would
@@ -241,28 +239,21 @@ def locate(
     found = evidence(fit, unit)
     if found is None:
         return Located.nothing(fit)
-    # Of places that are one and the same to the records, the equation is named first.
-    # A geometric identity has to be accused clearly.
-    share = {"kinematics": 1.0 - IDENTITY}
-    found.sort(
-        key=lambda part: (
-            -round(part.gain * share.get(part.place.stage, 1.0)),
-            part.place.stage != "force",
-        )
-    )
+    found.sort(key=lambda part: part.order)
+    top = max(part.gain for part in found)
+    told = [part for part in found if part.gain > max(CLEAR, top - GROUP_WIDTH)]
     smoother = ResidualForces.of(*let_in(fit, unit))
     names = fit.noise.places
     chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
     forces = tuple(series.only(chosen) for series in smoother.series())
     signatures = _signatures(smoother, rivals or {}, chosen)
-    clear = [part for part in found[:N_FIRST] if part.gain > CLEAR]
     return Located(
         places=tuple(part.place for part in found),
         gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
         force_names=tuple(names[i].removeprefix("force ") for i in chosen),
         forces=forces,
-        discrepancies={part.place.name: part.smoothed() for part in clear},
+        discrepancies={part.place.name: part.smoothed() for part in told},
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
@@ -298,23 +289,48 @@ class Evidence:
     Attributes
     ----------
     place : Place
-    gain : float
-        Gain in twice the log-likelihood over white noise alone.
-    level : float
-        Standard deviation of the disturbance, in the place's unit.
+    quiet : FilteredSolution
+        The fit to white noise alone.
     fit : FilteredSolution
         With that disturbance and white noise.
     """
 
     place: Place
-    gain: float
-    level: float
+    quiet: FilteredSolution
     fit: FilteredSolution
+
+    @property
+    def gain(self) -> float:
+        """Gain in twice the log-likelihood over white noise alone."""
+        return max(self.quiet.objective - self.fit.objective, 0.0)
+
+    @property
+    def order(self) -> tuple[int, bool]:
+        """Key to sort by: the largest gain first; of places that are one, the equation.
+
+        A geometric identity is exact, mostly stands for two sensors that disagree, and has to be
+        ahead by more than what is immaterial.
+        """
+        exact = self.place.stage == "kinematics"
+        return -round(self.gain * (1.0 - RELATIVE * exact)), self.place.stage != "force"
+
+    @property
+    def reach(self) -> float:
+        """What the gain may become if the steps go on, as the last equations promise."""
+        return self.gain + 2.0 * self.fit.promise * (self.fit.reason == "iterations")
+
+    @property
+    def level(self) -> float:
+        """Standard deviation of the disturbance, in the place's unit."""
+        if not self.gain:
+            return 0.0
+        noise = self.fit.noise
+        return float(noise.colour.max() if self.place.stage == "sensor" else noise.force[0])
 
     def smoothed(self) -> tuple[Series, ...]:
         """The disturbance if nothing else is wrong, per record."""
-        held = self.fit.problem.levels.held().starting(self.fit.noise)
         old = self.fit.problem
+        held = old.levels.held().starting(self.fit.noise)
         problem = Filtered(
             old.model.with_values(self.fit.values), old.dataset, held, kernel=old.kernel,
             known_starts=old.known_starts,
@@ -331,11 +347,9 @@ def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:
     """
     shortest = min(record.n_samples for record in fit.problem.records)
     for pieces in PIECES:
-        bench = _Bench.of(fit, unit, pieces) if shortest >= 20 * pieces or pieces == 1 else None
+        bench = _Bench.of(fit, unit, pieces) if shortest >= LEAST * pieces or pieces == 1 else None
         if bench is not None:
-            found = sorted(map(bench.judged, places(fit.problem.model)), key=lambda e: -e.gain)
-            first = [bench.finished(part) for part in found[:N_FIRST]]
-            return sorted([*first, *found[N_FIRST:]], key=lambda part: -part.gain)
+            return bench.judged(places(fit.problem.model))
     return None
 
 
@@ -348,8 +362,19 @@ def _kernel(fit: FilteredSolution) -> FilterKernel:
     return filter_kernel(disturbed_model(known, chain))
 
 
-# Values, start states and values of each record.
-_Begin = tuple[Mapping[str, float], Sequence[np.ndarray], Sequence[Mapping[str, float]]]
+@dataclass(frozen=True, eq=False)
+class _Begun:
+    """Where the estimate of the disturbance of a place begins."""
+
+    problem: Filtered
+    point: Point
+    objective: float
+
+    def solved(self, most: int) -> FilteredSolution | None:
+        """The end of at most so many steps."""
+        return solve_filtered(
+            self.problem, self.point, max_iterations=most, tolerance=NEAR, polish=0
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,14 +385,15 @@ class _Bench:
     ----------
     quiet : FilteredSolution
         The fit to white noise alone.
-    starts : sequence of (mapping, sequence, sequence)
-        Values, start states and values of each record to begin from.
+    starts : tuple of Start
+        That with disturbance forces, whose parameters have bent less to what is missing; and that
+        to white noise alone.
     unknown : ndarray of bool (n_outputs,)
         Sensors whose noise nobody declared: it must not make every misfit evidence.
     """
 
     quiet: FilteredSolution
-    starts: Sequence[_Begin]
+    starts: tuple[Start, ...]
     unknown: np.ndarray
 
     @classmethod
@@ -382,43 +408,45 @@ class _Bench:
         levels = Levels.of(noise, noise, (), white=unknown, colour=none, force=none[:0])
         known = fit.problem.known_starts if pieces == 1 else None
         problem = Filtered(model, dataset, levels, kernel=_kernel(fit), known_starts=known)
-        point = problem.point(initial, local)
-        quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
+        quiet = solve_filtered(
+            problem, problem.point(initial, local), max_iterations=MOST_STEPS, polish=0
+        )
         if quiet is None:
             return None
-        # Parameters bend to what is missing: those of the fit with disturbance forces are nearer.
-        starts = ((model.values, initial, local), (quiet.values, quiet.initial, quiet.local))
-        return cls(quiet, starts, unknown)
+        ended = Start(quiet.values, quiet.initial, quiet.local)
+        return cls(quiet, (Start(model.values, initial, local), ended), unknown)
 
-    def judged(self, place: Place) -> Evidence:
-        """The most likely disturbance of one place."""
-        found = Evidence(place, 0.0, 0.0, self.quiet)
-        for begin in self.starts:
-            found = self._evidence(place, self._fitted(place, begin))
-            if found.gain > 0.0:
-                break
-        return found
+    def judged(self, where: Sequence[Place]) -> list[Evidence]:
+        """The most likely disturbance of every place, the likeliest first.
 
-    def finished(self, part: Evidence) -> Evidence:
-        """The same, estimated to the end."""
-        if part.fit is self.quiet or part.fit.reason == "converged":
-            return part
-        found = solve_filtered(
-            part.fit.problem, part.fit.point, max_iterations=MOST_STEPS, tolerance=NEAR_ENOUGH,
-            polish=0,
-        )  # fmt: skip
-        return self._evidence(part.place, found)
+        All take a few steps; of those whose gain is no chance, the likeliest and those that their
+        equations promise to bring near it go on to the end.
+        """
+        looked = ((place, self._begun(place).solved(FEW_STEPS)) for place in where)
+        found = [Evidence(place, self.quiet, fit or self.quiet) for place, fit in looked]
+        found.sort(key=lambda part: -part.reach)
+        least = CLEAR
+        for index, part in enumerate(found):
+            if part.fit.reason == "iterations" and part.reach > least:
+                further = _Begun(part.fit.problem, part.fit.point, part.fit.objective)
+                found[index] = replace(part, fit=further.solved(MOST_STEPS) or part.fit)
+            least = max(least, found[index].gain - GROUP_WIDTH)
+        return sorted(found, key=lambda part: -part.gain)
 
-    def _evidence(self, place: Place, found: FilteredSolution | None) -> Evidence:
-        if found is None or not found.objective < self.quiet.objective:
-            return Evidence(place, 0.0, 0.0, self.quiet)
-        level = found.noise.colour.max() if place.stage == "sensor" else found.noise.force[0]
-        return Evidence(place, self.quiet.objective - found.objective, float(level), found)
+    def _begun(self, place: Place) -> _Begun:
+        """The likeliest level at values of the fit with disturbance forces, or of the quiet one.
 
-    def _fitted(self, place: Place, begin: _Begin) -> FilteredSolution | None:
-        """Fit with a disturbance at one place, from the likeliest of some decades of its level."""
-        old, (values, initial, local) = self.quiet.problem, begin
-        model = old.model.with_values(dict(values))
+        The latter is asked where the former explains less than white noise alone does.
+        """
+        best = self._likeliest(place, self.starts[0])
+        if best.objective < self.quiet.objective:
+            return best
+        return min(best, self._likeliest(place, self.starts[1]), key=lambda one: one.objective)
+
+    def _likeliest(self, place: Place, start: Start) -> _Begun:
+        """The likeliest of some decades of a level, from where the records begin to tell of it."""
+        old = self.quiet.problem
+        model = old.model.with_values(dict(start.values))
 
         def posed(size: float) -> Filtered:
             return Filtered(
@@ -428,25 +456,22 @@ class _Bench:
 
         # At variance zero its information says of which variance the records begin to tell.
         first = posed(1.0)
-        point = first.point(initial, local).unknowns
-        point[first.layout.levels.start] = 0.0
+        nothing = first.point(start.initial, start.local).unknowns
+        nothing[first.layout.levels.start] = 0.0
         told = sum(
             float(part.level_information[0, 0] + part.gram[0, 0])
-            for part in first.passes(point, levels_only=True)
+            for part in first.passes(nothing, levels_only=True)
             if part.ok
         )
-        size, best, lowest = told**-0.25 if told > 0 else 1.0, first, np.inf
-        for decade in range(DECADES):
-            trial = posed(size * 10.0**decade)
-            objective = trial.objective(trial.point(initial, local).unknowns)
-            if objective > lowest:
-                break
-            if objective < lowest:
-                best, lowest = trial, objective
-        if not np.isfinite(lowest):
-            return None
-        at = best.point(initial, local)
-        return solve_filtered(best, at, max_iterations=FIRST_STEPS, tolerance=NEAR_ENOUGH, polish=0)
+        size = told**-0.25 if told > 0 else 1.0
+        best: _Begun | None = None
+        while True:
+            problem = posed(size)
+            point = problem.point(start.initial, start.local)
+            now = _Begun(problem, point, problem.objective(point.unknowns))
+            if best is not None and not now.objective < best.objective:
+                return best
+            best, size = now, 10.0 * size
 
     def _levels(self, place: Place, size: float) -> Levels:
         """The level and time of one place unknown, and what nobody declared of the sensors."""

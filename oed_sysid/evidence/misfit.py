@@ -19,12 +19,14 @@ the seconds after a command has changed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.special import fdtrc
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.evidence.chance import FALSE_CLAIMS, clear_score
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import (
     Whiteness,
@@ -39,8 +41,6 @@ from oed_sysid.text.units import shown_unit
 
 # Lags up to which residuals are compared with inputs and states, s.
 LONGEST_LAG = 5.0
-# A correlation is named if it is this many standard errors from zero, over all lags looked at.
-CLEAR_CORRELATION = 4.5
 # Misfit that is called noise: up to this many times the noise, and white at this level.
 NOISE_LIMIT, WHITE_LEVEL = 1.05, 1e-4
 
@@ -58,17 +58,22 @@ class Correlation:
         Time by which the residual follows the signal, s.
     score : float
         The coefficient in standard errors, both series' own colour considered.
+    limit : float
+        What chance exceeds rarely at any of the lags and signals that were looked at.
     """
 
     signal: str
     value: float
     lag: float
     score: float
+    limit: float = field(default=clear_score(1), repr=False)
 
     @property
     def is_clear(self) -> bool:
         """Whether chance is excluded."""
-        return abs(self.score) > CLEAR_CORRELATION
+        return abs(self.score) > self.limit
+
+    to_dict = as_dict("signal", "value", "lag", "score")
 
 
 @dataclass(frozen=True, eq=False)
@@ -226,7 +231,10 @@ def output_misfit(
     # Records on which the prediction diverged have no pattern to look at.
     correlations, regimes = [], []
     if len(usable) == len(residuals):
-        found = (correlate(usable, signal, times, in_time=in_time) for signal in signals)
+        found = (
+            correlate(usable, signal, times, in_time=in_time, among=len(signals))
+            for signal in signals
+        )
         correlations = sorted((c for c in found if c is not None), key=lambda c: -abs(c.score))
         regimes = concentrations(scaled, parts, in_time=in_time)
     tested = [r for r in usable if np.isfinite(r).sum() > 10]
@@ -254,11 +262,13 @@ def correlate(
     times: Sequence[np.ndarray],
     *,
     in_time: bool = True,
+    among: int = 1,
 ) -> Correlation | None:
     """Largest cross-correlation of a residual with a signal that precedes it.
 
     The standard error takes both autocorrelations into account (Bartlett 1946). Unless ``in_time``,
-    rows are independent tests: without lag and without autocorrelation.
+    rows are independent tests: without lag and without autocorrelation. The signal is one ``among``
+    so many.
     """
     step = float(np.median(np.diff(times[0])))
     longest = min(round(LONGEST_LAG / step), min(len(t) for t in times) // 3) if in_time else 0
@@ -284,7 +294,8 @@ def correlate(
     values = covariance / np.sqrt(squares.prod())
     lag = int(np.argmax(np.abs(values)))
     value, error = float(values[lag]), float(np.sqrt(colour)) / n_seen
-    return Correlation(signal.words, value, lag * step, value / error)
+    limit = clear_score(among * (longest + 1))
+    return Correlation(signal.words, value, lag * step, value / error, limit)
 
 
 def _mean(values: np.ndarray) -> float:
@@ -325,8 +336,6 @@ def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float,
 
 # Values of an input that are classes of their own, and classes where there are more.
 VALUES, CLASSES = 7, 5
-# Chance, over all inputs, that a residual of noise is said to depend on one.
-CHANCE = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
@@ -421,7 +430,7 @@ def _dependence(
         ratio = (len(rows) - count) / count * share / max(1.0 - share, 1e-12)
         # Where chance is beyond the digits of a number, the larger share is the clearer one.
         best = min(best, (float(fdtrc(count, len(rows) - count, ratio)) - 1e-12 * share, place))
-    if not best[0] * len(signals) < CHANCE:
+    if not best[0] * len(signals) < FALSE_CLAIMS:
         return ByMotion(output, None, error, 0.0, nothing, nothing)
     column = inputs[:, best[1]]
     labels = _classes(column)
@@ -447,8 +456,6 @@ def _classes(column: np.ndarray) -> np.ndarray:
 
 # Seconds after a change of a command that count as its consequence.
 AFTER_CHANGE = 2.0
-# A regime is worth naming if it concentrates the misfit this much, this surely.
-CLEAR_RATIO, CLEAR_SCORE = 1.5, 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -504,6 +511,8 @@ class Concentration:
     share_of_misfit, share_of_time : float
     score : float
         Difference of the mean squares in standard errors.
+    limit : float
+        What chance exceeds rarely in any of the regimes that were looked at.
     """
 
     words: str
@@ -511,11 +520,14 @@ class Concentration:
     share_of_misfit: float
     share_of_time: float
     score: float
+    limit: float = field(default=clear_score(1), repr=False)
 
     @property
     def is_clear(self) -> bool:
         """Whether the regime deserves to be named."""
-        return self.ratio > CLEAR_RATIO and self.score > CLEAR_SCORE
+        return self.ratio > WORTH_TELLING and self.score > self.limit
+
+    to_dict = as_dict("words", "ratio", "share_of_misfit", "share_of_time", "score")
 
 
 def regimes(
@@ -567,7 +579,7 @@ def concentrations(
     effective = float(seen.sum())
     if in_time:
         effective = sum(effective_sample_size(residual**2) for residual in residuals)
-    result = []
+    result, limit = [], clear_score(len(candidates))
     for regime in candidates:
         inside = np.concatenate(regime.inside)[seen]
         share = float(inside.mean())
@@ -578,7 +590,7 @@ def concentrations(
         score = float((within.mean() - outside.mean()) / np.sqrt(max(variance, 1e-300)))
         ratio = float(within.mean() / max(outside.mean(), 1e-300))
         of_misfit = float(within.sum() / max(squares[seen].sum(), 1e-300))
-        result.append(Concentration(regime.words, ratio, of_misfit, share, score))
+        result.append(Concentration(regime.words, ratio, of_misfit, share, score, limit))
     return sorted(result, key=lambda c: -c.score)
 
 

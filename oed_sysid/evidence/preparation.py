@@ -31,15 +31,14 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.evidence.traces import LEAST, RELATIVE
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.noise_levels import credible_levels, signal_spread
 
 # Share of a record that is learnt from, and least samples of either part.
 LEARNT = 0.6
 LEAST_SAMPLES = 5 * LEAST
-# A search reads about this many samples.
+# A search reads about this many samples, and looks at no more frequencies: seconds of time.
 ENOUGH = 20_000
-# What a line may leave, in noise levels; what is immaterial it may leave, too.
-BEND = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +188,7 @@ def _strides(train: Dataset, validation: Dataset | None, enough: int) -> list[in
     if wanted < 2:
         return whole
     noise, _ = credible_levels(train)
-    allowed = np.maximum(BEND * noise, RELATIVE * signal_spread(train))
+    allowed = np.maximum(WORTH_TELLING * noise, RELATIVE * signal_spread(train))
     for count in range(wanted, 1, -1):
         found = strides(count)
         if np.all(_bend(train, found) <= allowed):

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.evidence.claim import threshold
+from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
 from oed_sysid.evidence.rank import N_REFITS, Refit, deepen, refit
 from oed_sysid.evidence.residual_forces import let_in, rows_of, smoothable

@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.evidence.claim import Claim, at_bounds, threshold
+from oed_sysid.evidence.chance import threshold
+from oed_sysid.evidence.claim import Claim, at_bounds
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
@@ -25,9 +26,8 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
 from oed_sysid.runtime.display import Figure, Report, Section, Table
 
-# Candidates refitted in each round; of these, how many again with the noise levels free and asked
-# whether they are claimed; pairs refitted where no single one is.
-N_REFITS, ASKED, N_PAIRS = 7, 5, 3
+# Candidates, and where none is claimed pairs, that are refitted in each round.
+N_REFITS = 7
 # Share of the best statistic below which a candidate is no rival in this round.
 SHARE = 0.1
 # Share of the score statistic that a refit has to reach before no other size is begun from.
@@ -297,9 +297,7 @@ def rank(
     tried = (refit(study, fit, (score,), ranking.needed_by(score)) for score in chosen)
     quick = sorted((r for r in tried if r is not None), key=lambda r: -r.evidence)
     best = quick[0].gain if quick else 0.0
-    refits = [
-        deepen(study, fit, r) if n < ASKED and hopeful(r, best) else r for n, r in enumerate(quick)
-    ]
+    refits = [deepen(study, fit, r) if hopeful(r, best) else r for r in quick]
     return replace(ranking, refits=tuple(sorted(refits, key=lambda r: -r.evidence)))
 
 
@@ -338,7 +336,7 @@ def pairs(study: Study, fit: FilteredSolution, ranking: Ranking) -> tuple[Refit,
         if joint > needed:
             found.append((joint - needed, needed, both))
     found.sort(key=lambda one: -one[0])
-    tried = [refit(study, fit, both, needed) for _, needed, both in found[:N_PAIRS]]
+    tried = [refit(study, fit, both, needed) for _, needed, both in found[:N_REFITS]]
     deep = [deepen(study, fit, r) for r in tried if r is not None]
     return tuple(sorted(deep, key=lambda r: -r.evidence))
 

@@ -27,7 +27,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.evidence.claim import threshold
+from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.residual_forces import Repeated, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import tomllib
 from dataclasses import dataclass, field, replace
+from importlib.resources import files
+from typing import Any
 
 import numpy as np
 
@@ -21,15 +24,22 @@ from oed_sysid.runtime.display import (
     counted,
 )
 
-# Findings with which a fit must not be used whatever its residuals say.
-CONTRADICTIONS = (
-    "sign", "unit", "swap", "frame", "offset", "dead", "duplicate", "clock", "step",
-    "unexplained", "limit", "copied",
-)  # fmt: skip
-
-
+# Kinds of finding: sentences, and what follows from each.
+KINDS: dict[str, dict[str, Any]] = tomllib.loads(
+    files(__package__).joinpath("findings.toml").read_text("utf-8")
+)
 # Faults that change a model's coefficients, whatever the motion.
 MATTER = ("sign", "unit", "scale", "delay")
+
+
+def is_a(kind: str, what: str) -> bool:
+    """Whether something follows from a kind of finding, such as ``"contradiction"``."""
+    return what in KINDS[kind].get("is", ())
+
+
+def kinds_that_are(what: str) -> tuple[str, ...]:
+    """All kinds of finding from which something follows."""
+    return tuple(kind for kind in KINDS if is_a(kind, what))
 
 
 @dataclass(frozen=True)
@@ -241,7 +251,7 @@ class LogCheck:
 
         Spikes and the like cost accuracy; a wrong sign, unit or column costs the truth.
         """
-        return any(finding.kind in CONTRADICTIONS for finding in self.serious)
+        return any(is_a(finding.kind, "contradiction") for finding in self.serious)
 
     @property
     def ok(self) -> bool:

@@ -33,6 +33,7 @@ import numpy as np
 from scipy.signal import lombscargle
 
 from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.evidence.preparation import ENOUGH
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
@@ -393,8 +394,6 @@ def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
 
 # Frequencies per 2 pi over the longest record; and maxima that are tried.
 PER_CYCLE, N_LINES = 4, 3
-# Most frequencies that are looked at: a second of processor time for a long record.
-MOST = 20_000
 
 
 def lines(
@@ -425,7 +424,7 @@ def lines(
     """
     longest = max((float(t[-1] - t[0]) for t in times if len(t) > 1), default=0.0)
     count = int(np.ceil((high - low) * longest * PER_CYCLE / (2.0 * np.pi))) + 1
-    if not (high > low and 3 <= count <= MOST):
+    if not (high > low and 3 <= count <= ENOUGH):
         return np.zeros(0)
     frequencies = np.linspace(low, high, count)
     power = np.zeros(count)

@@ -59,7 +59,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import bdtrc
 
-from oed_sysid.evidence.traces import ALPHA, LEAST, MATERIAL, QUARTILE, RELATIVE, Trace, fast_noise
+from oed_sysid.evidence.chance import FALSE_CLAIMS
+from oed_sysid.evidence.traces import LEAST, MATERIAL, QUARTILE, RELATIVE, Trace, fast_noise
 
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
@@ -161,7 +162,7 @@ def _answers(traces: Sequence[Trace], name: str) -> bool:
         spiky = np.convolve(size > SPIKE, np.ones(9), mode="same") > 0.5 if size.size else pushed
         hits += _events((size > TAIL) & pushed)
         others += _events((size > TAIL) & ~pushed & ~spiky)
-    return hits > 0 and bool(bdtrc(hits - 1, hits + others, share.mean()) < ALPHA)
+    return hits > 0 and bool(bdtrc(hits - 1, hits + others, share.mean()) < FALSE_CLAIMS)
 
 
 def _events(here: np.ndarray) -> int:
@@ -211,7 +212,7 @@ class Signal:
         few = distinct.size < HELD * self.runs.length.size
         self.coarse = few and self.step > MATERIAL * trace.noise[name]
         # What rounding repeats is counted, not assumed.
-        self.alpha = ALPHA / shared
+        self.alpha = FALSE_CLAIMS / shared
         self.reach = float(np.subtract(*np.quantile(self.series, [0.98, 0.02])))
         # The least size that is material.
         self.least = max(RELATIVE * self.reach, 4.0 * self.step if self.coarse else 0.0)

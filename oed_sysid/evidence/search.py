@@ -15,19 +15,14 @@ from functools import partial
 import numpy as np
 
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.claim import (
-    Claim,
-    claim,
-    own_error,
-    rises,
-    threshold,
-)
+from oed_sysid.evidence.chance import threshold
+from oed_sysid.evidence.claim import Claim, claim, own_error, rises
 from oed_sysid.evidence.propose import Proposals, propose
-from oed_sysid.evidence.rank import ASKED, Ranking, Refit, hopeful, pairs, rank
+from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.residual_forces import repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
-from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.random_forces import periods, with_sea
 from oed_sysid.physics import Effect
@@ -36,8 +31,6 @@ from oed_sysid.runtime.journal import Journal
 
 # Error of whole runs, over that of a fit without disturbance forces, that they should not cost.
 BOUGHT = 2.0
-# Twice the log-likelihood within which two fits are the same: arithmetic.
-NEARBY = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +180,7 @@ def choice(
 ) -> tuple[tuple[Refit, Claim] | None, tuple[Claim, ...]]:
     """What is claimed next, if anything, and every decision: single effects, then pairs."""
     best = ranking.refits[0].gain if ranking.refits else 0.0
-    asked = [one for one in ranking.refits[:ASKED] if hopeful(one, best)]
+    asked = [one for one in ranking.refits if hopeful(one, best)]
     claims = asked_of(state, asked)
     lead = leader(ranking, asked, claims)
     if lead is None:
@@ -263,12 +256,12 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
     own = {p.name for effect in effects for p in effect.parameters}
     values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
     best = study.estimate(effects, values, fit, noise=quiet, max_iterations=25)
-    if best is None or best.objective > fit.objective - NEARBY:
+    if best is None or best.objective > fit.objective - 2.0 * NEAR:
         best = fit
     start = study.without_forces(effects, best.values) if overgrown(study, best) else None
     if start is not None:
         again = study.estimate(effects, start.values, start, noise=quiet, max_iterations=25)
-        if again is not None and again.objective < best.objective - NEARBY:
+        if again is not None and again.objective < best.objective - 2.0 * NEAR:
             best = again
     return fit if best is fit else study.settle(best)
 
@@ -355,7 +348,7 @@ def _exchanged(state: Standing, old: Added) -> Standing:
         return state
     others = state.others(old)
     left = replace(state, added=others).left
-    ranking = rank(study, without, left, also=(old.effect.name,), n_refits=ASKED)
+    ranking = rank(study, without, left, also=(old.effect.name,))
     present = next((r for r in ranking.refits if r.name == old.effect.name), None)
     best = ranking.refits[0] if ranking.refits else None
     if best is None or present is None or best.evidence < present.evidence + GROUP_WIDTH:

@@ -22,8 +22,6 @@ from scipy.special import ndtri
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
 
-# False alarms a log, shared by all that is asked; halved and doubled it moves a limit by 1.4.
-ALPHA = 0.01
 # Median absolute value of a standard normal variable.
 QUARTILE = float(ndtri(0.75))
 FOURTH_DIFFERENCE = np.sqrt(70.0)

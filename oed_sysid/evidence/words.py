@@ -1,6 +1,7 @@
 """Findings in words: what was found, what it does to an estimate, and the line that mends it.
 
-One table holds the sentences of every kind of finding; what fills them in are facts.
+One table (``findings.toml``) holds the sentences of every kind of finding; what fills them in are
+facts.
 """
 
 from __future__ import annotations
@@ -16,277 +17,27 @@ from oed_sysid.data.dataset import Dataset, overlap
 from oed_sysid.data.record import GAP
 from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Reading, Result
 from oed_sysid.evidence.relations import Relation
-from oed_sysid.evidence.result import Correction, Finding, Judged, amount, angle_aware, interval
+from oed_sysid.evidence.result import (
+    KINDS,
+    Correction,
+    Finding,
+    Judged,
+    amount,
+    angle_aware,
+    interval,
+    is_a,
+)
 from oed_sysid.evidence.screens import Fault
 from oed_sysid.evidence.traces import Trace
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import counted
 
 COPY = "oed-sysid check ... --fix FOLDER writes corrected copies"
-CUT = f"cut the record there with window(), or {COPY}"
-BLANK = f"leave these cells empty: {COPY}"
 # Faults that are other readings of the same numbers: seen where a scale of one would be.
 READ = ("sign", "unit", "swap")
-# Rows that tell of the vehicle or of what its model lacks as well as of its log.
-NO_FAULT = ("input lag", "input late", "input scale", "run")
 # What may be wrong in place of an input.
 NOMINAL = "a nominal model or priors that are wrong by as much"
-# Fast noise over the declared level, and a jump of the times in usual steps, that are mentioned.
-NOISIER = 2.5
-
-# What a finding says, what it does to an estimate, and what mends it.
-SAYS = {
-    # other readings of the same numbers
-    "sign": (
-        "{both} {have} the wrong sign: turned round, it agrees with the other signals.",
-        "every coefficient that {both} enters is fitted to its mirror image",
-        "{signs}",
-    ),
-    "unit": (
-        "{both} {are} in {meaning}, not in {declared}.",
-        "{both} counts {times} times too much",
-        "{headers}, or read_csv(..., units={{{units}}})",
-    ),
-    "twice": (
-        "{both} {are} too small: it seems {meaning}.",
-        "{both} counts {times} times too much",
-        "{headers}",
-    ),
-    "swap": (
-        "{first} and {last} are in each other's column.",
-        "both signals are fitted to the other one's physics",
-        "{columns}",
-    ),
-    "frame": (
-        "{both} are along the axes of the positions (earth-fixed), not of the body.",
-        "drift, drag and lift are fitted to a rotation of the frame",
-        "{frames}",
-    ),
-    "offset": (
-        "{first} counts from another direction: {meaning} have to be added.",
-        "forces that depend on the direction (wind, current, waves) are turned",
-        f"add {{meaning}} to {{first}}: {COPY}",
-    ),
-    # faults with a size
-    "bias": (
-        "{both} has a constant error of {shown}{where}.",
-        "offsets of actuators and asymmetries of the hull take its place",
-        'effect sensor_bias("bias_{first}", "{first}", "{unit}", scale={size:.2g}{own})',
-    ),
-    "scale": (
-        "{both} is wrong by {shown} of its value{where}.",
-        "coefficients of terms with {both} are wrong by about as much",
-        'effect sensor_scale("scale_{first}", "{first}"{own})',
-    ),
-    "lever": (
-        "{both} is measured {shown} away from the reference point, against {rate}.",
-        "damping and lift due to rotation take its place",
-        'effect sensor_lever_arm("lever_{first}", "{first}", "{rate}")',
-    ),
-    "misalignment": (
-        "the axes of {both} are turned by {shown} against the angles.",
-        "trim, drift angle and lift take its place",
-        'effect sensor_misalignment("misalignment", "{first}", "{last}")',
-    ),
-    "delay": (
-        "{both} {come} {shown} late.",
-        "lags of actuators and damping are wrong by as much",
-        f'effect sensor_delay(...) of "{{first}}", or shift it back: {COPY}',
-    ),
-    "ahead": (
-        "{both} {come} {shown} after {early}.",
-        "lags of actuators and damping are wrong by as much",
-        f"shift {{commas}} back by {{size:.3g}} s: {COPY}",
-    ),
-    "rate": (
-        "the clock of {both} runs {shown} slow against the others.",
-        "what the others answer seems to drift away in time",
-        f"set the times of {{both}} right before the columns are joined: {COPY}",
-    ),
-    "current": (
-        "{both} moves {shown} faster than the velocities say: a current, or a bias.",
-        "velocities through the water and over ground are mixed up",
-        "declare the velocities as relative to the water and add a current, or remove a bias",
-    ),
-    "drift": (
-        "{both} drifts by {shown}{where}, which no motion explains.",
-        "slow forces and moments take its place",
-        COPY,
-    ),
-    "burst": (
-        "{both} is off by {shown} for a moment at t = {at:.6g} s of {record}.",
-        "the model is asked to explain a motion that was not",
-        CUT,
-    ),
-    "step": (
-        "{both} jumps by {shown} at t = {at:.6g} s of {record} and stays there: the sensor was set "
-        "or reset.",
-        "a model cannot move at once, and explains the new level by offsets and forces",
-        CUT,
-    ),
-    # equations
-    "unexplained": (
-        "{relation} leaves {share} % of the changes of {first} unexplained in {record}{more}, most "
-        "at about t = {at:.4g} s: one of {commas} is wrong in a way that has no name here.",
-        "whatever is fitted to these signals explains a motion that was not",
-        "look at {commas} of {record} around t = {at:.4g} s, and cut the record there or leave the "
-        "wrong signal out",
-    ),
-    # single signals
-    "dead": (
-        "{commas} never changes ({value}): the sensor was off or its column is a constant.",
-        "its equation is fitted to nothing",
-        'leave the column out of the file ("{commas}" then counts as not measured)',
-    ),
-    "spikes": (
-        "{commas} has {samples}, alone or in short groups, that {its} neighbours contradict.",
-        "least squares follows the worst samples; errors are stated too small",
-        BLANK,
-    ),
-    "dropouts": (
-        "{commas} shows {value} in {samples} between ordinary ones: a drop-out or a sentinel.",
-        "least squares follows them",
-        BLANK,
-    ),
-    "frozen": (
-        "{commas} stands still for {samples} although it moves before and after.",
-        "the model is asked to explain a motion that was not",
-        BLANK,
-    ),
-    "saturated": (
-        "{commas} is cut off at {value} in {samples}.",
-        "the motion beyond the limit is fitted as if it had stopped there",
-        BLANK,
-    ),
-    "held": (
-        "{commas} holds each value for {size:.3g} s: a slow sensor written at the log's rate.",
-        "the same measurement counts several times, and late by half of that",
-        f"keep the first sample of each and leave the other cells empty: {COPY}",
-    ),
-    "interpolated": (
-        "{commas} is joined by straight lines: one measurement every {size:.3g} s, the rest was "
-        "made.",
-        "made samples count as measured ones; errors are stated too small",
-        f"keep the measured samples and leave the other cells empty: {COPY}",
-    ),
-    "quantised": (
-        "{commas} comes in steps of {value}.",
-        "its noise is that of rounding, which the errors have to allow for",
-        "nothing, if the step is below what matters; else log more digits",
-    ),
-    "copied": (
-        "{commas} at every sample: one column was written twice.",
-        "one of the two says nothing, and which one nobody knows",
-        "leave the column that is no measurement out of the file",
-    ),
-    "jump": (
-        "{commas} jumps by {jump} from one sample to the next at t = {at:.6g} s of {record} and "
-        "stays there{more}: the sensor was set or reset.",
-        "a model cannot move at once, and explains the new level by offsets and forces",
-        f"cut the record there with window(), or subtract the jump from all later samples: {COPY}",
-    ),
-    "caught up": (
-        "{commas} jumps by {jump} from one sample to the next at t = {at:.6g} s of {record}{more}: "
-        "the other signals say that the vehicle moved there, so that it was lost before and caught "
-        "up.",
-        "a model cannot move at once, and explains the new level by offsets and forces",
-        "cut the record there with window(); nothing is subtracted in a corrected copy",
-    ),
-    "noise": (
-        "{commas} is {ratio:.2g} times noisier than declared ({level:.3g} for {said:.3g} {unit}).",
-        "with declared noise, errors are stated too small by as much",
-        'Output("{commas}", "{si}", noise_std={found:.2g}), or let the noise be estimated',
-    ),
-    # inputs and parameters, against the nominal model
-    "input sign": (
-        "{both} acts with the other sign than the nominal model and its priors say.",
-        "the coefficients of {both} are fitted to their mirror image",
-        "{signs}",
-    ),
-    "input unit": (
-        "{both} acts as if it were in {meaning}, not in {declared}.",
-        "the coefficients of {both} are fitted {times} times too small",
-        "{headers}",
-    ),
-    "input twice": (
-        "{both} acts {factor:.3g} times as strongly as logged: converted twice?",
-        "the coefficients of {both} are fitted {factor:.3g} times too large",
-        "correct the unit in the header",
-    ),
-    "input swap": (
-        "{first} and {last} are in each other's column.",
-        "both commands are fitted to the other one's forces",
-        "{columns}",
-    ),
-    "input scale": (
-        "{both} acts {left:.2g} times as strongly as logged.",
-        "the coefficients of {both} are wrong by as much",
-        "calibrate {both}, or correct the unit in the header",
-    ),
-    "input delay": (
-        "the vehicle answers {both} {shown} before the log shows it.",
-        "lags of actuators and damping are wrong by as much",
-        "shift {both} back in time, or the outputs forward, before the columns are joined",
-    ),
-    "input lost": (
-        "{both} acts {left:.2g} times as strongly {since} as before or in the other records: its "
-        "actuator failed, or was not coupled.",
-        "the coefficients of {both} are fitted too small, by a compromise",
-        "cut the record there with window(), or leave it out",
-    ),
-    "input dead": (
-        "{both} never changes in the log, but the vehicle moves as if it had: a free input of its "
-        "kind explains {share} % of what the nominal model leaves.",
-        "what {both} did is fitted to forces that were not",
-        "log {both}; without it no coefficient of it can be estimated",
-    ),
-    "input lag": (
-        "the vehicle answers {both} as through a lag of first order of {lag:.2g} s: its command "
-        "was logged in place of its feedback.",
-        "damping and added mass take the place of the lag",
-        "log the feedback, or give the model a lag of the actuator as a candidate",
-    ),
-    "input late": (
-        "the vehicle answers {both} {shown} late: an actuator lags, or its command was logged in "
-        "place of its feedback.",
-        "damping and added mass take the place of the lag",
-        "log the feedback, or give the model a lag of the actuator as a candidate",
-    ),
-    "run": (
-        "{both} differs by {shown} in {record} from the other runs.",
-        "what differs between runs is fitted by a compromise",
-        "fit {record} apart, or give the model what differs (loading, water, a current)",
-    ),
-    "other_way": ("{says}", "values are those of {name} as it was logged", "correct {name}"),
-    "far": (
-        "values many prior deviations from what was declared: {away}. An input or a sensor is in "
-        "another unit, or the priors are wrong.",
-        "predictions hold for this log alone",
-        "look at units and signs of inputs and outputs, or widen the priors",
-    ),
-    "limit": (
-        "{commas} reaches {largest:.3g} {unit}, far beyond its limit of {allowed}{as_if}.",
-        "the coefficients of {commas} are wrong by as much",
-        "correct the unit in the header, or the limit in the problem",
-    ),
-    # times and records
-    "gap": (
-        "{gaps} in time, the longest of {size:.3g} s after t = {at:.6g} s.",
-        "the inputs in between are not known; a model bridges the gap with the last",
-        "cut the record there with window(), or fill in the commands",
-    ),
-    "clock": (
-        "the clock jumps by {size:.3g} s at t = {at:.6g} s, but the signals go on as if {step:.3g} "
-        "s had passed.",
-        "the model runs on through time that did not pass",
-        "take {more:.6g} s off all later times",
-    ),
-    "duplicate": (
-        "{first} and {last} share {n} samples: one is a copy of the other, or a part.",
-        "the same noise counts twice, and a test on one of them is no test",
-        "leave {last} out",
-    ),
-}
 
 
 def said(
@@ -300,15 +51,26 @@ def said(
     **facts: Any,
 ) -> Finding:
     """The finding of a kind, its sentences those of a row of the table, or another ``fix``."""
-    says, changes, line = SAYS[row or kind]
-    if signals:
-        *most, last = signals
-        both = f"{', '.join(most)} and {last}" if most else last
-        words = {"commas": ", ".join(signals), "both": both} | words
-        words = {"first": signals[0], "last": last} | words
-    line = fix or line.format(**words)
-    says, changes = says.format(**words), changes.format(**words)
-    return Finding(kind, signals, records, says, changes, line, **facts)
+    row = row or kind
+    words = _of(signals) | {"copy": COPY} | words
+    says, changes, line = (KINDS[row][text].format(**words) for text in ("says", "changes", "fix"))
+    facts = {"suspect": not is_a(row, "note")} | facts
+    return Finding(kind, signals, records, says, changes, fix or line, **facts)
+
+
+def _of(signals: Sequence[str]) -> dict[str, str]:
+    """Names of signals as sentences need them."""
+    if not signals:
+        return {}
+    *most, last = signals
+    both = f"{', '.join(most)} and {last}" if most else last
+    return {"commas": ", ".join(signals), "both": both, "first": signals[0], "last": last}
+
+
+def _rival(row: str, signals: tuple[str, ...], **words: str) -> str:
+    """Another explanation in a few words."""
+    text = KINDS.get(row, {}).get("rival", f"{row} of {{both}}")
+    return str(text.format(**_of(signals), **words))
 
 
 # -- other readings --------------------------------------------------------------------------
@@ -316,28 +78,15 @@ def said(
 
 def _say_reading(one: Reading) -> str:
     """Another reading in a few words, for lists of rivals."""
-    names = " and ".join(one.correction.signals)
-    words = {
-        "sign": "with the other sign",
-        "unit": one.meaning if "twice" in one.meaning else f"in {one.meaning}",
-        "swap": "in each other's column",
-        "frame": "along the axes of the positions",
-        "offset": f"counted from elsewhere ({one.meaning})",
-    }
-    return f"{names} {words[one.correction.kind]}"
+    row = "twice" if "twice" in one.meaning else one.correction.kind
+    return _rival(row, one.correction.signals, meaning=one.meaning)
 
 
 def _say_sized(one: Candidate, size: float) -> str:
     """A fault with a size in a few words, for lists of rivals."""
-    names = " and ".join(one.signals)
-    words = {
-        "lever": f"lever arm of {names} against {''.join(one.other)}",
-        "drift": f"current or drift along {names}",
-        "rate": f"slow clock of {names}",
-        "run": f"another {names}",
-    }.get(one.kind, f"{one.kind} of {names}")
     where = f" in {one.record}" if one.record else ""
-    return f"{words}{where} ({_size(size, one.unit, '.2g' if one.unit == '1' else '.3g')})"
+    shown = _size(size, one.unit, ".2g" if one.unit == "1" else ".3g")
+    return f"{_rival(one.kind, one.signals, rate=''.join(one.other))}{where} ({shown})"
 
 
 def _size(size: float, unit: str, form: str) -> str:
@@ -435,7 +184,6 @@ class Log:
         return said(
             fix.kind, names, self.records, words, row=row, gain=one.gain, alternatives=others,
             correction=None if row in ("input swap", "input lag") else fix,
-            suspect=row not in NO_FAULT,
         )  # fmt: skip
 
     def sized(self, one: Found) -> Finding:
@@ -458,16 +206,17 @@ class Log:
         }  # fmt: skip
         allowed = bool(self.modelled & {*fault.signals})
         fix = "the model has an effect for it already" if allowed else ""
-        if not fix and "effect" in SAYS[row][2] and self._channel(names[0]) is None:
+        if not fix and "effect" in KINDS[row]["fix"] and self._channel(names[0]) is None:
             fix = f"{' and '.join(names)} is no output of the model: {COPY}"
         others = tuple(_say_sized(*rival) for rival in one.rivals)
         kinds = {"rate": "clock", "input scale": "scale"}
         return said(
             kinds.get(row, fault.kind), names,
             (fault.record,) if fault.record else self.records, words, row=row, fix=fix,
-            suspect=not allowed and row not in NO_FAULT, size=size, interval=bounds,
-            unit=fault.unit, gain=one.gain, alternatives=(*others, *[NOMINAL] * of_input),
+            size=size, interval=bounds, unit=fault.unit, gain=one.gain,
+            alternatives=(*others, *[NOMINAL] * of_input),
             correction=None if of_input or row == "run" else undone,
+            **({"suspect": False} if allowed else {}),
         )  # fmt: skip
 
     def _row_of(
@@ -566,13 +315,13 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
     steps = kind in ("step", "caught up")
-    many = kind in ("spikes", "dropouts", "frozen", "saturated")
+    many = is_a(kind, "counted")
     sizes = {fault.record: fault.sizes for fault in here} if steps else {}
     correction = Correction("step" if steps else "blank", names, rows=rows, sizes=sizes)
     return said(
         "step" if steps else kind, names, tuple(rows), words,
         row="jump" if kind == "step" else kind,
-        suspect=kind not in ("held", "quantised"), size=float(n) if many else size,
+        size=float(n) if many else size,
         unit="samples" if many else unit * steps,
         correction=None if kind in ("quantised", "copied", "caught up") else correction,
     )  # fmt: skip
@@ -583,13 +332,13 @@ def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
     for output in dataset.channels.outputs:
         levels = {t.name: t.noise[output.name] for t in traces if output.name in t.noise}
         level = float(np.median([*levels.values()])) if levels else 0.0
-        if not output.noise_std or level <= NOISIER * output.noise_std:
+        if not output.noise_std or level <= WORTH_TELLING * output.noise_std:
             continue
         value, unit = angle_aware(level, output.unit)
         ratio, declared = level / output.noise_std, angle_aware(output.noise_std, output.unit)[0]
         words = {"ratio": ratio, "level": value, "said": declared, "unit": unit, "found": level}
         yield said(
-            "noise", (output.name,), tuple(levels), words | {"si": output.unit}, suspect=False,
+            "noise", (output.name,), tuple(levels), words | {"si": output.unit},
             size=ratio, unit="1",
         )  # fmt: skip
 
@@ -603,7 +352,7 @@ def _gaps(traces: Sequence[Trace]) -> Iterable[Finding]:
             longest = wide[np.argmax(steps[wide])]
             size = float(steps[longest])
             words = {"gaps": counted(wide.size, "gap"), "size": size, "at": trace.times[longest]}
-            yield said("gap", (), (trace.name,), words, suspect=False, size=size, unit="s")
+            yield said("gap", (), (trace.name,), words, size=size, unit="s")
 
 
 def _copies(dataset: Dataset) -> Iterable[Finding]:
@@ -628,7 +377,7 @@ def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list
     result = []
     for trace in traces:
         steps = np.diff(trace.times)
-        for k in np.flatnonzero(steps > NOISIER * trace.step):
+        for k in np.flatnonzero(steps > WORTH_TELLING * trace.step):
             if _contradicts(trace, relations, int(k)):
                 more = float(steps[k] - trace.step)
                 words = {"size": steps[k], "at": trace.times[k], "step": trace.step, "more": more}
