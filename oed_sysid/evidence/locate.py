@@ -240,23 +240,27 @@ def locate(
     if found is None:
         return Located.nothing(fit)
     found.sort(key=lambda part: part.order)
-    top = max(part.gain for part in found)
-    told = [part for part in found if part.gain > max(CLEAR, top - GROUP_WIDTH)]
     smoother = ResidualForces.of(*let_in(fit, unit))
-    names = fit.noise.places
-    chosen = [i for i, name in enumerate(names) if name.startswith("force ")]
-    forces = tuple(series.only(chosen) for series in smoother.series())
-    signatures = _signatures(smoother, rivals or {}, chosen)
+    placed = (place.partition(" ") for place in fit.noise.places)
+    columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
+    forces = tuple(series.only([*columns]) for series in smoother.series())
+    signatures = _signatures(smoother, rivals or {}, [*columns])
     return Located(
         places=tuple(part.place for part in found),
         gains={part.place.name: part.gain for part in found},
         levels={part.place.name: part.level for part in found},
-        force_names=tuple(names[i].removeprefix("force ") for i in chosen),
+        force_names=tuple(columns.values()),
         forces=forces,
-        discrepancies={part.place.name: part.smoothed() for part in told},
+        discrepancies={part.place.name: part.smoothed() for part in _foremost(found)},
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
+
+
+def _foremost(found: Sequence[Evidence]) -> list[Evidence]:
+    """The best place, where its gain is no chance, and those that cannot be told from it."""
+    least = max(CLEAR, max(part.gain for part in found) - GROUP_WIDTH)
+    return [part for part in found if part.gain > least]
 
 
 def _signatures(
