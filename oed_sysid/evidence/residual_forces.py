@@ -225,16 +225,16 @@ def smoothable(
 
 
 def rows_of(
-    problem: Filtered, unknowns: np.ndarray, index: int, rows: np.ndarray | None
+    problem: Filtered, unknowns: np.ndarray, index: int, rows: np.ndarray | None, more: int = 0
 ) -> np.ndarray:
-    """Rows of a pass by the unknowns of its record, zero where nothing was measured."""
+    """Rows of a pass by the unknowns of its record, and so many more, zero where not measured."""
     assert rows is not None
     layout = problem.layout
     where = layout.record_columns(index)
-    slopes = layout.slopes(unknowns[where[layout.n_own :]])
+    size = np.ones(len(where) + more)
+    size[layout.n_own : len(where)] = layout.slopes(unknowns[where[layout.n_own :]])
     known = np.isfinite(problem.records[index].outputs)[:, :, None]
-    size = np.concatenate([np.ones(layout.n_own), slopes])
-    return np.where(known, rows[:, :, : len(where)] * size, 0.0)
+    return np.where(known, rows[:, :, : len(size)] * size, 0.0)
 
 
 def _inverse(matrix: np.ndarray) -> np.ndarray:

@@ -34,6 +34,7 @@ from scipy.signal import lombscargle
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.preparation import ENOUGH
+from oed_sysid.evidence.residual_forces import rows_of
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
@@ -110,42 +111,42 @@ class _Variant:
 class _Rows:
     """Innovations of all records in units of their standard deviation, with derivatives.
 
-    ``seen``, ``roots`` (standard deviations), ``passes`` and ``times`` are per record; ``known``
-    are columns of the unknowns of the fit, ``extra`` those of candidates, by name.
+    ``passes`` and ``times`` are per record. ``residual`` ``(n_rows,)`` holds every sample of every
+    output, zero where it was not measured, and the priors; ``known`` are columns of the unknowns of
+    the fit, ``extra`` those of candidates, by name.
     """
 
-    seen: list[np.ndarray]
-    roots: list[np.ndarray]
-    innovations: list[np.ndarray]
     passes: list[FilterPass]
     times: list[np.ndarray]
     residual: np.ndarray
     known: np.ndarray
     extra: dict[str, np.ndarray]
 
-    def spread(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        """Rows of a quantity ``(n_times, n_outputs)`` per record, in standard deviations."""
-        return np.concatenate(
-            [part[s] / root for part, s, root in zip(parts, self.seen, self.roots, strict=True)]
-        )
-
     @property
     def scaled(self) -> list[np.ndarray]:
         """Innovations ``(n_times, n_outputs)`` per record in standard deviations, NaN if none."""
-        found = []
-        for part, seen, root in zip(self.innovations, self.seen, self.roots, strict=True):
-            whole = np.full(part.shape, np.nan)
-            whole[seen] = part[seen] / root
-            found.append(whole)
-        return found
+        return [part.innovations / np.sqrt(part.variances) for part in self.passes]
+
+    def moved(self, innovations: Sequence[np.ndarray]) -> np.ndarray:
+        """Rows by which innovations fall short of these, ``(n_rows,)``."""
+        column = np.zeros(len(self.residual))
+        pairs = zip(self.passes, innovations, strict=True)
+        short = [_row((own.innovations - part) / np.sqrt(own.variances)) for own, part in pairs]
+        column[: sum(map(len, short))] = np.concatenate(short)
+        return column
 
     def by_record(self, columns: np.ndarray) -> np.ndarray:
         """A column for every record in place of one for all, ``(n_rows, n_columns*n_records)``."""
-        ends = np.cumsum([len(root) for root in self.roots])
-        apart = np.zeros((*columns.shape, len(ends)))
-        for index, (begin, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
-            apart[begin:end, :, index] = columns[begin:end]
+        apart, begin = np.zeros((*columns.shape, len(self.passes))), 0
+        for index, part in enumerate(self.passes):
+            rows = slice(begin, begin := begin + part.innovations.size)
+            apart[rows, :, index] = columns[rows]
         return apart.reshape(len(columns), -1)
+
+
+def _row(scaled: np.ndarray) -> np.ndarray:
+    """Numbers of all samples and outputs in a row, zero where there is none."""
+    return np.nan_to_num(scaled).ravel()
 
 
 def scores(
@@ -183,7 +184,7 @@ def scores(
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
     residual = rows.residual - basis @ (basis.T @ rows.residual)
     # Sizes and starts of single records are estimated anew on the validation records.
-    n_records = len(rows.seen) + len(study.validation or ())
+    n_records = len(rows.passes) + len(study.validation or ())
     best: dict[str, Score] = {}
     for variant in _variants(study, fit, candidates, rows, smooth):
         raw = variant.columns
@@ -204,38 +205,27 @@ def _local_names(effect: Effect) -> tuple[str, ...]:
 def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
     """One pass along the filtered path, candidates' columns included."""
     problem, unknowns = fit.problem, fit.point.unknowns
-    layout = problem.layout
-    names = (*layout.free_names, *smooth)
-    width = layout.n_own + len(layout.free_names)
-    found = problem.passes(unknowns, rows=True, gains=True, names=names)
+    layout, limits = problem.layout, problem.limits
     n_known = layout.levels.start
-    seen = [np.isfinite(part.innovations) for part in found]
-    roots = [np.sqrt(part.variances[s]) for part, s in zip(found, seen, strict=True)]
-    sizes = [int(s.sum()) for s in seen]
-    priors = problem.limits.prior_weight[: len(layout.shared)]
-    held = np.flatnonzero(priors > 0)
-    known = np.zeros((sum(sizes) + len(held), n_known))
-    residual = np.zeros(len(known))
-    extra = {name: np.zeros(len(known)) for name in smooth}
-    begin = 0
-    for index, (part, s, root) in enumerate(zip(found, seen, roots, strict=True)):
-        block = slice(begin, begin + len(root))
-        begin = block.stop
-        assert part.rows is not None
-        rows = part.rows[s]
-        columns = layout.record_columns(index)
-        known[block, columns] = -rows[:, :width]
-        known[block, columns[layout.n_own :]] *= layout.slopes(unknowns[columns[layout.n_own :]])
-        residual[block] = part.innovations[s] / root
-        for position, name in enumerate(smooth):
-            extra[name][block] = -rows[:, width + position]
-    for position, column in enumerate(held):
-        known[begin + position, column] = np.sqrt(priors[column])
-        away = problem.limits.prior_mean[column] - unknowns[column]
-        residual[begin + position] = np.sqrt(priors[column]) * away
-    innovations = [part.innovations for part in found]
+    names = (*layout.free_names, *smooth)
+    passes = problem.passes(unknowns, rows=True, gains=True, names=names)
+    known, extra, residual = [], [], []
+    for index, part in enumerate(passes):
+        columns, size = layout.record_columns(index), part.innovations.size
+        rows = rows_of(problem, unknowns, index, part.rows, len(smooth)).reshape(size, -1)
+        block = np.zeros((len(rows), n_known))
+        block[:, columns] = -rows[:, : len(columns)]
+        known.append(block)
+        extra.append(-rows[:, len(columns) :])
+        residual.append(_row(part.innovations / np.sqrt(part.variances)))
+    held = np.flatnonzero(limits.prior_weight[: len(layout.shared)] > 0)
+    roots = np.sqrt(limits.prior_weight[held])
+    known.append(roots[:, None] * np.eye(n_known)[held])
+    extra.append(np.zeros((len(held), len(smooth))))
+    residual.append(roots * (limits.prior_mean[held] - unknowns[held]))
     times = [record.times for record in problem.records]
-    return _Rows(seen, roots, innovations, found, times, residual, known, extra)
+    named = dict(zip(smooth, np.concatenate(extra).T, strict=True))
+    return _Rows(passes, times, np.concatenate(residual), np.concatenate(known), named)
 
 
 def _score(
@@ -346,9 +336,7 @@ def _secant(
         found = problem.replayed(trial, point.unknowns, rows.passes)
         if found is None:
             return None
-        moved = [still - part for still, part in zip(rows.innovations, found, strict=True)]
-        column = rows.spread(moved) / sum(sizes.values())
-        columns.append(np.concatenate([column, np.zeros(len(rows.residual) - len(column))]))
+        columns.append(rows.moved(found) / sum(sizes.values()))
     return np.array(columns).T
 
 
