@@ -38,7 +38,7 @@ from scipy.fft import idct
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
-from oed_sysid.evidence.contrasts import Piece, Question, Result
+from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
@@ -133,13 +133,10 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     traces = [Trace.of(r, spare_signals(r)) for r in dataset]
     equations = _equations(dataset, model, traces)
     faults, traces = screened(traces)
-    mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
-    equations = tuple(r for r in equations if mute.isdisjoint(r.names))
+    equations = _told_of(equations, faults)
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
     if equations:
-        bad = kinds_that_are("bad samples")
-        clean = [t.blank(marked(faults, t.name, bad)) for t in traces]
-        faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
+        faults, related, balances, ended = _related(dataset, model, traces, equations, faults)
     findings = [*screen_findings(dataset, traces, faults), *related]
     asked, unchecked = _asked(model, traces, equations, ended), _shared(equations, traces)
     if inputs:
@@ -168,32 +165,41 @@ def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Jud
     )
 
 
+def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[Relation, ...]:
+    """Equations without a signal that says nothing."""
+    mute = set().union(*(one.names for one in faults if one.kind in ("dead", "copied")))
+    return tuple(r for r in equations if mute.isdisjoint(r.names))
+
+
 def _related(
     dataset: Dataset,
     model: Model,
-    clean: Sequence[Trace],
+    traces: Sequence[Trace],
     equations: tuple[Relation, ...],
     faults: Sequence[Fault],
 ) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
-    known = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
-    begun = [fix for fixes in known.values() for fix in fixes or ()]
-    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), begun)
-    begun_at, sizes, sized = {_place(fix) for fix in begun}, {}, list[contrasts.Found]()
-    for one in ended.found:
-        if (place := _place(one.correction)) in begun_at:
-            sizes[place] = float(one.size)
-        else:
-            sized.append(one)
-    faults = [_resized(one, known.get(one), sizes) for one in faults]
-    fixes = [*(r.correction for r in found), *(f.correction for f in ended.found)]
+    bad = kinds_that_are("bad samples")
+    clean = [t.blank(marked(faults, t.name, bad)) for t in traces]
+    steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
+    known = [fix for fixes in steps.values() for fix in fixes or ()]
+    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), known)
+    sizes = {_place(one.correction): float(one.size) for one in ended.found}
+    faults = [_resized(one, steps.get(one), sizes) for one in faults]
+    fixes = [one.correction for one in (*found, *ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
     ends, sensed = {t.name: t.ends for t in clean}, _sensed(model.effects)
     log = Log(dataset.channels, equations, dataset.names, ends, sensed)
-    findings = [*map(log.reading, found), *map(log.sized, sized)]
+    findings = [*map(log.reading, found), *map(log.sized, _others(ended.found, known))]
     findings += clock_findings(mended, equations)
     findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
     return faults, findings, _balances(clean, mended, equations), ended
+
+
+def _others(found: Sequence[Found], known: Sequence[Correction]) -> list[Found]:
+    """What was found and not known before."""
+    places = {*map(_place, known)}
+    return [one for one in found if _place(one.correction) not in places]
 
 
 def _steps(
@@ -207,15 +213,14 @@ def _steps(
     some = Question(tuple(r for r in equations if fault.signal in r.names), ())
     if not some.relations:
         return None
-    here = [trace for trace in traces if trace.name == fault.record]
-    since = here[0].times - here[0].times[0]
+    here = next(trace for trace in traces if trace.name == fault.record)
+    since = here.times - here.times[0]
+    shares = 0.5 * (since[fault.rows] + since[fault.rows - 1]) / since[-1]
     fixes = [
         Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
-        for row, size in zip(fault.rows, fault.sizes, strict=True)
-        for share in (0.5 * (since[row] + since[row - 1]) / since[-1],)
+        for share, size in zip(shares, fault.sizes, strict=True)
     ]
-    mended = [undo(trace, fixes) for trace in here]
-    before, after = (contrasts.evidence(one, some).sum() for one in (here, mended))
+    before, after = (contrasts.evidence([one], some).sum() for one in (here, undo(here, fixes)))
     return fixes if after > before else []
 
 

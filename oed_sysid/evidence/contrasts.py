@@ -65,6 +65,7 @@ from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, units_of
 # its place is refined.
 MOST_BLOCKS = 240
 PLACES = MOST_BLOCKS // 4
+PLACED = np.arange(1, PLACES) / PLACES
 # Variance of noise at one place of a record over that of the whole.
 VARYING = 1.5
 # Correlations of block means among which noise is composed.
@@ -153,17 +154,20 @@ class Motion:
         for index, one in enumerate(relations):
             if not self.raw.keys() >= {*one.names}:
                 continue
-            self.right[index] = one({n: self.raw[n] for n in one.signals}, trace.times)
+            right = one({n: self.raw[n] for n in one.signals}, trace.times)
+            self.right[index] = right
             if one.is_rate:
-                predicted = one.integral(trace.times, self.right[index][:, None])[:, 0]
-                self.values[one.target] = predicted + _line(
-                    trace.times, self.raw[one.target] - predicted
-                )
-                self.rates[one.target] = self.right[index]
-        for name in self.raw:
-            if name not in self.rates:
-                self.rates[name] = np.gradient(_slow(self.raw[name], 9), trace.times)
+                predicted = one.integral(trace.times, right[:, None])[:, 0]
+                left = _line(trace.times, self.raw[one.target] - predicted)
+                self.values[one.target], self.rates[one.target] = predicted + left, right
+        for name in self.raw.keys() - self.rates.keys():
+            self.rates[name] = np.gradient(_slow(self.raw[name], 9), trace.times)
         self.elapsed = trace.times - trace.times[0]
+
+    def has(self, one: Candidate) -> bool:
+        """Whether a fault may be in this record."""
+        here = one.record in ("", self.trace.name)
+        return here and {*one.signals, *one.other} <= self.raw.keys()
 
 
 def _line(times: np.ndarray, series: np.ndarray) -> np.ndarray:
@@ -385,11 +389,7 @@ def contrasts(
     its left side was logged in, or shrinking a signal would shrink its noise.
     """
     motion = Motion(trace, relations)
-    every = {
-        k: SHAPES[one.kind](one, motion)
-        for k, one in enumerate(faults)
-        if one.record in ("", trace.name) and {*one.signals, *one.other} <= motion.raw.keys()
-    }
+    every = {k: SHAPES[f.kind](f, motion) for k, f in enumerate(faults) if motion.has(f)}
     for index, right in motion.right.items():
         relation = relations[index]
         shapes = {k: shape for k, shape in every.items() if shape.keys() & {*relation.names}}
@@ -399,7 +399,7 @@ def contrasts(
         left, inside = [target, target], [right, zero]
         for shape in shapes.values():
             left.append(shape.get(relation.target, zero))
-            inside.append(sum((slopes[n] * shape[n] for n in shape if n in slopes), zero))
+            inside.append(sum((slopes[n] * shape[n] for n in slopes if n in shape), zero))
         ramps = {("step", n): slope for n, slope in slopes.items()}
         for name in slopes.keys() & {*relation.driven}:
             ramps["lost", name] = slopes[name] * motion.raw.get(logged(name), motion.raw[name])
@@ -617,41 +617,55 @@ def scanned(
     local: Sequence[Candidate],
 ) -> list[Candidate]:
     """The likeliest steps, bursts and losses beside what is in, of all signals in all records."""
-    a = list(chosen)
+    a = np.array(chosen, dtype=int)
     inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
-    places = np.arange(1, PLACES) / PLACES
-    result = []
     numbered = [*zip(pieces, system.levels, strict=True)]
+    least, result = VARYING * float(np.min(system.limits)), list[tuple[float, Candidate]]()
     for trace, one in product(traces, local):
-        name, kinds = one.signals[0], ("step", "burst") if one.kind == "step" else (one.kind,)
-        score, power = np.zeros((2, places.size)), np.zeros((2, places.size))
-        across = np.zeros((2, places.size, len(a)))
-        at = trace.times[0] + places * (trace.times[-1] - trace.times[0])
-        for piece, level in numbered:
-            ramp = piece.ramps.get((one.kind, name))
-            level_of = 1.0 * (one.kind == "step" and piece.target_name == name)
-            if piece.record != trace.name or (ramp is None and not level_of):
-                continue
-            row = np.searchsorted(piece.times, at)
-            ended = row + max(1, round(piece.times.size / PLACES))
-            steps = [_from(piece, level_of, ramp, k) for k in (row, ended)]
-            beside = piece.columns_of(np.array(a, dtype=int))
-            for i, shape in enumerate((steps[0], steps[0] - steps[1])):
-                waves = dct(shape, axis=0, norm="ortho")[1:]
-                score[i] += (piece.residual / level) @ waves
-                power[i] += np.sum(waves**2 / level[:, None], axis=0)
-                across[i] += (waves / level[:, None]).T @ beside
-        left = power - np.einsum("kpi,ij,kpj->kp", across, inner, across)
-        told = (left > 1e-4 * power) & (power > 0.0)
-        gain = np.where(told, score**2 / np.where(told, left, 1.0), 0.0)
-        for i, kind in enumerate(kinds):
-            k = int(np.argmax(gain[i]))
-            until = places[k] + 1.0 / PLACES if kind == "burst" else 1.0
-            found = replace(one, kind=kind, record=trace.name, span=(places[k], until))
-            result.append((float(gain[i, k]), found))
-    least = VARYING * float(np.min(system.limits))
-    likely = sorted((pair for pair in result if pair[0] > least), key=lambda pair: -pair[0])
+        here = [pair for pair in numbered if pair[0].record == trace.name]
+        gain = _gain_at(trace, one, here, a, inner)
+        for i, kind in enumerate(("step", "burst") if one.kind == "step" else (one.kind,)):
+            own, k = gain[i], int(np.argmax(gain[i]))
+            if own[k] > least:
+                until = PLACED[k] + 1.0 / PLACES if kind == "burst" else 1.0
+                found = replace(one, kind=kind, record=trace.name, span=(PLACED[k], until))
+                result.append((float(own[k]), found))
+    likely = sorted(result, key=lambda pair: -pair[0])
     return [fault for _, fault in likely[:MOST_FAULTS]]
+
+
+def _gain_at(
+    trace: Trace,
+    one: Candidate,
+    numbered: Sequence[tuple[Piece, np.ndarray]],
+    chosen: np.ndarray,
+    inner: np.ndarray,
+) -> np.ndarray:
+    """Statistics of a lasting and of a passing fault at every place, ``(2, n_places)``.
+
+    ``numbered`` are the pieces of the record with their variances, ``inner`` is the covariance of
+    what is ``chosen``, which is projected out.
+    """
+    name, n = one.signals[0], PLACED.size
+    score, power, across = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, n, chosen.size))
+    at = trace.times[0] + PLACED * (trace.times[-1] - trace.times[0])
+    for piece, level in numbered:
+        ramp = piece.ramps.get((one.kind, name))
+        level_of = 1.0 * (one.kind == "step" and piece.target_name == name)
+        if ramp is None and not level_of:
+            continue
+        row = np.searchsorted(piece.times, at)
+        ended = row + max(1, round(piece.times.size / PLACES))
+        lasting, later = (_from(piece, level_of, ramp, k) for k in (row, ended))
+        beside = piece.columns_of(chosen)
+        for i, shape in enumerate((lasting, lasting - later)):
+            waves = dct(shape, axis=0, norm="ortho")[1:]
+            score[i] += (piece.residual / level) @ waves
+            power[i] += np.sum(waves**2 / level[:, None], axis=0)
+            across[i] += (waves / level[:, None]).T @ beside
+    left = power - np.einsum("kpi,ij,kpj->kp", across, inner, across)
+    told = (left > 1e-4 * power) & (power > 0.0)
+    return np.where(told, score**2 / np.where(told, left, 1.0), 0.0)
 
 
 def _from(piece: Piece, level: float, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
@@ -756,6 +770,22 @@ class System:
         unsure = ((inverse * self.doubt[a]) ** 2).sum(axis=1) / 3.0
         return size, np.sqrt(inverse.diagonal() + unsure), size**2 / inverse.diagonal()
 
+    def sized(self, chosen: Sequence[int]) -> dict[Candidate, float]:
+        """Sizes of some, by candidate."""
+        sizes = zip(chosen, self.sizes(chosen)[0], strict=True)
+        return {self.faults[k]: float(size) for k, size in sizes}
+
+    def settled(self, before: Mapping[Candidate, float], chosen: Sequence[int]) -> bool:
+        """Whether the faults chosen are those before, and sizes within a tenth of their errors."""
+        now, std = self.sized(chosen), self.sizes(chosen)[1]
+        moved = np.array([abs(size - before.get(fault, np.inf)) for fault, size in now.items()])
+        return before.keys() == now.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
+
+    def visible(self, chosen: Sequence[int]) -> np.ndarray:
+        """Least size of every candidate that would be seen beside some, ``(n,)``."""
+        error = self.beside(chosen)[2]
+        return np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
+
     def price(self, chosen: Sequence[int]) -> np.ndarray:
         """What each has to gain beside a set that gains so much."""
         a = list(chosen)
@@ -839,6 +869,11 @@ class Reading:
     gain: float = 0.0
     rivals: tuple[Reading, ...] = ()
 
+    @property
+    def delays(self) -> bool:
+        """Whether it is a large delay, which competes with readings and has a size."""
+        return self.correction.kind == "delay"
+
 
 @dataclass(frozen=True)
 class Result:
@@ -864,9 +899,8 @@ def search(
     """Find faults with a size; ``start`` are delays, ``known`` steps to begin from."""
     relations, n_given = question.relations, len(question.given)
     faults = [*question.given, *question.common, *question.single * single]
-    n_common = n_given + len(question.common)
     local = question.local if single else ()
-    n_more = 2 * PLACES * len(local) * len(traces)
+    n_common, n_more = n_given + len(question.common), 2 * PLACES * len(local) * len(traces)
     active = _begun(question, start, known)
     shift, strained, picked = 0.5 / PLACES, False, list[Candidate]()
     for turn in range(SWEEPS):
@@ -883,22 +917,11 @@ def search(
         found = scanned(undone, pieces, system, now, local)
         picked = [fault for fault in found if fault not in faults]
         chosen = bench.chosen(now)
-        size, std, _ = bench.sizes(chosen)
-        before, active = active, {faults[k]: float(v) for k, v in zip(chosen, size, strict=True)}
-        if _settled(before, active, std) and not picked and (shift < 1e-3 or not near):
+        before, active = active, bench.sized(chosen)
+        if not picked and (shift < 1e-3 or not near) and bench.settled(before, chosen):
             break
         shift *= 0.5 if near else 1.0
-    error = bench.beside(chosen)[2]
-    visible = np.sqrt(system.limits) * np.where(error > 0.0, error, np.inf)
-    return Result(bench.found(chosen), tuple(faults), visible, strained)
-
-
-def _settled(
-    before: Mapping[Candidate, float], now: Mapping[Candidate, float], std: np.ndarray
-) -> bool:
-    """Whether faults are the same, and their sizes within a tenth of their errors."""
-    moved = np.array([abs(size - before.get(fault, np.inf)) for fault, size in now.items()])
-    return before.keys() == now.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
+    return Result(bench.found(chosen), tuple(faults), bench.visible(chosen), strained)
 
 
 def _begun(
@@ -943,25 +966,29 @@ def diagnosed(
     known: Sequence[Correction] = (),
 ) -> tuple[list[Reading], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
-    relations = question.relations
-
-    def mended(readings: Sequence[Reading]) -> list[Trace]:
-        return [undo(t, [one.correction for one in readings], relations) for t in traces]
-
     plain = search(traces, question, known=known)
     if not plain.strained and not _nearer(traces, question):
         return [], plain
-    found, start = misread([undo(t, known, relations) for t in traces], question)
+
+    def mended(found: Sequence[Reading]) -> list[Trace]:
+        return [undo(t, [r.correction for r in found], question.relations) for t in traces]
+
+    found, start = misread([undo(t, known, question.relations) for t in traces], question)
     right = mended(found)
-    ends = [search(right, question, known=known)] if found else [plain]
+    ends = [search(right, question, known=known) if found else plain]
     ends += [search(right, question, start=start, known=known)] if start else []
     best = max(ends, key=lambda end: _worth(end, right, question))
-    named = [unit for one in best.found for unit in _as_units(one)]
-    named += [lag for one in best.found for lag in _as_lag(one, best, right, question)]
-    if named:
+    if named := [*_named(best, right, question)]:
         found = [*found, *named]
         best = search(mended(found), question, known=known)
     return found, best
+
+
+def _named(end: Result, traces: Sequence[Trace], question: Question) -> Iterator[Reading]:
+    """Faults with a size that are a sign, a unit or a lag."""
+    for one in end.found:
+        yield from _as_units(one)
+        yield from _as_lag(one, end, traces, question)
 
 
 def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
@@ -1060,26 +1087,28 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
     start : list of Correction
         Large delays that compete with readings: their sizes are for :func:`search` to find.
     """
-    coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    lost = evidence(coarse, question) == 0.0
-    if np.any(lost & (evidence(traces, question) != 0.0)):
-        coarse = list(traces)  # motion too fast for fewer samples
-    late = [*_late(question)]
+    coarse, late = _coarse(traces, question), [*_late(question)]
     found: list[Reading] = []
     for _ in range(3 if question.readings else 0):
         least, (best, *others) = _scored(coarse, question, late)
         # What chance exceeds rarely, however many readings are tried.
         limit = 2.0 * math.log((1 + len(others)) / FALSE_CLAIMS)
-        delayed = best.correction.kind == "delay"
-        if delayed and best.gain > limit:
+        if best.delays and best.gain > limit:
             return found, [best.correction]
         if best.gain < limit + least:
             break
-        rivals = (o for o in others if o.correction.kind != "delay")
-        close = tuple(o for o in rivals if o.gain > best.gain - CLOSE)
-        found.append(replace(best, rivals=close))
+        close = (o for o in others if not o.delays and o.gain > best.gain - CLOSE)
+        found.append(replace(best, rivals=tuple(close)))
         coarse = [undo(t, (best.correction,), question.relations) for t in coarse]
     return found, []
+
+
+def _coarse(traces: Sequence[Trace], question: Question) -> list[Trace]:
+    """Traces with fewer samples, unless motion is too fast for these."""
+    coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
+    lost = evidence(coarse, question) == 0.0
+    told = evidence(traces, question) != 0.0
+    return list(traces) if np.any(lost & told) else coarse
 
 
 def _nearer(traces: Sequence[Trace], question: Question) -> bool:

@@ -20,7 +20,7 @@ import numpy as np
 
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
-from oed_sysid.evidence.rank import N_REFITS, Refit, deepen, refit
+from oed_sysid.evidence.rank import N_REFITS, Refit, refitted
 from oed_sysid.evidence.residual_forces import let_in, rows_of, smoothable
 from oed_sysid.evidence.score import ABSORBED, Score
 from oed_sysid.evidence.study import Study
@@ -140,12 +140,14 @@ def _refitted(
         name, nothing = effect.parameters[0].name, np.zeros((0, 1))
         size, error = {name: one.estimate}, {name: one.std_error}
         scores.append(Score(effect, one.statistic, 1, size, error, one.distinct, nothing))
-    wide = study.with_candidates([score.effect for score in scores]) if scores else study
+    if not scores:
+        return []
+    wide = study.with_candidates([score.effect for score in scores])
+    given = {score.effect.name: pair for score, pair in zip(scores, chosen, strict=True)}
     found = []
-    for (one, alike), score in zip(chosen, scores, strict=True):
-        quick = refit(wide, fit, (score,), needed, near)
-        if quick is not None:
-            found.append(Proposal(one.term, deepen(wide, fit, quick), alike))
+    for again in refitted(wide, fit, [((score,), needed) for score in scores], near):
+        own, alike = given[again.name]
+        found.append(Proposal(own.term, again, alike))
     return sorted(found, key=lambda p: -p.evidence)
 
 

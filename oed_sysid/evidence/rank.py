@@ -18,7 +18,7 @@ import numpy as np
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.claim import Claim, at_bounds
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
-from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
@@ -286,19 +286,39 @@ def rank(
     """
     scored, residual = scores(study, fit, candidates)
     ranking = Ranking(tuple(scored), (), residual)
+    chosen = _promising(scored)[:n_refits]
+    chosen += [s for s in scored if s.effect.name in also and s not in chosen]
+    sets = [((score,), ranking.needed_by(score)) for score in chosen]
+    return replace(ranking, refits=refitted(study, fit, sets))
+
+
+def _promising(scored: Sequence[Score]) -> list[Score]:
+    """Those that free parameters do not imitate; a size for every record only where it says more.
+
+    More, that is, than one that all records share.
+    """
     shared = {f"{s.effect.name}{BY_RECORD}": s.statistic for s in scored}
-    chosen = [
+    return [
         s
         for s in scored
-        # A size for every record only where it says more than one that all share.
         if not s.absorbed and s.statistic > 2.0 + shared.get(s.effect.name, -s.apart) + s.apart
-    ][:n_refits]
-    chosen += [s for s in scored if s.effect.name in also and s not in chosen]
-    tried = (refit(study, fit, (score,), ranking.needed_by(score)) for score in chosen)
+    ]
+
+
+def refitted(
+    study: Study,
+    fit: FilteredSolution,
+    sets: Sequence[tuple[Sequence[Score], float]],
+    near: FilteredSolution | None = None,
+) -> tuple[Refit, ...]:
+    """Refits of sets of candidates, each with its threshold, by evidence.
+
+    Noise levels are held, and free where a set may then be claimed.
+    """
+    tried = (refit(study, fit, scored, needed, near) for scored, needed in sets)
     quick = sorted((r for r in tried if r is not None), key=lambda r: -r.evidence)
-    best = quick[0].gain if quick else 0.0
-    refits = [deepen(study, fit, r) if hopeful(r, best) else r for r in quick]
-    return replace(ranking, refits=tuple(sorted(refits, key=lambda r: -r.evidence)))
+    deep = [deepen(study, fit, r) if hopeful(r, quick[0].gain) else r for r in quick]
+    return tuple(sorted(deep, key=lambda r: -r.evidence))
 
 
 def hopeful(refit: Refit, best: float) -> bool:
@@ -323,22 +343,17 @@ def pairs(study: Study, fit: FilteredSolution, ranking: Ranking) -> tuple[Refit,
     columns /= np.linalg.norm(columns, axis=0)
     likeness, along = columns.T @ columns, columns.T @ ranking.residual
     count = len(single) * (len(single) - 1) // 2
-    found: list[tuple[float, float, tuple[Score, Score]]] = []
+    found: list[tuple[float, tuple[Score, Score], float]] = []
     for i, j in combinations(range(len(single)), 2):
-        rho = likeness[i, j]
+        rho, one, two = likeness[i, j], single[i], single[j]
         if abs(rho) > ALIKE:
             continue
         joint = (along[i] ** 2 + along[j] ** 2 - 2 * rho * along[i] * along[j]) / (1 - rho**2)
-        both = single[i], single[j]
-        trials = both[0].trials * both[1].trials
-        freedom = both[0].freedom + both[1].freedom
-        needed = threshold(count, freedom, trials=trials)
+        needed = threshold(count, one.freedom + two.freedom, trials=one.trials * two.trials)
         if joint > needed:
-            found.append((joint - needed, needed, both))
+            found.append((joint - needed, (one, two), needed))
     found.sort(key=lambda one: -one[0])
-    tried = [refit(study, fit, both, needed) for _, needed, both in found[:N_REFITS]]
-    deep = [deepen(study, fit, r) for r in tried if r is not None]
-    return tuple(sorted(deep, key=lambda r: -r.evidence))
+    return refitted(study, fit, [(both, needed) for _, both, needed in found[:N_REFITS]])
 
 
 def refit(
@@ -370,8 +385,7 @@ def refit(
             update_noise=False,
             max_iterations=6,
         )
-        if found is not None and (best is None or found.objective < best.objective):
-            best = found
+        best = likelier(best, found)
         if best is not None and fit.objective - best.objective > REACHED * statistic:
             break
     if best is None:

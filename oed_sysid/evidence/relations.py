@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -35,6 +35,7 @@ import numpy as np
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.record import Record, unwrapped
 from oed_sysid.errors import DataError
+from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.text import expressions
 from oed_sysid.text.csv_table import Table, read_table
@@ -152,14 +153,21 @@ def relations(
     absent = set(missing)
     outputs = [o for o in model.outputs if o.name not in absent]
     # A state is measured where an output shows it and nothing else.
-    shown = {o.source: o.name for o in outputs}
+    shown = {o.source: o.name for o in outputs if o.source in model.state_names}
     measured = {state: shown[state] for state in model.state_names if state in shown}
-    free = measured.keys() - _touched(model)
-    stated = [(measured[s], text, True) for s, text in model.kinematics.items() if s in free]
-    stated += [(o.name, o.source, False) for o in outputs if o.source not in model.state_names]
+    stated = [
+        *((measured[s], text, True) for s, text in _kinematics(model).items() if s in measured),
+        *((o.name, o.source, False) for o in outputs if o.source not in shown),
+    ]
     declared = (_declared(model, *one, measured) for one in stated)
-    found = [one for one in declared if one is not None]
-    return (*found, *_standard(model, set(spare), absent, {r.target for r in found}))
+    found = tuple(one for one in declared if one is not None)
+    return (*found, *_standard(model, set(spare), outputs, {r.target for r in found}))
+
+
+def _kinematics(model: Model) -> dict[str, str]:
+    """Kinematics of states to which no effect adds anything."""
+    touched = _touched(model)
+    return {state: text for state, text in model.kinematics.items() if state not in touched}
 
 
 def _touched(model: Model) -> set[str]:
@@ -174,16 +182,14 @@ def _declared(
     constants = {p.name: p.value for p in model.all_parameters if p.fixed}
     plain = {name: model.signals[name] for name in model.signals.keys() - _touched(model)}
     needed = _needed(text, {*measured}, {*constants, "t"}, plain)
-    if needed is None:
-        return None
-    used, inner = needed
+    used, inner = needed or ([], {})
     signals = tuple(dict.fromkeys(measured[s] for s in used))
     if not signals or (is_rate and not _is_kinematic(model, target, set(signals))):
         return None
     # Other names of measured signals, then inner signals in the order of the model.
     aliases = [(s, measured[s]) for s in dict.fromkeys(used) if measured[s] != s]
-    steps = [(name, inner[name]) for name in model.signals if name in inner]
-    steps = [*aliases, *steps, (f"{target}_prime_", text)]
+    steps = [*aliases, *((name, inner[name]) for name in model.signals if name in inner)]
+    steps.append((f"{target}_prime_", text))
     return Relation(target, signals, text, is_rate, tuple(steps), constants)
 
 
@@ -223,23 +229,25 @@ def _needed(
 
 
 def _standard(
-    model: Model, spare: set[str], absent: set[str], related: set[str]
+    model: Model, spare: set[str], outputs: Sequence[Output], related: set[str]
 ) -> Iterator[Relation]:
     """Equations of a rigid body for signals with standard names and units."""
-    known = spare & set(STANDARD_UNITS)
-    for output in (o for o in model.outputs if o.name not in absent):
-        known.discard(output.name)
-        if output.expression in (None, output.name):
-            known |= {output.name} & {n for n, u in STANDARD_UNITS.items() if u == output.unit}
+    plain = {o.name: o.unit for o in outputs if o.expression in (None, o.name)}
+    known = (spare & STANDARD_UNITS.keys()) - {o.name for o in outputs}
+    known |= {name for name, unit in plain.items() if STANDARD_UNITS.get(name) == unit}
     # Where the model has an equation for one of these states, it knows better.
     wanted = known - set(model.kinematics) - related
-    for target, forms in _TABLE["equations"].items():
-        sides = (((*need.split(), target), text) for need, text in forms)
-        fullest = next((one for one in sides if known.issuperset(one[0])), None)
-        if target in wanted and fullest is not None:
-            names, text = fullest
+    for target in (one for one in _TABLE["equations"] if one in wanted):
+        names, text = _fullest(target, known)
+        if text:
             signals = tuple(n for n in names if n in expressions.names(text))
             yield Relation(target, signals, text, True, ((f"{target}_prime_", text),), {})
+
+
+def _fullest(target: str, known: set[str]) -> tuple[tuple[str, ...], str]:
+    """Names and right side of the fullest form of a standard equation; empty if there is none."""
+    forms = (((*need.split(), target), text) for need, text in _TABLE["equations"][target])
+    return next((one for one in forms if known.issuperset(one[0])), ((), ""))
 
 
 def standard_name(header: str) -> tuple[str, str] | None:

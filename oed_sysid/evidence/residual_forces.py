@@ -32,7 +32,7 @@ the disturbance, the correlation :math:`\rho` of shocks and regression is zero b
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -40,6 +40,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.filtered import Filtered
@@ -48,6 +49,7 @@ from oed_sysid.likelihood.information import lagged_products
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step
 from oed_sysid.likelihood.smoother import Path
+from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 
 # Smallest force admitted, as a share of its unit: where none was found one may have acted all the
@@ -261,6 +263,8 @@ KNOTS, FILTERS = 5, 3
 SURE, SHARE = 4.0, 0.2
 # What two signals leave of the square, over what one of them leaves, to be named both.
 CLEARLY = 0.7
+# How the slow noise of a sensor is called in the place of a force.
+SLOW = "noise of "
 # Lags over which correlations are added, as a share of a record.
 LAGS = 0.25
 
@@ -339,31 +343,32 @@ def repeated(
         return None
     names = set.intersection(*(set(part.signals) for part in parts))
     known = [name for name in parts[0].signals if name in names]
-    noise, found = fit.noise, []
-    times = dict(zip(noise.places, noise.force_time, strict=True))
-    times |= {
-        f"noise of {name}": time
-        for name, time in zip(study.base.output_names, noise.colour_time, strict=True)
-    }
-    for place in parts[0].series if known else ():
-        # On validation records a force may have vanished; a record alone is asked by halves.
-        own = [part for part in parts if place in part.series]
-        own = own if len(own) > 1 else own[0].halves()
-        share, chosen = _followed(own, place, float(times[place]), known)
-        if share > SHARE:
-            found.append(Repeated(place, chosen, float(share)))
-    return tuple(found)
+    asked = parts[0].series if known else ()
+    found = [_followed(place, parts, _time(study, fit.noise, place), known) for place in asked]
+    return tuple(one for one in found if one.share > SHARE)
 
 
-def _followed(
-    parts: Sequence[_Part], place: str, time: float, known: Sequence[str]
-) -> tuple[float, tuple[str, ...]]:
+def _time(study: Study, noise: NoiseModel, place: str) -> float:
+    """Correlation time of a force, or of the slow noise of a sensor, s."""
+    if place in noise.places:
+        return float(noise.force_time[noise.places.index(place)])
+    return float(noise.colour_time[study.base.output_names.index(place.removeprefix(SLOW))])
+
+
+def _followed(place: str, parts: Sequence[_Part], time: float, known: Sequence[str]) -> Repeated:
     """The signal or the two that explain most of a series, and the share of it."""
-    alone = max((_share(parts, place, time, (name,)), (name,)) for name in known)
-    pairs = ((_share(parts, place, time, two), two) for two in combinations(known, 2))
-    pair = max(pairs, default=(0.0, ()))
+    # On validation records a force may have vanished; a record alone is asked by halves.
+    own = [part for part in parts if place in part.series]
+    own = own if len(own) > 1 else own[0].halves()
+
+    def best(sets: Iterable[tuple[str, ...]]) -> Repeated:
+        shares = ((_share(own, place, time, names), names) for names in sets)
+        share, names = max(shares, default=(0.0, ()))
+        return Repeated(place, names, float(share))
+
+    alone, pair = best((name,) for name in known), best(combinations(known, 2))
     # Two signals only where they leave clearly less than the better of them.
-    return pair if 1.0 - pair[0] < CLEARLY * (1.0 - alone[0]) else alone
+    return pair if 1.0 - pair.share < CLEARLY * (1.0 - alone.share) else alone
 
 
 def _series(fit: FilteredSolution, unit: NoiseModel) -> list[_Part]:
@@ -384,20 +389,19 @@ def _series(fit: FilteredSolution, unit: NoiseModel) -> list[_Part]:
         outputs, states, ok = problem.alone(fit.point.unknowns, index)
         if not ok:
             return []
-        signals = {
-            state.name: _turned(states[:, column], state.unit)
-            for column, state in enumerate(problem.model.states)
-        }
-        commands = zip(record.channels.input_names, record.inputs.T, strict=True)
-        signals |= {name: series for name, series in commands if np.ptp(series) > 0}
+        residuals, names = record.residuals(outputs), problem.model.output_names
         series = {place: forces[index].values[:, column] for column, place in acting}
-        residuals = record.residuals(outputs)
-        series |= {
-            f"noise of {problem.model.output_names[column]}": _filled(residuals[:, column])
-            for column in slow
-        }
-        result.append(_Part(record.times, series, signals))
+        series |= {f"{SLOW}{names[column]}": _filled(residuals[:, column]) for column in slow}
+        result.append(_Part(record.times, series, _moving(problem.model, record, states)))
     return result
+
+
+def _moving(model: Model, record: Record, states: np.ndarray) -> dict[str, np.ndarray]:
+    """States of a model's own run, and the inputs that move, by name."""
+    own = zip(model.states, states.T, strict=False)
+    found = {state.name: _turned(series, state.unit) for state, series in own}
+    commands = zip(record.channels.input_names, record.inputs.T, strict=True)
+    return found | {name: series for name, series in commands if np.ptp(series) > 0}
 
 
 def _filled(series: np.ndarray) -> np.ndarray:
@@ -426,32 +430,37 @@ def _share(parts: Sequence[_Part], place: str, time: float, names: Sequence[str]
     squares = float(np.mean((np.concatenate(series) - mean) ** 2))
     if not squares > 0:
         return 0.0
-    steps = [np.diff(part.times) for part in parts]
-    memory = [np.exp(-step / max(time, 1e-300)) for step in steps]
-    shocks, rows = (
-        [(own[1:].T - phi * own[:-1].T).T for own, phi in zip(of, memory, strict=True)]
-        for of in (series, features)
-    )
+    memory = [np.exp(-np.diff(part.times) / max(time, 1e-300)) for part in parts]
+    shocks, rows = _shocks(series, memory), _shocks(features, memory)
     # Each function may be as large as the series: a normal prior of that spread.
     prior = float(np.mean(np.concatenate(shocks) ** 2)) / squares * np.eye(features[0].shape[1])
     prior[-1, -1] = 0.0  # the constant
-    matrices, rights = (
-        [own.T @ of for own, of in zip(rows, others, strict=True)] for others in (rows, shocks)
-    )
-    # On all records but one, for each.
-    found = [
-        np.linalg.lstsq(sum(matrices) - own + prior, sum(rights) - right, rcond=None)[0]
-        for own, right in zip(matrices, rights, strict=True)
-    ]
-    told, said = (
-        [own[:, :-1] @ sizes[:-1] for own, sizes in zip(of, found, strict=True)]
-        for of in (rows, features)
-    )
-    constants = [own[:, -1] * sizes[-1] for own, sizes in zip(rows, found, strict=True)]
-    left = list(map(np.subtract, shocks, constants))
+    sizes = _left_out(rows, shocks, prior)
+    left, told, said = [], [], []
+    for own, row, feature, size in zip(shocks, rows, features, sizes, strict=True):
+        left.append(own - row[:, -1] * size[-1])
+        told.append(row[:, :-1] @ size[:-1])
+        said.append(feature[:, :-1] @ size[:-1])
     if not _correlation(left, told) > SURE * _standard_error(left, told):
         return 0.0
     return max(_correlation([own - mean for own in series], said), 0.0) ** 2
+
+
+def _shocks(parts: Sequence[np.ndarray], memory: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """What of each series the sample before does not tell, ``(n_times - 1, ...)`` each."""
+    return [(own[1:].T - phi * own[:-1].T).T for own, phi in zip(parts, memory, strict=True)]
+
+
+def _left_out(
+    rows: Sequence[np.ndarray], shocks: Sequence[np.ndarray], prior: np.ndarray
+) -> list[np.ndarray]:
+    """Coefficients ``(n_functions,)`` on all parts but one, for each."""
+    matrices = [own.T @ own for own in rows]
+    rights = [own.T @ of for own, of in zip(rows, shocks, strict=True)]
+    return [
+        np.linalg.lstsq(sum(matrices) - own + prior, sum(rights) - right, rcond=None)[0]
+        for own, right in zip(matrices, rights, strict=True)
+    ]
 
 
 def _correlation(seen: Sequence[np.ndarray], said: Sequence[np.ndarray]) -> float:

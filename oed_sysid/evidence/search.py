@@ -20,7 +20,7 @@ from oed_sysid.evidence.claim import Claim, claim, own_error, rises
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.residual_forces import repeated
-from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -77,9 +77,14 @@ class Standing:
         return tuple(one.effect for one in self.added)
 
     @property
+    def names(self) -> set[str]:
+        """Identifiers of the effects that were added."""
+        return {effect.name for effect in self.effects}
+
+    @property
     def left(self) -> list[Effect]:
         """Candidates that may still be added."""
-        gone = {effect.name for effect in self.effects} | set(self.dropped)
+        gone = self.names | set(self.dropped)
         return [e for e in self.study.candidates if e.name not in gone]
 
     def needed(self, effect: Effect) -> float:
@@ -135,26 +140,35 @@ def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
     order that it replaces included; and where what would be added else, ``rival``, has neither a
     larger statistic nor whole runs that are much better: noise leaves those as they are.
     """
-    study, fit, setting = state.study, state.fit, state.study.setting
-    places = [place for place in setting.at_sea if place in fit.noise.places]
-    if state.calm is not None or setting.seas or fit.noise.seas or not places:
-        return state, False
-    found = with_sea(fit, replace(setting, any_sea=True))
-    if not found.noise.seas:
+    study, fit = state.study, state.fit
+    found, places = _at_sea(state)
+    if found is fit or not found.noise.seas:
         return state, False
     # A level in each place, a period that is the best of many, and a width.
     needed = threshold(len(state.left) + 1, len(places) + 2, trials=len(periods(fit)))
     decided = replace(claim(study, fit, found, (), needed), name="a sea")
-    explained = rival is not None and (
-        decided.statistic <= rival.statistic or BOUGHT * rival.after < decided.after
-    )
-    if decided.stands and explained:
+    if decided.stands and rival is not None and _explained(decided, rival):
         return state, False  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
     # A force that follows motion or commands is physics, whatever its period.
     if not decided.stands or _follows(study, fit) or _follows(study, found):
         return state, False
     return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
+
+
+def _at_sea(state: Standing) -> tuple[FilteredSolution, list[str]]:
+    """The fit with a sea where one may still act, and the places of its forces."""
+    fit, setting = state.fit, state.study.setting
+    places = [place for place in setting.at_sea if place in fit.noise.places]
+    asked = state.calm is None and not setting.seas and not fit.noise.seas
+    if not (asked and places):
+        return fit, []
+    return with_sea(fit, replace(setting, any_sea=True)), places
+
+
+def _explained(sea: Claim, rival: Claim) -> bool:
+    """Whether an effect is worth more than a sea, or leaves whole runs that are much better."""
+    return sea.statistic <= rival.statistic or BOUGHT * rival.after < sea.after
 
 
 def _follows(study: Study, fit: FilteredSolution) -> bool:
@@ -179,15 +193,15 @@ def choice(
     state: Standing, ranking: Ranking
 ) -> tuple[tuple[Refit, Claim] | None, tuple[Claim, ...]]:
     """What is claimed next, if anything, and every decision: single effects, then pairs."""
-    best = ranking.refits[0].gain if ranking.refits else 0.0
-    asked = [one for one in ranking.refits if hopeful(one, best)]
-    claims = asked_of(state, asked)
-    lead = leader(ranking, asked, claims)
-    if lead is None:
-        asked = [one for one in pairs(state.study, state.fit, ranking) if hopeful(one, 0.0)]
+    claims: list[Claim] = []
+    for tried in (lambda: ranking.refits, partial(pairs, state.study, state.fit, ranking)):
+        refits = tried()
+        asked = [one for one in refits if hopeful(one, refits[0].gain)]
         more = asked_of(state, asked)
-        claims, lead = [*claims, *more], leader(ranking, asked, more)
-    return lead, tuple(claims)
+        claims += more
+        if (lead := leader(ranking, asked, more)) is not None:
+            return lead, tuple(claims)
+    return None, tuple(claims)
 
 
 def leader(
@@ -253,17 +267,19 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
     if not (fit.noise.force > 0).any():
         return fit
     effects, quiet = study.effects_of(fit), study.quiet(fit.noise)
+    again = partial(study.estimate, effects, noise=quiet, max_iterations=25)
     own = {p.name for effect in effects for p in effect.parameters}
     values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
-    best = study.estimate(effects, values, fit, noise=quiet, max_iterations=25)
-    if best is None or best.objective > fit.objective - 2.0 * NEAR:
-        best = fit
-    start = study.without_forces(effects, best.values) if overgrown(study, best) else None
-    if start is not None:
-        again = study.estimate(effects, start.values, start, noise=quiet, max_iterations=25)
-        if again is not None and again.objective < best.objective - 2.0 * NEAR:
-            best = again
+    best = _clearly(fit, again(values, fit))
+    if overgrown(study, best) and (start := study.without_forces(effects, best.values)) is not None:
+        best = _clearly(best, again(start.values, start))
     return fit if best is fit else study.settle(best)
+
+
+def _clearly(fit: FilteredSolution, other: FilteredSolution | None) -> FilteredSolution:
+    """The other fit where it is likelier by more than arithmetic, else the first."""
+    better = other is not None and other.objective < fit.objective - 2.0 * NEAR
+    return other if other is not None and better else fit
 
 
 def overgrown(study: Study, fit: FilteredSolution) -> bool:
@@ -346,23 +362,19 @@ def _exchanged(state: Standing, old: Added) -> Standing:
     study, without = state.study, _without(state, old)
     if without is None:
         return state
-    others = state.others(old)
-    left = replace(state, added=others).left
-    ranking = rank(study, without, left, also=(old.effect.name,))
+    before = replace(state, added=state.others(old), fit=without)
+    ranking = rank(study, without, before.left, also=(old.effect.name,))
     present = next((r for r in ranking.refits if r.name == old.effect.name), None)
-    best = ranking.refits[0] if ranking.refits else None
+    best = next(iter(ranking.refits), None)
     if best is None or present is None or best.evidence < present.evidence + GROUP_WIDTH:
         return state
-    before = replace(state, added=others, fit=without)
-    decided, kept = asked_of(before, [best, present])
+    decided, kept = claims = asked_of(before, [best, present])
     if not decided.stands or decided.excess < kept.excess + GROUP_WIDTH:
         return state
-    fit = study.settle(best.fit)
-    if rises(study, state.fit, fit):
+    after = with_refit(before, best, claims, ranking)
+    if rises(study, state.fit, after.fit):
         return state
-    new = Added(best.effects[0], decided, ranking.claimed_with(best, [decided, kept]))
-    asked = (*state.decisions, decided)
-    return replace(state, added=(*others, new), fit=fit, path=(*state.path, fit), decisions=asked)
+    return replace(after, decisions=(*state.decisions, decided))
 
 
 def _without(state: Standing, one: Added) -> FilteredSolution | None:
@@ -374,20 +386,27 @@ def _without(state: Standing, one: Added) -> FilteredSolution | None:
 
 def every_step(state: Standing) -> tuple[FilteredSolution, ...]:
     """Fits of the nominal model and of every step, those that were left out made again."""
-    study, fits = state.study, [state.path[0]]
+    fits = [state.path[0]]
     for count in range(1, len(state.added)):
-        effects, last = state.effects[:count], fits[-1]
-        names = {effect.name for effect in effects}
-        seen = [fit for fit in state.path if {e.name for e in study.effects_of(fit)} == names]
-        for values in () if seen else (state.fit.values, last.values):
-            fit = study.estimate(
-                effects, values, last, max_iterations=25, noise=study.loosened(last.noise)
-            )
-            seen += [] if fit is None else [fit]
+        seen = [*_reached(state, state.effects[:count], fits[-1])]
         # Two optima of nearly the same likelihood: the one that predicts is meant.
-        seen = [fit for fit in seen if not rises(study, last, fit)] or seen
-        fits.append(min(seen, key=lambda fit: fit.objective, default=last))
+        seen = [fit for fit in seen if not rises(state.study, fits[-1], fit)] or seen
+        fits.append(likelier(*seen) or fits[-1])
     return (*fits, *[state.fit][: len(state.added)])
+
+
+def _reached(
+    state: Standing, effects: Sequence[Effect], last: FilteredSolution
+) -> Iterator[FilteredSolution]:
+    """Fits with just these effects: those that the search came by, else made again."""
+    study, names = state.study, {effect.name for effect in effects}
+    seen = [fit for fit in state.path if {e.name for e in study.effects_of(fit)} == names]
+    yield from seen
+    for values in () if seen else (state.fit.values, last.values):
+        noise = study.loosened(last.noise)
+        fit = study.estimate(effects, values, last, max_iterations=25, noise=noise)
+        if fit is not None:
+            yield fit
 
 
 def with_term(
@@ -407,36 +426,32 @@ def with_term(
     tied : tuple of str
         Terms that would explain what is left and were not claimed.
     """
-    options: list[tuple[float, Standing, Proposals]] = []
-    tied: tuple[str, ...] = ()
     nominal = replace(state, added=(), fit=state.path[0])
-    for begun in (state, nominal) if state.added else (state,):
-        proposals = propose(state.study, begun.fit)
-        if proposals.best is None:
-            continue
-        if begun is state:
-            tied = proposals.group[:3]
-        option = _beside(begun, proposals, max_effects)
-        if option is not None:
-            cost = sum(state.needed(effect) for effect in option.effects)
-            options.append((option.fit.objective + cost, option, proposals))
+    begun = (state, nominal) if state.added else (state,)
+    proposed = [(one, propose(one.study, one.fit)) for one in begun]
+    tied = proposed[0][1].group[:3]
+    beside = ((_beside(one, proposals, max_effects), proposals) for one, proposals in proposed)
+    options = [(option, proposals) for option, proposals in beside if option is not None]
     if not options:
         return state, None, tied
-    _, option, proposals = min(options, key=lambda one: one[0])
-    names = {effect.name for effect in option.effects}
-    gone = [one for one in state.added if one.effect.name not in names]
+
+    def cost(option: Standing) -> float:
+        return option.fit.objective + sum(map(state.needed, option.effects))
+
+    option, proposals = min(options, key=lambda pair: cost(pair[0]))
+    gone = [one for one in state.added if one.effect.name not in option.names]
     needed = proposals.needed - sum(state.needed(one.effect) for one in gone)
-    term = option.added[-1]
+    *others, term = option.added
     decided = claim(option.study, state.fit, option.fit, [term.effect], needed)
-    state = replace(state, decisions=(*state.decisions, decided))
+    decisions = (*state.decisions, decided)
     if not decided.stands:
-        return state, None, tied
+        return replace(state, decisions=decisions), None, tied
     fit = option.study.settle(option.fit)
     found = replace(
         option,
-        added=(*option.added[:-1], replace(term, claim=decided)),
+        added=(*others, replace(term, claim=decided)),
         fit=option.fit if rises(option.study, option.fit, fit) else fit,
-        decisions=state.decisions,
+        decisions=decisions,
         replaced=tuple(one.effect.name for one in gone),
     )
     return found, proposals, ()
@@ -444,7 +459,8 @@ def with_term(
 
 def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing | None:
     """The best term beside the effects of a state, less those not needed any more."""
-    assert proposals.best is not None
+    if proposals.best is None:
+        return None
     effect, study, start = proposals.best.effect, state.study, state.fit
     wide = study.with_candidates([effect], proposals.best.refit.fit.problem.kernel)
     found = wide.estimate(

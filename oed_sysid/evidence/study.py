@@ -468,6 +468,11 @@ def total_error(rms: np.ndarray) -> float:
     return float(np.sqrt(np.mean(rms[seen] ** 2))) if seen.any() else np.nan
 
 
+def likelier(*fits: FilteredSolution | None) -> FilteredSolution | None:
+    """The likeliest of some fits of one study, of which some may not have come about."""
+    return min((fit for fit in fits if fit is not None), key=lambda f: f.objective, default=None)
+
+
 def _disturbed_places(
     model: Model, disturbances: Disturbances
 ) -> tuple[tuple[Place, ...], list[str]]:

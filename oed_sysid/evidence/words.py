@@ -6,7 +6,7 @@ facts.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any
@@ -141,13 +141,17 @@ class Log:
         """Declare the velocities as what they are, where the model has the equations for it."""
         lines = []
         for name in names:
-            rates = (r for r in self.relations if r.is_rate and name in r.signals)
-            own = [r for r in rates if r.target not in names and abs(r.level(name) - 1.0) < 1e-6]
-            for text in (r.text for r in own[:1]):
-                known = self._channel(name) is not None
+            if text := next(self._levels(name, names), ""):
                 output = f'Output("{name}", "m/s", expression="{text}")'
-                lines.append(output if known else f"{name} = {text}")
+                lines.append(output if self._channel(name) is not None else f"{name} = {text}")
         return f"{' and '.join(lines)}; or {COPY}" if lines else COPY
+
+    def _levels(self, name: str, names: tuple[str, ...]) -> Iterator[str]:
+        """Right sides that a signal alone is at level attitude."""
+        rates = (r for r in self.relations if r.is_rate and name in r.signals)
+        for r in rates:
+            if r.target not in names and abs(r.level(name) - 1.0) < 1e-6:
+                yield r.text
 
     def _others(self, names: tuple[str, ...]) -> tuple[str, ...]:
         """Signals that are related to some, directly or through each other."""
@@ -191,9 +195,7 @@ class Log:
         fault, early = one.candidate, " and ".join(one.candidate.signals)
         of_input = self._is_input(fault.signals[0])
         row, names, size = self._row_of(fault, one.size, of_input=of_input)
-        bounds = interval(size, one.std)
-        undone = replace(one.correction, signals=names, value=size)
-        at = self.at(fault)
+        bounds, at = interval(size, one.std), self.at(fault)
         words = {
             "early": early, "come": "come" if len(names) > 1 else "comes",
             "shown": amount(size, bounds, fault.unit), "unit": fault.unit, "size": abs(size),
@@ -204,32 +206,38 @@ class Log:
             "where": f" in {fault.record}" * bool(fault.record),
             "own": ", per_record=True" * bool(fault.record),
         }  # fmt: skip
-        allowed = bool(self.modelled & {*fault.signals})
-        fix = "the model has an effect for it already" if allowed else ""
-        if not fix and "effect" in KINDS[row]["fix"] and self._channel(names[0]) is None:
-            fix = f"{' and '.join(names)} is no output of the model: {COPY}"
         others = tuple(_say_sized(*rival) for rival in one.rivals)
         kinds = {"rate": "clock", "input scale": "scale"}
+        undone = replace(one.correction, signals=names, value=size)
+        allowed = bool(self.modelled & {*fault.signals})
         return said(
             kinds.get(row, fault.kind), names,
-            (fault.record,) if fault.record else self.records, words, row=row, fix=fix,
-            size=size, interval=bounds, unit=fault.unit, gain=one.gain,
-            alternatives=(*others, *[NOMINAL] * of_input),
+            (fault.record,) if fault.record else self.records, words, row=row,
+            fix=self._fix(row, names, allowed=allowed), size=size, interval=bounds,
+            unit=fault.unit, gain=one.gain, alternatives=(*others, *[NOMINAL] * of_input),
             correction=None if of_input or row == "run" else undone,
             **({"suspect": False} if allowed else {}),
         )  # fmt: skip
+
+    def _fix(self, row: str, names: tuple[str, ...], *, allowed: bool) -> str:
+        """What to do in place of the line of the table, if that cannot be done."""
+        if allowed:
+            return "the model has an effect for it already"
+        if "effect" in KINDS[row]["fix"] and self._channel(names[0]) is None:
+            return f"{' and '.join(names)} is no output of the model: {COPY}"
+        return ""
 
     def _row_of(
         self, fault: Candidate, size: float, *, of_input: bool
     ) -> tuple[str, tuple[str, ...], float]:
         """Row of the table that tells of a fault, the signals it is told of, and its size there."""
+        late = fault.kind == "delay" and size < 0.0
+        if of_input and late:
+            return "input late", fault.signals, -size
         if of_input:
-            if fault.kind == "lost" and not fault.record:
-                return "input scale", fault.signals, size
-            late = fault.kind == "delay" and size < 0.0
-            return f"input {'late' if late else fault.kind}", fault.signals, -size if late else size
-        if fault.kind == "delay" and size < 0.0:
-            # Nothing is measured before it happens: the others lag.
+            scaled = fault.kind == "lost" and not fault.record
+            return "input scale" if scaled else f"input {fault.kind}", fault.signals, size
+        if late:  # nothing is measured before it happens: the others lag
             return "ahead", self._others(fault.signals), -size
         current = fault.kind == "drift" and fault.unit == "m/s"
         return "current" if current else fault.kind, fault.signals, size
@@ -246,24 +254,25 @@ def judged_row(
     kind: str, name: str, unit: str, ended: Result | None, *, related: bool = True
 ) -> Judged:
     """Whether a fault was tested, from which size on, or why it was not."""
-    sizes = [] if ended is None else [
-        (float(v), LARGEST * f.plausible)
-        for f, v in zip(ended.faults, ended.visible, strict=True)
-        if f.signals == (name,) and kind in _kinds_of(f)
-    ]  # fmt: skip
-    size, plausible = min(sizes, default=(np.inf, 0.0))
-    units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1"}
-    unit = (units | {"drift": f"{unit}/s"}).get(kind, unit)
-    shown = _size(size, unit, ".1g") if kind not in READ and np.isfinite(size) else ""
-    why = "nothing that was measured depends on it"
-    if kind in READ:
-        why = "nothing in which it moves enough"
-    elif not related:
-        why = "no equation without unknown parameters relates it"
-    elif shown:
-        why = f"the motion shows it from {shown} on only"
-    tested = size <= plausible
-    return Judged(kind, name, "tested" if tested else "not tested", shown if tested else why)
+    size, plausible = np.inf, 0.0
+    if ended is not None:
+        seen = zip(ended.faults, ended.visible, strict=True)
+        own = ((f, v) for f, v in seen if f.signals == (name,) and kind in _kinds_of(f))
+        size, plausible = min(
+            ((float(v), LARGEST * f.plausible) for f, v in own), default=(np.inf, 0.0)
+        )
+    units = {"scale": "1", "delay": "s", "lost": "1", "rate": "1", "drift": f"{unit}/s"}
+    of_size = kind not in READ and np.isfinite(size)
+    shown = _size(size, units.get(kind, unit), ".1g") if of_size else ""
+    if size <= plausible:
+        return Judged(kind, name, "tested", shown)
+    whys = {
+        "nothing in which it moves enough": kind in READ,
+        "no equation without unknown parameters relates it": not related,
+        f"the motion shows it from {shown} on only": bool(shown),
+        "nothing that was measured depends on it": True,
+    }
+    return Judged(kind, name, "not tested", next(why for why, true in whys.items() if true))
 
 
 def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -> list[Finding]:
@@ -301,30 +310,30 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     """Finding of samples of one signal that say nothing, or little, or lie on another level."""
     largest = max(here, key=lambda one: abs(one.amount))
     trace, names, size = series[largest.record], largest.names, largest.amount
-    unit = trace.units[names[0]]
     if kind == "dead":
         size = float(trace.values[signal][largest.rows[0]])
     row = int(largest.rows[largest.sizes.index(largest.amount)]) if largest.sizes else 0
     rows = {fault.record: tuple(fault.rows.tolist()) for fault in here}
     n = sum(map(len, rows.values()))
-    value, shown = angle_aware(size, unit)
+    value, shown = angle_aware(size, trace.units[names[0]])
     words = {
         "commas": signal, "samples": counted(n, "sample"), "record": largest.record,
         "at": float(trace.times[row]), "value": f"{value:.4g} {shown}", "size": size,
         "jump": f"{value:+.3g} {shown}", "its": "its" if n == 1 else "their",
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
-    steps = kind in ("step", "caught up")
-    many = is_a(kind, "counted")
-    sizes = {fault.record: fault.sizes for fault in here} if steps else {}
-    correction = Correction("step" if steps else "blank", names, rows=rows, sizes=sizes)
-    return said(
-        "step" if steps else kind, names, tuple(rows), words,
-        row="jump" if kind == "step" else kind,
-        size=float(n) if many else size,
-        unit="samples" if many else unit * steps,
-        correction=None if kind in ("quantised", "copied", "caught up") else correction,
-    )  # fmt: skip
+    facts: dict[str, Any] = {"size": size, "unit": ""}
+    correction: Correction | None = Correction("blank", names, rows=rows)
+    if largest.sizes:
+        facts["unit"] = trace.units[names[0]]
+        sizes = {fault.record: fault.sizes for fault in here}
+        correction = Correction("step", names, rows=rows, sizes=sizes)
+    elif is_a(kind, "counted"):
+        facts = {"size": float(n), "unit": "samples"}
+    if is_a(kind, "as logged"):
+        correction = None
+    told = {"step": ("step", "jump"), "caught up": ("step", "caught up")}.get(kind, (kind, kind))
+    return said(told[0], names, tuple(rows), words, row=told[1], correction=correction, **facts)
 
 
 def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
