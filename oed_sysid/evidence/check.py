@@ -186,7 +186,7 @@ def _related(
     found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), known)
     sizes = {_place(one.correction): float(one.size) for one in ended.found}
     faults = [_resized(one, steps.get(one), sizes) for one in faults]
-    fixes = [one.correction for one in (*found, *ended.found)]
+    fixes = [*(one.correction for one in found), *(one.correction for one in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
     ends, sensed = {t.name: t.ends for t in clean}, _sensed(model.effects)
     log = Log(dataset.channels, equations, dataset.names, ends, sensed)
