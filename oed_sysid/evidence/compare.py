@@ -5,7 +5,7 @@ One look without adding anything: where a model fails and what might be missing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -24,10 +24,11 @@ from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
-from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel
+from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
+from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
 from oed_sysid.runtime.threads import single_threaded
@@ -301,14 +302,11 @@ def _misfit(
     horizon: float,
 ) -> ModelMisfit:
     model = _model(item)
-    noise: NoiseModel | np.ndarray = sigma
-    if isinstance(item, Fit):
-        covariance = item.covariance
-        if item.noise is not None and not item.noise.is_white:
-            noise = item.noise  # what start states may be bent by is what the fit admits
-    else:
-        n_shared = sum(not p.per_record for p in model.free_parameters)
-        covariance = np.zeros((n_shared, n_shared))
+    n_shared = sum(not p.per_record for p in model.free_parameters)
+    covariance = item.covariance if isinstance(item, Fit) else np.zeros((n_shared, n_shared))
+    # What start states may be bent by is what a fit admits.
+    own = item.noise if isinstance(item, Fit) else None
+    noise = sigma if own is None or own.is_white else own
     prediction = predict(model, dataset, covariance, noise, initial=initial)
     signals = _signals(model, dataset, prediction)
     parts = regimes(signals, [r.times for r in dataset], in_time=not dataset.only_tests)
@@ -317,19 +315,17 @@ def _misfit(
         for residual, std in zip(prediction.residuals, prediction.std, strict=True)
     ]
     residuals = [_distance(r, found) for r, found in zip(dataset, prediction.outputs, strict=True)]
+
+    def of(series: Sequence[np.ndarray], column: int) -> list[np.ndarray]:
+        return [part[:, column] for part in series]
+
     outputs = tuple(
         output_misfit(
-            output,
-            [part[:, column] for part in residuals],
-            float(sigma[column]),
-            [part[:, column] for part in inside],
-            dataset,
-            signals,
-            parts,
-            horizon,
+            output, of(residuals, column), float(sigma[column]), of(inside, column), dataset,
+            signals, parts, horizon,
         )
         for column, output in enumerate(model.outputs)
-    )
+    )  # fmt: skip
     ahead = forecasts(model, dataset, sigma, horizon=horizon, local=prediction.local_values)
     return ModelMisfit(label, model, prediction, outputs, ahead)
 
@@ -346,25 +342,28 @@ def _distance(record: Record, predicted: np.ndarray) -> np.ndarray:
 
 def _signals(model: Model, dataset: Dataset, prediction: Prediction) -> list[Signal]:
     """Inputs and own states, as far as they are finite; of independent tests what was given."""
-    states = []
-    if not dataset.only_tests:
-        compiled = kernel(model)
-        pairs = zip(prediction.initial_states, prediction.local_values, strict=True)
-        for record, (initial, local) in zip(dataset, pairs, strict=True):
-            values = model.with_values(local).value_vector
-            own = np.array([initial[name] for name in model.state_names])
-            z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
-            states.append(compiled.run(record.times, record.inputs, values, z0).states)
     inputs = [record.inputs for record in dataset]
-    found = [
-        Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in inputs), True)
-        for i, one in enumerate(model.inputs)
+    states = [] if dataset.only_tests else [*_runs(model, dataset, prediction)]
+    channels: list[tuple[Input | State, list[np.ndarray], int]] = [
+        *((one, inputs, i) for i, one in enumerate(model.inputs)),
+        *((one, states, i) for i, one in enumerate(model.states if states else ())),
     ]
-    found += [
-        Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in states), False)
-        for i, one in enumerate(model.states if states else ())
-    ]
+    found = (
+        Signal(one.name, one.unit, one.label, tuple(run[:, i] for run in runs), runs is inputs)
+        for one, runs, i in channels
+    )
     return [one for one in found if all(np.isfinite(part).all() for part in one.series)]
+
+
+def _runs(model: Model, dataset: Dataset, prediction: Prediction) -> Iterator[np.ndarray]:
+    """States of a prediction along every record, ``(n_times, n_full)``."""
+    compiled = kernel(model)
+    pairs = zip(prediction.initial_states, prediction.local_values, strict=True)
+    for record, (initial, local) in zip(dataset, pairs, strict=True):
+        values = model.with_values(local).value_vector
+        own = np.array([initial[name] for name in model.state_names])
+        z0, _ = compiled.start(own, record.inputs[0], values, record.times[0])
+        yield compiled.run(record.times, record.inputs, values, z0).states
 
 
 def _levels(given: Sequence[Fit | Model], dataset: Dataset) -> tuple[np.ndarray, tuple[str, ...]]:

@@ -342,10 +342,11 @@ class Piece:
     """Cosine coefficients of one equation over one uninterrupted piece of a record.
 
     ``times`` are those of the blocks, ``residual`` and ``target`` ``(n,)``, ``columns``
-    ``(n, n_used)`` of the candidates ``used``, ``angle`` the frequencies in rad a block of length
-    ``span`` in s; ``walk`` is the variance per block that the fast noise of the rates produces,
-    ``level`` that of the left side, ``shares`` the part of each signal in ``walk``, ``ramps`` what
-    a unit of each kind of local fault of a signal adds to the contrast, in blocks.
+    ``(n, n_used)`` of the candidates ``used``, ``angle`` the frequencies in rad a block, which has
+    ``group`` samples and length ``span`` in s; ``walk`` is the variance per block that the fast
+    noise of the rates produces, ``level`` that of the left side, ``shares`` the part of each signal
+    in ``walk``, ``ramps`` what a unit of each kind of local fault of a signal adds to the contrast,
+    in blocks.
     """
 
     relation: int
@@ -359,6 +360,7 @@ class Piece:
     used: np.ndarray
     angle: np.ndarray
     span: float
+    group: int
     walk: float
     level: float
     shares: Mapping[str, float]
@@ -459,6 +461,7 @@ def _pieces(
             used=np.array(used, dtype=int),
             angle=np.pi * np.arange(1, n) / n,
             span=span,
+            group=group,
             walk=factor**2 * total * (span if rated else 0.0),
             level=factor * trace.noise[relation.target] / np.sqrt(group),
             shares={name: walk / total if total else 0.0 for name, walk in walks.items()},
@@ -561,7 +564,7 @@ def _noise(
     mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
     """Shares, variances and law of one equation's noise, and its information on the left side."""
-    law = laws(np.concatenate([p.angle for p in mine]))
+    law = _joint_law(mine)
     y = np.concatenate([p.residual for p in mine])
     target = np.concatenate([p.target for p in mine])
     used = np.intersect1d(nuisance, np.concatenate([p.used for p in mine]))
@@ -583,6 +586,22 @@ def _noise(
     _, alone = fitted_law(target**2, law, floor, ones)
     about = np.sum(np.log(alone / variance) + 1.0 - rest**2 / variance) - size @ size
     return shares, variance, law, float(about)
+
+
+def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
+    """Variances of unit noise of each kind in pieces of one equation, ``(n_kinds, n)``.
+
+    Means over fewer samples hold more of the white noise, longer blocks more of the integrated.
+    """
+    law = np.concatenate([laws(p.angle) for p in mine], axis=1)
+    sizes = [p.residual.size for p in mine]
+    fewer, longer = (
+        np.repeat(of / np.mean(of), sizes)
+        for of in ([1.0 / p.group for p in mine], [p.span for p in mine])
+    )
+    law[0] *= fewer
+    law[len(CORRELATIONS) :] *= longer
+    return law
 
 
 def _attenuate(

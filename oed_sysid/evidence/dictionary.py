@@ -9,6 +9,7 @@ what reaches the forces.
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
@@ -273,17 +274,18 @@ def _of_signal(
     model: Model, signal: Signal, signals: Sequence[Signal], products: Sequence[Factors]
 ) -> list[tuple[Factors, str]]:
     """What a command that is no angle, an angle or a position brings besides products."""
-    name, factors, texts = signal.name, list[Factors](), list[str]()
+    name, plain = signal.name, ((signal.name, False),)
+    factors, texts = list[Factors](), list[str]()
     if signal.kind == "thrust":
-        factors = [(*of, (name, False)) for of in products if len(of) < MOST_FACTORS]
+        factors = [(*of, *plain) for of in products if len(of) < MOST_FACTORS]
     elif signal.kind == "angle":  # what gravity and buoyancy bring
         sine, cosine = f"sin({name})", f"cos({name})"
         texts = [sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})"]
     elif signal.kind == "position":
-        factors = [((name, False),)]
+        factors = [plain]
         # Powers where a force depends on it as a mooring's does.
         if any(name in _forces_depend_on(effect) for effect in model.effects):
-            factors += [of for of in _products([signal]) if len(of) > 1]
+            factors = [plain, *filter(lambda of: len(of) > 1, _products([signal]))]
             texts = [f"{name}*sin({one.name})" for one in signals if one.kind == "angle"]
     return [*((of, product_text(of)) for of in factors), *(((), text) for text in texts)]
 
@@ -297,23 +299,22 @@ def _forces_depend_on(effect: Effect) -> set[str]:
 
 def _products(signals: Sequence[Signal]) -> list[Factors]:
     """Factors of products of up to three signals, absolute values included."""
-    one_sided = {s.name for s in signals if s.one_sided}
+    ways = {s.name: (False,) if s.one_sided else (False, True) for s in signals}
+    most = MOST_FACTORS if len(signals) <= MANY_SIGNALS else 2
     found: list[Factors] = []
     for count in range(1, MOST_FACTORS + 1):
-        for names in combinations_with_replacement([s.name for s in signals], count):
-            different = list(dict.fromkeys(names))
-            if len(signals) > MANY_SIGNALS and len(different) > 2:
-                continue
-            choices = [(False,) if name in one_sided else (False, True) for name in different]
-            for absolute in product(*choices):
-                found.append(
-                    tuple(
-                        (name, is_absolute and not used)
-                        for name, is_absolute in zip(different, absolute, strict=True)
-                        for used in range(names.count(name))
-                    )
-                )
+        for names in combinations_with_replacement(ways, count):
+            powers = Counter(names)
+            if len(powers) <= most:
+                choices = product(*(ways[name] for name in powers))
+                found += [_factors(powers, absolute) for absolute in choices]
     return found
+
+
+def _factors(powers: Mapping[str, int], absolute: Sequence[bool]) -> Factors:
+    """Powers of signals as factors, of each the first or none an absolute value."""
+    pairs = zip(powers.items(), absolute, strict=True)
+    return tuple((name, of and not used) for (name, n), of in pairs for used in range(n))
 
 
 def product_text(factors: Factors) -> str:

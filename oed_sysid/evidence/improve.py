@@ -335,15 +335,8 @@ def _result(
     rms = [{name: _rms(study, fit, of) for name, of in records.items()} for fit in path]
     errors = [_relative(records, one, sigma) for one in rms]
     steps = _steps(state, fits, rms, errors)
-    tested, terms = study.validation, [] if end.proposals is None else [end.proposals]
     if log is not None:
         log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal, logs)
-    beyond = replace(
-        end.left,
-        training=fits[-1].whole_runs,
-        validation=None if tested is None else fits[-1].runs_on(tested),
-        suspect=log.verdict if log is not None and log.suspect else "",
-    )
     return Improvement(
         model=fits[-1].model,
         base=fits[0].model,
@@ -353,16 +346,28 @@ def _result(
         base_error=errors[0],
         final_error=errors[-1],
         location=location,
-        remains=beyond,
+        remains=_whole(end.left, fits[-1], study.validation, log),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
         yardstick=Yardstick.of(study.train, sigma),
         rejected=_rejected(state),
-        proposed=tuple(proposed_term(one, steps[-1], state.replaced) for one in terms),
+        proposed=()
+        if end.proposals is None
+        else (proposed_term(end.proposals, steps[-1], state.replaced),),
         notes=tuple(notes),
         log=log,
         last=end.last if steps else None,
         decisions=state.decisions,
+    )
+
+
+def _whole(left: Remains, fit: Fit, validation: Dataset | None, log: LogCheck | None) -> Remains:
+    """What is left, with what whole runs of the last fit and the check of the log say."""
+    return replace(
+        left,
+        training=fit.whole_runs,
+        validation=None if validation is None else fit.runs_on(validation),
+        suspect=log.verdict if log is not None and log.suspect else "",
     )
 
 

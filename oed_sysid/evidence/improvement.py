@@ -12,12 +12,12 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.check import LogCheck
 from oed_sysid.evidence.claim import RISE, Claim, rests
 from oed_sysid.evidence.compare import Comparison
-from oed_sysid.evidence.locate import LISTED, Located
+from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
 from oed_sysid.evidence.result import angle_aware
-from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Output
@@ -464,7 +464,9 @@ class Improvement:
             )
             others = [name for name in term["group"] if name != term["term"]]
             if others:
-                lines.append("These records cannot tell it from " + ", ".join(others[:8]) + ".")
+                lines.append(
+                    "These records cannot tell it from " + ", ".join(others[:MOST_DRAWN]) + "."
+                )
             if term["replaces"]:
                 lines.append("It takes the place of " + ", ".join(term["replaces"]) + ".")
         return [*lines, *(f"Note: {note}" for note in self.notes), f"Verdict: {self.conclusion}"]
@@ -526,22 +528,22 @@ def advice(
         found, doubts = _judged(step, estimates, before)
         believe.append(found)
         doubt += doubts
+        sea += _manoeuvre(step.group, known, commanded)
         before = step.test_error
-        if len(step.group) > 1:
-            sea += _manoeuvre(step.group, known, commanded)
-    doubt += _not_shown(steps, ranking if last is None else last)
+    doubt += _not_shown(steps, last or ranking)
     if not explained:
         doubt.append("standard errors of the parameters: more is missing than was found.")
     lists = {
         "Only if the log is right" if suspect else "Believe": believe,
         "Do not believe": doubt,
-        "Next at sea": dict.fromkeys(sea),
+        "Next at sea": list(dict.fromkeys(sea)),
     }
-    return [
-        line
-        for title, lines in lists.items()
-        for line in ([f"{title}:", *(f"  - {one}" for one in lines)] if lines else ())
-    ]
+    return [line for title, lines in lists.items() for line in _listed(title, lines)]
+
+
+def _listed(title: str, lines: Sequence[str]) -> list[str]:
+    """A title and lines below it; nothing where there are none."""
+    return [f"{title}:", *(f"  - {one}" for one in lines)] if lines else []
 
 
 def _judged(
@@ -554,21 +556,24 @@ def _judged(
     tested = not np.isnan(step.claim.validation)
     found = f"{what} is missing{', the validation records agree' * tested}"
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
-    # Correlated residuals widen an interval after a claim was made.
-    clear = [row for row, _ in own if abs(row["value"]) > display.TWO_SIDED_95 * row["std_error"]]
+    rises = step.test_error > RISE * before
     doubts = {
         f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
-        and not clear,
+        and not any(_is_clear(row) for row, _ in own),
         f"the size of {unknown}: these records do not give it.": unknown,
         f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x noise off, "
-        f"{before:.3g} before. Its claim rests on the model as a whole.": step.test_error
-        > RISE * before,
+        f"{before:.3g} before. Its claim rests on the model as a whole.": rises,
         f"that it is {step.added} ({shown}): {', '.join(rivals)} "
         f"{'does' if len(rivals) == 1 else 'do'} as well.": rivals,
         f"{step.added} before a validation record has confirmed it.": not tested,
     }
     told = f": {shown}." if sizes and not rivals else "."
     return found + told, [text for text, applies in doubts.items() if applies]
+
+
+def _is_clear(row: Mapping[str, Any]) -> bool:
+    """Whether zero is outside the interval: correlated residuals widen it after a claim."""
+    return bool(abs(row["value"]) > display.TWO_SIDED_95 * row["std_error"])
 
 
 def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:
@@ -587,12 +592,14 @@ def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:
 
 def _several(names: Sequence[str]) -> str:
     """The first of some names, and how many more there are."""
-    more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
-    return f"{', '.join(names[:LISTED])}{more}"
+    more = f" and {len(names) - MOST_DRAWN} more" if len(names) > MOST_DRAWN else ""
+    return f"{', '.join(names[:MOST_DRAWN])}{more}"
 
 
 def _manoeuvre(group: Sequence[str], known: Mapping[str, Any], commanded: bool) -> list[str]:
-    """What tells the members of a group apart."""
+    """What tells the members of a group apart; nothing of one alone."""
+    if len(group) < 2:
+        return []
     members = [name for name in group if name in known]
     needs = sorted({known[name].needs for name in members} - {""})
     lines = [f"to tell {' from '.join(group[:3])}: {'; '.join(needs)}."] if needs else []

@@ -157,10 +157,10 @@ def input_findings(
         return [], [], ""
     beyond = _beyond(dataset, model, ranges or {})
     traces = _traces(dataset, model, fixes)
-    rows = [Judged(kind, name, "not tested", "") for name in model.input_names for kind in ASKED]
-    about = "Signs and units of inputs: "
+    asked = [*product(model.inputs, ASKED)]
     if isinstance(traces, str):
-        return beyond, [replace(row, says=traces) for row in rows], f"{about}{traces}."
+        rows = [Judged(kind, one.name, "not tested", traces) for one, kind in asked]
+        return beyond, rows, f"Signs and units of inputs: {traces}."
     question = _question(traces, model)
     found, ended = diagnosed(traces, question)
     log = Log(dataset.channels, (), dataset.names, {t.name: t.ends for t in traces})
@@ -171,9 +171,7 @@ def input_findings(
     # What the motion says of an input holds what its range says.
     named = set().union(*(one.signals for one in findings))
     findings += [one for one in beyond if named.isdisjoint(one.signals)]
-    units = {one.name: one.unit for one in model.inputs}
-    asked = [judged_row(row.fault, row.signal, units[row.signal], ended) for row in rows]
-    return findings, asked, ""
+    return findings, [judged_row(kind, one.name, one.unit, ended) for one, kind in asked], ""
 
 
 def _unlogged(traces: Sequence[Trace], question: Question, model: Model) -> Iterator[Finding]:
@@ -274,18 +272,18 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
     }
     if len(whole) < len(model.states):
         return
-    columns = measured_columns(model).items()
-    own = {k: record.outputs[:, column] for k, column in columns if k in measured}
-    states = {model.state_names[k]: series for k, series in (whole | own).items()}
-    inputs = dict(zip(model.input_names, record.inputs.T, strict=True))
-    means = {p.name: p.value if p.prior_mean is None else p.prior_mean
-             for p in model.free_parameters}  # fmt: skip
-    constants = {name: np.full(record.n_samples, mean) for name, mean in means.items()}
+    columns = measured_columns(model)
+    own = {k: record.outputs[:, columns[k]] for k in measured if k in columns}
+    values = {model.state_names[k]: series for k, series in (whole | own).items()}
+    noise = {name: fast_noise(series) for name, series in values.items()}
+    values |= dict(zip(model.input_names, record.inputs.T, strict=True))
+    for p in model.free_parameters:
+        mean = p.value if p.prior_mean is None else p.prior_mean
+        values[p.name] = np.full(record.n_samples, mean)
     channels: tuple[State | Input | Parameter, ...]
     channels = (*model.states, *model.inputs, *model.free_parameters)
     units = {channel.name: channel.unit for channel in channels}
-    noise = dict.fromkeys(units, 0.0) | {k: fast_noise(x) for k, x in states.items()}
-    yield Trace(record.name, record.times, states | inputs | constants, units, noise)
+    yield Trace(record.name, record.times, values, units, dict.fromkeys(units, 0.0) | noise)
 
 
 def _question(traces: Sequence[Trace], model: Model) -> Question:
@@ -375,13 +373,11 @@ def between_runs(fit: Fit) -> tuple[Finding, ...]:
     whole = sources.matrices.sum(axis=0)
     values = [abs(fit.values[name]) for name in fit.names]
     series = [record.name for record in fit.dataset if not record.independent]
+    units = {n: "1" if fit.values[n] else fit.model.parameter(n).unit for n in fit.names}
     faults = [
-        Candidate(
-            "run", (name,), "1" if value else fit.model.parameter(name).unit, 1.0, RELATIVE,
-            record=record,
-        )
-        for record in series for name, value in zip(fit.names, values, strict=True)
-    ]  # fmt: skip
+        Candidate("run", (name,), unit, 1.0, RELATIVE, record=record)
+        for record, (name, unit) in product(series, units.items())
+    ]
     root = 1.0 / np.sqrt(np.maximum(whole.diagonal(), 1e-300))
     inverse = np.linalg.pinv(whole * np.outer(root, root), rcond=1e-12, hermitian=True)
     across = np.concatenate(own) * root

@@ -34,6 +34,7 @@ from oed_sysid.evidence.traces import LEAST, RELATIVE
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -51,8 +52,6 @@ N_RIVALS = 2
 MOST_STEPS = 20
 # Pieces into which records are cut where the model diverges along them.
 PIECES = 1, 2, 4, 8
-# Places that a report lists.
-LISTED = 8
 
 WORDS = {
     "actuator": "between the command and the actual {signal}",
@@ -154,7 +153,7 @@ class Located:
         )  # fmt: skip
         top = max(self.gains.values())
         rows = []
-        for place in self.places[:LISTED]:
+        for place in self.places[:MOST_DRAWN]:
             gain = self.gains[place.name]
             if gain > CLEAR:
                 cells = (f"{gain:.0f}", f"{top - gain:.0f}", f"{self.levels[place.name]:.2g}")
@@ -245,10 +244,11 @@ def locate(
     columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
     forces = tuple(series.only([*columns]) for series in smoother.series())
     signatures = _signatures(smoother, rivals or {}, [*columns])
+    every = {part.place.name: part for part in found}
     return Located(
         places=tuple(part.place for part in found),
-        gains={part.place.name: part.gain for part in found},
-        levels={part.place.name: part.level for part in found},
+        gains={name: part.gain for name, part in every.items()},
+        levels={name: part.level for name, part in every.items()},
         force_names=tuple(columns.values()),
         forces=forces,
         discrepancies={part.place.name: part.smoothed() for part in _foremost(found)},

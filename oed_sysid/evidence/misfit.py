@@ -20,6 +20,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from itertools import islice
 
 import numpy as np
 from scipy.special import fdtrc
@@ -154,24 +155,19 @@ class OutputMisfit:
     def verdict(self) -> str:
         """The misfit in words."""
         name = self.output.label or self.output.name
-        if self.n_samples == 0:
-            return f"{name}: not measured"
-        if not np.isfinite(self.rmse):
-            return f"{name}: the prediction diverges"
-        if self.is_noise:
-            return f"{name}: the misfit is noise"
-        if self.relative < NOISE_LIMIT:
-            text = f"{name} is off by no more than the noise, but correlated in time"
-        else:
-            text = f"{name} deviates by {self.relative:.2g} x noise"
-        details = []
-        clear = [regime for regime in self.regimes if regime.is_clear]
-        if clear:
-            details.append(f"mostly {clear[0].words}")
-        related = [c for c in self.correlations if c.is_clear]
-        if related:
-            details.append(f"correlated with {related[0].signal}")
-        return ", ".join([text, *details])
+        plain = {
+            f"{name}: not measured": self.n_samples == 0,
+            f"{name}: the prediction diverges": not np.isfinite(self.rmse),
+            f"{name}: the misfit is noise": self.is_noise,
+        }
+        if said := next((text for text, true in plain.items() if true), ""):
+            return said
+        small = f"{name} is off by no more than the noise, but correlated in time"
+        large = f"{name} deviates by {self.relative:.2g} x noise"
+        regimes = (f"mostly {one.words}" for one in self.regimes if one.is_clear)
+        related = (f"correlated with {c.signal}" for c in self.correlations if c.is_clear)
+        details = (*islice(regimes, 1), *islice(related, 1))
+        return ", ".join((small if self.relative < NOISE_LIMIT else large, *details))
 
     to_dict = as_dict(
         "rmse", "relative", "bias", "record_rmse", "n_samples", "effective_samples",
@@ -229,16 +225,8 @@ def output_misfit(
     )
     usable = [residual for residual in residuals if not np.isinf(residual).any()]
     # Records on which the prediction diverged have no pattern to look at.
-    correlations, regimes = [], []
-    if len(usable) == len(residuals):
-        found = (
-            correlate(usable, signal, times, in_time=in_time, among=len(signals))
-            for signal in signals
-        )
-        correlations = sorted((c for c in found if c is not None), key=lambda c: -abs(c.score))
-        regimes = concentrations(scaled, parts, in_time=in_time)
+    whole = len(usable) == len(residuals)
     tested = [r for r in usable if np.isfinite(r).sum() > 10]
-    inside = np.concatenate(inside_band)[seen]
     return OutputMisfit(
         output=output,
         rmse=_rms(pooled),
@@ -246,14 +234,27 @@ def output_misfit(
         bias=_mean(pooled[seen]),
         record_rmse=tuple(map(_rms, residuals)),
         n_samples=int(seen.sum()),
-        coverage=_mean(inside),
+        coverage=_mean(np.concatenate(inside_band)[seen]),
         tests=tuple(map(whiteness if in_time else _apart, tested)),
-        correlations=tuple(correlations),
-        regimes=tuple(regimes),
+        correlations=_correlations(usable, signals, times, in_time=in_time) if whole else (),
+        regimes=tuple(concentrations(scaled, parts, in_time=in_time)) if whole else (),
         windows=windows,
         worst=_worst(windows, dataset),
         in_time=in_time,
     )
+
+
+def _correlations(
+    residuals: Sequence[np.ndarray],
+    signals: Sequence[Signal],
+    times: Sequence[np.ndarray],
+    *,
+    in_time: bool,
+) -> tuple[Correlation, ...]:
+    """Correlations with every signal, the clearest first."""
+    among = len(signals)
+    found = (correlate(residuals, one, times, in_time=in_time, among=among) for one in signals)
+    return tuple(sorted((c for c in found if c is not None), key=lambda c: -abs(c.score)))
 
 
 def correlate(

@@ -81,29 +81,33 @@ def prepared(train: Dataset, validation: Dataset | None, *, enough: int = ENOUGH
     >>> print(found.train.n_samples, found.validation.n_samples)
     600 400
     """
-    notes, whole = list[str](), None
+    notes = list[str]()
     least = LEAST if train.only_tests else LEAST_SAMPLES  # a test tells as much as many samples
     if validation is None and len(train) == 1 and train[0].n_samples >= 2.5 * least:
         parted = _drawn_apart if train.only_tests else _kept_apart
         train, validation, words = parted(train[0])
         notes.append(words)
-    if train.only_tests:  # to leave some out would lose what they alone tell
-        return Prepared(train, validation, tuple(notes))
-    strides = _strides(train, validation, enough)
-    if max(strides) > 1:
-        pairs = [*zip([*train, *(validation or ())], strides, strict=True)]
-        gap = max(n * part.sample_time for part, n in pairs if n > 1)
-        few = min(strides) == 1
-        which = "Quickly sampled records were" if few else f"One sample in {max(strides)} was"
-        before = min(part.sample_time for part, _ in pairs)
-        notes.append(
-            f"{which} searched {gap:.3g} s apart instead of {before:.3g} s, with the mean of the "
-            "inputs between samples. Fit the improved model to all samples for its final numbers."
-        )
-        whole, thinned = train, [coarser(*pair) for pair in pairs]
-        train = Dataset(tuple(thinned[: len(train)]))
-        validation = Dataset(tuple(thinned[len(train) :])) if validation else None
-    return Prepared(train, validation, tuple(notes), whole)
+    ready = Prepared(train, validation, tuple(notes))
+    # To leave some tests out would lose what they alone tell.
+    strides = [1] if train.only_tests else _strides(train, validation, enough)
+    return ready if max(strides) == 1 else _thinned(ready, strides)
+
+
+def _thinned(ready: Prepared, strides: Sequence[int]) -> Prepared:
+    """The same records, of each one sample in so many."""
+    pairs = [*zip([*ready.train, *(ready.validation or ())], strides, strict=True)]
+    gap = max(n * part.sample_time for part, n in pairs if n > 1)
+    few = min(strides) == 1
+    which = "Quickly sampled records were" if few else f"One sample in {max(strides)} was"
+    before = min(part.sample_time for part, _ in pairs)
+    words = (
+        f"{which} searched {gap:.3g} s apart instead of {before:.3g} s, with the mean of the "
+        "inputs between samples. Fit the improved model to all samples for its final numbers."
+    )
+    thinned, count = [coarser(*pair) for pair in pairs], len(ready.train)
+    train, rest = Dataset(tuple(thinned[:count])), tuple(thinned[count:])
+    validation = Dataset(rest) if rest else ready.validation
+    return Prepared(train, validation, (*ready.notes, words), ready.train)
 
 
 def _kept_apart(record: Record) -> tuple[Dataset, Dataset, str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Any
 
 import numpy as np
@@ -20,7 +20,7 @@ from oed_sysid.evidence.claim import Claim, at_bounds
 from oed_sysid.evidence.score import SIZES, Score, scores, two_sided
 from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
-from oed_sysid.likelihood.fit import ALIKE
+from oed_sysid.likelihood.fit import ALIKE, MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.variants import BY_RECORD
@@ -173,31 +173,20 @@ class Ranking:
 
         What they cannot show beside the nominal model they may show beside a better one.
         """
-        rows = []
-        refits = {refit.name: refit for refit in self.refits}
-        scores = {score.effect.name: score for score in self.scores}
-        for name in self.order[:8]:
-            score = scores[name]
-            gain = f"{refits[name].gain:.1f}" if name in refits else "-"
-            needed = f"{self.needed_by(score):.1f}"
-            rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
-        headers = ("candidate effect", "score", "gain", "needed", "distinct")
         drawing = Figure(
             "plot_ranking", self,
             "The candidates in the first round. The score is computed without refitting; the most "
             "promising candidates are then refitted.",
             size=(8.4, 5.2),
         )  # fmt: skip
-        imitated = self.imitated()
-        seen = self.undetectable()
-        unseen = sorted(set(seen) - set(imitated))
-        words = []
-        if hidden and unseen:
-            words += ["", "These records would not show the typical size of: " + ", ".join(unseen)]
-        if hidden and imitated:
-            text = "Parameters that are free already do the same in these records as: "
-            words += ["", text + ", ".join(imitated)]
-        parts = [Section("Candidates", words, (Table(headers, rows),), (drawing,))]
+        imitated, seen = self.imitated(), self.undetectable()
+        said = {
+            "These records would not show the typical size of: ": sorted({*seen} - {*imitated}),
+            "Parameters that are free already do the same in these records as: ": imitated,
+        }
+        lines = (["", f"{text}{', '.join(names)}"] for text, names in said.items() if names)
+        words = [*chain.from_iterable(lines)] if hidden else []
+        parts = [Section("Candidates", words, (self._table(),), (drawing,))]
         if seen:
             units = {p.name: p.unit for score in self.scores for p in score.effect.parameters}
             sizes = [(name, _visible_from(limits, units)) for name, limits in seen.items()]
@@ -208,6 +197,18 @@ class Ranking:
             )
             parts.append(Section("Invisible at typical size", (says,), (table,), only="page"))
         return Report("Candidates", sections=parts)
+
+    def _table(self) -> Table:
+        """The best candidates with scores, gains and thresholds."""
+        refits = {refit.name: refit for refit in self.refits}
+        scores = {score.effect.name: score for score in self.scores}
+        rows = []
+        for name in self.order[:MOST_DRAWN]:
+            score = scores[name]
+            gain = f"{refits[name].gain:.1f}" if name in refits else "-"
+            needed = f"{self.needed_by(score):.1f}"
+            rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
+        return Table(("candidate effect", "score", "gain", "needed", "distinct"), rows)
 
     def report(self, *, hidden: bool = True) -> str:
         """Return the document as text."""

@@ -23,6 +23,7 @@ follows the motion (:mod:`oed_sysid.evidence.residual_forces`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -179,27 +180,26 @@ class Remains:
     @property
     def sentence(self) -> str:
         """What is left, with its size."""
-        if self.suspect:
-            return f"log suspect: {self.suspect} Nothing is certified before that is put right."
         listed = "; ".join(force.text for force in self.random)
-        size = f" On its own the model misses {self.size}." if self.size else ""
         colour = ""
         if self.sensor_time is not None:
             colour = f", correlated over about {self.sensor_time:.2g} s at the sensors"
         checked = self.random and not np.isnan(self.random[0].elsewhere)
         same = ", about the same on the validation records" if checked else ""
         stands = f" where process noise stands ({listed})" if listed else ""
-        why, asked = "; ".join((*self.beyond, *self.structured)), "; ".join(self.open_questions)
-        acts, beside = (
-            f"{begin}{listed}" if listed else "" for begin in (": ", "; process noise: ")
-        )
-        return {
-            "structure missing": f"structure missing{stands}: {why}.{size}",
-            "not known": f"not known: {asked}{beside}.{size}",
-            "disturbance": f"disturbance{acts}{same if listed else ''}; whole runs are as it would "
-            f"leave them{colour}.{size}",
-            "adequate": f"adequate: the remaining misfit is noise at this level{colour}.",
+        beside = f"; process noise: {listed}" if listed else ""
+        acts = f": {listed}{same}" if listed else ""
+        said = {
+            "log suspect": f"{self.suspect} Nothing is certified before that is put right.",
+            "structure missing": f"{'; '.join((*self.beyond, *self.structured))}.",
+            "not known": f"{'; '.join(self.open_questions)}{beside}.",
+            "disturbance": f"whole runs are as it would leave them{colour}.",
+            "adequate": f"the remaining misfit is noise at this level{colour}.",
         }[self.kind]
+        begin = {"structure missing": f"{stands}:", "disturbance": f"{acts};"}.get(self.kind, ":")
+        alone = self.size and self.kind not in ("log suspect", "adequate")
+        size = f" On its own the model misses {self.size}." if alone else ""
+        return f"{self.kind}{begin} {said}{size}"
 
     @property
     def size(self) -> str:
@@ -232,6 +232,16 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
     if forces < REMAINDER_LIMIT:
         return Remains(forces, time, follows=() if time is None else repeated(study, fit, None))
     validated = None if study.validation is None else study.on_records(fit, study.validation)
+    found = tuple(sorted(_forces(study, fit, validated), key=lambda force: -force.gain))
+    follows = repeated(study, fit, validated) if found else None
+    return Remains(forces, time, found, follows=follows)
+
+
+def _forces(
+    study: Study, fit: FilteredSolution, validated: FilteredSolution | None
+) -> Iterator[RandomForceFound]:
+    """Every disturbance force that is real, and its level on the validation records."""
+    noise = fit.noise
     elsewhere, told = np.full(len(noise.force), np.nan), False
     if validated is not None and study.validation is not None:
         elsewhere = validated.noise.force
@@ -239,17 +249,12 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
         same = study.on_records(fit, study.validation, same_forces=True)
         told = _lost(validated, same) > REMAINDER_LIMIT
     units = {place.name: place.unit for place in places(study.base)}
-    found = []
     for index in np.flatnonzero(noise.force > 0):
         gain = _without(study, fit, np.arange(len(noise.force)) == index)
         if gain > REMAINDER_LIMIT:
-            name = noise.places[index]
             level, tau = float(noise.force[index]), float(noise.force_time[index])
-            other = float(elsewhere[index])
-            found.append(RandomForceFound(name, units.get(name, ""), level, tau, gain, other, told))
-    found.sort(key=lambda force: -force.gain)
-    follows = repeated(study, fit, validated) if found else None
-    return Remains(forces, time, tuple(found), follows=follows)
+            name, other = noise.places[index], float(elsewhere[index])
+            yield RandomForceFound(name, units.get(name, ""), level, tau, gain, other, told)
 
 
 def _without(study: Study, fit: FilteredSolution, gone: np.ndarray) -> float:

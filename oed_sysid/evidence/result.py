@@ -202,6 +202,11 @@ class Judged:
     state: str
     says: str = ""
 
+    @property
+    def cell(self) -> str:
+        """The answer in a table: a size that would have been seen, or whether it was asked."""
+        return {"tested": self.says or "yes", "found": "FOUND"}.get(self.state, "-")
+
     to_dict = as_dict("fault", "signal", "state", "says")
 
 
@@ -355,27 +360,19 @@ class LogCheck:
         if not self.judged:
             return []
         kinds = list(dict.fromkeys(one.fault for one in self.judged))
-        shown = {"tested": "yes", "found": "FOUND"}
-        cells = {
-            (one.signal, one.fault): (one.state == "tested" and one.says)
-            or shown.get(one.state, "-")
-            for one in self.judged
-        }
+        cells = {(one.signal, one.fault): one.cell for one in self.judged}
         rows = [
             (signal, *(cells.get((signal, kind), "") for kind in kinds))
             for signal in dict.fromkeys(one.signal for one in self.judged)
         ]
-        reasons = dict.fromkeys(
-            f"{one.signal}: {one.says}"
-            for one in self.judged
-            if one.state == "not tested" and one.says
-        )
+        untold = [one for one in self.judged if one.state == "not tested" and one.says]
+        reasons = list(dict.fromkeys(f"{one.signal}: {one.says}" for one in untold))
         table = Table(
             ("signal", *kinds), rows,
             caption="The least size that would have been seen; FOUND; or a dash where it could "
             "not be tested.",
         )  # fmt: skip
-        return [Section("What was tested", list(reasons), tables=(table,), heading=True, indent=5)]
+        return [Section("What was tested", reasons, tables=(table,), heading=True, indent=5)]
 
     def _figures(self) -> list[Figure]:
         if not self.balances:

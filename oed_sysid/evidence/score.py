@@ -173,27 +173,24 @@ def scores(
     candidates = [effect for effect in candidates if effect.amplitude_names]
     if not candidates:
         return [], np.zeros(0)
-    smooth = [
-        name
-        for effect in candidates
-        if not effect.shape_names and two_sided(effect)
-        for name in effect.amplitude_names
-    ]
+    plain = (e for e in candidates if not e.shape_names and two_sided(e))
+    smooth = [name for effect in plain for name in effect.amplitude_names]
     rows = _rows(fit, smooth)
     known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
-    residual = rows.residual - basis @ (basis.T @ rows.residual)
+
+    def projected(columns: np.ndarray) -> np.ndarray:
+        return columns - basis @ (basis.T @ columns)
+
+    residual = projected(rows.residual)
     # Sizes and starts of single records are estimated anew on the validation records.
     n_records = len(rows.passes) + len(study.validation or ())
     best: dict[str, Score] = {}
     for variant in _variants(study, fit, candidates, rows, smooth):
-        raw = variant.columns
-        projected = raw - basis @ (basis.T @ raw)
-        score = _score(variant, raw, projected, residual, n_records)
-        score = replace(score, trials=_trials(variant.effect, rows))
-        name = variant.effect.name
+        raw, name = variant.columns, variant.effect.name
+        score = _score(variant, raw, projected(raw), residual, n_records)
         if name not in best or score.statistic > best[name].statistic:
-            best[name] = score
+            best[name] = replace(score, trials=_trials(variant.effect, rows))
     return sorted(best.values(), key=lambda s: -s.statistic), residual
 
 
@@ -251,14 +248,13 @@ def _score(
     inverse = np.linalg.pinv(matrix, rcond=1e-12, hermitian=True)
     amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
     statistic = float(right @ amplitude)
-    if raw.shape[1] > len(variant.amplitudes):  # one amplitude for every record
-        amplitude = np.array([p.mean() for p in np.split(amplitude, len(variant.amplitudes))])
+    count = len(variant.amplitudes)
+    if raw.shape[1] > count:  # one amplitude for every record
+        amplitude = amplitude.reshape(count, -1).mean(axis=1)
         # What a size that all records share would be known to.
-        errors = np.array(
-            [np.sum(p**-2.0) ** -0.5 for p in np.split(errors, len(variant.amplitudes))]
-        )
-    lower = [_parameter(effect, name).lower for name in variant.amplitudes]
-    upper = [_parameter(effect, name).upper for name in variant.amplitudes]
+        errors = np.sum(errors.reshape(count, -1) ** -2.0, axis=1) ** -0.5
+    sizes = [_parameter(effect, name) for name in variant.amplitudes]
+    lower, upper = [one.lower for one in sizes], [one.upper for one in sizes]
     if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):
         statistic, amplitude = 0.0, np.zeros(1)
     estimate = dict(zip(variant.amplitudes, np.clip(amplitude, lower, upper), strict=True))

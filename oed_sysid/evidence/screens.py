@@ -138,14 +138,13 @@ def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:
     have it are its answers. Smaller steps are answered as fast, only less clearly: all are marked.
     """
     shared = sum(len(trace.values) for trace in traces)
-    faults = [fault for trace in traces for fault in screen(trace, shared)]
     names = dict.fromkeys(name for trace in traces for name in trace.values)
     fast = frozenset(name for name in names if _answers(traces, name))
-    after = {trace.name: trace.pushed for trace in traces}
     kept = list[Fault]()
-    for fault in faults:
-        answers = fault.kind in ("spikes", "step") and fault.signal in fast
-        kept += fault.without(after[fault.record]) if answers else [fault]
+    for trace in traces:
+        for fault in screen(trace, shared):
+            answers = fault.kind in ("spikes", "step") and fault.signal in fast
+            kept += fault.without(trace.pushed) if answers else [fault]
     return kept, [replace(trace, fast=fast) for trace in traces]
 
 

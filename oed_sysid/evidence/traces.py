@@ -21,10 +21,10 @@ from scipy.special import ndtri
 
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
+from oed_sysid.likelihood.noise_levels import fast_level
 
 # Median absolute value of a standard normal variable.
 QUARTILE = float(ndtri(0.75))
-FOURTH_DIFFERENCE = np.sqrt(70.0)
 # What is below this share of a signal is immaterial.
 RELATIVE = 0.01
 # A share that matters: of the noise of a signal, or of the time between its samples.
@@ -93,13 +93,14 @@ class Trace:
         return float(self.times[0]), float(self.times[-1])
 
     def blank(self, rows: Mapping[str, np.ndarray]) -> Trace:
-        """Return the trace without some samples; ``rows`` by signal."""
-        values = dict(self.values)
+        """Return the trace and its noise without some samples; ``rows`` by signal."""
+        values, noise = dict(self.values), dict(self.noise)
         for name, chosen in rows.items():
             if len(chosen):
                 values[name] = values[name].copy()
                 values[name][chosen] = np.nan
-        return replace(self, values=values)
+                noise[name] = fast_noise(values[name])
+        return replace(self, values=values, noise=noise)
 
     def thinned(self, most: int) -> Trace:
         """Return means over groups of samples so that at most ``most`` are left."""
@@ -201,7 +202,7 @@ def fast_noise(values: np.ndarray) -> float:
     series = values[np.isfinite(values)]
     if series.size < LEAST:
         return 0.0
-    return float(np.median(np.abs(np.diff(series, 4))) / QUARTILE / FOURTH_DIFFERENCE)
+    return fast_level([series], order=4)
 
 
 def _group_means(groups: np.ndarray) -> np.ndarray:

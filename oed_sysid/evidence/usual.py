@@ -112,24 +112,20 @@ class Sizes:
 
 def sizes_of(model: Model, dataset: Dataset) -> Sizes:
     """Sizes that a model's signals have along records, their states measured or guessed."""
-    pooled: dict[str, list[np.ndarray]] = {}
-    slopes: dict[str, list[np.ndarray]] = {}
-    for record in dataset:
-        series = _states(model, record)
-        for name, values in series.items():
-            slopes.setdefault(name, []).append(slope(record.times, values)[0])
-        for name, values in (series | _others(model, record)).items():
-            pooled.setdefault(name, []).append(values)
-    joined, rates = _joined(pooled), _joined(slopes)
+    own = [_states(model, record) for record in dataset]
+    pairs = [*zip(dataset, own, strict=True)]
+    joined = _joined([series | _others(model, record) for record, series in pairs])
+    rates = _joined(
+        [{name: slope(r.times, values)[0] for name, values in of.items()} for r, of in pairs]
+    )
     duration = float(np.median([record.times[-1] - record.times[0] for record in dataset]))
     declared = {state.name: state.scale for state in model.states}  # where nothing tells a state
     slow = {name: 10.0 * scale / duration for name, scale in declared.items()}
-    begin = {name: float(values[0]) for name, values in joined.items()}
     return Sizes(
         swing=declared | _each(np.std, joined),
         level=declared | _each(_rms, joined),
         rate=slow | _each(_rms, rates),
-        mobility=_mobility(model, dataset, begin),
+        mobility=_mobility(model, dataset, _each(lambda values: values[0], joined)),
         reach=_each(lambda values: np.max(np.abs(values)), joined),
         reversing=frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max()),
         sample=float(np.median([record.sample_time for record in dataset])),
@@ -148,9 +144,10 @@ def _step(model: Model, record: Record) -> float:
     return record.sample_time / max(ceil(record.sample_time / model.step - 1e-9), 1)
 
 
-def _joined(parts: dict[str, list[np.ndarray]]) -> dict[str, np.ndarray]:
+def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
     """All records of every signal that has a sample."""
-    found = {name: np.concatenate(series) for name, series in parts.items()}
+    names = dict.fromkeys(name for part in parts for name in part)
+    found = {name: np.concatenate([part[name] for part in parts if name in part]) for name in names}
     return {name: series for name, series in found.items() if series.size}
 
 

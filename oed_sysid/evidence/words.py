@@ -30,6 +30,7 @@ from oed_sysid.evidence.result import (
 from oed_sysid.evidence.screens import Fault
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.likelihood.between_records import WORTH_TELLING
+from oed_sysid.likelihood.noise_levels import credible_levels
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import counted
 
@@ -303,7 +304,8 @@ def screen_findings(
     for fault in faults:
         kinds.setdefault((fault.kind, fault.signal), []).append(fault)
     result = [_screened(*key, here, series) for key, here in kinds.items()]
-    return [*result, *_noise(dataset, traces), *_gaps(traces), *_copies(dataset)]
+    made = {fault.signal for fault in faults if is_a(fault.kind, "made")}
+    return [*result, *_noise(dataset, traces, made), *_gaps(traces), *_copies(dataset)]
 
 
 def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace]) -> Finding:
@@ -336,20 +338,20 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     return said(told[0], names, tuple(rows), words, row=told[1], correction=correction, **facts)
 
 
-def _noise(dataset: Dataset, traces: Sequence[Trace]) -> Iterable[Finding]:
-    """Declared noise levels that the fast noise of the log contradicts."""
-    for output in dataset.channels.outputs:
-        levels = {t.name: t.noise[output.name] for t in traces if output.name in t.noise}
-        level = float(np.median([*levels.values()])) if levels else 0.0
-        if not output.noise_std or level <= WORTH_TELLING * output.noise_std:
+def _noise(dataset: Dataset, traces: Sequence[Trace], made: set[str]) -> Iterable[Finding]:
+    """Declared noise levels that the fast noise of measured samples contradicts."""
+    levels, seen = credible_levels(dataset)
+    for output, level, told in zip(dataset.channels.outputs, levels, seen, strict=True):
+        records = tuple(t.name for t in traces if output.name in t.noise)
+        if not (told and output.noise_std and level > WORTH_TELLING * output.noise_std):
+            continue
+        if output.name in made:
             continue
         value, unit = angle_aware(level, output.unit)
         ratio, declared = level / output.noise_std, angle_aware(output.noise_std, output.unit)[0]
         words = {"ratio": ratio, "level": value, "said": declared, "unit": unit, "found": level}
-        yield said(
-            "noise", (output.name,), tuple(levels), words | {"si": output.unit},
-            size=ratio, unit="1",
-        )  # fmt: skip
+        words |= {"si": output.unit}
+        yield said("noise", (output.name,), records, words, size=float(ratio), unit="1")
 
 
 def _gaps(traces: Sequence[Trace]) -> Iterable[Finding]:
