@@ -595,12 +595,9 @@ def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
     """
     law = np.concatenate([laws(p.angle) for p in mine], axis=1)
     sizes = [p.residual.size for p in mine]
-    fewer, longer = (
-        np.repeat(of / np.mean(of), sizes)
-        for of in ([1.0 / p.group for p in mine], [p.span for p in mine])
-    )
-    law[0] *= fewer
-    law[len(CORRELATIONS) :] *= longer
+    fewer, longer = np.array([(1.0 / p.group, p.span) for p in mine]).T
+    law[0] *= np.repeat(fewer / fewer.mean(), sizes)
+    law[len(CORRELATIONS) :] *= np.repeat(longer / longer.mean(), sizes)
     return law
 
 
