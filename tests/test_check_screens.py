@@ -565,3 +565,34 @@ def test_an_effect_with_memory_is_refused() -> None:
     """Two effects cannot share what one remembers: what to do is said."""
     with pytest.raises(ModelError, match="per_record=True"):
         in_each_record(backlash("play", "port", "N"))
+
+
+@pytest.mark.parametrize("held", [("train_steps",), ("train_zigzag_5_5",)])
+def test_depth_that_some_records_hold_is_no_other_fault(held: tuple[str, ...]) -> None:
+    """A slow depth sensor in one of three records: held there, and nothing else is said."""
+    problem = load_problem("remus_diving_plane")
+    records = []
+    for record in problem.data():
+        outputs = np.array(record.outputs)
+        if record.name in held:
+            outputs[:, -1] = outputs[np.arange(record.n_samples) // 5 * 5, -1]
+        if record.name.startswith("train"):
+            records.append(record.with_outputs(outputs))
+    found = check(Dataset(tuple(records)), problem.model, inputs=False)
+    assert [(one.name, one.records) for one in found.findings] == [("held z", held)]
+
+
+def test_motion_that_is_faster_than_the_samples_is_no_noise() -> None:
+    """The roll rate of the shipped vehicle swings fast: its noise is as declared."""
+    problem = load_problem("remus_6dof")
+    found = check(problem.data(), problem.model, inputs=False)
+    assert found.named("noise") is None
+    loud = [
+        record.with_outputs(
+            record.outputs + 3.0 * 0.005 * rng.standard_normal(record.outputs.shape)
+        )
+        for record, rng in zip(problem.data(), map(np.random.default_rng, range(9)), strict=False)
+    ]
+    said = check(Dataset(tuple(loud)), problem.model, inputs=False).named("noise", "psi")
+    assert said is not None
+    assert said.size == pytest.approx(np.sqrt(10.0), rel=0.05)
