@@ -25,6 +25,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
+from scipy.linalg import expm
 
 from benchmarks.harness import RESULTS, Row, command, grouped, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE
@@ -88,6 +89,16 @@ class Stranger:
         sample = 0.1 / float(damping.max())
         return cls(gain, damping, spring, coupling, lever, sample, np.ones(2 * n))
 
+    @property
+    def sea(self) -> np.ndarray:
+        """Standard deviation of the force that a sea brings into every equation, ``(n,)``."""
+        return 0.1 * self.damping
+
+    @property
+    def memory(self) -> float:
+        """Correlation of that force from sample to sample."""
+        return float(np.exp(-self.sample * np.median(self.damping)))
+
     def estimated(self) -> dict[str, float]:
         """What a nominal model estimates, by name."""
         rows = enumerate(zip(self.gain, self.damping, self.spring, strict=True))
@@ -117,8 +128,7 @@ class Stranger:
             levels = np.cos(np.cumsum(rate * self.sample)[:, None] + rng.uniform(0, 6.28, m))
         sea = np.zeros((SAMPLES, n))
         if excitation == "sea":
-            memory = np.exp(-self.sample * np.median(self.damping))
-            sea = 0.1 * self.damping * gauss_markov(rng.standard_normal((SAMPLES, n)), memory)
+            sea = self.sea * gauss_markov(rng.standard_normal((SAMPLES, n)), self.memory)
         size = lambda kind, at: hidden.get((kind, at), 0.0)  # noqa: E731
         state = np.zeros(2 * n + m)  # speeds, displacements, actuators
         commands, states = np.zeros((SAMPLES, m)), np.zeros((SAMPLES, 2 * n))
@@ -246,21 +256,59 @@ def nominal(truth: Stranger, values: Mapping[str, float], noise: np.ndarray) -> 
 def shown(
     truth: Stranger, plan: Sequence[tuple[str, int]], hidden: Sizes, level: np.ndarray
 ) -> float:
-    """Least statistic of leaving one effect out, parameters re-estimated to first order."""
+    """Least statistic of leaving one effect out, parameters re-estimated to first order.
+
+    Rows are in standard deviations of what sensors, and where there is one the sea, make of them.
+    """
     values = truth.estimated()
 
     def rows(sizes: Sizes, at: Mapping[str, float]) -> np.ndarray:
-        return np.concatenate(
-            [(truth.run(*one, sizes, at, exact=False)[1] / level).ravel() for one in plan]
-        )  # fmt: skip
+        return np.array([truth.run(*one, sizes, at, exact=False)[1] for one in plan])
 
     whole = rows(hidden, values)
     slopes = [(rows(hidden, values | {k: v * 1.001}) - whole) / 1e-3 for k, v in values.items()]
-    basis = np.linalg.qr(np.array(slopes).T)[0]
     lost = [whole - rows({k: v for k, v in hidden.items() if k != one}, values) for one in hidden]
-    return min(
-        (float(np.sum((one - basis @ (basis.T @ one)) ** 2)) for one in lost), default=np.inf
-    )
+    columns = np.stack([*slopes, *lost], axis=-1)
+    seas = [excitation == "sea" for excitation, _ in plan]
+    white = np.concatenate(
+        [whitened(truth, own, level, sea=sea) for own, sea in zip(columns, seas, strict=True)]
+    ).reshape(-1, columns.shape[-1])
+    basis, effects = np.linalg.qr(white[:, : len(slopes)])[0], white[:, len(slopes) :]
+    left = effects - basis @ (basis.T @ effects)
+    return float(np.min(np.sum(left**2, axis=0), initial=np.inf))
+
+
+def whitened(truth: Stranger, rows: np.ndarray, level: np.ndarray, *, sea: bool) -> np.ndarray:
+    """Columns of outputs in standard deviations, each of what those before it do not tell.
+
+    Where a sea acts that is a Kalman filter of every equation without its coupling: what an effect
+    moves less than the sea would is not seen.
+
+    Parameters
+    ----------
+    rows : ndarray (n_times, 2 n, n_columns)
+        Speeds, then displacements.
+    level : ndarray (2 n,)
+        Standard deviations of the sensors.
+    """
+    if not sea:
+        return rows / level[:, None]
+    n, found, memory = len(truth.gain), np.empty_like(rows), truth.memory
+    for i, (d, k) in enumerate(zip(truth.damping, truth.spring, strict=True)):
+        pair, size = [i, n + i], truth.sea[i] ** 2
+        # Speed, displacement and the force, which is held over a sample.
+        step = expm(truth.sample * np.array([[-d, -k, 1.0], [1.0, 0.0, 0.0], [0.0, 0.0, 0.0]]))
+        step[2, 2] = memory
+        believed, covariance = np.zeros((3, rows.shape[2])), np.diag([0.0, 0.0, size])
+        drive = np.diag([0.0, 0.0, size * (1.0 - memory**2)])
+        for row, seen in enumerate(rows[:, pair]):
+            spread = covariance[:2, :2] + np.diag(level[pair] ** 2)
+            innovation = seen - believed[:2]
+            found[row, pair] = np.linalg.solve(np.linalg.cholesky(spread), innovation)
+            gain = np.linalg.solve(spread, covariance[:2]).T
+            believed = step @ (believed + gain @ innovation)
+            covariance = step @ (covariance - gain @ covariance[:2]) @ step.T + drive
+    return found
 
 
 def hidden_in(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,9 @@ from benchmarks.strangers import (
     accepted,
     candidates,
     nominal,
+    shown,
     table,
+    whitened,
 )
 from oed_sysid.experiments.simulation import simulate_inputs
 
@@ -42,6 +45,30 @@ def test_a_candidate_is_what_is_hidden(kind: str) -> None:
     )
     assert np.max(np.abs(hidden - plain) / level) > 0.02
     assert np.max(np.abs(run.outputs - hidden) / level) < 0.01
+
+
+def test_what_a_sea_hides_counts_as_hidden() -> None:
+    """Rows that a sea makes are white in the unit that an effect is measured in; calm, in sensors.
+
+    An effect is worth less at sea than the sensors alone would say.
+    """
+    rng = np.random.default_rng(3)
+    truth = Stranger.drawn(rng)
+    values, none = truth.estimated(), np.zeros(len(truth.gain))
+    calm = replace(truth, coupling=none)
+    level = 0.02 * calm.run("steps", 1, {}, values)[1].std(axis=0)
+    still = {key: 0.0 for key in values if key[0] == "b"}
+    made = [calm.run("sea", seed, {}, values | still, exact=False)[1] for seed in range(8)]
+    rows = np.stack(made, axis=-1) + level[:, None] * rng.standard_normal((*made[0].shape, 8))
+    assert np.std(rows / level[:, None]) > 3.0
+    white = whitened(calm, rows, level, sea=True)
+    assert np.std(white) == pytest.approx(1.0, abs=0.03)
+    assert abs(np.mean(white[1:] * white[:-1])) < 0.03
+    np.testing.assert_allclose(whitened(calm, rows, level, sea=False) * level[:, None], rows)
+    hidden = {("offset", 0): 0.05}
+    seen = {e: shown(calm, [(e, 5)], hidden, level) for e in ("steps", "sea")}
+    assert 1.0 < seen["sea"] < 0.3 * seen["steps"]
+    assert shown(calm, [("sea", 5)], {}, level) == np.inf
 
 
 def test_all_and_nothing_else_is_accepted() -> None:
