@@ -38,7 +38,7 @@ from scipy.fft import idct
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
-from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
+from oed_sysid.evidence.contrasts import Found, Piece, Question, Reading, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
@@ -185,15 +185,27 @@ def _related(
     known = [fix for fixes in steps.values() for fix in fixes or ()]
     found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), known)
     sizes = {_place(one.correction): float(one.size) for one in ended.found}
-    faults = [_resized(one, steps.get(one), sizes) for one in faults]
     fixes = [*(one.correction for one in found), *(one.correction for one in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
-    ends, sensed = {t.name: t.ends for t in clean}, _sensed(model.effects)
-    log = Log(dataset.channels, equations, dataset.names, ends, sensed)
-    findings = [*map(log.reading, found), *map(log.sized, _others(ended.found, known))]
+    findings = _told(dataset, model, clean, equations, found, _others(ended.found, known))
     findings += clock_findings(mended, equations)
     findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
+    faults = [_resized(one, steps.get(one), sizes) for one in faults]
     return faults, findings, _balances(clean, mended, equations), ended
+
+
+def _told(
+    dataset: Dataset,
+    model: Model,
+    traces: Sequence[Trace],
+    equations: tuple[Relation, ...],
+    readings: Sequence[Reading],
+    sized: Sequence[Found],
+) -> list[Finding]:
+    """Findings of other readings and of faults with a size."""
+    ends = {t.name: t.ends for t in traces}
+    log = Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
+    return [*map(log.reading, readings), *map(log.sized, sized)]
 
 
 def _others(found: Sequence[Found], known: Sequence[Correction]) -> list[Found]:

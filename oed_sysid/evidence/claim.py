@@ -185,7 +185,8 @@ def independent_share(study: Study, before: FilteredSolution) -> float:
     tests = [whiteness(own) for one in series for own in one.T if np.isfinite(own).any()]
     if all(test.p_value > WHITE_LEVEL for test in tests):
         return 1.0
-    return sum(one.effective_samples for one in tests) / sum(one.n_samples for one in tests)
+    effective, counted = np.sum([(one.effective_samples, one.n_samples) for one in tests], axis=0)
+    return float(effective / counted)
 
 
 def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float:

@@ -57,6 +57,7 @@ from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
 from oed_sysid.evidence.words import Log, judged_row, said
+from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_columns, measured_states
 from oed_sysid.physics.channels import Input, State
@@ -64,8 +65,6 @@ from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.text.expressions import names as names_in
 
-# An input this many times beyond its limit is in another unit.
-BEYOND = 1.5
 # A declared prior is not trusted beyond this share of its mean: nominal physics lacks as much.
 LEAST_PRIOR = 0.25
 # What is asked of an input.
@@ -229,7 +228,7 @@ def _beyond(
         values = np.concatenate([record.inputs[:, index] for record in dataset])
         largest = float(np.nanmax(np.abs(values)))
         declared = max(map(abs, ranges.get(channel.name, (np.inf,))))
-        limit = min(BEYOND * declared, np.pi if channel.unit == "rad" else np.inf)
+        limit = min(WORTH_TELLING * declared, np.pi if channel.unit == "rad" else np.inf)
         if largest <= limit:
             continue
         units = [m for f, m in READINGS.get(channel.unit, ()) if f * largest <= limit]

@@ -240,8 +240,7 @@ def locate(
         return Located.nothing(fit)
     found.sort(key=lambda part: part.order)
     smoother = ResidualForces.of(*let_in(fit, unit))
-    placed = (place.partition(" ") for place in fit.noise.places)
-    columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
+    columns = _force_columns(fit.noise)
     forces = tuple(series.only([*columns]) for series in smoother.series())
     signatures = _signatures(smoother, rivals or {}, [*columns])
     every = {part.place.name: part for part in found}
@@ -255,6 +254,12 @@ def locate(
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
+
+
+def _force_columns(noise: NoiseModel) -> dict[int, str]:
+    """Columns of the disturbances that are forces, and their equations."""
+    placed = (place.partition(" ") for place in noise.places)
+    return {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
 
 
 def _foremost(found: Sequence[Evidence]) -> list[Evidence]:

@@ -42,8 +42,8 @@ from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter
 
-# Values of a shape parameter (a frequency, a time constant) that are tried, of the first and of
-# every other one.
+# Values of a shape parameter (a frequency, a time constant) that are tried: of the first; of every
+# other one, and maxima of a periodogram.
 N_SHAPES, N_OTHER_SHAPES = 11, 3
 # Shares of a typical amplitude from nothing to which the change of the innovations is taken for
 # effects with a kink at nothing, or a threshold, whose answer depends on the size.
@@ -376,8 +376,8 @@ def _shapes(effect: Effect, rows: _Rows) -> list[dict[str, float]]:
     ]
 
 
-# Frequencies per 2 pi over the longest record; and maxima that are tried.
-PER_CYCLE, N_LINES = 4, 3
+# Frequencies per 2 pi over the longest record.
+PER_CYCLE = 4
 
 
 def lines(
@@ -418,4 +418,4 @@ def lines(
             power += lombscargle(t[seen], series[seen], frequencies)
     padded = np.pad(power, 1, constant_values=-np.inf)
     peaks = np.flatnonzero((power >= padded[:-2]) & (power > padded[2:]))
-    return frequencies[peaks[np.argsort(-power[peaks], kind="stable")][:N_LINES]]
+    return frequencies[peaks[np.argsort(-power[peaks], kind="stable")][:N_OTHER_SHAPES]]

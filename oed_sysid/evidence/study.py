@@ -154,13 +154,7 @@ class Study:
             Where disturbance forces may act: ``"auto"`` or ``"all"`` of the equations, ``"none"``
             of them, or those that are named.
         """
-        levels = given_levels(model.outputs)
-        if known_noise and not np.all(np.isfinite(levels)):
-            unknown = [o.name for o in model.outputs if o.noise_std is None]
-            raise DataError(
-                f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
-                "known. Set noise_std on these outputs, or let the noise be estimated."
-            )
+        levels = _declared(model, known=known_noise)
         floor, _ = credible_levels(train)
         white = np.where(np.isfinite(levels), levels, floor)
         free = np.full(len(white), not known_noise)
@@ -471,6 +465,18 @@ def total_error(rms: np.ndarray) -> float:
 def likelier(*fits: FilteredSolution | None) -> FilteredSolution | None:
     """The likeliest of some fits of one study, of which some may not have come about."""
     return min((fit for fit in fits if fit is not None), key=lambda f: f.objective, default=None)
+
+
+def _declared(model: Model, *, known: bool) -> np.ndarray:
+    """Declared levels of the sensors, ``(n_outputs,)``; NaN where nobody declared one."""
+    levels = given_levels(model.outputs)
+    if known and not np.all(np.isfinite(levels)):
+        unknown = [o.name for o in model.outputs if o.noise_std is None]
+        raise DataError(
+            f"The noise of {', '.join(unknown)} is not declared, so it cannot be taken as "
+            "known. Set noise_std on these outputs, or let the noise be estimated."
+        )
+    return levels
 
 
 def _disturbed_places(
