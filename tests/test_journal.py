@@ -15,6 +15,7 @@ import pytest
 
 from benchmarks.killed import killed
 from oed_sysid.experiments.experiment import Limits
+from oed_sysid.experiments.problem import new_problem
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.runtime.journal import Journal, opened, package_digest
 
@@ -250,9 +251,9 @@ def test_interrupted_command_says_what_is_kept(
     from oed_sysid.cli import main
     from oed_sysid.evidence import search as module
 
-    records = Path(__file__).parents[1] / "problems" / "remus_diving_plane" / "data"
-    command = ["improve", "remus_diving_plane", "--train", str(records / "train_zigzag_5_5.csv")]
-    command += ["--max-effects", "1", "--journal", str(tmp_path)]
+    folder = new_problem(tmp_path / "ship")
+    command = ["improve", str(folder), "--train", str(folder / "data" / "zigzag_10_10.csv")]
+    command += ["--max-effects", "1", "--journal", str(tmp_path / "journal")]
 
     def interrupted(*_: object, **__: object) -> None:
         signal.raise_signal(signal.SIGINT)
@@ -263,7 +264,7 @@ def test_interrupted_command_says_what_is_kept(
     assert "1 finished step is kept" in capsys.readouterr().err
     assert main(command) == 0
     assert "Going on after 1 step of an earlier call" in capsys.readouterr().err
-    assert list(tmp_path.iterdir()) == []
+    assert list((tmp_path / "journal").iterdir()) == []
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="needs a device that is always full")

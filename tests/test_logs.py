@@ -34,6 +34,22 @@ from oed_sysid.data.logs import (
 from oed_sysid.data.mapping import CommandCuts, Cut, parse
 from oed_sysid.errors import DataError
 
+
+@pytest.fixture(autouse=True)
+def _here(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parsers run in this process, but where a test asks for one of their own.
+
+    The logs of the walks go through a process of each format.
+    """
+    if "apart_from_us" not in request.fixturenames:
+        monkeypatch.setattr(formats, "read_apart", lambda place, *_: opened_here(place))
+
+
+@pytest.fixture
+def apart_from_us() -> None:
+    """Parsers run as for a user."""
+
+
 VOYAGE = Voyage.short()
 CHANNELS = Channels(
     (Input("rudder", "rad"),), (Output("psi", "rad", wrap=True), Output("r", "rad/s"))
@@ -151,6 +167,7 @@ def check_voyage(path: Path, mapping: str, *, digits: float, origin: float | Non
     np.testing.assert_allclose(record.input("rudder"), held, atol=1e-6)
 
 
+@pytest.mark.usefixtures("apart_from_us")
 def test_ulog_keeps_every_sample_at_its_time(tmp_path: Path) -> None:
     """Quaternions become a heading, and 10 and 25 Hz stay 10 and 25 Hz."""
     check_voyage(ulog(tmp_path), ULOG_MAP, digits=2e-6)
@@ -482,6 +499,7 @@ def opened_here(path: Path) -> Log:
     return apart.guarded(form.reader, path, form.words, form.advice)
 
 
+@pytest.mark.usefixtures("apart_from_us")
 @pytest.mark.parametrize(
     ("child", "words"),
     [

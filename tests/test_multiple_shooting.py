@@ -245,7 +245,7 @@ def test_warm_start_knows_records_by_name() -> None:
 def test_wild_start_finds_its_own_way() -> None:
     """From parameters with wrong signs and sizes the fit ends at the same optimum."""
     model, data = remus(), diving_data(remus(), 200)
-    estimator = MultipleShooting(noise=[0.02, 0.02, 0.004, 0.004, 0.03])
+    estimator = MultipleShooting(noise=[0.02, 0.02, 0.004, 0.004, 0.03], disturbances="none")
     right = estimator.fit(model, data)
     # Data without noise: the stated noise, not the residuals' rounding errors, gives the errors.
     assert 1e-4 < right.std_errors["Z_uw"] < 10
@@ -268,7 +268,8 @@ def test_unmeasured_states_do_not_stop_the_way_in() -> None:
         (full.n_samples, 3)
     )
     record = replace(full, outputs=outputs, channels=model.channels, missing_outputs=())
-    estimator, data = MultipleShooting(noise=noise), Dataset((record,))
+    estimator = MultipleShooting(noise=noise, disturbances="none")
+    data = Dataset((record,))
     right = estimator.fit(model, data)
     arrived = 0
     for seed in range(5):
@@ -296,18 +297,18 @@ def test_unobservable_states_do_not_disturb_the_covariance() -> None:
         (replace(data, outputs=outputs[:, :4], channels=without.channels, missing_outputs=()),)
     )
     noise = [0.02, 0.02, 0.004, 0.004]
-    full = MultipleShooting(noise=[*noise, 0.03]).fit(model, silent)
-    small = MultipleShooting(noise=noise).fit(without, smaller)
+    full = replace(ESTIMATOR, noise=[*noise, 0.03]).fit(model, silent)
+    small = replace(ESTIMATOR, noise=noise).fit(without, smaller)
     assert np.allclose(full.covariance, small.covariance, rtol=1e-5)
     assert np.isnan(full.rms["z"])
-    assert MultipleShooting(noise="estimate").fit(model, silent).sigma[-1] == 1.0
+    assert replace(ESTIMATOR, noise="estimate").fit(model, silent).sigma[-1] == 1.0
 
 
 def test_free_scale_is_named() -> None:
     """With a free added mass every heave coefficient scales with it, and the fit says so."""
     model = _heave_model()
     data = diving_data(model, 150)
-    fit = MultipleShooting(noise=[0.02, 0.02, 0.004, 0.004, 0.03]).fit(model, data)
+    fit = replace(ESTIMATOR, noise=[0.02, 0.02, 0.004, 0.004, 0.03]).fit(model, data)
     (text,) = fit.information.null_directions()
     ratios = dict(re.findall(r"(\w+): ([-+.\de]+)", text))
     assert set(ratios) == {"A_w", "Z_uw", "Z_uq", "Z_uuds"}
@@ -360,7 +361,7 @@ def test_interrupted_fit_can_be_resumed() -> None:
         if len(seen) == 1:
             raise KeyboardInterrupt
 
-    stopped = MultipleShooting(noise=NOISE, progress=stop).fit(yaw_model().with_values(START), data)
+    stopped = replace(ESTIMATOR, progress=stop).fit(yaw_model().with_values(START), data)
     assert stopped.status.code == "interrupted"
     assert "warm=fit" in stopped.status.advice
     resumed = ESTIMATOR.fit(yaw_model().with_values(START), data, warm=stopped)
@@ -371,7 +372,7 @@ def test_interrupted_fit_can_be_resumed() -> None:
 def test_diverging_model_is_a_status_that_advises() -> None:
     """A model that diverges from every start is reported, not raised."""
     parameter = Parameter("alpha", -1e9, fixed=True)
-    fit = MultipleShooting(noise=NOISE).fit(yaw_model(alpha=parameter), yaw_data(15))
+    fit = ESTIMATOR.fit(yaw_model(alpha=parameter), yaw_data(15))
     assert fit.status.code == "diverged"
     assert "signs and units" in fit.status.advice
     assert not fit.status.ok

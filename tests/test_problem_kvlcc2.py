@@ -226,7 +226,7 @@ def test_turning_circle_from_zigzags_alone(motion) -> None:
     """
     fit = MultipleShooting(disturbances="none").fit(chosen_model(CHOSEN[:3]), motion)
     assert fit.status.ok
-    circle = turning_circle(fit, speed=SPEED, rate=RATE, length=LENGTH, n_draws=50)
+    circle = turning_circle(fit, speed=SPEED, rate=RATE, length=LENGTH, n_draws=20)
     published = {"starboard": (3.25, 3.34), "port": (3.11, 3.08)}
     for side, (advance, diameter) in published.items():
         assert circle.value("advance", side) / LENGTH == pytest.approx(advance, rel=0.05)

@@ -240,6 +240,7 @@ def test_inertia_at_one_is_the_published_mass(problem_glider: Problem) -> None:
         assert np.linalg.eigvalsh(matrix) == pytest.approx(expected)
 
 
+@pytest.mark.slow
 def test_published_model_is_recovered(
     problem_glider: Problem, split_glider: tuple[Dataset, Dataset]
 ) -> None:

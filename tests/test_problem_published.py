@@ -7,6 +7,7 @@ from math import radians
 
 import numpy as np
 import pytest
+from marks import slow
 
 from benchmarks.documents.published import paper
 from benchmarks.documents.published.sailboat import errors, exact, gibbs, in_errors
@@ -330,7 +331,7 @@ def test_sail_changes_sides_without_a_jump() -> None:
     assert abs(loads[0] - loads[1]) < 0.05 * jumping
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, *slow(1, 2)])
 def test_multiple_shooting_from_far_starts(seed: int) -> None:
     """From start values up to 30 % off, 38 derivatives return within four standard errors."""
     fit = SCRIPT_SAILBOAT.from_afar(seed)
@@ -389,6 +390,7 @@ def test_forces_against_a_hand_calculation() -> None:
     assert found == pytest.approx(expected, rel=1e-3, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_small_swarm_goes_the_right_way() -> None:
     """A short search lowers the misfit by orders of magnitude and lands near strong parameters."""
     fit = DifferentialSwarm(n_particles=40, n_generations=150, initial=START).fit(
