@@ -158,6 +158,7 @@ def test_a_killed_process_costs_no_finished_cell(tmp_path: Path) -> None:
     assert (tmp_path / "died").exists()
 
 
+@pytest.mark.slow
 def test_a_deadly_cell_is_reported() -> None:
     """Workers that die again and again end in an error with advice, not in a hang."""
     with pytest.raises(ParallelError, match=r"died in 3 attempts with 1 of 1 .*lower n_jobs"):

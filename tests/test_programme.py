@@ -253,7 +253,7 @@ def test_refined_commands_keep_the_rate_at_the_samples_of_the_run() -> None:
         rng=np.random.default_rng(1),
         criterion=DOptimal(),
         budget=Budget(n_runs=2),
-        search=ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=4),
+        search=ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=2),
         knowledge=Knowledge(noise=SEA, spread=0.05),
     )
     refined = [run for run in found.candidates if run.kind == "designed"]
@@ -277,7 +277,7 @@ def test_programme_writes_every_run(programme: Programme, tmp_path) -> None:
 
 def test_sensors_are_chosen_by_what_they_cost() -> None:
     """A gyro that costs nothing is taken, one that costs all the time is not."""
-    few = ProgrammeSearch(kinds=("zigzag", "3-2-1-1"), n_draws=1, n_vehicles=4, n_rounds=0)
+    few = ProgrammeSearch(kinds=("zigzag",), n_draws=1, n_vehicles=2, n_rounds=0)
     found = [
         design_programme(
             ship(), PATTERN, limits=LIMITS, rng=np.random.default_rng(1), search=few,

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.integrate import solve_ivp
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
@@ -141,9 +143,14 @@ def stiff(seed: int, noise: float, model: Model) -> Dataset:
     return Dataset((Record(f"dry {seed}", times, push[:, None], seen[:, None], model.channels),))
 
 
-@pytest.mark.parametrize("known_noise", [False, True])
-@pytest.mark.parametrize("disturbances", ["none", "auto"])
-@pytest.mark.parametrize("declared", [0.5, 1.0, 20.0])
+OPTIONS = list(product((0.5, 1.0, 20.0), ("none", "auto"), (False, True)))
+QUICK = [(0.5, "auto", False), (1.0, "none", True), (20.0, "auto", True)]
+
+
+@pytest.mark.parametrize(
+    ("declared", "disturbances", "known_noise"),
+    [*QUICK, *slow(*(one for one in OPTIONS if one not in QUICK))],
+)
 def test_no_option_certifies_a_run_beyond_its_spread(
     known_noise: bool, disturbances: str, declared: float
 ) -> None:
@@ -354,7 +361,7 @@ YAW = Model(
 
 @pytest.mark.parametrize(
     ("effect", "size"),
-    [(backlash("play", "rudder"), 0.05), (actuator_lag("lag", "rudder"), 3.0)],
+    [(backlash("play", "rudder"), 0.05), *slow((actuator_lag("lag", "rudder"), 3.0))],
 )
 def test_of_the_truth_forecasts_are_as_good_as_stated(effect: Effect, size: float) -> None:
     """Errors over their stated size are one, with a play and with a slow rudder."""

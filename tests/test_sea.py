@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden_files import restored
+from marks import slow
 from scipy.signal import lfilter
 
 from benchmarks.random_forces.scenarios import SCENARIOS
@@ -227,17 +228,17 @@ def test_a_sea_of_fourth_order_is_nearest_to_the_spectrum_of_a_sea() -> None:
     assert off["jonswap"] < 0.6 * min(off["velocity"], off["displacement"])
 
 
-def test_improve_finds_a_sea_itself() -> None:
+@pytest.mark.parametrize("force", ["waves", *slow("gusts")])
+def test_improve_finds_a_sea_itself(force: str) -> None:
     """Waves are claimed as any effect is, and no term in their place; gusts are none."""
     kick = Force("kick", {"r": "k_kick*abs(r)*r"}, (Parameter("k_kick", 0.0, "1", scale=1.0),))
-    for force in ("waves", "gusts"):
-        train, test = records(force, 5), records(force, 6)
-        test = Dataset(tuple(one.rename(f"{one.name} again") for one in test))
-        found = improve(SHIP, train, test, candidates=[kick], terms=False)
-        assert bool(found.base_fit.noise.seas) == (force == "waves")
-        assert not found.steps
-        asked = {one.name: one.stands for one in found.decisions}
-        assert asked.get("a sea", False) == (force == "waves")
+    train, test = records(force, 5), records(force, 6)
+    test = Dataset(tuple(one.rename(f"{one.name} again") for one in test))
+    found = improve(SHIP, train, test, candidates=[kick], terms=False)
+    assert bool(found.base_fit.noise.seas) == (force == "waves")
+    assert not found.steps
+    asked = {one.name: one.stands for one in found.decisions}
+    assert asked.get("a sea", False) == (force == "waves")
 
 
 def test_processes_in_one_place_add_up() -> None:
@@ -335,9 +336,10 @@ def test_a_swell_that_is_no_sea_is_named_and_its_errors_are_wider(
     assert np.sqrt(np.mean(np.square(ours))) < 0.95 * np.sqrt(np.mean(np.square(bound)))
 
 
-def test_forces_without_a_period_are_not_named() -> None:
+@pytest.mark.parametrize("number", [0, *slow(1, 2, 3)])
+def test_forces_without_a_period_are_not_named(number: int) -> None:
     """First-order Gauss-Markov forces: no swing, and errors are the bound's."""
-    for fit, _ in fits("medium", range(4)):
+    for fit, _ in fits("medium", range(number, number + 1)):
         assert not [concern for concern in fit.concerns if concern.kind == "swing"]
         assert np.array_equal(fit.covariance, fit.information.covariance)
 
@@ -370,6 +372,7 @@ def ranked(problem: object, sizes: dict[str, float], axis: str, omega: float) ->
 
 
 OMEGAS = 0.713, 0.476  # between the grid's frequencies
+QUICK = ("Z", 0), ("N", 0)  # one of each vehicle
 CASES = [
     (vehicle, own, axis)
     for vehicle, own in zip((AUV, SHIP_FORCES), SIZES, strict=True)
@@ -380,8 +383,8 @@ CASES = [
 @pytest.mark.parametrize(
     ("problem", "sizes", "axis", "omega"),
     [
-        pytest.param(*case, omega, marks=() if (i + j) % 4 == 1 else pytest.mark.slow)
-        for i, case in enumerate(CASES)
+        pytest.param(*case, omega, marks=() if (case[2], j) in QUICK else pytest.mark.slow)
+        for case in CASES
         for j, omega in enumerate(OMEGAS)
     ],
 )

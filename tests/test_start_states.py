@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import pytest
 from golden_files import restored
+from marks import slow
 from vehicles import DIVING_START, SHIP_START, remus, ship
 
 from oed_sysid import Dataset, Fit, Input, Model, MultipleShooting, Output, Parameter, Record, State
@@ -252,7 +253,7 @@ def deviations(kind: str, off: float, *, free: bool, count: int = 12) -> np.ndar
     return np.array(found)
 
 
-@pytest.mark.parametrize(("kind", "off"), [("lag", OFF), ("play", 0.03)])
+@pytest.mark.parametrize(("kind", "off"), [("lag", OFF), *slow(("play", 0.03))])
 def test_intervals_hold_where_the_start_is_estimated(kind: str, off: float) -> None:
     """A start beside the first command biases a fit by far; estimated, it does not."""
     held = deviations(kind, off, free=False)
@@ -263,7 +264,7 @@ def test_intervals_hold_where_the_start_is_estimated(kind: str, off: float) -> N
     assert np.abs(free.mean(axis=0)).max() < 1.0
 
 
-@pytest.mark.parametrize("kind", ["lag", "play"])
+@pytest.mark.parametrize("kind", ["lag", *slow("play")])
 def test_little_changes_where_it_began_at_the_first_command(kind: str) -> None:
     """Estimates stay where they are, and errors grow by a quarter at most."""
     rudder = RUDDERS[kind]
