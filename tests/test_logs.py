@@ -526,6 +526,7 @@ def test_whatever_a_parser_does_is_a_sentence(
     )
     monkeypatch.setattr(apart, "_CHILD", prelude * child.startswith("serve") + child)
     monkeypatch.setattr(apart, "SECONDS", 1.0)
+    monkeypatch.setattr(apart, "PATIENCE", 60.0)  # the limit is of computing
     file = tmp_path / "run.ulg"
     file.write_bytes(b"ULog")
     with pytest.raises(DataError, match=words) as caught:

@@ -38,8 +38,6 @@ OSCILLATOR = Model(
 @pytest.fixture(scope="module")
 def data() -> Dataset:
     """Ten periods with noise."""
-    from oed_sysid.data.record import Record
-
     times = np.arange(0.0, 50.0, 0.1)
     run = simulate_inputs(OSCILLATOR, times, inputs={}, initial={"x": 1.0})
     noise = 0.02 * np.random.default_rng(0).standard_normal(run.outputs.shape)
@@ -90,7 +88,7 @@ def test_priors_count_among_starts(data: Dataset) -> None:
     """A result against the prior loses to one with it, whatever its likelihood alone."""
     from oed_sysid.likelihood.multistart import _goal
 
-    fit: Fit = MultipleShooting().fit(OSCILLATOR, data)
+    fit: Fit = MultipleShooting(disturbances="none").fit(OSCILLATOR, data)
     parameter = replace(
         OSCILLATOR.parameter("omega"), prior_mean=fit.values["omega"] + 0.2, prior_std=0.1
     )
@@ -108,28 +106,15 @@ def test_mistakes_are_answered() -> None:
         Multistart().starts(OSCILLATOR.fix("omega"))
 
 
-OSCILLATOR_WATERFALL = Model(
-    "oscillator",
-    (State("x", "m"), State("v", "m/s")),
-    (),
-    (Output("x", "m", noise_std=0.02),),
-    kinematics={"x": "v", "v": "-omega**2*x"},
-    parameters=(Parameter("omega", 0.8, "rad/s", lower=0.5, upper=3.0),),
-)
-
-
 @pytest.fixture(scope="module")
-def best() -> Fit:
+def best(data: Dataset) -> Fit:
     """Single shooting from twelve starts: the true valley and side valleys."""
-    true = OSCILLATOR_WATERFALL.with_values({"omega": 1.3})
-    times = np.arange(0.0, 50.0, 0.1)
-    run = simulate_inputs(true, times, inputs={}, initial={"x": 1.0})
-    noise = 0.02 * np.random.default_rng(0).standard_normal(run.outputs.shape)
-    record = Record("free", times, run.inputs, run.outputs + noise, OSCILLATOR_WATERFALL.channels)
     single = MultipleShooting(
         interval=np.inf, start="near", noise="given", disturbances="none", coloured="never"
     )
-    return Multistart(single, n_starts=12, n_jobs=1).fit(OSCILLATOR_WATERFALL, Dataset((record,)))
+    return Multistart(single, n_starts=12, n_jobs=1).fit(
+        OSCILLATOR.with_values({"omega": 0.8}), data
+    )
 
 
 def test_every_start_is_drawn_and_the_plateau_is_marked(best: Fit) -> None:
@@ -170,6 +155,7 @@ def test_one_start_has_no_waterfall(best: Fit) -> None:
         plot_waterfall(replace(best, attempts=None))
 
 
+KNOWN = {"noise": NOISE, "disturbances": "none"}
 CHI2 = 3.841458820694124
 
 
@@ -186,7 +172,7 @@ def test_linear_parameter_has_the_standard_interval() -> None:
     times = np.linspace(0, 10, 50)
     noise = 0.3 * np.random.default_rng(0).standard_normal(50)
     data = Dataset((Record("line", times, [], 0.5 * times + noise, line.channels),))
-    fit = MultipleShooting(noise=[0.3], coloured="never").fit(line, data)
+    fit = MultipleShooting(noise=[0.3], coloured="never", disturbances="none").fit(line, data)
     found = profile(fit, "slope")
     low, high = fit.interval("slope")
     width = high - low
@@ -214,7 +200,9 @@ def decay_fit(rate: float, seed: int, noise: float = 0.12) -> tuple[Dataset, obj
     rng = np.random.default_rng(seed)
     values = np.exp(-rate * times) + noise * rng.standard_normal(8)
     data = Dataset((Record("decay", times, [], values, DECAY.channels),))
-    return data, MultipleShooting(noise=[noise], coloured="never").fit(DECAY, data)
+    return data, MultipleShooting(noise=[noise], coloured="never", disturbances="none").fit(
+        DECAY, data
+    )
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
@@ -249,7 +237,7 @@ def test_open_end_is_said() -> None:
     assert found.upper_end == "bound"
     assert "not because of the data" in found.report()
     free = fit.model.with_parameter(Parameter("a", fit.values["a"], "1/s", lower=0.0))
-    wide = profile(MultipleShooting(noise=[0.1]).fit(free, fit.dataset), "a")
+    wide = profile(MultipleShooting(noise=[0.1], disturbances="none").fit(free, fit.dataset), "a")
     assert wide.upper_end in ("open", "diverged")
     assert "do not bound it" in wide.report() or "diverges" in wide.report()
     assert not wide.is_bounded
@@ -258,7 +246,7 @@ def test_open_end_is_said() -> None:
 def test_unseen_parameter_is_open_on_both_sides() -> None:
     """What no output depends on may take any value."""
     model = yaw_model(other=Parameter("other", 1.0))
-    fit = MultipleShooting(noise=NOISE, coloured="never").fit(model, yaw_data(0))
+    fit = MultipleShooting(coloured="never", **KNOWN).fit(model, yaw_data(0))
     found = profile(fit, "other")
     assert (found.lower, found.upper) == (-np.inf, np.inf)
     assert found.report().count("do not bound it") == 2
@@ -267,8 +255,8 @@ def test_unseen_parameter_is_open_on_both_sides() -> None:
 def test_coloured_residuals_widen_the_profile() -> None:
     """The threshold grows with the ratio of the sandwich to the white variance."""
     data = yaw_data(1)
-    white = MultipleShooting(noise=NOISE, coloured="never").fit(yaw_model(), data)
-    forced = MultipleShooting(noise=NOISE, coloured="always").fit(yaw_model(), data)
+    white = MultipleShooting(coloured="never", **KNOWN).fit(yaw_model(), data)
+    forced = MultipleShooting(coloured="always", **KNOWN).fit(yaw_model(), data)
     ratio = forced.std_errors["T"] / white.std_errors["T"]
     widths = [found.upper - found.lower for found in (profile(f, "T") for f in (white, forced))]
     assert widths[1] / widths[0] == pytest.approx(ratio, rel=0.03)
@@ -276,7 +264,7 @@ def test_coloured_residuals_widen_the_profile() -> None:
 
 def test_unknown_names_and_levels_are_refused() -> None:
     """The error lists what can be profiled."""
-    fit = MultipleShooting(noise=NOISE).fit(yaw_model(), yaw_data(0))
+    fit = MultipleShooting(**KNOWN).fit(yaw_model(), yaw_data(0))
     with pytest.raises(ModelError, match="K, T, alpha"):
         profile(fit, "gain")
     with pytest.raises(ModelError, match="between 0 and 1"):

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bs4 import BeautifulSoup
+from starter import improved, starter
 
-from oed_sysid import MultipleShooting, compare, improve, load_problem, new_problem
+from oed_sysid import MultipleShooting, compare
 from oed_sysid.design import Search, Trial, design_experiment
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import quick_check
@@ -17,14 +18,10 @@ from oed_sysid.results.page import notebook as html
 
 
 @pytest.fixture(name="story", scope="module")
-def _story(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
+def _story() -> dict[str, object]:
     """One of each object, from the starter folder."""
-    problem = load_problem(new_problem(tmp_path_factory.mktemp("notebook") / "my_ship"))
-    train, test = problem.data().split(test=["turning_circle"])
-    fit = MultipleShooting(noise="given").fit(problem.model, train)
-    found = improve(
-        problem.model, train, test, candidates=problem.effects, known_noise=True, max_effects=1
-    )
+    problem, train, test = starter()
+    fit = MultipleShooting(noise="given", disturbances="none").fit(problem.model, train)
     design = design_experiment(
         problem.model,
         Trial(limits=problem.limits, duration=40.0, sample_time=1.0),
@@ -37,7 +34,7 @@ def _story(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
         "dataset": train,
         "fit": fit,
         "comparison": compare(fit, test),
-        "improvement": found,
+        "improvement": improved(),
         "design": design,
         "check": quick_check(train, problem.model),
     }

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from matplotlib.axes import Axes
 from PIL import Image
+from starter import improved, starter
 from test_design import ship
 from test_sensitivity import oscillator, roll_test
 
@@ -23,11 +24,10 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design import Levels, Search, Trial, design_experiment
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.compare import Comparison, compare
-from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import TurningCircle, ZigZag
-from oed_sysid.experiments.problem import load_problem, new_problem
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import rank_parameters
 from oed_sysid.likelihood.fit import Fit
@@ -403,14 +403,13 @@ HIDDEN = "yaw_quadratic_damping"
 
 
 @pytest.fixture(name="story", scope="module")
-def _story(tmp_path_factory) -> tuple[Improvement, Comparison, Dataset]:
+def _story() -> tuple[Improvement, Comparison, Dataset]:
     """The starter problem improved, compared on its circle, with its training records."""
-    problem = load_problem(new_problem(tmp_path_factory.mktemp("report") / "my_ship"))
-    train, test = problem.data().split(test=["turning_circle"])
-    found = improve(problem.model, train, test, candidates=problem.effects, known_noise=True)
+    (problem, train, test), found = starter(), improved()
+    estimator = MultipleShooting(disturbances="none")
     fits = {
-        "nominal": MultipleShooting().fit(problem.model, train),
-        "improved": MultipleShooting().fit(found.model, train),
+        "nominal": estimator.fit(problem.model, train),
+        "improved": estimator.fit(found.model, train),
     }
     return found, compare(fits, test), train
 

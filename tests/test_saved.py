@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 import oed_sysid
 from oed_sysid import Fit, __version__
@@ -292,8 +293,11 @@ def test_what_is_no_file_is_named(tmp_path: Path, name: str, word: str) -> None:
 # -- the command line ------------------------------------------------------------------
 
 
-def test_report_reads_both_kinds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_report_reads_both_kinds(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     """The command report makes a page of a saved fit and of the numbers of --json."""
+    monkeypatch.setattr(Figure, "savefig", lambda *_, **__: None)  # pixels are not the point
     assert main(["report", str(OLD), "--out", str(tmp_path / "full.html")]) == 0
     numbers = SAVED / "fit_json_0_1_0.json"
     assert main(["report", str(numbers), "--out", str(tmp_path / "numbers.html")]) == 0

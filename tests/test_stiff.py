@@ -257,7 +257,7 @@ def test_a_jumping_force_is_noticed(force: str, hangs: bool) -> None:
 def test_the_status_says_so() -> None:
     """A fit that fails on the stairs of a relay names the output, the record and the step."""
     model = relay("sign(x)")
-    fit = MultipleShooting(solver=Solver(max_iterations=3)).fit(
+    fit = MultipleShooting(disturbances="none", solver=Solver(max_iterations=3)).fit(
         model.with_values({"stiffness": 1.3}), shaken(model)
     )
     assert not fit.status.ok

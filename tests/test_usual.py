@@ -276,10 +276,8 @@ def hovercraft_run(hidden: str, seed: int, n_times: int = 300, dt: float = 0.2) 
 HIDDEN = ("wind_by_record", "", "quadratic_N_r", "vane_deadband", "wind", "vane_offset_by_record")
 
 
-@pytest.mark.parametrize(
-    "hidden",
-    ["quadratic_N_r", *slow(*(name for name in HIDDEN if name != "quadratic_N_r"))],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", HIDDEN)
 def test_a_vehicle_that_nobody_prepared(hidden: str) -> None:
     """A hovercraft measured by position and compass: what its log hides is found, and no more."""
     runs = [hovercraft_run(hidden, seed) for seed in range(1, 5)]

@@ -31,9 +31,10 @@ def mapping_of(kind: str) -> str:
     return text
 
 
-def write_log(kind: str, folder: Path) -> Trial:
+def write_log(kind: str, folder: Path, template: Path | None = None) -> Trial:
     """The log of a page, from the records of its template."""
-    trial = Trial.of(load_problem(new_problem(folder / "template", template=kind)).data())
+    template = template or new_problem(folder / "template", template=kind)
+    trial = Trial.of(load_problem(template).data())
     WRITERS[kind](trial, folder)
     return trial
 
@@ -49,7 +50,8 @@ def test_logs_become_the_records_that_they_were(
 ) -> None:
     """Imported with the page's mapping, every run has its samples, and the check finds nothing."""
     monkeypatch.chdir(tmp_path)
-    write_log(kind, tmp_path)
+    folder = new_problem(tmp_path / parse(mapping_of(kind)).problem, template=kind)
+    write_log(kind, tmp_path, folder)
     Path(f"{kind}.toml").write_text(mapping_of(kind))
     command = next(
         line
@@ -58,8 +60,7 @@ def test_logs_become_the_records_that_they_were(
         for line in block.splitlines()
         if "--map" in line
     )
-    folder = tmp_path / parse(mapping_of(kind)).problem
-    problem = load_problem(new_problem(folder, template=kind))
+    problem = load_problem(folder)
     assert main(shlex.split(command)[1:]) == DONE
     records = read_csv(f"my_{kind}/sea", problem.channels)
     for record, original in zip(records, problem.data(), strict=True):

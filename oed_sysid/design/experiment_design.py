@@ -133,7 +133,7 @@ def design_experiment(
     >>> trial = Trial.like(problem.experiment("zigzag_5_5"), problem.limits, duration=20.0)
     >>> quick = Search(n_starts=1, n_candidates=5, n_steps=2)
     >>> found = design_experiment(
-    ...     problem.model, trial, rng=np.random.default_rng(0), search=quick
+    ...     problem.model, trial, rng=np.random.default_rng(0), search=quick, caution=None
     ... )
     >>> found.experiment.duration
     20.0

@@ -106,10 +106,10 @@ class LiveParameters:
     Examples
     --------
     >>> live = LiveParameters(["K", "T"], units={"K": "1/s", "T": "s"})
-    >>> for k in range(1, 40):
+    >>> for k in range(1, 5):
     ...     live.update(1.5 * k, {"K": 0.2, "T": 15.0}, {"K": 0.1 / k, "T": 8.0 / k})
     >>> live.n_samples, live.figure.axes[1].get_ylabel()
-    (39, '$T$ [s]')
+    (4, '$T$ [s]')
     """
 
     def __init__(
