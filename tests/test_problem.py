@@ -173,7 +173,7 @@ def test_variant_by_load_problem(tmp_path: Path) -> None:
     [
         ({"effects": (DRAG, DRAG)}, "two candidates called 'drag'"),
         ({"effects": (Sensor("s", {"q": "q"}, ()),)}, "candidate 's' does not fit"),
-        ({"truth": {"L": 1.0}}, "truth of 'L'"),
+        ({"truth": {"L": 1.0}}, "parameter 'L'"),
         ({"limits": Limits(signals={"depth": (0, 1)})}, "'depth'"),
         ({"experiments": {"a": Experiment("a", duration=1.0)}}, "nothing about the input"),
         ({"models": {"default": MODEL.with_values({"K": 1.0})}}, "two default models"),

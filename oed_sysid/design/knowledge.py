@@ -145,6 +145,10 @@ class ExpectedInformation:
         # The levels belong to the model, so that reports and cards state them.
         model = with_levels(model, sigma)
         prior = knowledge.before(given, model)
+        if hasattr(criterion, "bind_shifts"):
+            raise DesignError(
+                "A criterion has no bind_shifts. Write bind(Setting(..., shifts=...))."
+            )
         shifts = criterion.shifts(model) if isinstance(criterion, ByShifts) else None
         n = len(_shared(model))
         before = np.zeros((n if shifts is None else n + len(shifts),) * 2)

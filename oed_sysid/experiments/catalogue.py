@@ -81,15 +81,14 @@ def _find(name_or_folder: str | Path) -> Path:
     if folder is not None and str(name_or_folder) in shipped:
         return folder / str(name_or_folder) / FILE
     path = Path(name_or_folder).expanduser()
+    for file in (path, path / FILE):
+        if file.is_file() and file.suffix == ".py":
+            return file
     if path.is_file():
-        if path.suffix == ".py":
-            return path
         raise ProblemError(
             f"{path} is a file. Give the folder that holds {FILE}; data is read with "
             "oed_sysid.read_csv(path, problem.channels)."
         )
-    if (path / FILE).is_file():
-        return path / FILE
     if path.is_dir():
         found = ", ".join(sorted(entry.name for entry in path.iterdir())[:8]) or "nothing"
         raise ProblemError(

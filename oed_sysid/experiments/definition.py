@@ -20,12 +20,13 @@ import re
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import KW_ONLY, dataclass, field, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import OedSysidError, ProblemError, closest, located
+from oed_sysid.errors import OedSysidError, ProblemError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Channels, settle
@@ -188,16 +189,11 @@ class Problem:
 
     def _check_truth(self) -> None:
         """Refuse true values of parameters that there are not, or beyond their bounds."""
-        models = self.models.values()
-        everything = [p for owner in models for p in owner.all_parameters]
-        everything += [p for effect in self.effects for p in effect.parameters]
-        known = dict.fromkeys(p.name for p in everything)
-        truth = self.truth or {}
-        if unknown := [name for name in truth if name not in known]:
-            raise ProblemError(
-                f"Problem {self.name!r} states the truth of {unknown[0]!r}, which is a parameter "
-                f"of none of its models and candidates.{closest(unknown[0], known)}"
-            )
+        own = (owner.all_parameters for owner in self.models.values())
+        everything = [*chain(*own, *(effect.parameters for effect in self.effects))]
+        known, truth = [p.name for p in everything], self.truth or {}
+        lacking = f"Problem {self.name!r} has neither model nor candidate with the parameter"
+        located(ProblemError, lacking, truth, dict.fromkeys(known), "Correct its truth.")
         for parameter in everything:
             true = truth.get(parameter.name)
             if true is not None and not parameter.lower <= true <= parameter.upper:

@@ -178,8 +178,7 @@ def input_array(
     """Return inputs as an array ``(n_times, n_inputs)``, or raise."""
     names = model.input_names
     if isinstance(inputs, Mapping):
-        unknown, missing = set(inputs) - set(names), set(names) - set(inputs)
-        if unknown or missing:
+        if set(inputs) != set(names):
             raise SimulationError(
                 f"Model {model.name!r} has the inputs {', '.join(names) or 'none'}; got "
                 f"{', '.join(inputs) or 'none'}. Give a value or an array for each."
@@ -188,7 +187,7 @@ def input_array(
         commands = np.column_stack([np.empty((n_times, 0)), *columns])
     else:
         commands = np.asarray(inputs, dtype=float)
-        if commands.ndim == 1 and commands.size == n_times * len(names) and len(names) < 2:
+        if commands.shape == (n_times * len(names),) and len(names) < 2:
             commands = commands.reshape(n_times, len(names))
     if commands.shape != (n_times, len(names)):
         raise SimulationError(

@@ -6,6 +6,7 @@ Structural identifiability: what no manoeuvre and no accuracy could separate.
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -531,21 +532,20 @@ def structural_identifiability(
     if missing := [name for name in model.input_names if name not in inputs]:
         raise DesignError(f"The input {missing[0]!r} has no range. Give inputs={{...}} for all.")
     names = tuple(p.name for p in model.free_parameters if not p.per_record)
-    found = []
-    for _ in range(n_points):
-        drawn = _draw(model, rng, spread)
-        told: RunInformation | None = None
-        factors = []
+    times = np.arange(0.0, duration + 0.5 * sample_time, sample_time)
+
+    def at_random_values() -> Information | None:
+        """Information of random runs at random values; None where none stays finite."""
+        drawn, factors = _draw(model, rng, spread), []
         for _ in range(n_runs):
-            play = _random_play(drawn, inputs, rng, duration, sample_time, initial or {})
-            try:
+            play = _random_play(drawn, inputs, rng, times, initial or {})
+            with suppress(SimulationError):
                 spans = np.ptp(respond(drawn, play).outputs, axis=0)
-            except SimulationError:
-                continue
-            told = RunInformation(drawn, np.where(spans > 0, spans, 1.0), start)
-            factors.append(told.factor(play))
-        if told is not None:
-            found.append(told.joint(factors, None))
+                told = RunInformation(drawn, np.where(spans > 0, spans, 1.0), start)
+                factors.append(told.factor(play))
+        return told.joint(factors, None) if factors else None
+
+    found = [*filter(None, (at_random_values() for _ in range(n_points)))]
     if not found:
         raise DesignError(
             f"No random run of model {model.name!r} stays finite. Make the ranges of the inputs "
@@ -577,11 +577,9 @@ def _random_play(
     model: Model,
     inputs: Mapping[str, tuple[float, float]],
     rng: np.random.Generator,
-    duration: float,
-    sample_time: float,
+    times: np.ndarray,
     initial: Mapping[str, float],
 ) -> Play:
-    times = np.arange(0.0, duration + 0.5 * sample_time, sample_time)
     commands = np.empty((len(times), len(model.inputs)))
     for column, name in enumerate(model.input_names):
         hold = max(1, int(rng.uniform(0.02, 0.15) * len(times)))

@@ -56,19 +56,17 @@ def noise_of(
         If a level is missing or not positive.
     """
     names = model.output_names
-    stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
-    if isinstance(levels, Mapping):
-        located(DesignError, f"Model {model.name!r} has no output", levels, names)
-        stds |= levels
-    elif levels is not None:
+    if levels is not None and not isinstance(levels, Mapping):
         given = np.asarray(levels, dtype=float)
         if given.shape != (len(names),):
             raise DesignError(
                 f"There are {given.size} noise levels for the outputs {', '.join(names)}. "
                 "Give one each."
             )
-        stds = dict(zip(names, map(float, given), strict=True))
-    stds |= dict(changed or {})
+        levels = dict(zip(names, given.tolist(), strict=True))
+    located(DesignError, f"Model {model.name!r} has no output", levels or {}, names)
+    stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
+    stds |= {**(levels or {}), **(changed or {})}
     for name, std in stds.items():
         if std is None or not (np.isfinite(std) and std > 0):
             raise DesignError(
@@ -134,12 +132,11 @@ def sea_noise(
     white = noise_of(model)
     word, given = _understood(sea)
     wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
-    lasting = given.pop("time", time)
+    sample = max((run.sample_time for run in runs), default=0.0)
+    usual = max(USUAL_TIME, _SHORTEST * sample) if time is None else time
+    lasting = given.pop("time", usual)
     if wave is not None:
         lasting = wave / (2.0 * np.pi)
-    if lasting is None:
-        sample = max((run.sample_time for run in runs), default=0.0)
-        lasting = max(USUAL_TIME, _SHORTEST * sample)
     if not lasting > 0 or any(level < 0 for level in given.values()):
         raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")
     if word is not None and given:

@@ -209,24 +209,18 @@ def rank_parameters(
     information = expected.joint(factors, priors)
     wanted = tuple(signals) if signals is not None else model.output_names
     base = [_signals(model, play, wanted) for play in played]
-    alone = np.linalg.norm(information.factor / information.scales, axis=0)
-    errors = information.std_errors
+    with np.errstate(divide="ignore"):
+        alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
     rows = []
-    for index, name in enumerate(information.names):
+    for name, *errors in zip(information.names, alone, information.std_errors, strict=True):
         parameter = model.parameter(name)
         size = parameter.reference
         changed = model.with_values({name: parameter.value + change * (parameter.value or size)})
-        new = [_signals(changed, play, wanted) for play in played]
-        total, peaks = _indices(base, new)
+        total, peaks = _indices(base, [_signals(changed, play, wanted) for play in played])
+        one, together = (float(error / size) for error in errors)
         rows.append(
             Sensitivity(
-                name=name,
-                unit=parameter.unit,
-                value=parameter.value,
-                output_change=total,
-                peak_change=peaks / abs(change),
-                error_alone=float(1 / alone[index] / size) if alone[index] > 0 else float("inf"),
-                error=float(errors[index] / size),
+                name, parameter.unit, parameter.value, total, peaks / abs(change), one, together
             )
         )
     rows.sort(key=lambda row: row.error)
@@ -234,14 +228,15 @@ def rank_parameters(
     moved = np.vstack(
         [np.hstack([_signals(model, play, model.state_names), play.inputs]) for play in played]
     )
-    together = identifiable_subset(
+    known = {p.name: p.prior_spread for p in model.free_parameters if p.prior_spread}
+    subset = identifiable_subset(
         expected.joint(factors, None),
         model.values,
-        assumed={p.name: p.prior_spread for p in model.free_parameters if p.prior_spread},
+        assumed=known,
         motions=dict(zip((*model.state_names, *model.input_names), moved.T, strict=True)),
     )
     return SensitivityRanking(
-        tuple(rows), change, wanted, tuple(play.name for play in played), information, together
+        tuple(rows), change, wanted, tuple(play.name for play in played), information, subset
     )
 
 

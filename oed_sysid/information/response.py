@@ -289,18 +289,16 @@ class Innovations:
         rows = swept.rows[seen][:, :n_columns]
         if changes is None or swept.gains is None:
             return rows, nominal.outputs
-        roots = np.sqrt(swept.variances[seen])
-        moved = np.empty((len(rows), changes.shape[2]))
-        for position in range(changes.shape[2]):
-            change = changes[:, :, position]
+        roots, moved = np.sqrt(swept.variances[seen]), []
+        for change in np.moveaxis(changes, 2, 0):
             # Small, so that the filter stays on the nominal trajectory, where it is linear.
             share = TANGENT / max(float(np.abs(change / white).max()), 1.0)
             innovations, _ = kernel.replay(
                 *run, measured + share * change, random, swept.gains, longest_step=held
             )
             # A model that had the change would lower the innovations by it.
-            moved[:, position] = -innovations[seen] / share / roots
-        return np.hstack([rows, moved]), nominal.outputs
+            moved.append(-innovations[seen] / share / roots)
+        return np.column_stack([rows, *moved]), nominal.outputs
 
 
 def expected_noise(

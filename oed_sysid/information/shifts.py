@@ -22,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 
 import numpy as np
 
@@ -127,16 +128,22 @@ class Shifts:
             else _of_effect(nominal, wide, runner, rival, size)
             for rival in rivals
         ]
+        return cls._joined(parts)
+
+    @classmethod
+    def _joined(cls, parts: Sequence[Shifts]) -> Shifts:
+        """Shifts of one effect or model each, beside one another."""
         first = np.cumsum([0, *map(len, parts)])
+        groups = [
+            replace(one, columns=one.columns + begin)
+            for part, begin in zip(parts, first, strict=False)
+            for one in part.groups
+        ]
         return cls(
-            tuple(model for part in parts for model in part.models),
-            tuple(runner for part in parts for runner in part.kernels),
-            np.concatenate([part.factors for part in parts]),
-            tuple(
-                replace(part.groups[0], columns=part.groups[0].columns + begin)
-                for part, begin in zip(parts, first, strict=False)
-            ),
-        )
+            tuple(chain.from_iterable(part.models for part in parts)),
+            tuple(chain.from_iterable(part.kernels for part in parts)),
+            np.concatenate([part.factors for part in parts]), tuple(groups),
+        )  # fmt: skip
 
     def columns(self, play: Play, outputs: np.ndarray) -> np.ndarray:
         """Changes of the outputs in one run, ``(n_times, n_outputs, n_columns)``.
@@ -192,12 +199,16 @@ def _of_effect(nominal: Model, wide: Model, runner: Kernel, effect: Effect, size
     models = [
         base.with_values(shapes | {n: share * value for n, value in part.items()}) for part in parts
     ]
-    n = len(parts)
-    given = np.array([float(p.value != 0) for p in effect.parameters if p.name in sizes])
-    weight = np.outer(given, given) if given.any() and n > 1 else np.eye(n) / n
-    freedom = len(sizes) + len(effect.shape_names)
-    group = Group(effect.name, np.arange(n), weight, freedom, sizes)
+    n, freedom = len(parts), len(sizes) + len(effect.shape_names)
+    group = Group(effect.name, np.arange(n), _weight(effect, n), freedom, sizes)
     return Shifts(tuple(models), (runner,) * n, np.full(n, 1.0 / share), (group,))
+
+
+def _weight(effect: Effect, n: int) -> np.ndarray:
+    """Products of amplitudes that are known, else the mean over directions, ``(n, n)``."""
+    amplitudes = [p for p in effect.parameters if p.name in effect.amplitude_names]
+    given = np.array([float(p.value != 0) for p in amplitudes])
+    return np.outer(given, given) if given.any() and n > 1 else np.eye(n) / n
 
 
 def two_sided(effect: Effect) -> bool:

@@ -34,6 +34,7 @@ from scipy.special import ndtri
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError, located
+from oed_sysid.experiments.base import finite, positive
 from oed_sysid.likelihood.captive import CaptiveTests
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import first_state
@@ -404,15 +405,11 @@ class _Judge:
     power: float
 
     def __post_init__(self) -> None:
-        horizon, floor, power = self.horizon, self.floor, self.power
-        if not (math.isfinite(horizon) and horizon > 0):
-            raise ModelError(f"horizon is {horizon}. Give seconds above zero.")
-        if not (math.isfinite(floor) and floor >= 0):
-            raise ModelError(f"floor is {floor}. Give a share, such as 0.015, or zero.")
-        if not (math.isfinite(power) and power > 0):
-            raise ModelError(
-                f"power is {power}. Give a number above zero: weights are the score to minus it."
-            )
+        owner = "The average of structures"
+        positive(owner, "horizon", self.horizon, "Give seconds.")
+        positive(owner, "power", self.power, "Weights are the score to minus it.")
+        if finite(owner, "floor", self.floor) < 0:
+            raise ModelError(f"floor is {self.floor}. Give a share, such as 0.015, or zero.")
 
     @cached_property
     def spread(self) -> np.ndarray:

@@ -14,6 +14,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from oed_sysid.errors import DataError, ModelError, SimulationError
+from oed_sysid.experiments.base import above_zero, optional, positive
 from oed_sysid.experiments.indices import TurningIndices, turning_indices
 from oed_sysid.experiments.manoeuvres import TurningCircle
 from oed_sysid.experiments.simulation import equilibrium, simulate_batch
@@ -264,7 +265,7 @@ def turning_circle(
         TurningCircle(steered, sign * rudder - trim, rate=rate, neutral=trim)
         for sign in (1.0, -1.0)
     ]
-    turns = _turns(tracked, orders, table, start, wanted)
+    turns = _Turner(tracked, table, start).turns(orders, wanted)
     unfinished = {name: sum(one is None for one in members) for name, members in turns.items()}
     empty = dict.fromkeys(QUANTITIES, math.nan)
     known = {name: [one or empty for one in members] for name, members in turns.items()}
@@ -276,36 +277,6 @@ def turning_circle(
         },
         unfinished, trim, "" if fit is None else fit.caveat, tuple(notes),
     )  # fmt: skip
-
-
-def _turns(
-    model: Model,
-    orders: Sequence[TurningCircle],
-    table: np.ndarray,
-    start: Mapping[str, float],
-    wanted: Sequence[str],
-) -> dict[str, list[dict[str, float] | None]]:
-    """Quantities of all parameter sets by the side that is reached, of the wanted ones."""
-    turns: dict[str, list[dict[str, float] | None]] = {}
-    for order in orders:
-        times, paths = _turn(model, order, table[:1], start)
-        reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
-        if reached not in wanted or reached in turns:
-            continue
-        if len(table) > 1:
-            # Slower draws need longer than the fitted values do.
-            times, paths = _paths(model, order, 1.5 * times[-1], table, start)
-        turns[reached] = [_quantities(times, path) for path in paths]
-        if turns[reached][0] is None:
-            raise SimulationError(
-                f"Model {model.name!r} does not turn by 180 degrees to {reached}."
-            )
-    if missing := [name for name in wanted if name not in turns]:
-        raise ModelError(
-            f"Model {model.name!r} turns to the same side with either rudder; nothing turns it to "
-            f"{missing[0]}. Check the sign and the size of its rudder force."
-        )
-    return turns
 
 
 def _check(
@@ -322,19 +293,18 @@ def _check(
         raise ModelError(f"side is {wanted[0]!r}. Choose starboard, port or both.")
     if approach not in ("neutral", "amidships"):
         raise ModelError(f"approach is {approach!r}. Choose neutral or amidships.")
-    if not speed > 0 or not rudder > 0:
-        raise ModelError(f"speed is {speed} and rudder {rudder}; both have to be above zero.")
-    if not math.isfinite(speed):
-        raise ModelError(f"speed is {speed}. Give the approach speed in m/s.")
+    owner = "The turning circle"
+    positive(owner, "speed", speed, "Give the approach speed in m/s.")
+    positive(owner, "rudder", rudder)
     if rudder > math.pi / 2:
         raise ModelError(
             f"rudder is {rudder:g}, an angle in rad of at most a quarter of a turn. If these are "
             f"degrees, give math.radians({rudder:g}), which is {math.radians(rudder):.2g}."
         )
-    if length is not None and not (length > 0 and math.isfinite(length)):
-        raise ModelError(f"length is {length}. Give the length of the ship in m, or None.")
-    if rate is not None and not rate > 0:
-        raise ModelError(f"rate is {rate}. Give rad/s above zero, or None for a rudder that jumps.")
+    in_metres = above_zero("Give the length of the ship in m, or None.")
+    in_rad = above_zero("Give rad/s, or None for a rudder that jumps.")
+    optional(in_metres)(owner, "length", length)
+    optional(in_rad)(owner, "rate", rate)
     if n_draws < 0:
         raise ModelError(f"n_draws is {n_draws}. Give 0 for none, or their number.")
 
@@ -427,36 +397,62 @@ def _with_track(model: Model, speed: float) -> Model:
     )
 
 
-def _turn(
-    model: Model, order: TurningCircle, table: np.ndarray, start: Mapping[str, float]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate long enough for a turn of one and a half circles, if there is one."""
-    horizon = 100 * model.step
-    for _ in range(12):  # each twice as long, until the heading has changed by TURN
-        times, paths = _paths(model, order, horizon, table, start)
-        if not np.isfinite(paths).all():
-            raise SimulationError(
-                f"Model {model.name!r} diverges in the turn, {order.describe()}. Its terms may "
-                "not hold at this drift and yaw rate: see the range of the records it was fitted "
-                "to."
+@dataclass(frozen=True, eq=False)
+class _Turner:
+    """A model with its track, a table of its parameters, and the start of every turn."""
+
+    model: Model
+    table: np.ndarray
+    start: Mapping[str, float]
+
+    def turns(
+        self, orders: Sequence[TurningCircle], wanted: Sequence[str]
+    ) -> dict[str, list[dict[str, float] | None]]:
+        """Quantities of all parameter sets by the side that is reached, of the wanted ones."""
+        turns: dict[str, list[dict[str, float] | None]] = {}
+        for order in orders:
+            times, paths = self.turned(order)
+            reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
+            if reached not in wanted or reached in turns:
+                continue
+            if len(self.table) > 1:
+                # Slower draws need longer than the fitted values do.
+                times, paths = self.paths(order, 1.5 * times[-1], len(self.table))
+            turns[reached] = [_quantities(times, path) for path in paths]
+            if turns[reached][0] is None:
+                raise SimulationError(
+                    f"Model {self.model.name!r} does not turn by 180 degrees to {reached}."
+                )
+        if missing := [name for name in wanted if name not in turns]:
+            raise ModelError(
+                f"Model {self.model.name!r} turns to the same side with either rudder; nothing "
+                f"turns it to {missing[0]}. Check the sign and the size of its rudder force."
             )
-        if abs(paths[0, -1, 2] - paths[0, 0, 2]) > TURN:
-            break
-        horizon *= 2.0
-    return times, paths
+        return turns
 
+    def turned(self, order: TurningCircle) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate long enough for a turn of one and a half circles, if there is one."""
+        horizon = 100 * self.model.step
+        for _ in range(12):  # each twice as long, until the heading has changed by TURN
+            times, paths = self.paths(order, horizon, 1)
+            if not np.isfinite(paths).all():
+                raise SimulationError(
+                    f"Model {self.model.name!r} diverges in the turn, {order.describe()}. Its "
+                    "terms may not hold at this drift and yaw rate: see the range of the records "
+                    "it was fitted to."
+                )
+            if abs(paths[0, -1, 2] - paths[0, 0, 2]) > TURN:
+                break
+            horizon *= 2.0
+        return times, paths
 
-def _paths(
-    model: Model,
-    order: TurningCircle,
-    duration: float,
-    table: np.ndarray,
-    start: Mapping[str, float],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Simulate each row of a table of parameters, two samples a step."""
-    times = np.arange(0.0, duration, 0.5 * model.step)
-    inputs = {order.input: order.waveform()(times)}
-    return times, simulate_batch(model, times, inputs=inputs, values=table, initials=start)
+    def paths(self, order: TurningCircle, duration: float, n: int) -> tuple[np.ndarray, np.ndarray]:
+        """Simulate the first ``n`` rows of the table, two samples a step."""
+        times = np.arange(0.0, duration, 0.5 * self.model.step)
+        inputs = {order.input: order.waveform()(times)}
+        return times, simulate_batch(
+            self.model, times, inputs=inputs, values=self.table[:n], initials=self.start
+        )
 
 
 def _quantities(times: np.ndarray, path: np.ndarray) -> dict[str, float] | None:

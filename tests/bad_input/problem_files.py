@@ -213,7 +213,7 @@ REFUSED: tuple[tuple[str, str | dict[str, str | bytes], tuple[str, ...]], ...] =
     ("limit of an unknown signal", swap('{"rudder": (-0.6, 0.6)}', '{"fin": (-0.6, 0.6)}'),
      ("'fin'",)),
     ("truth of an unknown parameter", swap('"E_drag": 0.3', '"E_drg": 0.3'),
-     ("truth of 'E_drg'", "Did you mean 'E_drag'")),
+     ("the parameter 'E_drg'", "Did you mean 'E_drag'")),
     ("model of another name as default", swap("    truth=", "    models={'default': model + drag},\n"
                                               "    truth="), ("two default models",)),
     # -- the file, again
