@@ -9,6 +9,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from functools import wraps
+from importlib import import_module
+from types import ModuleType
 from typing import Any, ParamSpec, TypeVar
 
 _Arguments = ParamSpec("_Arguments")
@@ -54,6 +56,21 @@ class PrecisionWarning(UserWarning):
 # -- names that there are not ----------------------------------------------------------
 
 
+# Names that a message lists; of more it says how many.
+_SHOWN = 30
+
+
+def listed(names: Iterable[str]) -> str:
+    """Names in a row, the first thirty of many.
+
+    >>> listed(["psi", "r"]), listed([])
+    ('psi, r', 'none')
+    """
+    every = tuple(names)
+    rest = f" and {len(every) - _SHOWN} more" if len(every) > _SHOWN else ""
+    return (", ".join(every[:_SHOWN]) or "none") + rest
+
+
 def closest(name: str, names: Iterable[str]) -> str:
     """Sentence that suggests the nearest name, empty if none is near."""
     # Letters that differ in size only are the nearest.
@@ -95,10 +112,48 @@ def located(
     places = {name: index for index, name in reversed([*enumerate(there)])}
     for name in (wanted := [*names]):
         if name not in places:
-            has = ", ".join(map(str, there)) or "none"
+            has = listed(map(str, there))
             near, said = closest(str(name), map(str, there)), f" {advice}" if advice else ""
             raise error(f"{lacking} {name!r}. It has {has}.{near}{said}")
     return [places[name] for name in wanted]
+
+
+# -- libraries that need not be there ---------------------------------------------------
+
+
+def library(
+    name: str, what: str, *, extra: str = "logs", error: type[OedSysidError] = DataError
+) -> ModuleType:
+    """Import a module of an optional library, or say what to install.
+
+    Parameters
+    ----------
+    name : str
+        Module, for instance ``"pyulog"``.
+    what : str
+        What needs it, for the message.
+    extra : str
+        Extra of this package that brings it.
+    error : type
+        Of the error where it is not installed.
+
+    Examples
+    --------
+    >>> library("json", "Reading JSON").__name__
+    'json'
+    >>> library("no_such_reader", "Reading a log of Nobody's")
+    Traceback (most recent call last):
+        ...
+    oed_sysid.errors.DataError: Reading a log of Nobody's needs no_such_reader, which is not
+    installed. Run  pip install "oed_sysid[logs]"  and repeat.
+    """
+    try:
+        return import_module(name)
+    except ImportError:
+        raise error(
+            f"{what} needs {name.partition('.')[0]}, which is not installed. Run  "
+            f'pip install "oed_sysid[{extra}]"  and repeat.'
+        ) from None
 
 
 # -- old spellings ---------------------------------------------------------------------

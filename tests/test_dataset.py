@@ -279,7 +279,7 @@ def test_dataset_access() -> None:
     assert [r.name for r in dataset] == ["a", "b", "c"]
     assert len(dataset + Dataset((record("d"),))) == 4
     assert dataset.n_samples == 33
-    with pytest.raises(DataError, match=r"no record 'd'\. The records are a, b, c"):
+    with pytest.raises(DataError, match=r"no record 'd'\. It has a, b, c"):
         dataset["d"]
 
 

@@ -28,10 +28,9 @@ from oed_sysid.baselines import (
 from oed_sysid.baselines.equations import exact_rates, local_cubic, regression_form, rows_of
 from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.baselines.least_squares import TotalLeastSquares, generalised_tls
-from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.support_vectors import train
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import DataError, ModelError, PrecisionWarning
+from oed_sysid.errors import DataError, ModelError, PrecisionWarning, library
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
 from oed_sysid.experiments.problem import load_problem
@@ -309,8 +308,8 @@ def test_shared_parameters_need_a_joint_solution() -> None:
 
 def test_missing_library_says_which_extra_to_install() -> None:
     """An optional library that is absent is reported with the command that installs it."""
-    with pytest.raises(ModelError, match=r"pip install 'oed-sysid\[baselines\]'"):
-        optional("no_such_library_anywhere", "nothing", wanted_by="A test")
+    with pytest.raises(ModelError, match=r'pip install "oed_sysid\[baselines\]"'):
+        library("no_such_library_anywhere", "A test", extra="baselines", error=ModelError)
 
 
 TANKER = load_problem("online_ship")

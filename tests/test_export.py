@@ -419,6 +419,6 @@ def test_saved_fits_are_exported_by_the_command(tmp_path: Path, fit: Fit, capsys
         for line in lines:
             assert Path(line.rpartition(": ")[2]).stat().st_size > 100
     assert main(["export", str(saved), "--as", "fortran"]) == 2
-    assert "Choose one of c, python" in capsys.readouterr().err
+    assert "It has c, python" in capsys.readouterr().err
     assert main(["export", str(saved), "--as", "control", "--at", "delta"]) == 2
     assert "NAME=VALUE" in capsys.readouterr().err

@@ -386,6 +386,10 @@ def test_cuts_by_command_and_by_mode(tmp_path: Path) -> None:
     found = import_log(log, LogMapping(*base, by_commands=CommandCuts(0.05)))
     spans = [(r.times[0], r.times[-1]) for r in found.dataset]
     assert spans == [(45.0, 80.0), (145.0, 175.0)]
+    # Samples in which the rudder stays away are one manoeuvre, whatever separates two.
+    at_once = CommandCuts(0.05, rest=0.0, before=0.0, after=0.0)
+    found = import_log(log, LogMapping(*base, by_commands=at_once))
+    assert [(r.times[0], r.times[-1]) for r in found.dataset] == [(50.0, 70.0), (150.0, 165.0)]
     text = LogMapping(*base).text() + '\n[cut_while]\nfield = "a.mode"\nequals = 4\n'
     (record,) = import_log(log, parse(text)).dataset
     assert (record.times[0], record.times[-1]) == (140.0, 200.0)
@@ -422,7 +426,7 @@ def test_linear_inputs_are_interpolated_and_said() -> None:
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("outputs = 3", "are tables"),
+        ("outputs = 3", "expected a table"),
         ("[outputs.r]\nfeild = 'a.r'", "Did you mean 'field'"),
         ("[outputs.r]\nunit = 'm/s'", "Give either field"),
         ("[outputs.r]\nfield = 'a.r'\nsign = 2", "Choose 1 or -1"),

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from oed_sysid import Channels, Input, Output, Record, load_problem, simulate
+from oed_sysid import Channels, Input, Output, Record, load_problem, read_csv, simulate
 from oed_sysid.cli import main
 from oed_sysid.data.live import Place, samples
 from oed_sysid.errors import DataError
@@ -85,6 +85,21 @@ def test_a_port_gives_what_the_file_gives() -> None:
         assert seen == pytest.approx(record.outputs[row], rel=1e-6, abs=1e-9)
 
 
+def test_lines_are_read_as_the_file_is(tmp_path: Path) -> None:
+    """Other names and signs of a log mean the same sample by sample as in a whole file."""
+    rudder = Input("d", "rad", column="rudder [deg]", sign=-1.0)
+    channels = Channels((rudder,), (Output("r", "rad/s", column="rate"),))
+    log = tmp_path / "log.csv"
+    rows = [f"{500 * k};{k};{2 * k};0" for k in range(8)]
+    log.write_text("\n".join(["t [ms];rudder [deg];rate [deg/s];mode", *rows]) + "\n")
+    found = list(samples(str(log), channels, silence=0.1))
+    record = read_csv(log, channels)[0]
+    assert [t for t, _ in found] == pytest.approx(record.times)
+    assert [one["d"] for _, one in found] == pytest.approx(record.input("d"))
+    assert [one["r"] for _, one in found] == pytest.approx(record.output("r"))
+    assert found[-1][1]["d"] == pytest.approx(-math.radians(7.0))
+
+
 def checked(text: str) -> str:
     """A sentence with its checksum."""
     total = 0
@@ -120,7 +135,7 @@ def test_sentences_are_gathered(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "match"),
     [
-        ("t [s],psi [deg]\n0,1\n", "names no d, r"),
+        ("t [s],psi [deg]\n0,1\n", "no column 'd'"),
         ("", "Nothing came"),
         ("$HEHDT,10.0,T*2F\n", "--map"),
     ],

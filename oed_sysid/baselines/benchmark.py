@@ -280,15 +280,15 @@ def as_markdown(results: Sequence[Row], ours: str = OURS) -> str:
 def verdict_table(found: Sequence[Verdict]) -> list[str]:
     """How many times smaller the error is: one line per problem and estimator."""
     levels = sorted({one.noise for one in found})
-    lines = markdown_row(("problem", "other", *(f"noise {level:g}" for level in levels)))
-    table = [lines, markdown_row(["---"] * (2 + len(levels)))]
     groups: dict[tuple[str, str], dict[float, Verdict]] = {}
     for one in found:
         title = _where(_sampled(one.problem, one.sampling), one.world)
         groups.setdefault((title, one.other), {})[one.noise] = one
-    for (title, other), cells in groups.items():
-        table.append(markdown_row((title, other, *(_ratio(cells.get(x)) for x in levels))))
-    return table
+    table = [
+        (title, other, *(_ratio(cells.get(level)) for level in levels))
+        for (title, other), cells in groups.items()
+    ]
+    return _markdown(("problem", "other", *(f"noise {level:g}" for level in levels)), table)
 
 
 def as_csv(rows: Iterable[Row]) -> str:
@@ -302,9 +302,10 @@ def as_csv(rows: Iterable[Row]) -> str:
     return buffer.getvalue()
 
 
-def markdown_row(cells: Iterable[str]) -> str:
-    """One line of a Markdown table."""
-    return "| " + " | ".join(cells) + " |"
+def _markdown(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
+    """Lines of a Markdown table."""
+    heads = tuple(heads)
+    return [f"| {' | '.join(row)} |" for row in (heads, ["---"] * len(heads), *rows)]
 
 
 def _setting_table(rows: Sequence[Row]) -> list[str]:
@@ -318,8 +319,7 @@ def _setting_table(rows: Sequence[Row]) -> list[str]:
         f"{runs} each; the data determine {first.n_determined} of {first.n_parameters} parameters, "
         f"at best to {_percent(first.bound)} %:"
     )
-    cells = [markdown_row(cell(row) for cell in CELLS.values()) for row in rows]
-    return [title, "", markdown_row(CELLS), markdown_row(["---"] * len(CELLS)), *cells]
+    return [title, "", *_markdown(CELLS, ([cell(row) for cell in CELLS.values()] for row in rows))]
 
 
 def _said(rows: Sequence[Row], word: str, why: Callable[[Row], str]) -> list[str]:

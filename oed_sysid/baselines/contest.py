@@ -18,7 +18,7 @@ from oed_sysid import baselines as methods
 from oed_sysid.baselines.kalman import RELATIVE_PRIOR
 from oed_sysid.baselines.world import IDEAL, world_by_name
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import ModelError, ProblemError, SimulationError, closest
+from oed_sysid.errors import ModelError, ProblemError, SimulationError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
 from oed_sysid.experiments.problem import Problem, load_problem
@@ -91,8 +91,7 @@ class Scenario:
         unit : str
             ``"peak"`` or ``"declared"``.
         """
-        if unit not in UNITS:
-            raise ProblemError(f"The unit of noise is {unit!r}. Choose one of {', '.join(UNITS)}.")
+        located(ProblemError, "Noise has no unit", [unit], UNITS)
         if level < 0:
             raise ProblemError(f"Noise level {level} is negative. Give 0 or more.")
         if unit == "peak":
@@ -306,11 +305,7 @@ def contestant_by_name(name: str) -> Contestant:
     >>> contestant_by_name("output_error").estimator.name
     'output error (single shooting)'
     """
-    if name not in CONTESTANTS:
-        raise ModelError(
-            f"There is no estimator {name!r} in the benchmark. It has {', '.join(CONTESTANTS)}."
-            + closest(name, CONTESTANTS)
-        )
+    located(ModelError, "The benchmark has no estimator", [name], CONTESTANTS)
     return CONTESTANTS[name]
 
 

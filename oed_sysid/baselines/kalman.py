@@ -18,7 +18,7 @@ from oed_sysid.baselines.regression import (
 )
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
@@ -181,12 +181,8 @@ class JointKalmanFilter(Baseline):
             ("drift_std", model.free_names),
             ("parameter_std", model.free_names),
         ):
-            given = getattr(self, setting)
-            unknown = [name for name in given if name not in known and given != LIKELIEST]
-            if unknown:
-                raise ModelError(
-                    f"{setting} names {unknown[0]!r}; model {model.name!r} has {', '.join(known)}."
-                )
+            if (given := getattr(self, setting)) != LIKELIEST:
+                located(ModelError, f"{setting} names", given, known)
         if not model.free_names:
             raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
         check_together(model, "a filter")

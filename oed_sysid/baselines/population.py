@@ -5,8 +5,6 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from importlib import import_module
-from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -19,12 +17,13 @@ from oed_sysid.baselines.regression import (
     Regression,
     are_coloured,
     assumed_levels,
+    positive,
     root_mean_square,
     sandwich,
 )
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import DataError, ModelError
+from oed_sysid.errors import DataError, ModelError, library, located
 from oed_sysid.experiments.trajectory import simulate_batch
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
@@ -32,33 +31,6 @@ from oed_sysid.likelihood.information import Information, coloured_score_covaria
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
-
-
-def optional(module: str, package: str, *, wanted_by: str) -> ModuleType:
-    """Import a module of an optional library, or say which extra installs it.
-
-    Parameters
-    ----------
-    module : str
-        Module to import, for instance ``"sklearn.svm"``.
-    package : str
-        Name under which it is installed.
-    wanted_by : str
-        What needs it, for the message.
-
-    Raises
-    ------
-    ModelError
-        If it is not installed.
-    """
-    try:
-        return import_module(module)
-    except ImportError as error:
-        raise ModelError(
-            f"{wanted_by} needs the optional library {package}, which is not installed ({error}). "
-            "Install it with: pip install 'oed-sysid[baselines]'."
-        ) from error
-
 
 UNFINISHED = Status(
     "iterations",
@@ -110,11 +82,7 @@ class TrajectoryCost:
         self._columns = [model.parameter_names.index(name) for name in model.free_names]
         self.scales = output_scales(model, dataset, scale)
         self.initial = dict(initial or {})
-        if unknown := [name for name in self.initial if name not in model.state_names]:
-            raise ModelError(
-                f"initial names {unknown[0]!r}; model {model.name!r} has the states "
-                f"{', '.join(model.state_names)}."
-            )
+        located(ModelError, "initial names", self.initial, model.state_names)
         self._starts = [first_state(model, record, self.initial) for record in dataset]
         self.n_evaluations = 0
 
@@ -244,16 +212,10 @@ def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, floa
     """Scale of the residuals of each output, see :class:`TrajectoryCost`."""
     names = model.output_names
     if not isinstance(scale, str):
-        missing = [name for name in names if not scale.get(name, 0.0) > 0]
-        if missing:
-            raise ModelError(
-                f"scale gives no positive number for the output(s) {', '.join(missing)}."
-            )
-        return np.array([scale[name] for name in names], dtype=float)
+        return positive(scale, names, "output")
+    check_choice("scale", scale, ("noise", "peak"))
     if scale == "noise":
         return assumed_levels(model, dataset)
-    if scale != "peak":
-        raise ModelError(f"scale is {scale!r}. Choose noise, peak or a number per output.")
     peaks = np.nanmax(np.abs(np.vstack([record.outputs for record in dataset])), axis=0)
     if not np.all(peaks > 0):
         flat = names[int(np.argmin(peaks))]
@@ -501,7 +463,7 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
         return "CMA-ES"
 
     def _search(self, cost: TrajectoryCost) -> Regression:
-        cma = optional("cma", "cma", wanted_by="CovarianceMatrixAdaptation")
+        cma = library("cma", self.name, extra="baselines", error=ModelError)
         options: dict[str, Any] = {
             "bounds": [0.0, 1.0],
             # Zero would mean a seed from the clock.
@@ -548,7 +510,7 @@ class ParticleSwarm(TrajectorySearch):
 
     def _search(self, cost: TrajectoryCost) -> Regression:
         swarm, problems, optimize = (
-            optional(f"pymoo.{part}", "pymoo", wanted_by="ParticleSwarm")
+            library(f"pymoo.{part}", "The particle swarm", extra="baselines", error=ModelError)
             for part in ("algorithms.soo.nonconvex.pso", "core.problem", "optimize")
         )
 

@@ -35,6 +35,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.covariance import sandwich
 from oed_sysid.likelihood.estimate import Posterior, Status
+from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import (
     COLOUR_LIMIT,
@@ -314,7 +315,7 @@ def solve_rows(
     targets = np.where(valid, targets, 0.0)
     regressors = np.where(valid[:, :, None], regressors, 0.0)
     # The first weights are sizes of the targets, as if the parameters were zero.
-    spread = np.sqrt((targets**2).sum(axis=0) / np.maximum(valid.sum(axis=0), 1))
+    spread = root_mean_square(np.where(valid, targets, np.nan))
     levels = np.where(spread > 0, spread, 1.0)
     floor = 1e-10 * levels  # below it errors of an equation are rounding
     numbers = valid.sum(axis=0) if count is None else count
@@ -336,7 +337,7 @@ def solve_rows(
     runs = zip(runs_targets, runs_regressors, strict=True)
     residuals = tuple(target - regressor @ estimates for target, regressor in runs)
     scaled = [residual / levels for residual in residuals]
-    use = coloured == "always" or (coloured == "auto" and are_coloured(scaled))
+    use = coloured == "always" if coloured != "auto" else are_coloured(scaled)
     covariance = information.covariance
     if use:
         ends = np.cumsum([len(target) for target in runs_targets])[:-1]
@@ -446,80 +447,39 @@ class SeparateSolution:
 Solver = Callable[[np.ndarray, np.ndarray, bool], SeparateSolution]
 
 
-@dataclass(frozen=True, eq=False)
-class ScaledEquation:
-    """One equation in scaled units, its constant regressor set apart as the bias.
-
-    Attributes
-    ----------
-    features : ndarray (n_rows, n_features)
-    targets : ndarray (n_rows,)
-    names : tuple of str
-        Parameters of the features.
-    constant : str or None
-        Parameter that the bias stands for.
-    units : ndarray (n_features,)
-        Parameter = coefficient * unit.
-    constant_unit, target_unit : float
-        Constant parameter = bias * constant_unit; target = scaled target * target_unit.
-    """
-
-    features: np.ndarray
-    targets: np.ndarray
-    names: tuple[str, ...]
-    constant: str | None
-    units: np.ndarray
-    constant_unit: float
-    target_unit: float
-
-
-def check_scale(scale: str | Mapping[str, float], equations: tuple[str, ...]) -> None:
-    """Raise :class:`ModelError` for an unknown scaling."""
-    if isinstance(scale, str):
-        if scale not in ("raw", "unit"):
-            raise ModelError(f"scale is {scale!r}. Choose raw, unit or a divisor per equation.")
-        return
-    missing = [name for name in equations if not scale.get(name, 0.0) > 0]
-    if missing:
+def positive(scale: Mapping[str, float], names: Sequence[str], what: str) -> np.ndarray:
+    """Numbers by name in the order of the names; none may be missing, zero or negative."""
+    if missing := [name for name in names if not scale.get(name, 0.0) > 0]:
         raise ModelError(
-            f"scale gives no positive divisor for the equation of {', '.join(missing)}. The "
-            f"equations are those of {', '.join(equations)}."
+            f"scale gives no positive number for the {what} {', '.join(missing)}. Give one for "
+            f"each of {', '.join(names)}."
         )
+    return np.array([scale[name] for name in names], dtype=float)
 
 
-def scaled_equation(rows: Rows, index: int, scale: str | Mapping[str, float]) -> ScaledEquation:
-    """Scale one equation and set its constant regressor apart."""
-    check_scale(scale, rows.form.equations)
-    features, targets, names = rows.equation(index)
-    equation = rows.form.equations[index]
-    if not len(targets):
+def _constant(features: np.ndarray, names: Sequence[str], equation: str) -> int | None:
+    """Which regressor of an equation is a constant, whose parameter its bias stands for."""
+    if not len(features):
         raise ModelError(f"No complete row is left for the equation of {equation}: all are NaN.")
     span, size = np.ptp(features, axis=0), np.abs(features).max(axis=0)
-    is_constant = (span <= 1e-12 * size) & (size > 0)
-    constants = [names[i] for i in np.flatnonzero(is_constant)]
-    if len(constants) > 1:
+    found = np.flatnonzero((span <= 1e-12 * size) & (size > 0)).tolist()
+    if len(found) > 1:
         raise ModelError(
-            f"{', '.join(constants)} are all constant terms of the equation of {equation}. Fix all "
-            "but one."
+            f"{', '.join(names[i] for i in found)} are all constant terms of the equation of "
+            f"{equation}. Fix all but one."
         )
-    level = float(features[0, is_constant][0]) if constants else 1.0
-    kept = features[:, ~is_constant]
-    if scale == "unit":
-        target_unit = float(np.sqrt(np.mean(targets**2))) or 1.0
-        column_units = np.sqrt(np.mean(kept**2, axis=0))
-        column_units[column_units == 0] = 1.0
-    else:
-        target_unit = 1.0 if isinstance(scale, str) else float(scale[equation])
-        column_units = np.full(kept.shape[1], target_unit)
-    return ScaledEquation(
-        features=kept / column_units,
-        targets=targets / target_unit,
-        names=tuple(name for name in names if name not in constants),
-        constant=constants[0] if constants else None,
-        units=target_unit / column_units,
-        constant_unit=target_unit / level,
-        target_unit=target_unit,
-    )
+    return found[0] if found else None
+
+
+def _units(
+    features: np.ndarray, targets: np.ndarray, scale: str | float
+) -> tuple[np.ndarray, float]:
+    """What features ``(n_features,)`` and targets of an equation are divided by."""
+    if scale != "unit":
+        divisor = 1.0 if isinstance(scale, str) else float(scale)
+        return np.full(features.shape[1], divisor), divisor
+    sizes = np.sqrt(np.mean(features**2, axis=0))
+    return np.where(sizes == 0, 1.0, sizes), float(np.sqrt(np.mean(targets**2))) or 1.0
 
 
 def separate(
@@ -537,35 +497,46 @@ def separate(
         ``extras``: ``bias`` and whatever the solver tells, by the state of the equation, and
         ``history``, the value of each parameter after every row, of recursive solvers.
     """
-    history: dict[str, np.ndarray] = {}
+    equations, history = rows.form.equations, dict[str, np.ndarray]()
+    if isinstance(scale, str):
+        check_choice("scale", scale, ("raw", "unit"))
+        scales: Any = [scale] * len(equations)
+    else:
+        scales = positive(scale, equations, "equation of")
 
     def solve(index: int) -> EquationSolution:
-        part = scaled_equation(rows, index, scale)
-        with_bias = bias or part.constant is not None
-        solution = solver(part.features, part.targets, with_bias)
-        block, coloured = equation_covariance(part, solution, with_bias)
+        features, targets, names = rows.equation(index)
+        constant = _constant(features, names, equations[index])
+        order = [i for i in range(len(names)) if i != constant]
+        sizes, divisor = _units(features[:, order], targets, scales[index])
+        scaled, aims = features[:, order] / sizes, targets / divisor
+        with_bias = bias or constant is not None
+        solution = solver(scaled, aims, with_bias)
+        block, coloured = solution_covariance(scaled, aims, solution, with_bias)
         # Coefficients and the bias, which stands for the constant parameter where there is one.
-        names = [*part.names, part.constant] if part.constant else list(part.names)
-        n, units = len(names), np.append(part.units, part.constant_unit)
+        level = 1.0 if constant is None else float(features[0, constant])
+        order += [] if constant is None else [constant]
+        n, units = len(order), np.append(divisor / sizes, divisor / level)
+        owners = [names[i] for i in order]
         values = (np.append(solution.coefficients, solution.bias) * units)[:n]
         if solution.track is not None:
-            history.update(zip(names, (solution.track * units).T, strict=False))
-        facts = {"bias": solution.bias * part.target_unit, **solution.facts}
+            history.update(zip(owners, (solution.track * units).T, strict=False))
+        facts = {"bias": solution.bias * divisor, **solution.facts}
         covariance = (block * units[:, None] * units)[:n, :n]
-        return EquationSolution(names, values, covariance, coloured, facts)
+        return EquationSolution(owners, values, covariance, coloured, facts)
 
     found = each_equation(rows, solve)
     return replace(found, facts={**found.facts, "history": history}) if history else found
 
 
-def equation_covariance(
-    part: ScaledEquation, solution: SeparateSolution, with_bias: bool
+def solution_covariance(
+    features: np.ndarray, targets: np.ndarray, solution: SeparateSolution, with_bias: bool
 ) -> tuple[np.ndarray, bool]:
     """Covariance of ``[coefficients, bias]`` in scaled units, and whether errors are coloured."""
-    n, n_features = part.features.shape
-    matrix = np.hstack([part.features, np.full((n, 1), float(with_bias))])
+    n, n_features = features.shape
+    matrix = np.hstack([features, np.full((n, 1), float(with_bias))])
     weights = np.ones(n) if solution.weights is None else solution.weights
-    errors = part.targets - part.features @ solution.coefficients - solution.bias
+    errors = targets - features @ solution.coefficients - solution.bias
     # Rows that were forgotten count for less than one degree of freedom.
     freedom = max(float(weights.sum()) - n_features - with_bias, 1.0)
     variance = float(weights @ errors**2) / freedom

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
-from oed_sysid.baselines.population import optional
 from oed_sysid.baselines.regression import (
     Regression,
     RegressionEstimator,
@@ -17,7 +16,7 @@ from oed_sysid.baselines.regression import (
     column_norms,
     separate,
 )
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, library
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
 
@@ -339,7 +338,7 @@ class SupportVectorRegression(RegressionEstimator):
         return f"support vector regression (C {self.C:g}, epsilon {self.epsilon:g})"
 
     def _solve(self, rows: Rows) -> Regression:
-        svm = optional("sklearn.svm", "scikit-learn", wanted_by="SupportVectorRegression")
+        svm = library("sklearn.svm", self.name, extra="baselines", error=ModelError)
         unfinished: list[int] = []
 
         def solve(features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:

@@ -24,7 +24,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from oed_sysid.data.record import Record
-from oed_sysid.errors import ProblemError, closest
+from oed_sysid.errors import ProblemError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import Place, with_disturbance_inputs
@@ -318,8 +318,5 @@ def world_by_name(name: str) -> World:
     >>> world_by_name("forces_5").forces
     0.05
     """
-    if name not in WORLDS:
-        raise ProblemError(
-            f"There is no world {name!r}. There are {', '.join(WORLDS)}.{closest(name, WORLDS)}"
-        )
+    located(ProblemError, "The benchmark has no world", [name], WORLDS)
     return WORLDS[name]

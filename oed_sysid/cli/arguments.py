@@ -60,19 +60,19 @@ def spread(
     >>> spread(["ship", "--train", "a.csv", "b.csv", "--test", "c.csv"], ["--validate"], OLDER)
     ['ship', 'a.csv', 'b.csv', '--validate', 'c.csv']
     """
-    several, named = set(options), older or {}
+    several = set(options)
+    named = {old: new for old, new in (older or {}).items() if old not in several}
     result: list[str] = []
     option, has_value = "", False
     for position, argument in enumerate(arguments):
         if argument == "--":
             return result + list(arguments[position:])
         word, equals, value = argument.partition("=")
-        if word in named and word not in several:
-            if not named[word]:  # files after an older word stand alone
-                option = ""
-                result += [value] if equals else []
-                continue
-            argument = named[word] + equals + value
+        if named.get(word) == "":  # files after an older word stand alone
+            option = ""
+            result += [value] if equals else []
+            continue
+        argument = named.get(word, word) + equals + value
         if argument.startswith("-") and len(argument) > 1:
             # An option without a value stays alone, for the parser to complain about.
             option, has_value = argument if argument in several else "", False

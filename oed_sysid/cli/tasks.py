@@ -19,7 +19,7 @@ import oed_sysid
 from oed_sysid.cli import DONE, INTERRUPTED, NO_RESULT, SUSPECT
 from oed_sysid.cli.study import Outcome, Study, Task
 from oed_sysid.cli.terminal import Shown, invocation
-from oed_sysid.errors import DataError, DesignError, FileError, ProblemError
+from oed_sysid.errors import DataError, DesignError, FileError, ProblemError, located
 from oed_sysid.runtime.display import Figure
 from oed_sysid.runtime.files import make_folder, write_text
 
@@ -444,10 +444,7 @@ class Assumed:
     def measured(self, model: Model) -> Model:
         """The model with these standard deviations of its outputs."""
         levels = numbers("--noise", self.noise, "OUTPUT=STD, such as r=0.001")
-        if unknown := [name for name in levels if name not in model.output_names]:
-            raise DesignError(
-                f"--noise names {unknown[0]!r}; outputs are {', '.join(model.output_names)}."
-            )
+        located(DesignError, "--noise: there is no output", levels, model.output_names)
         outputs = (replace(o, noise_std=levels.get(o.name, o.noise_std)) for o in model.outputs)
         return replace(model, outputs=tuple(outputs)) if levels else model
 
@@ -799,14 +796,8 @@ class Played(Files):
             if path is not None:
                 write(path)
                 yield f"Written: {path}"
-        # How surely limits are kept where a run that reacts is played as a table.
-        played = found.experiment.reacts and (self.overrides or self.bag)
-        if played and closed is not None and closed.limited:
-            kept = design.assess_limits(
-                found.model, design.played(found.model, found.experiment), limits=limits, rng=rng,
-                spread=closed.spread, prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
-            )  # fmt: skip
-            yield f"Played as a table, without its feedback: {kept.report()}."
+        if found.experiment.reacts and (self.overrides or self.bag):
+            yield from self._as_table(found, rng)
         rules = None if closed is None else closed.rules
         for kind, place in self._controllers().items():
             servos = self._servos(limits) if kind == "ardupilot" else {}
@@ -814,6 +805,19 @@ class Played(Files):
                 place, found.model, found.experiment, kind, aborts=rules, servos=servos
             )
             yield f"Written: {place}"
+
+    def _as_table(self, found: Design, rng: Any) -> Iterator[str]:
+        """How surely limits are kept where a run that reacts is played as a table."""
+        from oed_sysid import design
+
+        closed = found.assurance
+        if closed is not None and closed.limited:
+            kept = design.assess_limits(
+                found.model, design.played(found.model, found.experiment), rng=rng,
+                limits=found.experiment.limits, spread=closed.spread, prior=found.prior,
+                vehicles=closed.n_checked, sea=found.sea,
+            )  # fmt: skip
+            yield f"Played as a table, without its feedback: {kept.report()}."
 
     def _controllers(self) -> dict[str, Path]:
         """Files of controllers by their kind."""

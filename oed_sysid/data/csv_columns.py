@@ -6,15 +6,16 @@ Words for a column of times that cannot be used: which row, what is wrong, what 
 from __future__ import annotations
 
 import difflib
+import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
 from oed_sysid.data.record import TIME_ADVICE, time_fault, wrap_fault
-from oed_sysid.errors import DataError, UnitWarning, closest
+from oed_sysid.errors import DataError, UnitWarning, closest, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import Table, time_stamp
 from oed_sysid.text.units import (
@@ -88,33 +89,34 @@ class Columns:
     @property
     def found(self) -> str:
         """Sentence that lists the headers, for messages."""
-        shown = ", ".join(repr(header) for header in self.table.headers[:30])
-        rest = len(self.table.headers) - 30
-        return f"Columns found: {shown}{f' and {rest} more' if rest > 0 else ''}."
+        return f"Columns found: {listed(map(repr, self.table.headers))}."
 
     def times(self, time: str | None) -> np.ndarray:
         """Return the times in s, shape ``(n_rows,)``, checked to increase."""
+        index = self.time_column(time)
+        times = self._times(index)
+        complaint = time_complaint(self.table, index, times)
+        if complaint is not None:
+            raise DataError(complaint)
+        return times
+
+    def time_column(self, time: str | None = None) -> int:
+        """Position of the column of times: of the header or name given, or called as usual."""
         wanted = TIME_NAMES if time is None else (time,)
-        matches = [
-            index
-            for index, (header, (name, _)) in enumerate(
-                zip(self.table.headers, self.parsed, strict=True)
-            )
-            if header in wanted or name in wanted or (time is None and name.lower() in wanted)
-        ]
+        names = [name for name, _ in self.parsed]
+        # A name that was given is meant to the letter.
+        meant = names if time is not None else [name.lower() for name in names]
+        ways = enumerate(zip(self.table.headers, names, meant, strict=True))
+        matches = [index for index, way in ways if not {*way}.isdisjoint(wanted)]
         if len(matches) > 1:  # a thrust T beside a time t
-            matches = [i for i in matches if self.parsed[i][0] in wanted] or matches
+            matches = [index for index in matches if names[index] in wanted] or matches
         if len(matches) != 1:
             what = "no" if not matches else "more than one"
             raise DataError(
                 f"{self.path.name} has {what} time column. {self.found} Call it 't [s]' in the "
                 "header, or, in Python, name it with time=..."
             )
-        times = self._times(matches[0])
-        complaint = time_complaint(self.table, matches[0], times)
-        if complaint is not None:
-            raise DataError(complaint)
-        return times
+        return matches[0]
 
     def _times(self, index: int) -> np.ndarray:
         """Times in s as they are, or since the first row where the log counts from elsewhere."""
@@ -142,18 +144,8 @@ class Columns:
 
     def _check_seconds(self, index: int, times: np.ndarray, unit: str) -> None:
         """Refuse, or note, times that are no seconds of one clock."""
-        header, first = self.table.headers[index], self.table.values[0, index]
         if unit == "s":
-            self._check_count(index, first)
-        step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
-        for low, high, origin in DAYS:
-            if unit == "s" and low < first < high and 0.0 < step < 0.01 and times[-1] < high:
-                moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
-                raise DataError(
-                    f"{self._where(index)} starts at {first:.12g} and steps by "
-                    f"{step:.3g}: it seems to count days ({moment:%Y-%m-%d %H:%M}). Write seconds "
-                    f"since the first row, 86400*({header} - {first:.12g})."
-                )
+            self._check_count(index, times)
         jumps = np.flatnonzero(np.diff(times) > 3652.5 * DAY)
         if jumps.size:
             row = int(jumps[0]) + 1
@@ -161,29 +153,37 @@ class Columns:
                 f"Row {self.table.row_numbers[row]} of {self.path.name}: time "
                 f"{self._cell(row, index)} after {self._cell(row - 1, index)} is "
                 f"{(times[row] - times[row - 1]) / (365.25 * DAY):.0f} years later: the clock was "
-                "set. "
-                "Cut the log there, and read both parts."
+                "set. Cut the log there, and read both parts."
             )
+        step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
         if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
             self._suspect_unit(
                 f"{self._where(index)} steps by {step:.4g} s. If it is in "
                 f"milliseconds, write the header as 't [ms]'."
             )
 
-    def _check_count(self, index: int, first: float) -> None:
-        """Refuse numbers under seconds that are digits of a clock, or count from 1970."""
+    def _check_count(self, index: int, times: np.ndarray) -> None:
+        """Refuse numbers under seconds that are digits of a clock, days, or count from 1970."""
+        first, where = self.table.values[0, index], self._where(index)
         if _clock_of_digits(self.table.values[:, index]):
             raise DataError(
-                f"{self._where(index)} starts at {first:.14g} and goes on like a date or a clock "
-                "in digits, not like seconds. Write seconds, or ISO times such as "
-                "2024-05-31T12:00:00.5Z."
+                f"{where} starts at {first:.14g} and goes on like a date or a clock in digits, not "
+                "like seconds. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z."
             )
         for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
             if EPOCH[0] < first * factor < EPOCH[1]:
                 raise DataError(
-                    f"{self._where(index)} starts at {first:.12g}, which is no "
-                    f"time in s but looks like {other} since 1970. Write the header as "
-                    f"'t [{other}]'."
+                    f"{where} starts at {first:.12g}, which is no time in s but looks like {other} "
+                    f"since 1970. Write the header as 't [{other}]'."
+                )
+        step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
+        for low, high, origin in DAYS:
+            if low < first < high and 0.0 < step < 0.01 and times[-1] < high:
+                moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
+                raise DataError(
+                    f"{where} starts at {first:.12g} and steps by {step:.3g}: it seems to count "
+                    f"days ({moment:%Y-%m-%d %H:%M}). Write seconds since the first row, "
+                    f"86400*({self.table.headers[index]} - {first:.12g})."
                 )
 
     def _suspect_unit(self, words: str) -> None:
@@ -201,15 +201,7 @@ class Columns:
 
     def input(self, channel: Input) -> np.ndarray:
         """Return an input in SI, shape ``(n_rows,)``, checked to be known throughout."""
-        index = self._find(channel)
-        if index is None:
-            wanted = channel.column or channel.name
-            names = dict.fromkeys([*(name for name, _ in self.parsed), *self.table.headers])
-            raise DataError(
-                f"{self.path.name} has no column {wanted!r} for input {channel.name!r}. "
-                f"{self.found}{closest(wanted, names)} Rename the header, or set "
-                "Input(column=...) in the problem."
-            )
+        index = self._needed(channel)
         values = self._convert(index, channel)
         bad = np.flatnonzero(~np.isfinite(values))
         if bad.size:
@@ -268,18 +260,13 @@ class Columns:
             for index, (name, _) in enumerate(self.parsed)
             if index not in self._used
         }
-        same = (
-            header
-            for name, header in names.items()
-            if re.split(r"\W", name.lower())[0] == wanted.lower()
-        )
-        found = next(same, next((h for n, h in names.items() if latin(n) == wanted), None))
-        if found is None:
-            lower = {name.lower(): header for name, header in names.items()}
-            # So alike is a slip: psi and phsi, not psi and phi.
-            alike = difflib.get_close_matches(wanted.lower(), list(lower), n=1, cutoff=0.8)
-            found = lower[alike[0]] if alike else None
-        return found
+        for name, header in names.items():
+            if re.split(r"\W", name.lower())[0] == wanted.lower() or latin(name) == wanted:
+                return header
+        lower = {name.lower(): header for name, header in names.items()}
+        # So alike is a slip: psi and phsi, not psi and phi.
+        alike = difflib.get_close_matches(wanted.lower(), list(lower), n=1, cutoff=0.8)
+        return lower[alike[0]] if alike else None
 
     def say_near(self, channel: Output) -> None:
         """Note a column that may be meant where an output has none; after all were read."""
@@ -296,79 +283,90 @@ class Columns:
         """Column of a channel: by whole header, then by name without unit."""
         wanted = channel.column or channel.name
         bare = parse_header(channel.column)[0] if channel.column else wanted
+        names = [name for name, _ in self.parsed]
         # "psi_deg [deg]" says its unit twice.
         twice = [parse_header(name)[0] if unit else "" for name, unit in self.parsed]
-        names = [name for name, _ in self.parsed]
-        for texts, text in (
-            (self.table.headers, wanted), (names, wanted), (names, bare), (twice, wanted),
-        ):  # fmt: skip
-            matches = [index for index, one in enumerate(texts) if one == text]
-            if len(matches) > 1:
-                headers = " and ".join(repr(self.table.headers[i]) for i in matches)
-                raise DataError(
-                    f"{self.path.name}: {headers} both look like {channel.name!r}. Say "
-                    "which with column=..., as the whole header."
-                )
-            if matches:
-                return matches[0]
-        return None
+        ways = (self.table.headers, wanted), (names, wanted), (names, bare), (twice, wanted)
+        matches = next(filter(None, itertools.starmap(_places, ways)), [])
+        if len(matches) > 1:
+            headers = " and ".join(repr(self.table.headers[i]) for i in matches)
+            raise DataError(
+                f"{self.path.name}: {headers} both look like {channel.name!r}. Say "
+                "which with column=..., as the whole header."
+            )
+        return matches[0] if matches else None
+
+    def _needed(self, channel: Input | Output) -> int:
+        """Column of a channel that has to have one."""
+        if (index := self._find(channel)) is not None:
+            return index
+        wanted, kind = channel.column or channel.name, type(channel).__name__
+        names = dict.fromkeys([*(name for name, _ in self.parsed), *self.table.headers])
+        raise DataError(
+            f"{self.path.name} has no column {wanted!r} for {kind.lower()} {channel.name!r}. "
+            f"{self.found}{closest(wanted, names)} Rename the header, or set "
+            f"{kind}(column=...) in the problem."
+        )
+
+    def place(self, channel: Input | Output) -> tuple[int, str]:
+        """Position and unit of the column of a channel that has to have one."""
+        index = self._needed(channel)
+        return index, self._unit(index, channel)
 
     def _convert(self, index: int, channel: Input | Output) -> np.ndarray:
         """One column in SI, with the sign of the channel; shape ``(n_rows,)``."""
         self._used.add(index)
         if index in self.table.faults:
             raise DataError(self.table.faults[index])
-        header, (name, unit) = self.table.headers[index], self.parsed[index]
-        if header == channel.name:
-            # The channel is called so as a whole: "delta_s" is no delta in seconds.
-            name, unit = header, None
         where = self._where(index)
         if index in self.table.stamps:
             raise DataError(
                 f"{where} holds times of a clock, but channel {channel.name} needs numbers in "
                 f"[{channel.unit}]. Choose another column with column=..."
             )
-        unit = self._unit(channel, header, name, unit)
+        unit = self._unit(index, channel)
         self._check_plausible(index, where)
         values, si_unit = to_si(self.table.values[:, index], unit)
-        self._suspect_size(
-            channel, where, name, unit, si_unit, float(np.nanmax(np.abs(values), initial=0.0))
-        )
+        size = float(np.nanmax(np.abs(values), initial=0.0))
+        self._suspect_size(channel, index, unit, si_unit, size)
         return channel.sign * values
 
-    def _unit(self, channel: Input | Output, header: str, name: str, unit: str | None) -> str:
+    def _named(self, index: int, channel: Input | Output) -> tuple[str, str | None]:
+        """Name of a column and the unit that its header states."""
+        header = self.table.headers[index]
+        # The channel is called so as a whole: "delta_s" is no delta in seconds.
+        return (header, None) if header == channel.name else self.parsed[index]
+
+    def _unit(self, index: int, channel: Input | Output) -> str:
         """Unit of a column, which has to be one that its channel can be given in."""
-        where = f"Column {header!r} of {self.path.name}"
-        needed = dimension(channel.unit)
+        header, (name, stated) = self.table.headers[index], self._named(index, channel)
+        where, needed = self._where(index), dimension(channel.unit)
         if not np.isclose(to_si(1.0, channel.unit)[0], 1.0, rtol=1e-12):
             raise DataError(
                 f"Channel {channel.name!r} is declared in [{channel.unit}]. Channels are SI: "
                 f"declare it in [{to_si(1.0, channel.unit)[1]}]; files may use any unit."
             )
-        suffix = parse_header(name)[1]
-        given = [self.units[key] for key in (channel.name, header, name) if key in self.units]
-        if given:
-            unit = given[0]
-        elif unit is None and needed.is_dimensionless and not needed.radian:
-            unit = "1"
-        elif unit is None:
+        given = (self.units.get(key) for key in (channel.name, header, name))
+        asked = next((unit for unit in given if unit is not None), None)
+        if asked is None and name != channel.name:
+            _check_said_once(where, channel, name, stated)
+        # Nothing is said where nothing has to be: of a ratio.
+        plain = "1" if needed.is_dimensionless and not needed.radian else None
+        unit = next((one for one in (asked, stated, plain) if one is not None), None)
+        if unit is None:
             raise DataError(
                 f"{where} has no unit. Write the header as '{header} [{channel.unit}]', or "
                 f"whichever unit it is in, or, in Python, pass "
                 f"units={{{channel.name!r}: {channel.unit!r}}}."
             )
-        elif name != channel.name and suffix is not None and not same_unit(suffix, unit):
-            raise DataError(
-                f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are "
-                f"in, as '{channel.name} [{unit}]'."
-            )
         _check_unit(where, channel, name, unit)
         return unit
 
     def _suspect_size(
-        self, channel: Input | Output, where: str, name: str, unit: str, si_unit: str, size: float
+        self, channel: Input | Output, index: int, unit: str, si_unit: str, size: float
     ) -> None:
         """Note what is larger than a vehicle makes it."""
+        where, name = self._where(index), self._named(index, channel)[0]
         if size <= SUSPICIOUS_SIZE.get(si_unit, np.inf):
             return
         if si_unit == unit == "rad":
@@ -410,12 +408,17 @@ class Columns:
         """Refuse units for something that is neither a channel nor a column."""
         known = {*channels.input_names, *channels.output_names, "time"}
         known |= {*self.table.headers, *(name for name, _ in self.parsed)}
-        unused = [key for key in self.units if key not in known]
-        if unused:
-            raise DataError(
-                f"units names {unused[0]!r}, which is neither a channel nor a column of "
-                f"{self.path.name}.{closest(unused[0], known)}"
-            )
+        located(DataError, f"{self.path.name} has no channel or column", self.units, known)
+
+
+def _check_said_once(where: str, channel: Input | Output, name: str, unit: str | None) -> None:
+    """Refuse a header that says one unit in brackets and another in its name."""
+    suffix = parse_header(name)[1]
+    if unit is not None and suffix is not None and not same_unit(suffix, unit):
+        raise DataError(
+            f"{where} says two units, {suffix} and {unit}. Write the one that the numbers are in, "
+            f"as '{channel.name} [{unit}]'."
+        )
 
 
 def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> None:
@@ -435,6 +438,10 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
             "unit that converts to it. Correct the unit in the header, as "
             f"'{name} [{channel.unit}]', or choose another column with column=..."
         )
+
+
+def _places(texts: Sequence[str], text: str) -> list[int]:
+    return [index for index, one in enumerate(texts) if one == text]
 
 
 def _clock_of_digits(times: np.ndarray) -> bool:
@@ -484,24 +491,22 @@ def time_complaint(table: Table, column: int, times: np.ndarray) -> str | None:
         return None
     row, what = fault
     where = f"Row {table.row_numbers[row]} of {table.path.name}"
-    now = f"{table.values[row, column]:.12g}"
     if np.isnan(times[row]):
         n = int(np.isnan(times).sum())
         return (
             f"{where}: the time is empty or no number ({n} such {'row' if n == 1 else 'rows'}). "
             "Every row needs one: write it, or remove the row."
         )
-    before = f"{table.values[row - 1, column]:.12g}" if row else ""
+    now, before = (f"{table.values[max(at, 0), column]:.12g}" for at in (row, row - 1))
+    if np.array_equal(table.values[row], table.values[row - 1], equal_nan=True):
+        return f"{where} repeats the row before (time {now}). Remove one of them."
     if what == "repeats":
-        if np.array_equal(table.values[row], table.values[row - 1], equal_nan=True):
-            return f"{where} repeats the row before (time {now}). Remove one of them."
         return f"{where}: time {now} repeats that of the row before. {TIME_ADVICE}"
-    if row and np.isfinite(times[row]) and np.all(np.diff(times) < 0.0):
+    if np.isfinite(times[row]) and np.all(np.diff(times) < 0.0):
         return f"{table.path.name} runs backwards: its rows stand in reverse. Turn them around."
+    after = f" after {before}" if row else ""
     midnight = _past_midnight(table, column, row, times)
-    if midnight:
-        return f"{where}: {midnight}"
-    return f"{where}: time {now}{f' after {before}' if before else ''} {what}. {TIME_ADVICE}"
+    return f"{where}: {midnight or f'time {now}{after} {what}. {TIME_ADVICE}'}"
 
 
 def _past_midnight(table: Table, column: int, row: int, times: np.ndarray) -> str:

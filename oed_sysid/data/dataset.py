@@ -26,7 +26,7 @@ from __future__ import annotations
 import glob
 import hashlib
 import warnings
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -35,8 +35,8 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
-from oed_sysid.data.record import Record
-from oed_sysid.errors import DataError, closest
+from oed_sysid.data.record import Record, empty_outputs
+from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text.csv_table import Table, read_table, write_table
@@ -114,12 +114,7 @@ class Dataset:
         return Dataset(self.records + more)
 
     def _position(self, name: str) -> int:
-        if name not in self.names:
-            raise DataError(
-                f"There is no record {name!r}. The records are {', '.join(self.names)}."
-                + closest(name, self.names)
-            )
-        return self.names.index(name)
+        return located(DataError, "There is no record", [name], self.names)[0]
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -302,22 +297,26 @@ def read_csv(
             "records are named after their files."
         )
     places = [file.resolve() for file in files]
-    twice = next((file for i, file in enumerate(files) if places[i] in places[:i]), None)
-    if twice is not None:
+    if twice := [file for i, file in enumerate(files) if places[i] in places[:i]]:
         raise DataError(
-            f"{str(twice)!r} is given twice. Give every record once: a pattern or a folder may "
+            f"{str(twice[0])!r} is given twice. Give every record once: a pattern or a folder may "
             "name it already."
         )
+    names = [name] if name is not None else _names_of(files)
+    tables = (
+        (one, read_table(file, columns_of_text=True))
+        for one, file in zip(names, files, strict=True)
+    )
+    return Dataset(tuple(_records(tables, channels, time, units)))
+
+
+def _names_of(files: Sequence[Path]) -> list[str]:
+    """Names of records by those of their files; with their folders' where these are alike."""
     stems = [file.stem for file in files]
-    names = [
+    return [
         stem if stems.count(stem) == 1 else f"{file.parent.name}/{stem}"
         for file, stem in zip(files, stems, strict=True)
     ]
-    tables = (
-        (name or default, read_table(file, columns_of_text=True))
-        for file, default in zip(files, names, strict=True)
-    )
-    return Dataset(tuple(_records(tables, channels, time, units)))
 
 
 def write_csv(record: Record, path: str | Path) -> None:
@@ -360,22 +359,22 @@ def _files(paths: str | Path | Iterable[str | Path]) -> list[Path]:
         entries = [paths] if isinstance(paths, str | Path) else [Path(one) for one in paths]
     except TypeError:
         raise DataError(f"{paths!r:.60} names no files. Give a path, or a list of paths.") from None
-    files: list[Path] = []
-    for entry in entries:
-        path = Path(entry).expanduser()
-        if path.is_dir():
-            found = sorted(p for p in path.glob("*.csv") if not p.name.startswith("."))
-        elif path.exists():
-            found = [path]
-        else:
-            found = sorted(Path(match) for match in glob.glob(str(path)))
-        if not found:
-            what = "holds no *.csv file" if path.is_dir() else "is no file, folder or pattern"
-            raise DataError(f"{str(entry)!r} {what}. Check the path.")
-        files += found
+    files = [file for entry in entries for file in _found(entry)]
     if not files:
         raise DataError("No files were given. Name at least one.")
     return files
+
+
+def _found(entry: str | Path) -> list[Path]:
+    """Files that a path, a folder or a pattern stands for."""
+    path = Path(entry).expanduser()
+    if path.exists() and not path.is_dir():
+        return [path]
+    matches = path.glob("[!.]*.csv") if path.is_dir() else map(Path, glob.glob(str(path)))
+    if found := sorted(matches):
+        return found
+    what = "holds no *.csv file" if path.is_dir() else "is no file, folder or pattern"
+    raise DataError(f"{str(entry)!r} {what}. Check the path.")
 
 
 def _check_channels(channels: Channels) -> None:
@@ -409,34 +408,34 @@ def _read_record(columns: Columns, name: str, channels: Channels, time: str | No
     for channel in channels.outputs:
         if not columns.has(channel):
             columns.say_near(channel)
-    missing = [
-        channel.name
-        for channel, values in zip(channels.outputs, outputs, strict=True)
-        if np.all(np.isnan(values))
-    ]
-    if len(missing) == len(outputs):
-        wanted = ", ".join(channel.column or channel.name for channel in channels.outputs)
-        if any(columns.has(channel) for channel in channels.outputs):
-            raise DataError(
-                f"{columns.path.name} holds no sample of any output: all cells of {wanted} are "
-                "empty."
-            )
-        near = next(filter(None, (columns.near(channel) for channel in channels.outputs)), None)
-        raise DataError(
-            f"{columns.path.name} has none of the outputs {wanted}. {columns.found}"
-            f"{f' Did you mean {near!r}?' if near else ''} Rename a header, or set "
-            "Output(column=...) in the problem."
-        )
+    if not np.isfinite(outputs).any():
+        raise DataError(_without_outputs(columns, channels))
     columns.check_units_used(channels)
+    measured = np.column_stack(outputs)
     return Record(
         name,
         times,
         np.column_stack(inputs) if inputs else np.empty((times.size, 0)),
-        np.column_stack(outputs),
+        measured,
         channels,
         source=str(columns.path),
-        missing_outputs=tuple(missing),
+        missing_outputs=empty_outputs(measured, channels.output_names),
         ignored_columns=columns.unused,
+    )
+
+
+def _without_outputs(columns: Columns, channels: Channels) -> str:
+    """Say why a file measures nothing that was asked for."""
+    wanted = ", ".join(channel.column or channel.name for channel in channels.outputs)
+    if any(map(columns.has, channels.outputs)):
+        return (
+            f"{columns.path.name} holds no sample of any output: all cells of {wanted} are empty."
+        )
+    near = next(filter(None, map(columns.near, channels.outputs)), None)
+    return (
+        f"{columns.path.name} has none of the outputs {wanted}. {columns.found}"
+        f"{f' Did you mean {near!r}?' if near else ''} Rename a header, or set "
+        "Output(column=...) in the problem."
     )
 
 

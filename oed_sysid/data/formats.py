@@ -23,10 +23,11 @@ from oed_sysid.data import apart
 from oed_sysid.data.apart import guarded, read_apart
 from oed_sysid.data.csv_columns import EPOCH
 from oed_sysid.data.frames import columns_of, is_time, plain
-from oed_sysid.data.log import TABLE, Log, Rows, assemble, library, topics_of
+from oed_sysid.data.log import TABLE, Log, Rows, assemble, topics_of, until_torn
 from oed_sysid.data.nmea import read_nmea
 from oed_sysid.data.ros import read_bag, read_mcap
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, library
+from oed_sysid.runtime.files import read_bytes
 from oed_sysid.text.csv_table import read_table
 from oed_sysid.text.units import is_unit, parse_header, to_si
 
@@ -52,7 +53,7 @@ def read_excel(path: Path) -> Log:
     DataError
         If openpyxl is missing, the file is damaged, or no sheet has a time column.
     """
-    openpyxl = library("openpyxl", "an Excel workbook")
+    openpyxl = library("openpyxl", "Reading an Excel workbook")
     book = openpyxl.load_workbook(path, read_only=True, data_only=True)
     tables = {}
     for sheet in book:
@@ -84,7 +85,7 @@ def read_parquet(path: Path) -> Log:
     DataError
         If pyarrow is missing, the file is damaged, or it has no time column.
     """
-    parquet = library("pyarrow.parquet", "a Parquet file")
+    parquet = library("pyarrow.parquet", "Reading a Parquet file")
     table = parquet.read_table(path)
     columns = {name: plain(table[name].to_numpy()) for name in table.column_names}
     return _log(path, "Parquet file", {path.stem: columns})
@@ -112,15 +113,8 @@ def log_of(table: Any, *, name: str = "table") -> Log:
 
 
 def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) -> Log:
-    topics = {}
-    for topic, columns in tables.items():
-        fields = {name: values for name, values in columns.items() if values.dtype.kind == "f"}
-        clock = next(filter(is_time, fields), None)
-        if clock is None:
-            continue
-        times = to_si(fields.pop(clock), parse_header(clock)[1] or "s")[0]
-        if np.isfinite(times).sum() > 1 and fields:
-            topics[topic] = (times, fields)
+    timed = {topic: _timed(columns) for topic, columns in tables.items()}
+    topics = {topic: found for topic, found in timed.items() if found is not None}
     if not topics:
         found = ", ".join(repr(h) for columns in tables.values() for h in list(columns)[:6])
         raise DataError(
@@ -128,10 +122,31 @@ def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) 
             f"{found or 'no columns'}."
         )
     first = min(float(np.nanmin(times)) for times, _ in topics.values())
-    origin = None
-    if EPOCH[0] < first < EPOCH[1]:
-        origin = datetime.fromtimestamp(first).astimezone().isoformat()
-    return assemble(path, kind, topics, origin=origin)
+    is_moment = EPOCH[0] < first < EPOCH[1]
+    moment = datetime.fromtimestamp(first).astimezone().isoformat() if is_moment else None
+    return assemble(path, kind, topics, origin=moment)
+
+
+def _timed(columns: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
+    """Times ``(n,)`` in s and the other columns of numbers; None without two times and a number."""
+    fields = {name: values for name, values in columns.items() if values.dtype.kind == "f"}
+    clock = next(filter(is_time, fields), None)
+    if clock is None:
+        return None
+    times = to_si(fields.pop(clock), parse_header(clock)[1] or "s")[0]
+    return (times, fields) if np.isfinite(times).sum() > 1 and fields else None
+
+
+def _numeric(values: Mapping[str, Any]) -> dict[str, np.ndarray]:
+    """Vectors and matrices of numbers, as float."""
+    arrays = {key: np.asarray(value) for key, value in values.items()}
+    whole = {key: one for key, one in arrays.items() if one.dtype.kind in "fiub"}
+    return {key: one.astype(float) for key, one in whole.items() if one.ndim in (1, 2)}
+
+
+def _instance(topic: str, number: float) -> str:
+    """Name of one of several sensors of a kind; the first has none."""
+    return f"{topic}_{number:.0f}" if number else topic
 
 
 # -- PX4 logs --------------------------------------------------------------------------
@@ -153,31 +168,30 @@ def read_ulog(path: Path) -> Log:
     DataError
         If pyulog is missing or cannot read the file.
     """
-    pyulog = library("pyulog", "a PX4 log (ULog)")
+    pyulog = library("pyulog", "Reading a PX4 log (ULog)")
     with contextlib.redirect_stdout(io.StringIO()):
         ulog = pyulog.ULog(str(path))
-    notes = []
-    if ulog.file_corruption:
-        notes.append(f"{path.name} is damaged: parts of it were skipped.")
-    elif _broke_off(path):
-        notes.append(f"{path.name} breaks off; what stands before the end is used.")
-    if ulog.dropouts:
-        lost = sum(one.duration for one in ulog.dropouts) / 1000.0
-        notes.append(f"The logger lost samples {len(ulog.dropouts)} times, {lost:.2f} s in all.")
     topics: dict[str, tuple[np.ndarray, dict[str, np.ndarray]]] = {}
     units: dict[str, str] = {}
     for data in ulog.data_list:
-        name = data.name if data.multi_id == 0 else f"{data.name}_{data.multi_id}"
-        fields = {
-            key: np.asarray(values, dtype=float)
-            for key, values in data.data.items()
-            if key != "timestamp" and np.asarray(values).dtype.kind in "fiub"
-        }
-        clock = np.asarray(data.data.get("timestamp", ()), dtype=float)
+        name, fields = _instance(data.name, data.multi_id), _numeric(data.data)
+        clock = fields.pop("timestamp", np.empty(0))
         if fields and clock.size:
             topics[name] = (clock * 1e-6, fields)
         units |= {f"{name}.{key}": "us" for key in fields if "timestamp" in key}
+    notes = _losses(path, ulog)
     return assemble(path, "PX4 log (ULog)", topics, units=units, notes=notes)
+
+
+def _losses(path: Path, ulog: Any) -> Iterator[str]:
+    """What a log lacks, in sentences."""
+    if ulog.file_corruption:
+        yield f"{path.name} is damaged: parts of it were skipped."
+    elif _broke_off(path):
+        yield f"{path.name} breaks off; what stands before the end is used."
+    if ulog.dropouts:
+        lost = sum(one.duration for one in ulog.dropouts) / 1000.0
+        yield f"The logger lost samples {len(ulog.dropouts)} times, {lost:.2f} s in all."
 
 
 def _broke_off(path: Path) -> bool:
@@ -212,61 +226,43 @@ def read_dataflash(path: Path) -> Log:
     DataError
         If pymavlink is missing or the file holds no messages.
     """
-    rows, units, said = _messages(path)
-    notes = []
-    if "bad" in said or "skipped" in said:
+    parser = library("pymavlink.DFReader", "Reading an ArduPilot log (DataFlash)")
+    notes, said = list[str](), io.StringIO()
+    rows: Rows = {}
+    units: dict[str, tuple[str, float]] = {}
+    with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
+        reader = parser.DFReader_binary(str(path), zero_time_base=True)
+        for message in until_torn(iter(reader.recv_msg, None), path, notes):
+            _keep(message, rows, units)
+        torn = reader.data_len - reader.offset > 0  # the last message is not whole
+        reader.close()
+    if not notes and (torn or re.search("bad|skipped", said.getvalue().lower())):
         notes.append(f"{path.name} is damaged or breaks off: parts of it were skipped.")
     if not rows:
         raise DataError(
             f"{path.name} holds no message with a time: it is empty, torn, or no DataFlash log. "
             "Copy it again from the vehicle."
         )
-    kind = "ArduPilot log (DataFlash)"
-    return assemble(path, kind, topics_of(rows), units=units, notes=notes)
-
-
-def _messages(path: Path) -> tuple[Rows, dict[str, str], str]:
-    """Rows of every topic and units of every field, and what the reader complained of."""
-    reader_module = library("pymavlink.DFReader", "an ArduPilot log (DataFlash)")
-    rows: Rows = {}
-    units: dict[str, tuple[str, float]] = {}
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stderr(said), contextlib.redirect_stdout(said):
-            reader = reader_module.DFReader_binary(str(path), zero_time_base=True)
-            for message in iter(reader.recv_msg, None):
-                _keep(message, rows, units)
-            if reader.data_len - reader.offset > 0:
-                said.write("skipped: the last message is not whole")
-            reader.close()
-    except Exception:  # whatever a damaged file makes of the parser
-        if not rows:
-            raise
-        said.write("bad")
     known = {name: unit for name, (unit, _) in units.items() if unit}
-    return rows, known, said.getvalue().lower()
+    kind = "ArduPilot log (DataFlash)"
+    return assemble(path, kind, topics_of(rows), units=known, notes=notes)
 
 
 def _keep(message: Any, rows: Rows, units: dict[str, tuple[str, float]]) -> None:
     """Take the numbers of one message, if it has a time of its own."""
-    topic, form = message.get_type(), message.fmt
-    clock = next((name for name in _CLOCKS if name in form.columns), None)
+    topic, form, row = message.get_type(), message.fmt, dict[str, float]()
+    clock = next(filter(form.columns.__contains__, _CLOCKS), None)
     if topic in _ADMINISTRATION or clock is None:
         return
-    number = {
-        name: float(value)
-        for name in form.columns
-        if isinstance(value := getattr(message, name, None), int | float)
-    }
-    time, instance = number.pop(clock, np.nan), number.pop(form.instance_field, 0.0)
-    topic = f"{topic}_{instance:.0f}" if instance else topic
-    row = {}
-    for name, value in number.items():
-        full = f"{topic}.{name}"
-        if full not in units:
-            units[full] = _unit(form.get_unit(name))
-        row[name] = value * units[full][1]
+    topic = _instance(topic, getattr(message, form.instance_field or "", 0.0))
+    for name in form.columns:
+        value, field = getattr(message, name, None), f"{topic}.{name}"
+        if name not in (clock, form.instance_field) and isinstance(value, int | float):
+            if field not in units:
+                units[field] = _unit(form.get_unit(name))
+            row[name] = value * units[field][1]
     if np.isfinite([*row.values()]).any():
+        time = float(getattr(message, clock, np.nan))
         rows.setdefault(topic, []).append((time * _CLOCKS[clock], row))
 
 
@@ -333,16 +329,11 @@ def read_matlab(path: Path) -> Log:
 
 def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Structures with a time, at any depth."""
-    vectors = {
-        key: np.asarray(value, dtype=float)
-        for key, value in content.items()
-        if isinstance(value, np.ndarray) and value.dtype.kind in "fiub" and value.ndim <= 2
-    }
-    clock = next((vectors[key] for key in vectors if key.lower() in _TIMES), None)
-    if clock is not None and clock.ndim == 1 and clock.size > 1:
-        fields = dict(_fields(vectors | dict(_simulink(content)), clock.size))
-        if fields:
-            yield name, (clock, fields)
+    vectors = _numeric({k: one for k, one in content.items() if isinstance(one, np.ndarray)})
+    clock = next((vectors[key] for key in vectors if key.lower() in _TIMES), np.empty(0))
+    fields = dict(_fields(vectors | dict(_simulink(content)), clock.size))
+    if clock.ndim == 1 and clock.size > 1 and fields:
+        yield name, (clock, fields)
     for key, value in content.items():
         if isinstance(value, dict) and key != "signals":
             yield from _topics(key, value)
@@ -383,12 +374,16 @@ class Format(NamedTuple):
     advice: str  # what to do about a damaged file
     marks: tuple[bytes, ...] = ()  # what its first bytes hold somewhere
 
+    def begins(self, start: bytes) -> bool:
+        """Whether a file that begins so is one."""
+        return start.startswith(self.starts) or any(mark in start for mark in self.marks)
+
     def read(self, place: Path) -> Log:
         """Read one file, apart where the parser is somebody else's."""
         if not self.needs:
             return guarded(self.reader, place, self.words, self.advice)
         if find_spec(self.needs) is None:
-            library(self.needs, self.words)
+            library(self.needs, f"Reading {self.words}")
         return read_apart(place, self.words, self.advice)
 
 
@@ -441,9 +436,8 @@ def format_of(place: Path) -> Format:
     """
     # A ROS 2 bag is a folder.
     start = b"#ROSBAG" if (place / "metadata.yaml").exists() else _start(place)
-    for form in FORMATS:
-        if start.startswith(form.starts) or any(mark in start for mark in form.marks):
-            return form
+    if (begun := next((form for form in FORMATS if form.begins(start)), None)) is not None:
+        return begun
     named = next((form for form in FORMATS if place.suffix.lower() in form.endings), None)
     if named is None:
         read = ", ".join(form.words for form in FORMATS)
@@ -501,19 +495,11 @@ def open_log(path: str | Path) -> Log:
 
 def _start(place: Path) -> bytes:
     """First bytes of a file."""
-    shown = repr(str(place))
-    if "\0" in str(place) or not place.exists():
-        raise DataError(f"There is no file {shown}. Check the path.")
     if place.is_dir():
         raise DataError(
-            f"{shown} is a folder without metadata.yaml, so no ROS 2 bag. Give one log file, "
-            "or write metadata.yaml with  ros2 bag reindex."
+            f"{str(place)!r} is a folder without metadata.yaml, so no ROS 2 bag. Give one log "
+            "file, or write metadata.yaml with  ros2 bag reindex."
         )
-    try:
-        with place.open("rb") as stream:
-            start = stream.read(1024)
-    except OSError as error:
-        raise DataError(f"{place} cannot be read: {error.strerror or error}.") from None
-    if not start:
+    if not (start := read_bytes(place, 1024)):
         raise DataError(f"{place.name} is empty: nothing was logged, or the copy failed.")
     return start

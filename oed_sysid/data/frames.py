@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.csv_columns import TIME_NAMES
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, library
 from oed_sysid.text.csv_table import Table
 from oed_sysid.text.units import parse_header
 
@@ -39,23 +39,23 @@ def columns_of(table: Any) -> dict[str, np.ndarray]:
         If it is neither, or a variable has more than one dimension.
     """
     if hasattr(table, "data_vars") and hasattr(table, "coords"):
-        columns = dict(_variables(table))
-    elif hasattr(table, "columns") and hasattr(table, "index"):
-        columns = {str(name): plain(_array(table[name])) for name in table.columns}
-        index = _array(table.index)
-        if not any(is_time(name) for name in columns):
-            named = str(table.index.name or "")
-            if index.dtype.kind == "m":
-                columns = {"t [s]": index / np.timedelta64(1, "s"), **columns}
-            elif index.dtype.kind == "M" or (named and is_time(named)):
-                header = named if named and parse_header(named)[1] else "t [s]"
-                columns = {header: plain(index), **columns}
-    else:
+        return dict(_variables(table))
+    if not (hasattr(table, "columns") and hasattr(table, "index")):
         raise DataError(
             f"A {type(table).__name__} is no data frame. Give a pandas.DataFrame or an "
             "xarray.Dataset."
         )
-    return columns
+    columns = {str(name): plain(_array(table[name])) for name in table.columns}
+    return columns if any(map(is_time, columns)) else {**_times_of(table.index), **columns}
+
+
+def _times_of(index: Any) -> dict[str, np.ndarray]:
+    """The index of a frame as a column of times, if it holds such."""
+    values, named = _array(index), str(index.name or "")
+    if values.dtype.kind not in "mM" and not is_time(named):
+        return {}
+    stated = parse_header(named)[1] if values.dtype.kind != "m" else None
+    return {named if stated else "t [s]": plain(values)}
 
 
 def tables_of(table: Any, name: str) -> Iterator[tuple[str, Table]]:
@@ -96,15 +96,12 @@ def _variables(table: Any) -> Iterator[tuple[str, np.ndarray]]:
                 f"Variable {name!r} has dimensions {tuple(variable.dims)}. Expected one, the time: "
                 "choose a slice with .sel() or .isel(), or stack the others into columns."
             )
-        values = np.asarray(variable.to_numpy())
+        values, header = np.asarray(variable.to_numpy()), str(name)
         unit = variable.attrs.get("units")
         if values.dtype.kind == "m":
-            yield "t [s]" if is_time(str(name)) else f"{name} [s]", values / np.timedelta64(1, "s")
-            continue
-        header = str(name)
-        if unit and parse_header(header)[1] is None:
-            header = f"{name} [{unit}]"
-        yield header, plain(values)
+            header, unit = "t" if is_time(header) else header, "s"
+        stated = not unit or parse_header(header)[1] is not None
+        yield header if stated else f"{header} [{unit}]", plain(values)
 
 
 def _array(column: Any) -> np.ndarray:
@@ -119,11 +116,13 @@ def _array(column: Any) -> np.ndarray:
 
 
 def plain(values: np.ndarray) -> np.ndarray:
-    """Numbers as float, dates as seconds since 1970, anything else as objects.
+    """Numbers as float, dates as seconds since 1970, spans of time as s, the rest as objects.
 
     >>> plain(np.array([1, 2])), plain(np.array(["2020-01-01"], dtype="datetime64[s]"))
     (array([1., 2.]), array([1.5778368e+09]))
     """
+    if values.dtype.kind == "m":
+        return values / np.timedelta64(1, "s")
     if values.dtype.kind == "M":
         whole = values.astype("datetime64[ns]").astype(np.int64)
         return np.where(np.isnat(values), np.nan, whole * 1e-9)
@@ -148,10 +147,4 @@ def frame(columns: Mapping[str, np.ndarray]) -> Any:
     DataError
         If pandas is not installed.
     """
-    try:
-        import pandas
-    except ImportError:
-        raise DataError(
-            'A data frame needs pandas, which is not installed. Run  pip install "oed_sysid[logs]".'
-        ) from None
-    return pandas.DataFrame(dict(columns))
+    return library("pandas", "A data frame").DataFrame(dict(columns))

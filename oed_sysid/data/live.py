@@ -21,12 +21,15 @@ from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from oed_sysid.data.log import library
+import numpy as np
+
+from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.nmea import sentence_of
 from oed_sysid.data.record import TURN
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, library
 from oed_sysid.physics.channels import Channels
-from oed_sysid.text.units import dimension, parse_header, to_si
+from oed_sysid.text.csv_table import Table
+from oed_sysid.text.units import dimension, to_si
 
 # Seconds for which a file or a port may be silent before the run counts as over.
 SILENCE = 10.0
@@ -182,11 +185,16 @@ def _growing(path: Path, silence: float) -> Iterator[str]:
 def _rows(source: str, header: str, lines: Iterable[str], channels: Channels) -> Iterator[Sample]:
     """Samples of lines of CSV; a line that is torn is left out."""
     mark = max(",;\t", key=header.count)
-    found = _places(source, header, mark, {one.name: one.unit for one in channels.all})
+    headers = tuple(text.strip().strip('"') for text in header.split(mark))
+    empty = np.empty((0, len(headers)))
+    columns = Columns(Table(Path(source), headers, empty, empty[:, 0]), {})
+    clock = columns.time_column()
+    found = {"t": (clock, columns.parsed[clock][1] or "s", 1.0)}
+    found |= {one.name: (*columns.place(one), one.sign) for one in channels.all}
     for line in lines:
         cells = line.split(mark)
         try:
-            row = {name: _number(cells[i], unit) for name, (i, unit) in found.items()}
+            row = {name: sign * _number(cells[i], unit) for name, (i, unit, sign) in found.items()}
         except (ValueError, IndexError):
             continue
         if math.isfinite(time := row.pop("t")):
@@ -195,26 +203,6 @@ def _rows(source: str, header: str, lines: Iterable[str], channels: Channels) ->
 
 def _number(cell: str, unit: str) -> float:
     return float(to_si(float(cell), unit)[0]) if cell.strip() else math.nan
-
-
-def _places(
-    source: str, header: str, mark: str, wanted: Mapping[str, str]
-) -> dict[str, tuple[int, str]]:
-    """Column and unit of the time and of every channel."""
-    found: dict[str, tuple[int, str]] = {}
-    for index, text in enumerate(header.split(mark)):
-        name, unit = parse_header(text.strip().strip('"'))
-        if name in ("t", "time"):
-            found.setdefault("t", (index, unit or "s"))
-        elif name in wanted:
-            found[name] = (index, unit or wanted[name])
-    if missing := [name for name in ("t", *wanted) if name not in found]:
-        example = mark.join(["t [s]", *(f"{n} [{u}]" for n, u in wanted.items())])
-        raise DataError(
-            f"The first line of {source!r} names no {', '.join(missing)}. Expected a header such "
-            f"as {example!r}."
-        )
-    return found
 
 
 Message = tuple[float | None, str, Mapping[str, Any]]
@@ -229,7 +217,7 @@ def _sentences(first: str, lines: Iterable[str]) -> Iterator[Message]:
 
 def _messages(address: str, silence: float) -> Iterator[Message]:
     """MAVLink messages of a port."""
-    mavutil = library("pymavlink.mavutil", "MAVLink")
+    mavutil = library("pymavlink.mavutil", "Reading MAVLink")
     host, port = _address(address)
     link = mavutil.mavlink_connection(f"udpin:{host}:{port}")
     while (message := link.recv_match(blocking=True, timeout=silence)) is not None:
@@ -245,18 +233,22 @@ def _gathered(
             "Sentences and messages need to be told where channels are: --map psi=HDT.heading:deg."
         )
     last: dict[str, float] = {}
-    begun: float | None = None
-    due = 0.0
+    begun, due = math.nan, 0.0
     for stamp, topic, fields in messages:
         now = clock.monotonic() if stamp is None else stamp
-        begun = now if begun is None else begun
+        begun = now if math.isnan(begun) else begun
         if len(last) == len(places) and now - begun >= due:
             yield now - begun, dict(last)
             due = now - begun + period
-        for name, place in places.items():
-            if place.topic == topic and place.field in fields:
-                value = float(fields[place.field])
-                last[name] = float(to_si(value, place.unit)[0]) if place.unit else value
-    if len(last) < len(places):
-        silent = ", ".join(name for name in places if name not in last)
-        raise DataError(f"No message ever told {silent}. Look at the names of --map.")
+        last |= _told(topic, fields, places)
+    if silent := [name for name in places if name not in last]:
+        raise DataError(f"No message ever told {', '.join(silent)}. Look at the names of --map.")
+
+
+def _told(topic: str, fields: Mapping[str, Any], places: Mapping[str, Place]) -> dict[str, float]:
+    """Channels that a message tells, SI."""
+    return {
+        name: float(to_si(float(fields[place.field]), place.unit or "1")[0])
+        for name, place in places.items()
+        if place.topic == topic and place.field in fields
+    }

@@ -1,7 +1,5 @@
 r"""A vehicle's log as it was written: topics, each with its own times.
 
-Libraries that read one format each, imported only when a log needs them.
-
 Units and symbols of fields that logs do not spell out but their formats define.
 
 Sources: PX4 message definitions (``msg/*.msg``, comments in SI, NED and FRD frames), ROS REP 103
@@ -37,10 +35,9 @@ import re
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from importlib import import_module
 from importlib.resources import files
 from pathlib import Path
-from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -48,45 +45,6 @@ from oed_sysid.data.record import on_circle
 from oed_sysid.errors import DataError, closest
 from oed_sysid.runtime.display import align
 from oed_sysid.text.units import is_unit, parse_header
-
-# -- libraries that read one format each -----------------------------------------------
-
-
-def library(name: str, what: str, *, extra: str = "logs") -> ModuleType:
-    """Import a library, or say what to install.
-
-    Parameters
-    ----------
-    name : str
-        Module, for instance ``"pyulog"``.
-    what : str
-        What it reads, for the message.
-    extra : str
-        Extra of this package that brings it.
-
-    Raises
-    ------
-    DataError
-        If it is not installed.
-
-    Examples
-    --------
-    >>> library("json", "JSON").__name__
-    'json'
-    >>> library("no_such_reader", "a log of Nobody's")
-    Traceback (most recent call last):
-    ...
-    oed_sysid.errors.DataError: Reading a log of Nobody's needs no_such_reader, which is not
-    installed. Run  pip install "oed_sysid[logs]"  and repeat.
-    """
-    try:
-        return import_module(name)
-    except ImportError:
-        raise DataError(
-            f"Reading {what} needs {name.partition('.')[0]}, which is not installed. Run  "
-            f'pip install "oed_sysid[{extra}]"  and repeat.'
-        ) from None
-
 
 # -- units and symbols of fields that logs do not spell out but their formats define ---
 
@@ -397,6 +355,22 @@ class Log:
 # Messages by topic: time in s and numbers by name.
 Rows = dict[str, list[tuple[float, dict[str, float]]]]
 Topics = Mapping[str, tuple[np.ndarray, Mapping[str, np.ndarray]]]
+
+
+def until_torn(messages: Iterable[Any], path: Path, notes: list[str]) -> Iterator[Any]:
+    """Messages up to where a damaged file makes its library fail, which is noted.
+
+    Of a file that begins so nothing can be read: the library's own error is raised.
+    """
+    some = False
+    try:
+        for message in messages:
+            yield message
+            some = True
+    except Exception as error:  # whatever a damaged file makes of the library
+        if not some:
+            raise
+        notes.append(f"{path.name} breaks off ({str(error)[:80]}); what stands before is used.")
 
 
 def topics_of(rows: Rows) -> Topics:

@@ -35,19 +35,18 @@ Cutting a log into manoeuvres: by time, by what was commanded, or by a state of 
 from __future__ import annotations
 
 import json
-import re
 import tomllib
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import MISSING, Field, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from oed_sysid.data.log import Log, Series, symbol_of
-from oed_sysid.errors import DataError, OedSysidError, closest
+from oed_sysid.errors import DataError, OedSysidError, located
 from oed_sysid.physics.channels import Channels, Input, Output
-from oed_sysid.runtime.files import write_text
+from oed_sysid.runtime.files import read_bytes, write_text
 from oed_sysid.text.units import dimension, to_si
 
 # -- cutting a log into manoeuvres -----------------------------------------------------
@@ -130,37 +129,37 @@ class CommandCuts:
         end : float
             Last time of the log, s.
         """
-        unknown = [name for name in self.inputs if name not in commands]
-        if unknown:
-            raise DataError(
-                f"[cut_by_commands] names {unknown[0]!r}, which is no input of the mapping. "
-                f"Inputs are {', '.join(commands) or 'none'}."
-            )
-        spans: list[list[float]] = []
+        located(DataError, "[cut_by_commands]: there is no input", self.inputs, commands)
+        spans: list[tuple[float, float]] = []
         for name in self.inputs or commands:
             times, values = commands[name]
-            away = np.abs(values - np.median(values)) > self.threshold
-            until = np.append(times[1:], end)  # a command is held until the next
-            spans += [[float(times[i]), float(until[i])] for i in np.flatnonzero(away)]
-        joined: list[list[float]] = []
+            spans += _stretches(np.abs(values - np.median(values)) > self.threshold, times, end)
+        joined: list[tuple[float, float]] = []
         for start, stop in sorted(spans):
-            if joined and start - joined[-1][1] < self.rest:
-                joined[-1][1] = max(stop, joined[-1][1])
-            else:
-                joined.append([start, stop])
-        number = 0
-        for index, (start, stop) in enumerate(joined):
-            # What follows one manoeuvre is not the beginning of the next.
-            free = joined[index - 1][1] + self.after if index else -np.inf
-            after = joined[index + 1][0] if index + 1 < len(joined) else end
-            if stop - start < self.shortest:
-                continue
-            number += 1
-            yield Cut(
-                f"manoeuvre_{number}",
-                max(start - self.before, min(free, start), 0.0),
-                min(stop + self.after, after, end),
-            )
+            near = bool(joined) and start - joined[-1][1] < self.rest
+            first, last = joined.pop() if near else (start, stop)
+            joined.append((first, max(last, stop)))
+        # What follows one manoeuvre is not the beginning of the next.
+        free = [-np.inf, *(stop + self.after for _, stop in joined)]
+        following = [*(start for start, _ in joined[1:]), end]
+        rows = [
+            (max(start - self.before, min(before, start), 0.0), min(stop + self.after, after, end))
+            for (start, stop), before, after in zip(joined, free, following, strict=False)
+            if stop - start >= self.shortest
+        ]
+        yield from _numbered(rows)
+
+
+def _stretches(holds: np.ndarray, times: np.ndarray, end: float) -> list[tuple[float, float]]:
+    """From when to when something holds, s; each sample is held until the next one."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], holds.astype(int), [0]])))
+    moments = np.append(times, end)[edges].reshape(-1, 2)
+    return [(start, stop) for start, stop in moments.tolist()]
+
+
+def _numbered(spans: Iterable[tuple[float, float]]) -> Iterator[Cut]:
+    for number, (start, stop) in enumerate(spans, start=1):
+        yield Cut(f"manoeuvre_{number}", start, stop)
 
 
 @dataclass(frozen=True)
@@ -191,8 +190,7 @@ class WhileCuts:
     shortest: float = 5.0
 
     def __post_init__(self) -> None:
-        given = [value for value in (self.equals, self.above, self.below) if value is not None]
-        if len(given) != 1:
+        if sum(getattr(self, name) is not None for name in _TESTS) != 1:
             raise DataError("Give one of equals, above and below.")
 
     def of(self, log: Log) -> Iterator[Cut]:
@@ -201,21 +199,15 @@ class WhileCuts:
 
     def find(self, series: Series, end: float) -> Iterator[Cut]:
         """Yield the stretches of one field; its value is held until the next sample."""
-        values = series.values
-        if self.equals is not None:
-            inside = values == self.equals
-        elif self.above is not None:
-            inside = values > self.above
-        else:
-            inside = values < self.below
-        edges = np.flatnonzero(np.diff(np.concatenate([[0], inside.astype(int), [0]])))
-        until = np.append(series.times, end)
-        number = 0
-        for first, last in zip(edges[::2], edges[1::2], strict=True):
-            start, stop = float(until[first]), float(until[last])
-            if stop - start >= max(self.shortest, 1e-9):
-                number += 1
-                yield Cut(f"manoeuvre_{number}", start, stop)
+        stated = [(name, getattr(self, name)) for name in _TESTS]
+        name, limit = next(pair for pair in stated if pair[1] is not None)
+        spans = _stretches(_TESTS[name](series.values, limit), series.times, end)
+        least = max(self.shortest, 1e-9)
+        yield from _numbered(span for span in spans if span[1] - span[0] >= least)
+
+
+_TESTS: Mapping[str, Callable[..., np.ndarray]]
+_TESTS = {"equals": np.equal, "above": np.greater, "below": np.less}
 
 
 # -- mapping files ---------------------------------------------------------------------
@@ -328,11 +320,7 @@ class LogMapping:
         for name, source in self.outputs.items():
             if source.constant is not None:
                 raise DataError(f"{self.where}: output {name!r} is measured, not constant.")
-        if self.clock != "outputs" and self.clock not in self.outputs:
-            raise DataError(
-                f"{self.where}: clock is {self.clock!r}. Choose 'outputs' or one of "
-                f"{', '.join(self.outputs)}."
-            )
+        located(DataError, f"{self.where}: clock is", [self.clock], ("outputs", *self.outputs))
         for what in ("tolerance", "sample_time"):
             value = getattr(self, what)
             if value is not None and not value > 0.0:
@@ -372,8 +360,7 @@ class LogMapping:
             for name, source in getattr(self, kind).items():
                 lines += ["", f"[{kind}.{name}]", *_entries(source)]
         for cut in self.cuts:
-            lines += ["", "[[cuts]]", f"name = {_toml(cut.name)}"]
-            lines += [f"from = {_toml(cut.start)}", f"to = {_toml(cut.stop)}"]
+            lines += ["", "[[cuts]]", *_entries(cut)]
         for key, (name, _) in _CUTTERS.items():
             if getattr(self, name) is not None:
                 lines += ["", f"[{key}]", *_entries(getattr(self, name))]
@@ -387,19 +374,15 @@ class LogMapping:
 def _entries(value: Any) -> list[str]:
     """Lines of what differs from its default."""
     return [
-        f"{one.name} = {_toml(getattr(value, one.name))}"
-        for one in fields(value)
+        f"{key} = {_toml(getattr(value, one.name))}"
+        for key, one in _keys(type(value)).items()
         if getattr(value, one.name) != one.default
     ]
 
 
 def _toml(value: Any) -> str:
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, tuple | list):
-        return "[" + ", ".join(_toml(one) for one in value) + "]"
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{k} = {_toml(v)}" for k, v in value.items()) + " }"
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
     return json.dumps(value)
 
 
@@ -413,9 +396,7 @@ def read_mapping(path: str | Path) -> LogMapping:
     """
     place = Path(path)
     try:
-        text = place.read_text(encoding="utf-8")
-    except OSError as error:
-        raise DataError(f"{place} cannot be read: {error.strerror or error}.") from None
+        text = read_bytes(place).decode("utf-8")
     except UnicodeDecodeError:
         raise DataError(f"{place} is no text file (UTF-8), so it is not a mapping.") from None
     return parse(text, where=place.name)
@@ -444,22 +425,18 @@ def parse(text: str, *, where: str = "The mapping") -> LogMapping:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise DataError(f"{where} is no TOML: {error}. Texts stand in quotation marks.") from None
-    _known(where, "", content, (*_PLAIN, "inputs", "outputs", "cuts", *_CUTTERS))
+    parts = (*_PLAIN, *_SIDES, "cuts", *_CUTTERS)
+    located(DataError, f"{where} has no setting", content, parts)
     found: dict[str, Any] = {key: content[key] for key in _PLAIN if key in content}
-    for kind in ("inputs", "outputs"):
-        tables = content.get(kind, {})
-        if not isinstance(tables, dict) or not all(isinstance(t, dict) for t in tables.values()):
-            raise DataError(f"{where}: {kind} are tables, as [{kind}.psi].")
-        found[kind] = {
-            name: _built(Source, table, f"{where}: [{kind}.{name}]")
+    for side in _SIDES:
+        tables = _checked(content.get(side, {}), dict, f"{where}: [{side}]")
+        found[side] = {
+            name: _built(Source, table, f"{where}: [{side}.{name}]")
             for name, table in tables.items()
         }
-    cuts = content.get("cuts", [])
-    if not isinstance(cuts, list):
-        raise DataError(f"{where}: write every cut under [[cuts]], in two brackets.")
-    renamed = [{_CUT.get(key, key): value for key, value in cut.items()} for cut in cuts]
+    cuts = _checked(content.get("cuts", []), list, f"{where}: [[cuts]]")
     found["cuts"] = tuple(
-        _built(Cut, cut, f"{where}: cut {number}") for number, cut in enumerate(renamed, start=1)
+        _built(Cut, cut, f"{where}: cut {number}") for number, cut in enumerate(cuts, start=1)
     )
     for key, (target, cutter) in _CUTTERS.items():
         if key in content:
@@ -467,50 +444,46 @@ def parse(text: str, *, where: str = "The mapping") -> LogMapping:
     return LogMapping(**found, where=where)
 
 
-_CUT = {"from": "start", "to": "stop"}
-# What a value of TOML is in the type of a field.
-_KINDS = {str: "str", tuple: "tuple", int: "float", float: "float"}
+_SIDES = ("inputs", "outputs")
+# Fields that a file calls otherwise.
+_CALLED = {"start": "from", "stop": "to"}
+# Kinds of values, how the type of a field that takes them begins, and what people call them.
+_KINDS: tuple[tuple[Any, str, str], ...] = (
+    (dict, "dict", "a table, as [outputs.psi]"),
+    (list, "tuple", "a list; cuts stand under [[cuts]]"),
+    (bool, "bool", "true or false"),
+    (int | float, "float", "a number"),
+    (str, "str", "text in quotation marks"),
+)
 
 
-def _known(where: str, table: str, content: Mapping[str, Any], known: tuple[str, ...]) -> None:
-    for key in content:
-        if key not in known:
-            raise DataError(
-                f"{where}{table} says {key!r}, which is not known. Known are {', '.join(known)}."
-                + closest(key, known)
-            )
+def _keys(kind: type) -> dict[str, Field[Any]]:
+    """Fields of a part of a mapping, by what a file calls them."""
+    return {_CALLED.get(one.name, one.name): one for one in fields(kind)}
 
 
-def _built(kind: type, table: Mapping[str, Any], where: str) -> Any:
+def _checked(value: Any, wanted: type | str, where: str) -> Any:
+    """A value of a file, which has to be of a kind, or of that of a field."""
+    kind = next(row for row in _KINDS if row[0] is wanted or str(wanted).startswith(row[1]))
+    if next((one for one, *_ in _KINDS if isinstance(value, one)), None) is not kind[0]:
+        raise DataError(f"{where} is {value!r:.40}, expected {kind[2]}.")
+    return value
+
+
+def _built(kind: type, table: Any, where: str) -> Any:
     """An object of a table, with every fault said where it stands."""
-    known = {one.name: one for one in fields(kind)}
-    _known(where, "", table, tuple(known))
+    known = _keys(kind)
+    located(DataError, f"{where} has no setting", _checked(table, dict, where), known)
+    if lost := [key for key, one in known.items() if one.default is MISSING and key not in table]:
+        raise DataError(f"{where} lacks {', '.join(lost)}.")
     values = {}
     for key, value in table.items():
-        text = str(known[key].type)
-        if isinstance(value, list):
-            value = tuple(value)
-        kind_of = "bool" if isinstance(value, bool) else _KINDS.get(type(value), "nothing")
-        if kind_of not in text:
-            raise DataError(f"{where}: {key} is {value!r:.40}, expected {_words(text)}.")
-        values[key] = value
+        _checked(value, str(known[key].type), f"{where}: {key}")
+        values[known[key].name] = tuple(value) if isinstance(value, list) else value
     try:
         return kind(**values)
-    except TypeError as error:
-        lost = re.findall(r"'(\w+)'", str(error))
-        back = {new: old for old, new in _CUT.items()}
-        raise DataError(
-            f"{where} lacks {', '.join(back.get(name, name) for name in lost)}."
-        ) from None
     except OedSysidError as error:
         raise DataError(f"{where}: {error}") from None
-
-
-def _words(text: str) -> str:
-    for kind, words in (("tuple", "a list"), ("bool", "true or false"), ("float", "a number")):
-        if kind in text:
-            return words
-    return "text in quotation marks"
 
 
 def draft(log: Log, channels: Channels, *, problem: str = "") -> LogMapping | None:

@@ -16,8 +16,8 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.csv_columns import DAY
-from oed_sysid.data.log import Log, Rows, assemble, library, topics_of
-from oed_sysid.errors import DataError
+from oed_sysid.data.log import Log, Rows, assemble, topics_of
+from oed_sysid.errors import DataError, library
 from oed_sysid.text.csv_table import text_lines
 
 _SENTENCE = re.compile(r"[$!][A-Z][A-Z0-9]{2,}[,*].*")
@@ -69,7 +69,7 @@ def sentence_of(line: str) -> tuple[float | None, str, dict[str, float]] | None:
 
 def _parsed(line: str) -> tuple[str, Any]:
     """What stands in front of a sentence, and the sentence; None if there is no whole one."""
-    pynmea2 = library("pynmea2", "NMEA 0183 sentences")
+    pynmea2 = library("pynmea2", "Reading NMEA 0183 sentences")
     if (found := _SENTENCE.search(line)) is None:
         return line, None
     try:

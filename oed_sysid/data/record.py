@@ -408,23 +408,17 @@ class Record:
 
     def _contradictions(self) -> Iterator[str]:
         """Where samples and ``missing_outputs`` say different things."""
-        names, declared = self.channels.output_names, self.missing_outputs
-        empty = empty_outputs(self.outputs, names)
-        for name in (name for name in declared if name not in names):
-            yield (
-                f"Record {self.name!r} declares {name!r} missing, but the outputs are "
-                f"{', '.join(names)}."
-            )
-        for name in (name for name in empty if name not in declared):
+        names, declared = self.channels.output_names, {*self.missing_outputs}
+        empty = {*empty_outputs(self.outputs, names)}
+        known = f"the outputs are {', '.join(names)}"
+        says = f"Record {self.name!r} declares {{!r}} missing, but {{}}."
+        yield from (says.format(name, known) for name in sorted(declared - {*names}))
+        for name in sorted(empty - declared):
             yield (
                 f"Record {self.name!r}: output {name!r} has no sample at all. If it was not "
                 f"measured, say so with missing_outputs=({name!r},)."
             )
-        for name in (name for name in declared if name not in empty):
-            yield (
-                f"Record {self.name!r} declares {name!r} missing, but it has samples. Remove it "
-                "from missing_outputs."
-            )
+        yield from (says.format(name, "it has samples") for name in sorted(declared - empty))
         if len(empty) == len(names):
             yield f"Record {self.name!r} has no measured output. At least one is needed."
 

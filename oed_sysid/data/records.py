@@ -15,7 +15,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.log import Log
+from oed_sysid.data.log import Log, Series
 from oed_sysid.data.mapping import Cut, LogMapping, Source
 from oed_sysid.data.record import (
     GAP,
@@ -25,7 +25,7 @@ from oed_sysid.data.record import (
     unwrapped,
     wrap_fault,
 )
-from oed_sysid.errors import DataError, closest
+from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.units import converts, same_unit, to_si
 
@@ -142,11 +142,7 @@ class _Import:
             ("input", mapping.inputs, channels.input_names),
             ("output", mapping.outputs, channels.output_names),
         ):
-            for name in (name for name in given if name not in known):
-                raise DataError(
-                    f"{mapping.where}: {name!r} is no {kind} of the problem. It has "
-                    f"{', '.join(known) or 'none'}." + closest(name, known)
-                )
+            located(DataError, f"{mapping.where}: the problem has no {kind}", given, known)
         for name in (name for name in channels.input_names if name not in mapping.inputs):
             raise DataError(
                 f"{mapping.where} has no [inputs.{name}]. Inputs have to be known at every time: "
@@ -157,17 +153,39 @@ class _Import:
         """A channel in SI at the times when it was so."""
         log, name = self.log, channel.name
         if source.constant is not None:
-            unit = source.unit or channel.unit
-            _check_unit(f"{self.mapping.where}: [inputs.{name}]", unit, channel.unit)
-            value = source.sign * float(to_si(source.constant, unit)[0])
-            self.notes.append(f"{name} was not logged: {value:.6g} {channel.unit} throughout.")
-            return _Signal(name, np.array([log.span[0]]), np.array([value]))
+            return self._constant(source, source.constant, channel)
         series = log[source.field]
+        stated = self._unit(source, series, channel)
+        values = source.sign * to_si(source.factor * (series.values - source.trim), stated)[0]
+        if source.delay:
+            self.notes.append(f"{name} was moved {source.delay:g} s towards the beginning.")
+        wraps = not isinstance(channel, Output) or source.wrap or channel.wrap
+        fault = "" if wraps or channel.unit != "rad" else wrap_fault(
+            name, values, at=lambda row: f"at {series.times[row]:.2f} s",
+            advice="add  wrap = true  to [outputs.{}]",
+        )  # fmt: skip
+        if fault:
+            raise DataError(f"{source.field!r} {fault}")
+        present = np.isfinite(values)
+        if not present.any():
+            raise DataError(f"{source.field!r} of {log.path.name} holds no number.")
+        return _Signal(name, series.times[present] - source.delay, values[present], source.wrap)
+
+    def _constant(self, source: Source, value: float, channel: Input | Output) -> _Signal:
+        """An input that was not logged."""
+        name, unit = channel.name, source.unit or channel.unit
+        _check_unit(f"{self.mapping.where}: [inputs.{name}]", unit, channel.unit)
+        held = source.sign * float(to_si(value, unit)[0])
+        self.notes.append(f"{name} was not logged: {held:.6g} {channel.unit} throughout.")
+        return _Signal(name, np.array([self.log.span[0]]), np.array([held]))
+
+    def _unit(self, source: Source, series: Series, channel: Input | Output) -> str:
+        """Unit of a field, as the mapping says it, or else the log."""
         stated = source.unit or series.unit
         if stated is None:
             raise DataError(
-                f"{source.field!r} has no unit in {log.path.name}. Say it in the mapping: unit = "
-                f'"{channel.unit}", or whichever it is in.'
+                f"{source.field!r} has no unit in {self.log.path.name}. Say it in the mapping: "
+                f'unit = "{channel.unit}", or whichever it is in.'
             )
         _check_unit(f"{source.field!r}", stated, channel.unit)
         # A declared unit other than the log's own is not a conversion but a contradiction.
@@ -176,44 +194,31 @@ class _Import:
                 f"{source.field} is taken as {stated}, as the mapping says; the log says "
                 f"{series.unit}."
             )
-        values = source.sign * to_si(source.factor * (series.values - source.trim), stated)[0]
-        if source.delay:
-            self.notes.append(f"{name} was moved {source.delay:g} s towards the beginning.")
-        wraps = not isinstance(channel, Output) or source.wrap or channel.wrap
-        advice, when = (
-            "add  wrap = true  to [outputs.{}]",
-            lambda row: f"at {series.times[row]:.2f} s",
-        )
-        asked = not wraps and channel.unit == "rad"
-        if asked and (fault := wrap_fault(name, values, at=when, advice=advice)):
-            raise DataError(f"{source.field!r} {fault}")
-        present = np.isfinite(values)
-        if not present.any():
-            raise DataError(f"{source.field!r} of {log.path.name} holds no number.")
-        return _Signal(name, series.times[present] - source.delay, values[present], source.wrap)
+        return stated
 
     def cuts(self, stem: str) -> list[Cut]:
         """Manoeuvres of the mapping; the whole log where it asks for none."""
         mapping, (first, last) = self.mapping, self.log.span
-        for cut in mapping.cuts:
-            if cut.start > last or cut.stop < first:
-                raise DataError(
-                    f"Cut {cut.name!r} is from {cut.start:g} to {cut.stop:g} s, but the log lasts "
-                    f"from {first:.1f} to {last:.1f} s."
-                )
+        if away := [cut for cut in mapping.cuts if cut.start > last or cut.stop < first]:
+            raise DataError(
+                f"Cut {away[0].name!r} is from {away[0].start:g} to {away[0].stop:g} s, but the "
+                f"log lasts from {first:.1f} to {last:.1f} s."
+            )
         made: list[Cut] = []
         if mapping.while_ is not None:
             made += mapping.while_.of(self.log)
         if mapping.by_commands is not None:
             commands = {name: (one.times, one.values) for name, one in self.inputs.items()}
             made += mapping.by_commands.find(commands, last)
+        elif mapping.while_ is None and not mapping.cuts:
+            return [Cut(stem, first, max(last, first + 1e-9))]
         found = [*mapping.cuts, *(replace(cut, name=f"{stem}_{cut.name}") for cut in made)]
-        if not found and (mapping.while_ or mapping.by_commands):
+        if not found:
             raise DataError(
                 f"{mapping.where} finds no manoeuvre in {self.log.path.name}. Lower threshold or "
                 "shortest, or look at the command with --list."
             )
-        return found or [Cut(stem, first, max(last, first + 1e-9))]
+        return found
 
 
 def _check_unit(where: str, unit: str, needed: str) -> None:
@@ -259,18 +264,7 @@ class _Manoeuvre:
                 "left out: nobody knows what was commanded then."
             )
         rows = self._with_switches(rows[~early])
-        outputs = np.full((rows.size, len(channels.outputs)), np.nan)
-        moved = 0.0
-        for name, piece in self.pieces.items():
-            column = outputs[:, channels.output_names.index(name)]
-            moved = max(moved, _place(piece, rows, column))
-        if moved > 0.0:
-            self._note(f"samples of one moment share a row; the largest shift is {moved:.3g} s.")
-        every = sum(int(np.sum(piece.times >= start)) for piece in self.pieces.values())
-        lost = every - int(np.isfinite(outputs).sum())
-        clock = self.work.mapping.clock
-        if clock != "outputs" and lost > 0:
-            self._note(f"{lost} samples away from those of {clock!r} were left out.")
+        outputs = self._placed(rows, start)
         columns = [self._at(inputs[one.name], rows, one) for one in channels.inputs]
         return Record(
             self.cut.name,
@@ -281,6 +275,22 @@ class _Manoeuvre:
             source=str(self.work.log.path),
             missing_outputs=empty_outputs(outputs, channels.output_names),
         )
+
+    def _placed(self, rows: np.ndarray, start: float) -> np.ndarray:
+        """Outputs in their rows ``(n_rows, n_outputs)``; what was moved or lost is noted."""
+        names, clock = self.work.channels.output_names, self.work.mapping.clock
+        outputs = np.full((rows.size, len(names)), np.nan)
+        moved = [
+            _place(piece, rows, outputs[:, names.index(name)])
+            for name, piece in self.pieces.items()
+        ]
+        if (most := max(moved)) > 0.0:
+            self._note(f"samples of one moment share a row; the largest shift is {most:.3g} s.")
+        every = sum(int(np.sum(piece.times >= start)) for piece in self.pieces.values())
+        lost = every - int(np.isfinite(outputs).sum())
+        if clock != "outputs" and lost > 0:
+            self._note(f"{lost} samples away from those of {clock!r} were left out.")
+        return outputs
 
     def _piece(self, signal: _Signal) -> _Signal:
         """What lies within the cut, its times checked to increase."""

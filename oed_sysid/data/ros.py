@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.log import Log, Rows, assemble, library, topics_of
-from oed_sysid.errors import DataError
+from oed_sysid.data.log import Log, Rows, assemble, topics_of, until_torn
+from oed_sysid.errors import DataError, library
 
 # Longer arrays are pictures, scans and covariances.
 MOST_ENTRIES = 16
@@ -28,27 +28,21 @@ def _log(path: Path, kind: str, messages: Iterator[tuple[str, int, Callable[[], 
     rounded.
     """
     rows: _Stamped = {}
-    notes, skipped = [], dict[str, str]()
-    try:
-        for topic, received, content in messages:
-            if topic in skipped:
-                continue
-            try:
-                numbers = dict(_flat(content(), ""))
-            except Exception as error:  # an unknown type, or a torn message
-                why = str(error) or type(error).__name__
-                skipped[topic] = why if isinstance(error, DataError) else why[:80]
-                continue
-            seconds = numbers.pop("header.stamp.sec", numbers.pop("header.stamp.secs", 0.0))
-            rest = numbers.pop("header.stamp.nanosec", numbers.pop("header.stamp.nsecs", 0.0))
-            numbers.pop("header.seq", None)
-            name = topic.strip("/").replace("/", "_") or "topic"
-            stamped = int(seconds) * 10**9 + int(rest)
-            rows.setdefault(name, []).append((received, stamped, numbers))
-    except Exception as error:  # whatever a damaged file makes of the library
-        if not rows:
-            raise
-        notes.append(f"{path.name} breaks off ({str(error)[:80]}); what stands before is used.")
+    notes, skipped = list[str](), dict[str, str]()
+    for topic, received, content in until_torn(messages, path, notes):
+        if topic in skipped:
+            continue
+        try:
+            numbers = dict(_flat(content(), ""))
+        except Exception as error:  # an unknown type, or a torn message
+            why = str(error) or type(error).__name__
+            skipped[topic] = why if isinstance(error, DataError) else why[:80]
+            continue
+        seconds = numbers.pop("header.stamp.sec", numbers.pop("header.stamp.secs", 0.0))
+        rest = numbers.pop("header.stamp.nanosec", numbers.pop("header.stamp.nsecs", 0.0))
+        numbers.pop("header.seq", None)
+        name = topic.strip("/").replace("/", "_") or "topic"
+        rows.setdefault(name, []).append((received, int(seconds) * 10**9 + int(rest), numbers))
     notes += [f"Topic {topic} was left out: {why}" for topic, why in skipped.items()]
     if not rows and skipped:
         topic, why = next(iter(skipped.items()))
@@ -75,18 +69,21 @@ def _timed(rows: _Stamped, notes: list[str]) -> Rows:
 def _flat(message: Any, prefix: str) -> Iterator[tuple[str, float]]:
     """Names and values of all numbers in a message."""
     if isinstance(message, bool | int | float | np.number):
-        yield prefix, float(message)
-    elif isinstance(message, Mapping):
-        for key, value in message.items():
-            yield from _flat(value, f"{prefix}.{key}" if prefix else str(key))
+        yield prefix.lstrip("."), float(message)
+    for key, value in _parts(message):
+        yield from _flat(value, f"{prefix}{key}")
+
+
+def _parts(message: Any) -> Iterator[tuple[str, Any]]:
+    """Fields of a message and entries of a short array, by how they are written."""
+    if isinstance(message, Mapping):
+        yield from ((f".{key}", value) for key, value in message.items())
     elif hasattr(message, "__dataclass_fields__"):
-        for key in message.__dataclass_fields__:
-            if not key.startswith("__"):
-                yield from _flat(getattr(message, key), f"{prefix}.{key}" if prefix else key)
+        named = (key for key in message.__dataclass_fields__ if not key.startswith("__"))
+        yield from ((f".{key}", getattr(message, key)) for key in named)
     elif isinstance(message, Sequence | np.ndarray) and not isinstance(message, str | bytes):
         few = len(message) <= MOST_ENTRIES
-        for index, value in enumerate(message if few else ()):
-            yield from _flat(value, f"{prefix}[{index}]")
+        yield from ((f"[{index}]", value) for index, value in enumerate(message if few else ()))
 
 
 def read_bag(path: Path) -> Log:
@@ -102,8 +99,8 @@ def read_bag(path: Path) -> Log:
     DataError
         If rosbags is missing, or the bag is damaged or was not closed.
     """
-    highlevel = library("rosbags.highlevel", "a ROS bag")
-    typesys = library("rosbags.typesys", "a ROS bag")
+    highlevel = library("rosbags.highlevel", "Reading a ROS bag")
+    typesys = library("rosbags.typesys", "Reading a ROS bag")
     store = typesys.get_typestore(typesys.Stores.LATEST) if path.is_dir() else None
 
     def messages() -> Iterator[tuple[str, int, Callable[[], Any]]]:
@@ -128,7 +125,7 @@ def read_mcap(path: Path) -> Log:
     DataError
         If mcap is missing, or nothing in the file can be read.
     """
-    reader_module = library("mcap.reader", "an MCAP file")
+    reader_module = library("mcap.reader", "Reading an MCAP file")
     decoders: dict[int, Callable[[bytes], Any]] = {}
 
     def content(schema: Any, channel: Any, raw: bytes) -> Any:
@@ -151,7 +148,7 @@ def _decoder(schema: Any, channel: Any) -> Callable[[bytes], Any]:
     if channel.message_encoding == "json":
         return json.loads
     if channel.message_encoding in ("cdr", "ros1") and schema is not None:
-        typesys = library("rosbags.typesys", "an MCAP file of ROS messages")
+        typesys = library("rosbags.typesys", "Reading an MCAP file of ROS messages")
         name = schema.name if "/msg/" in schema.name else schema.name.replace("/", "/msg/")
         store = typesys.get_typestore(typesys.Stores.EMPTY)
         text, idl = schema.data.decode(), schema.encoding == "ros2idl"

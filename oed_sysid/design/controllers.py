@@ -36,11 +36,10 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.log import library
 from oed_sysid.design.assurance import AbortRule
 from oed_sysid.design.library import as_piecewise
 from oed_sysid.design.vehicles import outside, quantity, units_of
-from oed_sysid.errors import DesignError, FileError, located
+from oed_sysid.errors import DesignError, FileError, library, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
 from oed_sysid.experiments.simulation import simulate
@@ -438,8 +437,8 @@ def write_bag(path: str | Path, model: Model, times: np.ndarray, inputs: np.ndar
     place = Path(path)
     if place.exists():
         raise FileError(f"{str(place)!r} exists already. Name a folder that does not.")
-    rosbag2 = library("rosbags.rosbag2", "a ROS bag")
-    typesys = library("rosbags.typesys", "a ROS bag")
+    rosbag2 = library("rosbags.rosbag2", "Writing a ROS bag")
+    typesys = library("rosbags.typesys", "Writing a ROS bag")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
     kind = "std_msgs/msg/Float64"
     message = store.types[kind]

@@ -220,7 +220,7 @@ class Problem:
         """
         if name in self.others:
             return self.others[name]
-        self._check_known("model", name, self.variants)
+        self._check_known("model", name, self.variants, f"{DEFAULT} is the nominal one.")
         if name == DEFAULT:
             return self
         model = self.models[name]
@@ -256,9 +256,9 @@ class Problem:
         self._check_known("experiment", name, self.experiments)
         return self.experiments[name]
 
-    def _check_known(self, kind: str, name: str, known: Iterable[str]) -> None:
+    def _check_known(self, kind: str, name: str, known: Iterable[str], advice: str = "") -> None:
         """Raise :class:`ProblemError` for a part that there is not."""
-        located(ProblemError, f"Problem {self.name!r} has no {kind}", [name], known)
+        located(ProblemError, f"Problem {self.name!r} has no {kind}", [name], known, advice)
 
     def data(self) -> Dataset:
         """Return the measured records of this problem.

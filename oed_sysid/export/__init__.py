@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from pathlib import Path
 
-from oed_sysid.errors import ModelError, closest
+from oed_sysid.errors import ModelError, located
 from oed_sysid.export.c_code import example_test, header, source, write_fmu
 from oed_sysid.export.program import Program, identifier, program_of
 from oed_sysid.export.scripts import control_text, matlab_text, python_text, write_casadi
@@ -87,11 +87,7 @@ def export(
     >>> print(psi[:, 0].round(4))
     [ 0.    5.94 11.94]
     """
-    if kind not in KINDS:
-        raise ModelError(
-            f"There is no export {kind!r}. Choose one of {', '.join(KINDS)}."
-            + closest(str(kind), KINDS)
-        )
+    located(ModelError, "There is no export", [kind], KINDS)
     program, place = program_of(_for_runs(source)), Path(path).expanduser()
     if trim and kind != "control":
         raise ModelError(f"A trim is for kind 'control'; {kind!r} is the whole model.")

@@ -27,7 +27,9 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from string import Template
-from xml.etree import ElementTree
+from typing import Any
+
+import jinja2
 
 from oed_sysid.errors import FileError
 from oed_sysid.export.program import (
@@ -166,7 +168,7 @@ def write_fmu(program: Program, path: Path, version: str = "2.0") -> tuple[Path,
             (place / title).write_text(text, encoding="utf-8")
         libraries = _compiled(place, name, version)
         if version == "3.0":  # in 2.0 the sources are listed in the description
-            texts["buildDescription.xml"] = _xml(_build_description(name))
+            texts["buildDescription.xml"] = _xml("build", name=name, sources=_sources(name))
         with whole_file(file) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as unit:
             unit.writestr("modelDescription.xml", description(program, guid, version))
             for title, text in texts.items():
@@ -184,27 +186,16 @@ def _exchanges(program: Program) -> bool:
 
 def _compiled(place: Path, name: str, version: str) -> list[Path]:
     """Libraries for the platforms that compilers here know."""
-    own = (sys.platform, platform.machine())
-    compiler = next((one for one in ("cc", "gcc", "clang") if shutil.which(one)), None)
-    crosses = importlib.util.find_spec("ziglang") is not None
     found = []
-    for key, known in _PLATFORMS.items():
-        if version not in known.folders or not (crosses or (compiler and key == own)):
-            continue
-        target = place / known.folders[version] / f"{name}{known.ending}"
-        target.parent.mkdir()
-        if compiler and key == own:
-            command = [compiler, "-fPIC"]
-        else:
-            command = [sys.executable, "-m", "ziglang", "cc", "-target", known.target]
-        command += ["-O2", "-std=c99", "-shared", "-fvisibility=hidden"]
-        command += [str(place / f"{name}.c"), str(place / f"{name}_fmu.c"), "-o", str(target)]
-        command += [] if key[0] == "win32" else ["-lm"]
-        done = subprocess.run(command, capture_output=True, check=False)
-        if done.returncode:
-            last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
-            raise FileError(f"{command[0]} refuses the code of the FMU: {' '.join(last)}")
-        found.append(target)
+    for key, command in _compilers().items():
+        known = _PLATFORMS[key]
+        if version in known.folders:
+            target = place / known.folders[version] / f"{name}{known.ending}"
+            target.parent.mkdir()
+            sources = [str(place / one) for one in _sources(name)]
+            mathematics = [] if key[0] == "win32" else ["-lm"]
+            _run([*command, *_FLAGS, *sources, "-o", str(target), *mathematics])
+            found.append(target)
     if not found:
         warnings.warn(
             "The FMU holds sources only, because no C compiler was found for this machine. "
@@ -214,8 +205,50 @@ def _compiled(place: Path, name: str, version: str) -> list[Path]:
     return found
 
 
-# Name, unit, start value and attributes of a variable.
-Variable = tuple[str, str, float | None, dict[str, str]]
+_FLAGS = ("-O2", "-std=c99", "-shared", "-fvisibility=hidden")
+
+
+def _compilers() -> dict[tuple[str, str], list[str]]:
+    """Commands that compile, by platform: zig's for all, this machine's own for it."""
+    found = {}
+    if importlib.util.find_spec("ziglang") is not None:
+        zig = [sys.executable, "-m", "ziglang", "cc", "-target"]
+        found = {key: [*zig, known.target] for key, known in _PLATFORMS.items()}
+    own = (sys.platform, platform.machine())
+    compiler = next(filter(shutil.which, ("cc", "gcc", "clang")), None)
+    if compiler is not None and own in _PLATFORMS:
+        found[own] = [compiler, "-fPIC"]
+    return found
+
+
+def _run(command: list[str]) -> None:
+    """Run a compiler; what it refuses is an error."""
+    done = subprocess.run(command, capture_output=True, check=False)
+    if done.returncode:
+        last = done.stderr.decode(errors="replace").strip().splitlines()[-1:]
+        raise FileError(f"{command[0]} refuses the code of the FMU: {' '.join(last)}")
+
+
+@dataclass(frozen=True)
+class Variable:
+    """A variable of a unit.
+
+    Attributes
+    ----------
+    name, unit : str
+    start : float or None
+        Value before the first step.
+    words : mapping of str to str
+        What the interface calls it: causality, variability and so on.
+    of : int or None
+        Number of the variable that it is the derivative of.
+    """
+
+    name: str
+    unit: str
+    start: float | None
+    words: Mapping[str, str]
+    of: int | None = None
 
 
 def _variables(program: Program) -> list[Variable]:
@@ -227,21 +260,21 @@ def _variables(program: Program) -> list[Variable]:
         names.inputs, names.input_units, program.linear_inputs, strict=True
     ):
         held = "continuous" if linear else "discrete"
-        rows.append((name, unit, 0.0, {"causality": "input", "variability": held}))
+        rows.append(Variable(name, unit, 0.0, {"causality": "input", "variability": held}))
     for name, unit in zip(names.outputs, names.output_units, strict=True):
         title = f"{name}_measured" if name in names.states else name  # beside the state itself
-        rows.append((title, unit, None, {"causality": "output", **moving}))
-    values = program.model.value_vector
+        rows.append(Variable(title, unit, None, {"causality": "output", **moving}))
+    values = program.model.value_vector.tolist()
     for name, unit, value in zip(names.parameters, names.parameter_units, values, strict=True):
-        rows.append((name, unit, value, {"variability": "tunable", **exact}))
+        rows.append(Variable(name, unit, value, {"variability": "tunable", **exact}))
     for name in names.states[: program.graph.n_own]:
-        words = {"description": f"{name} at the start"}
-        rows.append((f"{name}_start", "", 0.0, {"variability": "fixed", **exact, **words}))
+        words = {"description": f"{name} at the start", "variability": "fixed", **exact}
+        rows.append(Variable(f"{name}_start", "", 0.0, words))
     first, local = len(rows), {"causality": "local", **moving}
-    rows += [(name, "", None, local) for name in names.states]
+    rows += [Variable(name, "", None, local) for name in names.states]
     if _exchanges(program):
         states = enumerate(names.states, start=first)
-        rows += [(f"der({name})", "", None, local | {"of": str(k)}) for k, name in states]
+        rows += [Variable(f"der({name})", "", None, local, k) for k, name in states]
     return rows
 
 
@@ -257,113 +290,42 @@ def description(program: Program, guid: str, version: str = "2.0") -> str:
     version : str
         Of the interface.
     """
-    words = {
-        "fmiVersion": version,
-        "modelName": safe(program.model.name),
-        "guid" if version == "2.0" else "instantiationToken": f"{{{guid}}}",
-        "description": program.origin,
-        "generationTool": f"oed_sysid {__version__}",
-        "generationDateAndTime": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
-        "variableNamingConvention": "flat",
-    }
-    root = ElementTree.Element("fmiModelDescription", words)
-    if version == "2.0":
-        root.set("numberOfEventIndicators", "0")
-    state = "FMUstate" if version == "2.0" else "FMUState"
-    able = {"modelIdentifier": program.identifier}
-    able |= {f"canGetAndSet{state}": "true", f"canSerialize{state}": "true"}
-    steps = {"canHandleVariableCommunicationStepSize": "true"}
-    kinds = {"ModelExchange": able} if _exchanges(program) else {}
-    for kind, can in (kinds | {"CoSimulation": able | steps}).items():
-        unit = ElementTree.SubElement(root, kind, can)
-        if version == "2.0":
-            files = ElementTree.SubElement(unit, "SourceFiles")
-            for title in _sources(program.identifier):
-                ElementTree.SubElement(files, "File", name=title)
     rows = _variables(program)
-    if stated := sorted({unit_text for _, unit_text, _, _ in rows} - {""}):
-        units = ElementTree.SubElement(root, "UnitDefinitions")
-        for text in stated:
-            ElementTree.SubElement(units, "Unit", name=text)
-    (_add_variables if version == "2.0" else _add_variables_3)(root, rows)
-    return _xml(root)
+    *titles, time = distinct([*(one.name for one in rows), "time"])
+    outputs = [k for k, one in enumerate(rows) if one.words["causality"] == "output"]
+    slopes = {k: one.of for k, one in enumerate(rows) if one.of is not None}
+    unknown = [*outputs, *slopes.values(), *slopes]
+    own = len(rows) - len(slopes)
+    return _xml(
+        "model",
+        version=version,
+        guid=guid,
+        model=safe(program.model.name),
+        name=program.identifier,
+        origin=program.origin,
+        tool=f"oed_sysid {__version__}",
+        now=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        kinds=["ModelExchange"] * _exchanges(program) + ["CoSimulation"],
+        sources=_sources(program.identifier),
+        units=sorted({one.unit for one in rows} - {""}),
+        variables=list(zip(titles, rows, strict=True)),
+        time=time,
+        # The C code counts a derivative for each state, whether the importer may ask for it or not.
+        time_number=own + len(program.names.states),
+        structure=[
+            ("Outputs", "Output", outputs),
+            ("Derivatives", "ContinuousStateDerivative", list(slopes)),
+            ("InitialUnknowns", "InitialUnknown", unknown),
+        ],
+    )
 
 
 def _sources(name: str) -> tuple[str, str]:
     return f"{name}.c", f"{name}_fmu.c"
 
 
-def _build_description(name: str) -> ElementTree.Element:
-    """Which files an importer compiles, as FMI 3.0 says it."""
-    root = ElementTree.Element("fmiBuildDescription", fmiVersion="3.0")
-    unit = ElementTree.SubElement(root, "BuildConfiguration", modelIdentifier=name)
-    files = ElementTree.SubElement(unit, "SourceFileSet", language="C99")
-    for title in _sources(name):
-        ElementTree.SubElement(files, "SourceFile", name=title)
-    return root
-
-
-def _xml(root: ElementTree.Element) -> str:
-    ElementTree.indent(root)
-    text = ElementTree.tostring(root, encoding="unicode")
-    return '<?xml version="1.0" encoding="UTF-8"?>\n' + text + "\n"
-
-
-def _started(row: Variable) -> dict[str, str]:
-    """Unit and start value of a variable, where it has them."""
-    given = {"unit": row[1], "start": "" if row[2] is None else repr(float(row[2]))}
-    return {what: text for what, text in given.items() if text}
-
-
-def _structure(rows: list[Variable]) -> dict[str, list[int]]:
-    """Numbers of outputs, of derivatives, and of what an importer solves for at the start."""
-    outputs = [k for k, row in enumerate(rows) if row[-1]["causality"] == "output"]
-    slopes = {k: int(row[-1]["of"]) for k, row in enumerate(rows) if "of" in row[-1]}
-    unknown = [*outputs, *slopes.values(), *slopes]
-    return {"Outputs": outputs, "Derivatives": list(slopes), "InitialUnknowns": unknown}
-
-
-def _add_variables(root: ElementTree.Element, rows: list[Variable]) -> None:
-    """Add the variables, and which of them are outputs, as FMI 2.0 counts them: from one."""
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    titles = distinct(title for title, _, _, _ in rows)
-    for number, (title, row) in enumerate(zip(titles, rows, strict=True)):
-        more = {key: text for key, text in row[-1].items() if key != "of"}
-        known = {"name": title, "valueReference": str(number), **more}
-        one = ElementTree.SubElement(variables, "ScalarVariable", known)
-        slope = {"derivative": str(int(row[-1]["of"]) + 1)} if "of" in row[-1] else {}
-        ElementTree.SubElement(one, "Real", _started(row) | slope)
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for kind, numbers in _structure(rows).items():
-        if numbers:
-            listed = ElementTree.SubElement(structure, kind)
-            for number in numbers:
-                ElementTree.SubElement(listed, "Unknown", index=str(number + 1))
-
-
-_IN_3 = {
-    "Outputs": "Output",
-    "Derivatives": "ContinuousStateDerivative",
-    "InitialUnknowns": "InitialUnknown",
-}
-
-
-def _add_variables_3(root: ElementTree.Element, rows: list[Variable]) -> None:
-    """Add the variables and the time, as FMI 3.0 names them: by value references."""
-    variables = ElementTree.SubElement(root, "ModelVariables")
-    # The C code counts a derivative for each state, whether the importer may ask for it or not.
-    own = [row for row in rows if "of" not in row[-1]]
-    time = len(own) + sum(row[-1]["causality"] == "local" for row in own)
-    titles = distinct([*(title for title, _, _, _ in rows), "time"])
-    for number, (title, row) in enumerate(zip(titles, rows, strict=False)):
-        more = {"derivative" if key == "of" else key: text for key, text in row[-1].items()}
-        known = {"name": title, "valueReference": str(number), **more, **_started(row)}
-        ElementTree.SubElement(variables, "Float64", known)
-    free = {"causality": "independent", "variability": "continuous"}
-    ElementTree.SubElement(
-        variables, "Float64", {"name": titles[-1], "valueReference": str(time), **free}
-    )
-    structure = ElementTree.SubElement(root, "ModelStructure")
-    for kind, numbers in _structure(rows).items():
-        for number in numbers:
-            ElementTree.SubElement(structure, _IN_3[kind], valueReference=str(number))
+def _xml(kind: str, **words: object) -> str:
+    """Text of the description of a model, or of how it is built."""
+    settings: dict[str, Any] = {"trim_blocks": True, "undefined": jinja2.StrictUndefined}
+    environment = jinja2.Environment(autoescape=True, **settings)
+    return environment.from_string(template(f"{kind}Description.xml.j2").template).render(words)

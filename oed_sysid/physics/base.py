@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, ClassVar, Self
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.physics.channels import check_signal, settle
 from oed_sysid.physics.parameters import Parameter, check_unique, with_parameters
 from oed_sysid.text import callables, expressions
@@ -172,18 +172,14 @@ class Effect:
         if not self.terms and not self.states:
             raise ModelError(f"{where} contributes nothing: give at least one term.")
         for part, verb, stages in _GOING_ON:
-            if getattr(self, part) and self.stage not in stages:
+            if self.stage not in stages and getattr(self, part):
                 raise ModelError(f"{where}: a {self.stage} effect cannot {verb} {part}.")
         if self.memory and self.states:
             raise ModelError(
                 f"{where} has both sampled memory and continuous states. Keep one: an "
                 "effect with states works within the equations of motion."
             )
-        if unknown := [name for name in self.amplitudes or () if name not in known]:
-            raise ModelError(
-                f"{where} names the amplitude {unknown[0]!r}, which is not one of its "
-                f"parameters: {', '.join(known)}."
-            )
+        located(ModelError, f"{where} names the amplitude", self.amplitudes or (), known)
 
     @classmethod
     def from_function(

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from types import MappingProxyType
@@ -274,18 +274,23 @@ class Model(Structure):
                 rows += [("", signal, text, ""), *changes]
         for signal, text in self.signals.items():
             rows += [("", signal, text, ""), *self._changes("change", "environment", signal)]
-        for effect in self.effects:
-            rows += [("", key, text, effect.name) for key, text in effect.definitions.items()]
+        rows += self._of_effects(lambda one: one.definitions.items())
         rows += [("", _inertia_text(self, axis), _force_text(self, axis), "") for axis in self.axes]
         for state, rate in self.kinematics.items():
             added = _force_text(self, state)
             rows.append(("", f"dot({state})", rate if added == "0" else f"{rate} + {added}", ""))
-        for effect in self.effects:
-            rows += [("", f"dot({s.name})", s.rate, effect.name) for s in effect.states]
+        rows += self._of_effects(lambda one: [(f"dot({s.name})", s.rate) for s in one.states])
         for output in self.outputs:
             rows.append(("measured", output.name, output.source, ""))
             rows += self._changes("measured change", "sensor", output.name)
         return rows
+
+    def _of_effects(
+        self, parts: Callable[[Effect], Iterable[tuple[str, str]]]
+    ) -> Iterator[tuple[str, str, str, str]]:
+        """Equations that effects bring."""
+        for effect in self.effects:
+            yield from (("", left, right, effect.name) for left, right in parts(effect))
 
     def _changes(self, kind: str, stage: str, signal: str) -> list[tuple[str, str, str, str]]:
         """What the effects of a stage turn a signal into."""

@@ -35,7 +35,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.physics import frames
 from oed_sysid.physics.base import Effect, Environment, Force, amplitude
 from oed_sysid.physics.channels import Input, Output, State
@@ -43,6 +43,7 @@ from oed_sysid.physics.frames import Matrix, Place, cross, minus, plus, text_of,
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import SNAME, hull_derivatives
+from oed_sysid.runtime.display import counted
 from oed_sysid.text import expressions, notation
 
 Number = float | Parameter
@@ -110,15 +111,10 @@ class RigidBody:
         """
         plain = [n for n in self.kinematics if n not in (*frames.QUATERNION, *self.angles)]
         usual = [*self.velocities, *self.angles, *plain]
-        wanted = dict.fromkeys(usual) if noise is None else dict(noise)
         whole = ("e0", "e1", "e2", "e3") if "de0" in self.kinematics else ()
-        turned = {e: f"{e}/sqrt(e_norm)" for e in whole}
-        seen = {**self.angles, **turned}
-        known = [*usual, *turned]
-        if unknown := [name for name in wanted if name not in known]:
-            raise ModelError(
-                f"This body has no {unknown[0]!r} to measure. It has {', '.join(known)}."
-            )
+        seen = {**self.angles, **{e: f"{e}/sqrt(e_norm)" for e in whole}}
+        wanted = dict.fromkeys(usual) if noise is None else dict(noise)
+        located(ModelError, "This body measures no", wanted, [*usual, *whole])
         return tuple(
             Output(
                 name,
@@ -188,17 +184,15 @@ class RigidBody:
         >>> body.start(u=1.5, theta=0.0)["de0"]
         0.0
         """
-        given = {"phi": phi, "theta": theta, "psi": psi}
         if "de0" in self.kinematics:
             turned = frames.quaternion_of(phi, theta, psi)
         else:
+            given = {"phi": phi, "theta": theta, "psi": psi}
+            turning = [name for name, value in given.items() if value]
+            located(ModelError, "This body has no angle", turning, self.angles)
             turned = {name: given[name] for name in self.angles}
-            lost = [name for name, value in given.items() if value and name not in turned]
-            if lost:
-                raise ModelError(f"This body has no {lost[0]}: it has {', '.join(turned)}.")
-        known = (*self.velocities, *self.kinematics)
-        if unknown := [name for name in motion if name not in known]:
-            raise ModelError(f"This body has no state {unknown[0]!r}: it has {', '.join(known)}.")
+        states = (*self.velocities, *self.kinematics)
+        located(ModelError, "This body has no state", motion, states)
         return {**motion, **turned}
 
     # -- what acts on it -----------------------------------------------------------
@@ -304,13 +298,9 @@ class RigidBody:
             Drag per :math:`u^2\delta^2` in kg/m.
         """
         place, own = placed(name, at)
-        direction = NORMALS.get(normal) if isinstance(normal, str) else normal
-        if direction is None:
-            raise ModelError(
-                f"Fin {name!r} has the normal {normal!r}. Choose horizontal, vertical, or "
-                "(x, y, z)."
-            )
-        side = [text_of(c) for c in direction]
+        if isinstance(normal, str):
+            located(ModelError, f"Fin {name!r} has the normal", [normal], NORMALS)
+        side = [text_of(c) for c in (NORMALS[normal] if isinstance(normal, str) else normal)]
         # The fin sees the flow of its own place: the motion of the origin and what it is swept by.
         flow, swept = self._present("uvw", "{}_r"), cross(self._present("pqr"), place)
         ahead, *across = (plus(v, w) for v, w in zip(flow, swept, strict=True))
@@ -354,13 +344,10 @@ class RigidBody:
         }
         terms = {}
         for column, velocity in enumerate("uvw"):
+            rows = zip(speeds, self.rotation, strict=True)
+            seen = [times(sizes[side].name, row[column]) for side, row in rows if side in sizes]
             if velocity in self.velocities:
-                seen = [
-                    minus(times(sizes[side].name, self.rotation[row][column]))
-                    for row, side in enumerate(speeds)
-                    if side in sizes
-                ]
-                terms[f"{velocity}_r"] = plus(f"{velocity}_r", *seen)
+                terms[f"{velocity}_r"] = plus(f"{velocity}_r", *map(minus, seen))
         return Environment(
             name,
             terms,
@@ -399,19 +386,14 @@ class RigidBody:
         noise_std : float, optional
             Noise of the sensor.
         """
-        if axis not in ("x", "y", "z"):
-            raise ModelError(f"An accelerometer along {axis!r} does not exist. Choose x, y or z.")
-        i = "xyz".index(axis)
-
+        (i,) = located(ModelError, "There is no accelerometer along", [axis], "xyz")
         place, spin = [text_of(c) for c in at], self._present("pqr")
         turn = self._present("pqr", "dot({})")
-        # Centripetal acceleration of the place where the instrument is.
-        turning = cross(spin, cross(spin, place))
         parts = (
             self._present("uvw", "dot({})"),
             cross(spin, self._present("uvw")),
             cross(turn, place),
-            turning,
+            cross(spin, cross(spin, place)),  # centripetal, of the place of the instrument
         )
         weight = "0" if gravity == 0 else minus(times(text_of(gravity), self.rotation[2][i]))
         text = plus(*(part[i] for part in parts), weight)
@@ -431,8 +413,7 @@ class RigidBody:
     def inertia_matrix(self, part: str = "total") -> np.ndarray:
         """Inertia about the origin, ``(6, 6)``: ``"rigid"``, ``"added"`` or their sum."""
         chosen = {"rigid": (self.rigid,), "added": (self.added,), "total": (self.rigid, self.added)}
-        if part not in chosen:
-            raise ModelError(f"Inertia has no part {part!r}. Choose {', '.join(chosen)}.")
+        located(ModelError, "Inertia has no part", [part], chosen)
         values = {p.name: p.value for p in self.parameters}
         matrix = np.zeros((6, 6))
         for entries in chosen[part]:
@@ -574,36 +555,33 @@ def rigid_body(
     >>> print(next(line for line in boat.equations().splitlines() if "u' =" in line))
     (m - X_udot) u' = P_y r + A_y r - X_udot r (v - v_r) + T + X_u u_r
     """
-    active = _active(dof)
-    oriented = _oriented(attitude, active)
-    constants = _masses(mass, centre_of_gravity, inertia, active)
+    body = _Body(_active(dof))
+    active, axes, oriented = body.active, body.axes, _oriented(attitude, body.active)
+    body.masses(mass, centre_of_gravity, inertia)
     # M_RB and M_A as texts; only constants that are not zero come into the equations.
-    rigid = frames.rigid_matrix(constants.names)
-    added = frames.added_matrix(_added_mass(constants, added_mass, active))
-    axes = {frames.AXES[frames.VELOCITIES.index(v)]: v for v in active}
+    rigid = frames.rigid_matrix(body.names)
+    added = frames.added_matrix(body.added_mass(added_mass))
     # Rigid-body forces go with the velocity over ground, those of the water with the velocity
     # through it; a steady current turns in body axes.
     velocity = [v if v in active else "0" for v in frames.VELOCITIES]
     through = [f"{v}_r" if v in "uvw" and v != "0" else v for v in velocity]
     drift = [f"({v} - {v}_r)" if v in active else "0" for v in "uvw"]
-    if metacentric_height is not None or heave_stiffness is not None:
-        restoring = _floating(constants, weight, metacentric_height, heave_stiffness, active)
+    if metacentric_height is None and heave_stiffness is None:
+        restoring = body.submerged(weight, buoyancy, centre_of_buoyancy, oriented.rotation[2])
     else:
-        down = oriented.rotation[2]
-        restoring = _submerged(constants, weight, buoyancy, centre_of_buoyancy, down, axes)
-    effects = [
-        *_coriolis("rigid_body", rigid, velocity, "PH", axes),
-        *_coriolis("added_mass", added, through, "AB", axes, drift),
-        *restoring,
-    ]
+        restoring = body.floating(weight, metacentric_height, heave_stiffness)
     return RigidBody(
         velocities=active,
         axes=axes,
         kinematics=oriented.states | _positions(oriented, velocity, position),
         inertia=_inertia((rigid, added), axes),
         signals=oriented.signals | {f"{v}_r": v for v in active if v in "uvw"},
-        effects=tuple(effects),
-        parameters=tuple(constants.parameters),
+        effects=(
+            *_coriolis("rigid_body", rigid, velocity, "PH", axes),
+            *_coriolis("added_mass", added, through, "AB", axes, drift),
+            *restoring,
+        ),
+        parameters=tuple(body.parameters),
         angles=oriented.angles,
         rotation=oriented.rotation,
         rigid=rigid,
@@ -611,26 +589,9 @@ def rigid_body(
     )
 
 
-def _masses(
-    mass: Number,
-    centre: Sequence[Number],
-    inertia: Sequence[Number] | Mapping[str, Number] | Number,
-    active: Sequence[str],
-) -> _Constants:
-    """Mass, centre of gravity and moments of inertia under their standard names."""
-    constants = _Constants()
-    constants.add("m", mass, "kg", "mass")
-    for letter, value in zip("xyz", _three("centre_of_gravity", centre), strict=True):
-        constants.add(f"{letter}_G", value, "m", "centre of gravity", optional=True)
-    for pair, value in _moments(inertia, active).items():
-        constants.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
-    return constants
-
-
 def _oriented(attitude: str, active: Sequence[str]) -> frames.Attitude:
     """The attitude as Euler angles or as a quaternion."""
-    if attitude not in ("euler", "quaternion"):
-        raise ModelError(f"Attitude {attitude!r} is not known. Choose 'euler' or 'quaternion'.")
+    located(ModelError, "There is no attitude", [attitude], ("euler", "quaternion"))
     if attitude == "euler":
         return frames.euler(active)
     if not {"p", "q", "r"} <= set(active):
@@ -648,19 +609,35 @@ def _positions(
     }
     moving = [name for name, rate in ground.items() if rate != "0"]
     names = moving if wanted is None else wanted
-    if unknown := [name for name in names if name not in moving]:
-        raise ModelError(f"Position {unknown[0]!r} does not change; it has {', '.join(moving)}.")
+    located(ModelError, "This body changes no position", names, moving)
     return {name: ground[name] for name in names}
 
 
-class _Constants:
-    """Parameters as they come, under their standard names."""
+def _active(dof: int | Sequence[str]) -> tuple[str, ...]:
+    if isinstance(dof, int):
+        if dof not in frames.DEGREES:
+            raise ModelError(f"{dof} degrees of freedom are not named. Choose 3, 4, 6 or names.")
+        return tuple(frames.DEGREES[dof])
+    located(ModelError, "There is no motion", dof, (*frames.MOTIONS, *frames.VELOCITIES))
+    chosen = {frames.MOTIONS.get(name, name) for name in dof}
+    return tuple(v for v in frames.VELOCITIES if v in chosen)
 
-    def __init__(self) -> None:
+
+def _size(value: Number) -> float:
+    return value.value if isinstance(value, Parameter) else float(value)
+
+
+class _Body:
+    """A body on its way: its motions, its axes, and its constants under their standard names."""
+
+    def __init__(self, active: tuple[str, ...]) -> None:
+        self.active = active
+        self.axes = {frames.AXES[frames.VELOCITIES.index(v)]: v for v in active}
         self.parameters: list[Parameter] = []
 
     @property
     def names(self) -> dict[str, float]:
+        """Constants so far, by name."""
         return {p.name: p.value for p in self.parameters}
 
     def add(
@@ -677,95 +654,142 @@ class _Constants:
             return "0"
         return name
 
+    def centre(self, of: str, values: Sequence[Number]) -> list[str]:
+        """Keep the coordinates of the centre of gravity or buoyancy; return their names."""
+        if len(values) != 3:
+            raise ModelError(f"centre_of_{of} has {len(values)} numbers; give x, y and z.")
+        names = [f"{letter}_{of[0].upper()}" for letter in "xyz"]
+        words = f"centre of {of}"
+        pairs = zip(names, values, strict=True)
+        return [self.add(name, value, "m", words, optional=True) for name, value in pairs]
 
-def _active(dof: int | Sequence[str]) -> tuple[str, ...]:
-    if isinstance(dof, int):
-        if dof not in frames.DEGREES:
-            raise ModelError(f"{dof} degrees of freedom are not named. Choose 3, 4, 6 or names.")
-        return tuple(frames.DEGREES[dof])
-    chosen = {frames.MOTIONS.get(name, name) for name in dof}
-    if unknown := sorted(chosen - set(frames.VELOCITIES)):
-        raise ModelError(
-            f"Unknown motion {unknown[0]!r}. Choose among {', '.join(frames.MOTIONS)}."
-        )
-    return tuple(v for v in frames.VELOCITIES if v in chosen)
+    def masses(
+        self,
+        mass: Number,
+        centre: Sequence[Number],
+        inertia: Sequence[Number] | Mapping[str, Number] | Number,
+    ) -> None:
+        """Keep mass, centre of gravity and moments of inertia."""
+        self.add("m", mass, "kg", "mass")
+        self.centre("gravity", centre)
+        for pair, value in self._moments(inertia).items():
+            self.add(f"I_{pair}", value, "kg m^2", "inertia about the origin", optional=True)
 
+    def _moments(
+        self, inertia: Sequence[Number] | Mapping[str, Number] | Number
+    ) -> dict[str, Number]:
+        """Moments and products of inertia by pair of letters."""
+        known = ("xx", "yy", "zz", "xy", "xz", "yz")
+        turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in self.active]
+        if isinstance(inertia, Mapping):
+            located(ModelError, "There is no inertia", inertia, known)
+            found = dict(inertia)
+        else:
+            if isinstance(inertia, float | int | Parameter):
+                values, pairs = [inertia], turning
+            else:
+                values, pairs = list(inertia), list(known[:3])
+            if len(values) != len(pairs):
+                raise ModelError(
+                    f"{counted(len(values), 'moment')} of inertia for "
+                    f"{counted(len(turning), 'rotation')}. Give (I_xx, I_yy, I_zz)."
+                )
+            found = dict(zip(pairs, values, strict=True))
+        for pair in turning:
+            if (size := _size(found.get(pair, 0.0))) <= 0.0:
+                raise ModelError(f"I_{pair} is {size:g}; a free rotation needs one above zero.")
+        return found
 
-def _size(value: Number) -> float:
-    return value.value if isinstance(value, Parameter) else float(value)
+    def added_mass(self, given: Mapping[str, Number] | Sequence[Parameter]) -> list[str]:
+        """Keep the acceleration derivatives; return their names."""
+        pairs = given.items() if isinstance(given, Mapping) else [(p.name, p) for p in given]
+        places: dict[tuple[str, ...], str] = {}
+        for name, value in pairs:
+            parsed = notation.parse(name)
+            if not parsed.is_dot:
+                raise ModelError(
+                    f"Added mass {name!r} is no acceleration derivative, as 'Y_vdot' is."
+                )
+            moved = frames.VELOCITIES[frames.AXES.index(parsed.axis)], parsed.factors[0].symbol
+            if not {*moved} <= {*self.active}:
+                raise ModelError(
+                    f"Added mass {name!r} does not belong to a body with {self.active}."
+                )
+            # M_A is symmetric for potential flow without forward speed: one of a pair says both.
+            key = tuple(sorted(moved))
+            if key in places:
+                raise ModelError(
+                    f"Added mass {places[key]!r} and {name!r} are the same entry of a symmetric "
+                    "matrix. Give one of the two."
+                )
+            # The acceleration derivatives are minus the added masses: Y_vdot = -A_22.
+            if moved[0] == moved[1] and (size := _size(value)) > 0:
+                raise ModelError(f"Added mass {name!r} is {size:g}; derivatives are negative.")
+            places[key] = name
+            self.add(name, value, notation.unit(name), parsed.description)
+        return list(places.values())
 
+    def submerged(
+        self,
+        weight: Number | None,
+        buoyancy: Number | None,
+        centre: Sequence[Number],
+        down: Sequence[str],
+    ) -> list[Effect]:
+        """Weight and buoyancy at their centres, if it has a weight."""
+        if weight is None:
+            if buoyancy is not None:
+                raise ModelError("This body has a buoyancy and no weight. Give both, or none.")
+            return []
+        heavy = self.add("W", weight, "N", "weight")
+        light = heavy if buoyancy is None else self.add("B", buoyancy, "N", "buoyancy")
+        gravity = [name if name in self.names else "0" for name in ("x_G", "y_G", "z_G")]
+        # r_G W - r_B B, the lever of the restoring moment, section 4.1.
+        levers = [
+            plus(times(one, heavy), minus(times(other, light)))
+            for one, other in zip(gravity, self.centre("buoyancy", centre), strict=True)
+        ]
+        excess = "0" if light == heavy else f"({heavy} - {light})"
+        six = [*(times(excess, part) for part in down), *cross(levers, down)]
+        terms = _on(self.axes, six)
+        return [_of_body("restoring", terms, "weight and buoyancy")] if terms else []
 
-def _three(name: str, values: Sequence[Number]) -> Sequence[Number]:
-    if len(values) != 3:
-        raise ModelError(f"{name} has {len(values)} numbers; give x, y and z.")
-    return values
-
-
-def _moments(
-    inertia: Sequence[Number] | Mapping[str, Number] | Number, active: Sequence[str]
-) -> dict[str, Number]:
-    """Moments and products of inertia by pair of letters."""
-    known = ("xx", "yy", "zz", "xy", "xz", "yz")
-    turning = [pair for pair, rate in zip(known, "pqr", strict=False) if rate in active]
-    if isinstance(inertia, Mapping):
-        if unknown := [key for key in inertia if key not in known]:
-            raise ModelError(f"Inertia {unknown[0]!r} is not known. Choose {', '.join(known)}.")
-        found = dict(inertia)
-    elif isinstance(inertia, float | int | Parameter):
-        if len(turning) != 1:
-            raise ModelError(
-                f"One moment of inertia for {len(turning)} rotations. Give (I_xx, I_yy, I_zz)."
-            )
-        found = {turning[0]: inertia}
-    else:
-        found = dict(zip(known, _three("inertia", inertia), strict=False))
-    for pair in turning:
-        if (size := _size(found.get(pair, 0.0))) <= 0.0:
-            raise ModelError(f"I_{pair} is {size:g}; a free rotation needs one above zero.")
-    return found
-
-
-def _added_mass(
-    constants: _Constants,
-    given: Mapping[str, Number] | Sequence[Parameter],
-    active: Sequence[str],
-) -> list[str]:
-    """Add the acceleration derivatives; return their names."""
-    pairs = given.items() if isinstance(given, Mapping) else [(p.name, p) for p in given]
-    places: dict[tuple[int, int], str] = {}
-    for name, value in pairs:
-        parsed = notation.parse(name)
-        if not parsed.is_dot:
-            raise ModelError(f"Added mass {name!r} is no acceleration derivative, as 'Y_vdot' is.")
-        i, j = frames.AXES.index(parsed.axis), frames.VELOCITIES.index(parsed.factors[0].symbol)
-        if frames.VELOCITIES[i] not in active or frames.VELOCITIES[j] not in active:
-            raise ModelError(f"Added mass {name!r} does not belong to a body with {active}.")
-        key = (min(i, j), max(i, j))
-        size = _size(value)
-        # M_A is symmetric for potential flow without forward speed: one of a pair says both.
-        if key in places:
-            raise ModelError(
-                f"Added mass {places[key]!r} and {name!r} are the same entry of a symmetric "
-                "matrix. Give one of the two."
-            )
-        # The acceleration derivatives are minus the added masses: Y_vdot = -A_22.
-        if i == j and size > 0:
-            raise ModelError(f"Added mass {name!r} is {size:g}; derivatives are negative.")
-        places[key] = name
-        constants.add(name, value, notation.unit(name), parsed.description)
-    return list(places.values())
+    def floating(
+        self,
+        weight: Number | None,
+        heights: Sequence[Number] | Number | None,
+        stiffness: Number | None,
+    ) -> list[Effect]:
+        """Metacentric moments and heave stiffness of a floating body."""
+        terms: dict[str, str] = {}
+        if heights is not None:
+            if weight is None:
+                raise ModelError("A metacentric height needs the weight: give weight=... in N.")
+            heavy = self.add("W", weight, "N", "weight")
+            listed = [heights] if isinstance(heights, float | int | Parameter) else list(heights)
+            sides = (("K", "phi", "GM_T"), ("M", "theta", "GM_L"))
+            for height, (axis, angle, name) in zip(listed, sides, strict=False):
+                if axis in self.axes:
+                    self.add(name, height, "m", "metacentric height")
+                    # Metacentric stability, K = -W GM_T sin(phi): section 4.2, moderate angles.
+                    terms[axis] = f"-{heavy}*{name}*sin({angle})"
+        if stiffness is not None:
+            if "Z" not in self.axes:
+                raise ModelError("A heave stiffness needs heave among the degrees of freedom.")
+            terms["Z"] = f"-{self.add('Z_z', stiffness, 'N/m', 'heave stiffness')}*z"
+        if not terms:
+            raise ModelError("Metacentric heights of a body that neither rolls nor pitches.")
+        return [_of_body("restoring", terms, "floating body")]
 
 
 def _inertia(matrices: Sequence[Matrix], axes: Mapping[str, str]) -> dict[tuple[str, str], str]:
-    entries: dict[tuple[str, str], str] = {}
-    for matrix in matrices:
-        for (i, j), text in matrix.items():
-            for row, column in {(i, j), (j, i)}:
-                key = (frames.AXES[row], frames.VELOCITIES[column])
-                if key[0] in axes and key[1] in axes.values():
-                    entries[key] = plus(entries.get(key, "0"), text)
-    order = {key: n for n, key in enumerate((a, v) for a in frames.AXES for v in frames.VELOCITIES)}
-    return dict(sorted(entries.items(), key=lambda item: order[item[0]]))
+    places = [(axis, v) for axis in axes for v in axes.values()]
+    rows = [(frames.AXES.index(a), frames.VELOCITIES.index(v)) for a, v in places]
+    texts = [
+        plus(*(matrix[key] for matrix in matrices for key in {(i, j), (j, i)} if key in matrix))
+        for i, j in rows
+    ]
+    return {place: text for place, text in zip(places, texts, strict=True) if text != "0"}
 
 
 def _coriolis(
@@ -795,59 +819,3 @@ def _of_body(
 ) -> Force:
     parts = definitions or {}
     return Force(name, terms, definitions=parts, description=words, source=FOSSEN, amplitudes=())
-
-
-def _submerged(
-    constants: _Constants,
-    weight: Number | None,
-    buoyancy: Number | None,
-    centre: Sequence[Number],
-    down: Sequence[str],
-    axes: Mapping[str, str],
-) -> list[Effect]:
-    """Weight and buoyancy at their centres, if it has a weight."""
-    if weight is None:
-        if buoyancy is not None:
-            raise ModelError("This body has a buoyancy and no weight. Give both, or none.")
-        return []
-    heavy = constants.add("W", weight, "N", "weight")
-    light = heavy if buoyancy is None else constants.add("B", buoyancy, "N", "buoyancy")
-    levers = []
-    for letter, value in zip("xyz", _three("centre_of_buoyancy", centre), strict=True):
-        lever = constants.add(f"{letter}_B", value, "m", "centre of buoyancy", optional=True)
-        gravity = f"{letter}_G" if f"{letter}_G" in constants.names else "0"
-        # r_G W - r_B B, the lever of the restoring moment, section 4.1.
-        levers.append(plus(times(gravity, heavy), minus(times(lever, light))))
-    excess = "0" if light == heavy else f"({heavy} - {light})"
-    six = [*(times(excess, part) for part in down), *cross(levers, down)]
-    terms = _on(axes, six)
-    return [_of_body("restoring", terms, "weight and buoyancy")] if terms else []
-
-
-def _floating(
-    constants: _Constants,
-    weight: Number | None,
-    heights: Sequence[Number] | Number | None,
-    stiffness: Number | None,
-    active: Sequence[str],
-) -> list[Effect]:
-    """Metacentric moments and heave stiffness of a floating body."""
-    terms: dict[str, str] = {}
-    if heights is not None:
-        if weight is None:
-            raise ModelError("A metacentric height needs the weight: give weight=... in N.")
-        heavy = constants.add("W", weight, "N", "weight")
-        listed = [heights] if isinstance(heights, float | int | Parameter) else list(heights)
-        sides = (("K", "p", "phi", "GM_T"), ("M", "q", "theta", "GM_L"))
-        for height, (axis, rate, angle, name) in zip(listed, sides, strict=False):
-            if rate in active:
-                constants.add(name, height, "m", "metacentric height")
-                # Metacentric stability, K = -W GM_T sin(phi): section 4.2, moderate angles.
-                terms[axis] = f"-{heavy}*{name}*sin({angle})"
-    if stiffness is not None:
-        if "w" not in active:
-            raise ModelError("A heave stiffness needs heave among the degrees of freedom.")
-        terms["Z"] = f"-{constants.add('Z_z', stiffness, 'N/m', 'heave stiffness')}*z"
-    if not terms:
-        raise ModelError("Metacentric heights of a body that neither rolls nor pitches.")
-    return [_of_body("restoring", terms, "floating body")]

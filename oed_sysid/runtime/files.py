@@ -24,7 +24,7 @@ from contextlib import contextmanager, suppress
 from functools import lru_cache
 from pathlib import Path
 
-from oed_sysid.errors import FileError
+from oed_sysid.errors import DataError, FileError
 
 # Of the key that signs cached code: that of SHA-256.
 KEY_BYTES = 32
@@ -218,6 +218,34 @@ def write_text(path: str | Path, text: str) -> None:
     """Write a text as UTF-8 with its line ends as they are; see :func:`whole_file`."""
     # Names from outside may hold what is no text: it is written as \udc80, not refused.
     write_bytes(path, text.encode("utf-8", errors="backslashreplace"))
+
+
+def check_file(path: str | Path) -> None:
+    """Raise :class:`DataError` for what is no file that can be read."""
+    if "\0" in str(path) or not Path(path).exists():
+        raise DataError(f"There is no file {str(path)!r}. Check the path.")
+    if Path(path).is_dir():
+        raise DataError(f"{str(path)!r} is a folder. Give a file in it.")
+    if not Path(path).is_file():
+        raise DataError(
+            f"{str(path)!r} is a device or a pipe, not a file. Copy it to a file first."
+        )
+
+
+def read_bytes(path: str | Path, most: int = -1) -> bytes:
+    """Bytes of a file, all or the first of them.
+
+    Raises
+    ------
+    DataError
+        If there is no such file, or it cannot be read.
+    """
+    check_file(path)
+    try:
+        with Path(path).open("rb") as stream:
+            return stream.read(most)
+    except OSError as error:
+        raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
 
 
 # -- whom to trust ---------------------------------------------------------------------

@@ -200,7 +200,8 @@ def _columns(
     order = given if set(given) <= set(symbols) else list(symbols)[: len(given)]
     columns = [[ca.SX.sym(name) for name in symbols[key]] for key in order]
     sizes = [function.size_in(i) for i in range(function.n_in())]
-    if [size for size in sizes if 0 not in size] != [(len(one), 1) for one in columns if one]:
+    wanted = [(len(column), 1) for column in columns if column]
+    if [size for size in sizes if 0 not in size] != wanted:
         expected = ", ".join(f"{key} ({len(symbols[key])}, 1)" for key in symbols)
         raise ModelError(
             f"CasADi's function {title!r} has arguments of shapes {sizes}; expected "

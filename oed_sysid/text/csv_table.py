@@ -129,11 +129,8 @@ def complaint(cell: str) -> str:
 # -- the text of a file ----------------------------------------------------------------
 
 
-_IMPORT = "Turn it into CSV with: oed-sysid import"
-# Sentences of instruments, and what a line of a program's messages looks like.
-_SENTENCE = re.compile(r"[$!][A-Z]{2}[A-Z0-9]{3},")
-_PAIRS = re.compile(r"\s*[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+([,;\s]+[A-Za-z_]\w*\s*[=:]\s*[-+.\w]+)+\s*")
-_MESSAGE = re.compile(r"\[?\d{4}-\d\d-\d\d[T ]\d\d:\d\d\S*\s+\[?[A-Z]{3,}\b.*")
+# What lines of other texts look like, how many of them tell, what they are, and what to do.
+_LINES = tuple((re.compile(one).fullmatch, *others) for one, *others in _KNOWN["lines"])
 # How files that are often taken for tables begin, what they are, and what to do.
 _KINDS = tuple((start.encode("latin-1"), what, advice) for start, what, advice in _KNOWN["kinds"])
 _MARKS = (
@@ -183,22 +180,8 @@ def _remark_before(text: str, row: int) -> tuple[int, str] | None:
 def _check_kind(path: Path, lines: list[tuple[int, str]]) -> None:
     """Refuse text that is no table, in words of what it is."""
     first = [line for _, line in lines[:2]]
-    if not first:
-        return
-    kinds = (
-        (2, _SENTENCE.match, "sentences of instruments (NMEA 0183)", _IMPORT),
-        (2, _PAIRS.fullmatch, "pairs of name and value", "Write one column per name, as CSV"),
-        (2, _MESSAGE.fullmatch, "messages of a program", "Take the numbers out of them, as CSV"),
-        (1, re.compile(r"\s*\{\\rtf").match, "a document (RTF)", "Save it as CSV"),
-        (
-            1,
-            re.compile(r".* & .*\\\\\s*").fullmatch,
-            "LaTeX",
-            "Write commas for & and drop the \\\\",
-        ),
-    )
-    for n_lines, is_one, what, advice in kinds:
-        if all(is_one(line) for line in first[:n_lines]):
+    for is_one, n_lines, what, advice in _LINES:
+        if first and all(map(is_one, first[:n_lines])):
             raise DataError(f"{path.name} holds {what}, not a table. {advice}.")
     for number, line in lines:
         if line.startswith(("<<<<<<< ", ">>>>>>> ")) or line.rstrip() == "=======":
@@ -215,14 +198,7 @@ def _split(text: str) -> list[str]:
 
 def _check_file(path: Path) -> None:
     """Refuse what is no file that can be read."""
-    if "\0" in str(path) or not path.exists():
-        raise DataError(f"There is no file {str(path)!r}. Check the path.")
-    if path.is_dir():
-        raise DataError(f"{str(path)!r} is a folder. Give a file in it.")
-    if not path.is_file():
-        raise DataError(
-            f"{str(path)!r} is a device or a pipe, not a file. Copy it to a file first."
-        )
+    files.check_file(path)
     if path.stat().st_size > LARGEST:
         raise DataError(f"{path.name} has more than {LARGEST >> 30} GB. Cut it into parts.")
 
@@ -230,11 +206,7 @@ def _check_file(path: Path) -> None:
 def _text(path: Path) -> str:
     """Text of a file, all of it."""
     _check_file(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
-    return _decoded(path, content)
+    return _decoded(path, files.read_bytes(path))
 
 
 def _decoded(path: Path, content: bytes) -> str:
@@ -531,14 +503,12 @@ def _check_no_numbers(path: Path, headers: list[str]) -> None:
 def _check_second_line(path: Path, headers: list[str], cells: list[str]) -> None:
     """Say it where the units stand in a line of their own."""
     words = [cell.strip().strip("[]()") for cell in cells]
-    if len(words) != len(headers) or not all(
-        word.strip("-1") == "" or _unit(word) for word in words
-    ):
-        return
-    if sum(_unit(word) for word in words) and not any(parse_header(one)[1] for one in headers):
-        shown = ",".join(
-            f"{header} [{word or '-'}]" for header, word in zip(headers, words, strict=True)
-        )
+    units = sum(map(_unit, words))
+    plain = sum(word.strip("-1") == "" for word in words)
+    stated = any(parse_header(header)[1] for header in headers)
+    if units and units + plain == len(words) == len(headers) and not stated:
+        pairs = zip(headers, words, strict=True)
+        shown = ",".join(f"{header} [{word or '-'}]" for header, word in pairs)
         raise DataError(
             f"The second line of {path.name} holds units. Put them into the header: '{shown}'."
         )

@@ -213,24 +213,27 @@ class _Walk:
             case ast.Name():
                 form = Dimension() if node.id in CONSTANTS else self.known.get(node.id)
                 return self.units.new(_Number()) if form is None else form
+            case ast.UnaryOp():
+                return self.of(node.operand)
+            case ast.BinOp():
+                return self._binary(node)
+            case ast.Call():
+                return self._call(node)
+            case ast.Compare():
+                self._same([self.of(node.left), self.of(node.comparators[0])])
+                return Dimension()
             case ast.BoolOp():
                 for value in node.values:
                     self.of(value)
                 return Dimension()
-            case ast.UnaryOp():
-                return self.of(node.operand)
-            case ast.BinOp(op=ast.Mult() | ast.Div()):
-                return self._product(node)
-            case ast.BinOp(op=ast.Pow()):
-                return self._power(node)
-            case ast.BinOp():
-                return self._same([self.of(node.left), self.of(node.right)])
-            case ast.Compare():
-                self._same([self.of(node.left), self.of(node.comparators[0])])
-                return Dimension()
-            case ast.Call():
-                return self._call(node)
         return self.units.new(_Number())
+
+    def _binary(self, node: ast.BinOp) -> Dimension:
+        if isinstance(node.op, ast.Mult | ast.Div):
+            return self._product(node)
+        if isinstance(node.op, ast.Pow):
+            return self._power(node)
+        return self._same([self.of(node.left), self.of(node.right)])
 
     def _numbers(self, above: list[ast.expr], below: list[ast.expr]) -> Dimension:
         """The joint unit of the bare numbers of a product."""
@@ -335,10 +338,9 @@ def _parts(expression: str) -> tuple[ast.expr, frozenset[int], frozenset[int]]:
         inner = [child for child in ast.iter_child_nodes(node) if isinstance(child, ast.expr)]
         for child in inner:
             look(child)
-        own = isinstance(node, ast.Constant)
-        known = own or not isinstance(node, ast.Name) or node.id in (*CONSTANTS, *NUMERIC)
-        below = {id(child) for child in inner}
-        if known and below <= constant:
+        own, below = isinstance(node, ast.Constant), {id(child) for child in inner}
+        varies = isinstance(node, ast.Name) and node.id not in (*CONSTANTS, *NUMERIC)
+        if not varies and below <= constant:
             constant.add(id(node))
             if own or below & numbers:
                 numbers.add(id(node))

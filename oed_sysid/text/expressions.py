@@ -219,18 +219,15 @@ def _check_operator(node: ast.AST, shown: str) -> None:
 
 def _constant(node: ast.AST, shown: str) -> float | None:
     """Value of a part without names; refused where it is no finite real number."""
-    parts = [
-        _constant(child, shown)
-        for child in ast.iter_child_nodes(node)
-        if isinstance(child, ast.expr) and child is not getattr(node, "func", None)
-    ]
     if isinstance(node, ast.Name):
         return CONSTANTS.get(node.id)
-    if None in parts:
+    # The function of a call is no part of it with a value.
+    inner = node.args if isinstance(node, ast.Call) else ast.iter_child_nodes(node)
+    parts = [_constant(child, shown) for child in inner if isinstance(child, ast.expr)]
+    called = getattr(getattr(node, "func", None), "id", "abs")
+    if None in parts or called not in FUNCTIONS:
         if isinstance(getattr(node, "op", None), ast.Div) and parts[1] == 0.0:
             raise ModelError(f"{shown} divides by zero.")
-        return None
-    if isinstance(node, ast.Call) and node.func.id not in FUNCTIONS:  # type: ignore[attr-defined]
         return None
     number = _value(node)  # type: ignore[arg-type]
     if number.imag or not np.isfinite(number.real):

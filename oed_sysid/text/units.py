@@ -261,11 +261,10 @@ def _unknown(part: str, unit: str) -> DataError:
     accepted = ", ".join(sorted(UNITS, key=str.lower))
     if part in OFFSETS:
         return DataError(f"[{unit}] mixes {part} with other units. Use K for differences.")
-    meant = _MEANT.get(part.lower()) or next(
-        (name for name in UNITS if name.lower() == part.lower()), None
-    )
-    if meant is None and not part.isascii() and "°" in unit:
-        meant = "deg"  # a degree sign read in the wrong encoding, such as Â°
+    small = {name.lower(): name for name in reversed(UNITS)} | _MEANT
+    # A degree sign may have been read in the wrong encoding, such as Â°.
+    degree = "deg" if not part.isascii() and "°" in unit else None
+    meant = small.get(part.lower(), degree)
     hint = f" Did you mean {meant!r}?" if meant else ""
     if not part.isascii() and latin(part) in UNITS:
         hint = f" It is not {latin(part)!r}: {foreign(part)}."
