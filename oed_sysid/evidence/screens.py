@@ -61,6 +61,7 @@ from scipy.special import bdtrc
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.traces import LEAST, MATERIAL, QUARTILE, RELATIVE, Trace, fast_noise
+from oed_sysid.likelihood.noise_levels import longest_run
 
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
@@ -275,7 +276,7 @@ class Signal:
         # Of the repetitions those in the longest run of all are what is asked.
         usual = np.sort(runs.length)[: max(1, int(0.99 * runs.length.size))]
         p = float(np.clip((usual - 1).sum() / n, 1.0 / n, 0.98))
-        least = 1.0 + np.log(self.alpha / n) / np.log(p)
+        least = 1.0 + longest_run(p, n, self.alpha)
         if coarse:  # a slow signal stays on a step of the converter
             least = max(least, 4.0 * float(np.quantile(runs.length, 0.9)))
         into, out = runs.edges()

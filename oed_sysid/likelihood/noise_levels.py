@@ -386,9 +386,22 @@ def _depth(sizes: np.ndarray, taken: int, surely: float) -> float:
     return float(np.nextafter(ordered[beyond[-1]], 0.0)) if len(beyond) else surely
 
 
+def longest_run(share: float, n: int, chance: float = RARE) -> float:
+    r"""Events in a row that chance hardly makes of a share of them among ``n`` samples.
+
+    .. math:: n\, p^L = \alpha
+
+    Examples
+    --------
+    >>> round(longest_run(0.1, 1000), 1)
+    6.0
+    """
+    return float(np.log(chance / n) / np.log(share))
+
+
 def _longest(count: int, n: int) -> int:
     """Most events in a row that chance makes of so many among ``n`` samples."""
-    return max(int(np.log(RARE / n) / np.log(min(count / n, 0.5))), 2)
+    return max(int(longest_run(min(count / n, 0.5), n)), 2)
 
 
 def _jumping(
