@@ -1,16 +1,18 @@
 r"""Realised over stated errors of planned runs under disturbance forces.
 
     OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
-                                                    [--plans designed]
+                                                    [--plans designed] [--swell 8]
 
 The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N, 0.06 N
 m
-and 2 s (times ``--forces``) and white sensors; each repetition is integrated by the NumPy
+and 2 s (times ``--forces``) and white sensors, or in a swell of these levels with ``--swell``, the
+peak period of its JONSWAP spectrum. Each repetition is integrated by the NumPy
 equations of `benchmarks.missing_physics` (no code of the package) and estimated by
-``MultipleShooting(disturbances="auto")``, levels and times unknown, no priors. Stated are the
-errors of ``information_of`` before the trial, for these forces and for white noise alone.
+``MultipleShooting(disturbances="auto")``, levels, times and period unknown, no priors. Stated are
+the errors of ``information_of`` before the trial, for these forces and for white noise alone.
 
-With ``n`` repetitions a ratio has a standard error of about :math:`1/\sqrt{2n}`.
+With ``n`` repetitions a ratio has a standard error of about :math:`1/\sqrt{2n}`. Every repetition
+is kept in benchmarks/results/realised.jsonl and not repeated.
 """
 
 from __future__ import annotations
@@ -18,21 +20,38 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import command, ignorant, known, markdown
+from benchmarks.harness import (
+    RESULTS,
+    Row,
+    Store,
+    command,
+    grouped,
+    ignorant,
+    known,
+    markdown,
+    run_cases,
+)
 from benchmarks.missing_physics.simulator import SAMPLE, Case, Truth, integrate
 from benchmarks.random_forces.scenarios import MEDIUM, REMUS
+from benchmarks.random_forces.simulator import swell as waves_of_swell
+from benchmarks.random_forces.trial import JONSWAP_WIDTH
 from benchmarks.truth import gauss_markov
 from oed_sysid import Dataset, Experiment, Model, MultipleShooting, Record, load_problem
 from oed_sysid.design import DOptimal, Knowledge, Levels, Search, Trial, design_experiment
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information import information_of
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 
 TIME = 2.0
 PLANS = ("zigzags", "designed", "calm")
+STORE = Store(RESULTS / "realised.jsonl")
+# Realised over stated errors that count as true.
+TRUE = (0.8, 1.25)
 
 
 def believed() -> Model:
@@ -40,9 +59,13 @@ def believed() -> Model:
     return ignorant(load_problem("remus_diving_plane").model).with_values(REMUS.believed)
 
 
-def sea(model: Model, factor: float) -> NoiseModel:
-    """Noise of the sensors, and disturbance forces."""
+def sea(model: Model, factor: float, swell: float = 0.0) -> NoiseModel:
+    """Noise of the sensors, and disturbance forces: first-order ones, or a swell of this period."""
     white = np.array(REMUS.noise_std)
+    if swell:
+        levels = dict(zip(REMUS.forces, factor * np.array(MEDIUM), strict=True))
+        waves = Sea(period=swell, bandwidth=JONSWAP_WIDTH, levels=levels)
+        return replace(NoiseModel.white_only(white, model.output_names), seas=(waves,))
     return NoiseModel(
         white, np.zeros_like(white), factor * np.array(MEDIUM), force_time=TIME,
         outputs=model.output_names, places=tuple(f"force {axis}" for axis in REMUS.forces),
@@ -75,14 +98,20 @@ def plan(model: Model, name: str, noise: NoiseModel) -> list[Experiment]:
     return [found.experiment]
 
 
+def drawn(noise: NoiseModel, n: int, rng: np.random.Generator) -> np.ndarray:
+    """Forces at ``n`` samples, ``(n, 3)``; those of a swell are sums of waves of random phase."""
+    for one in noise.seas:
+        return waves_of_swell(rng, n, SAMPLE / float(one.period or 0.0), 3) * one.level
+    return gauss_markov(rng.standard_normal((n, 3)), math.exp(-SAMPLE / TIME)) * noise.force
+
+
 def repeated(
     model: Model, run: Experiment, noise: NoiseModel, rng: np.random.Generator, number: int
 ) -> Record:
     """One run with forces and sensor noise, integrated in NumPy at 0.01 s."""
     nominal = simulate(model, run, noise=False)
     commands = nominal.inputs[:, :, None]
-    draws = rng.standard_normal((nominal.n_samples, 3))
-    forces = gauss_markov(draws, math.exp(-SAMPLE / TIME)) * noise.force
+    forces = drawn(noise, nominal.n_samples, rng)
     truth = Truth([Case(run.name, REMUS.believed)])
     start = np.array([run.initial["u"]]), np.array([run.initial.get("z", 0.0)])
     states = integrate(truth, start, forces[:, :, None], lambda k, _: tuple(commands[k]))
@@ -91,19 +120,69 @@ def repeated(
     return Record(f"{run.name}_{number}", nominal.times, nominal.inputs, outputs, model.channels)
 
 
-def realised(
-    model: Model, runs: Sequence[Experiment], noise: NoiseModel, n: int, seed: int
-) -> tuple[np.ndarray, int]:
-    """Root mean square errors over repetitions, and how many of them converged."""
-    rng = np.random.default_rng(seed)
+def repetition(
+    key: str, model: Model, runs: Sequence[Experiment], noise: NoiseModel, facts: dict[str, Any]
+) -> Row:
+    """One fit: its errors beside those stated."""
+    rng = np.random.default_rng([facts["seed"], facts["number"]])
+    data = Dataset(tuple(repeated(model, run, noise, rng, facts["number"]) for run in runs))
+    fit = MultipleShooting(disturbances="auto").fit(model, data)
     truth = np.array([model.values[name] for name in model.free_names])
-    errors, converged = [], 0
-    for number in range(n):
-        data = Dataset(tuple(repeated(model, run, noise, rng, number) for run in runs))
-        fit = MultipleShooting(disturbances="auto").fit(model, data)
-        converged += fit.status.ok
-        errors.append(fit.estimates - truth)
-    return np.sqrt(np.mean(np.square(errors), axis=0)), converged
+    errors = dict(zip(model.free_names, (fit.estimates - truth).tolist(), strict=True))
+    stated = np.array([fit.std_errors[name] for name in model.free_names])
+    inside = np.abs(fit.estimates - truth) < 1.96 * stated
+    return {
+        "key": key, **facts, "converged": fit.status.ok, "errors": errors,
+        "inside": inside.tolist(),
+    }  # fmt: skip
+
+
+def cases(
+    name: str, factor: float, swell: float, seed: int, repetitions: int
+) -> dict[str, partial[Row]]:
+    """Repetitions of one plan by the name of each."""
+    model = believed()
+    noise = sea(model, factor, swell)
+    runs = plan(model, name, noise)
+    stated, white = (
+        information_of(model, runs, noise=one, priors=None).std_errors.tolist()
+        for one in (noise, noise.white)
+    )
+    facts = {"plan": name, "forces": factor, "swell": swell, "seed": seed}
+    found = {}
+    for number in range(repetitions):
+        key = f"{name} x{factor:g} swell {swell:g} seed {seed} {number}"
+        own = {**facts, "number": number, "stated": stated, "white": white}
+        found[key] = partial(repetition, key, model, runs, noise, own)
+    return found
+
+
+def ratios(rows: Sequence[Row]) -> np.ndarray:
+    """Realised over stated errors of each parameter, ``(n_parameters,)``."""
+    errors = np.array([list(row["errors"].values()) for row in rows])
+    return np.asarray(np.sqrt(np.mean(errors**2, axis=0)) / rows[0]["stated"])
+
+
+def table(rows: Sequence[Row]) -> list[str]:
+    """Lines on one plan: a table of its parameters, and how many ratios are true."""
+    sizes, ratio = np.abs([believed().values[name] for name in rows[0]["errors"]]), ratios(rows)
+    stated, white = np.array(rows[0]["stated"]), np.array(rows[0]["white"])
+    shares = zip(stated / sizes, ratio * stated / sizes, ratio, ratio * stated / white, strict=True)
+    lines = [
+        (parameter, f"{a:.2%}", f"{b:.2%}", f"{c:.2f}", f"{d:.2f}")
+        for parameter, (a, b, c, d) in zip(rows[0]["errors"], shares, strict=True)
+    ]
+    near = int(np.sum((ratio >= TRUE[0]) & (ratio <= TRUE[1])))
+    inside = np.mean([row["inside"] for row in rows])
+    kind = f"swell of {rows[0]['swell']:g} s" if rows[0]["swell"] else "first-order forces"
+    return [
+        f"{rows[0]['plan']}, {kind} x {rows[0]['forces']:g}: {len(rows)} repetitions, "
+        f"{sum(row['converged'] for row in rows)} converged; {near} of {len(ratio)} ratios from "
+        f"{TRUE[0]:g} to {TRUE[1]:g}; 95 % intervals hold {inside:.0%}",
+        "",
+        *markdown(("parameter", "stated", "realised", "ratio", "to white"), lines),
+        "",
+    ]
 
 
 def main(
@@ -111,7 +190,10 @@ def main(
     repetitions: int = 20,
     forces: Sequence[float] = (1.0,),
     plans: Sequence[str] = ("designed",),
+    swell: float = 0.0,
     seed: int = 0,
+    jobs: int = 1,
+    show: bool = False,
 ) -> None:
     """Measure and print.
 
@@ -123,28 +205,28 @@ def main(
         times the medium ones
     plans : sequence of str
         zigzags, designed, calm
+    swell : float
+        peak period of a swell, s; 0 for first-order forces
     seed : int
         of forces and noise
+    jobs : int
+        processes
+    show : bool
+        print finished repetitions only
     """
-    model = believed()
-    sizes = np.abs([model.values[name] for name in model.free_names])
-    for factor in forces:
-        noise = sea(model, factor)
+    wanted: dict[str, partial[Row]] = {}
+    for factor in () if show else forces:
         for name in plans:
-            runs = plan(model, known(name, PLANS, "plan"), noise)
-            stated = information_of(model, runs, noise=noise, priors=None).std_errors
-            white = information_of(model, runs, noise=noise.white, priors=None).std_errors
-            found, converged = realised(model, runs, noise, repetitions, seed)
-            print(
-                f"\n{name}, forces x {factor:g}: {repetitions} repetitions, {converged} converged"
-            )
-            shares = (stated / sizes, found / sizes, found / stated, found / white)
-            rows = [
-                (parameter, f"{a:.2%}", f"{b:.2%}", f"{c:.2f}", f"{d:.2f}")
-                for parameter, a, b, c, d in zip(model.free_names, *shares, strict=True)
-            ]
-            head = ("parameter", "stated", "realised", "ratio", "to white")
-            print("\n".join(markdown(head, rows)), flush=True)
+            plan_name = known(name, PLANS, "plan")
+            wanted |= cases(plan_name, factor, swell, seed, repetitions)
+    if wanted:
+        run_cases(
+            STORE, list(wanted), lambda left: [wanted[str(key)] for key in left], n_jobs=jobs,
+            tell=lambda row: row["key"],
+        )  # fmt: skip
+    kinds = grouped(STORE.rows(), lambda row: (row["plan"], row["forces"], row["swell"]))
+    for group in kinds.values():
+        print("\n".join(table(group)), flush=True)
 
 
 if __name__ == "__main__":

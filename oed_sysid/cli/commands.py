@@ -325,6 +325,7 @@ def watch(
     places: list[str] | None = None,
     silence: float = 10.0,
     model: str | None = None,
+    sea: str | None = None,
     html_file: Path | None = None,
 ) -> None:
     """Estimate while the run goes on: what is known by now, and whether to go on.
@@ -338,10 +339,15 @@ def watch(
     from oed_sysid.data.live import Place, samples
 
     study = Study.named(problem, model)
+    left_out = [band_of("--waves", waves)] if waves else []
+    with progress("Reading the sea") as show:
+        expected = Weather(sea=sea).noise(study.problem, study.problem.model, show)
+    for one in () if expected is None else expected.seas:
+        left_out.append(one.band)
+        note(f"Left out for waves: {one.band[0]:.3g} to {one.band[1]:.3g} Hz.")
     stream = _stream(
         study.problem, duration, period,
-        band=band_of("--band", band) if band else None,
-        without=(band_of("--waves", waves),) if waves else (),
+        band=band_of("--band", band) if band else None, without=tuple(left_out),
     )  # fmt: skip
     pairs = (text.partition("=") for text in places or ())
     found = {name: Place.of(place) for name, _, place in pairs}
@@ -419,7 +425,9 @@ def campaign(
                 folder, study.problem.model, problem=study.source, variant=model, candidates=runs,
                 goals={n: v / 100.0 for n, v in numbers("--goal", goal or ()).items()},
                 hours=hours, seed=seed,
-                sea=weather.noise(study.problem, study.problem.model, show),
+                sea=weather.noise(
+                    study.problem, study.problem.model, show, patterns_of(study.problem, patterns)
+                ),
             )  # fmt: skip
             journal.write()
     if record is not None:

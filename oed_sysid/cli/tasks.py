@@ -91,14 +91,17 @@ class Weather:
     sea: str | None = None
     uncertainty: float | None = None
 
-    def noise(self, problem: Problem, nominal: Fit | Model, show: Shown) -> Any:
-        """Noise of a sea in words; None leaves it to the fit, or to the declared levels."""
+    def noise(
+        self, problem: Problem, nominal: Fit | Model, show: Shown, runs: Sequence[Experiment] = ()
+    ) -> Any:
+        """Noise of a sea that ``runs`` meet; None leaves it to the fit, or to declared levels."""
         if self.sea is None:
             return None
         from oed_sysid.information import sea_noise, sea_words
 
         model: Model = getattr(nominal, "model", nominal)  # type: ignore[arg-type]
-        found = sea_noise(model, self.sea, problem.experiments.values())
+        sizes = {"length": problem.length, "draught": problem.draught}
+        found = sea_noise(model, self.sea, problem.experiments.values(), runs=runs, sizes=sizes)
         show.note(f"Disturbance forces: {sea_words(found)}.")
         return found
 
@@ -480,7 +483,8 @@ def rank(
             "records."
         )
     show.say("computing sensitivities")
-    forces = Weather(sea=assumed.sea).noise(problem, model, show)
+    planned = runs if study.train is None else ()
+    forces = Weather(sea=assumed.sea).noise(problem, model, show, planned)
     ranking = oed_sysid.rank_parameters(model, runs, noise=forces, priors=assumed.known(model))
     facts = {"ranking": ranking.to_dict(), "subset": ranking.together.to_dict()}
     picture = Figure("plot_sensitivity", ranking, "", size=None)
@@ -514,7 +518,7 @@ def design(
     found = oed_sysid.design_experiment(
         nominal, Trial.like(pattern, limits, duration=bounds.duration),
         rng=np.random.default_rng(effort.seed), criterion=criterion, search=search,
-        knowledge=Knowledge(noise=expected.noise(problem, nominal, show), spread=spread),
+        knowledge=Knowledge(noise=expected.noise(problem, nominal, show, [pattern]), spread=spread),
         caution=effort.caution(spread), journal=show.journal,
         progress=partial(_searching, show, search.n_starts, search.n_steps),
     )  # fmt: skip
@@ -549,9 +553,10 @@ def programme(
     problem = study.problem
     nominal = expected.nominal(study, show)
     durations = None if bounds.duration is None else (bounds.duration,)
-    noise = expected.noise(problem, nominal, show)
+    lent = patterns_of(problem, patterns)
+    noise = expected.noise(problem, nominal, show, lent)
     found = design_programme(
-        nominal, patterns_of(problem, patterns), limits=bounds.limits(problem, show),
+        nominal, lent, limits=bounds.limits(problem, show),
         rng=np.random.default_rng(seed), budget=allowed.budget(), criterion=aim.made(study),
         knowledge=Knowledge(noise=noise, spread=expected.uncertainty),
         search=ProgrammeSearch(durations=durations, n_rounds=rounds), progress=show.say,

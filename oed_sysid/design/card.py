@@ -25,7 +25,7 @@ from oed_sysid.design.assurance import Assurance, PredictedTracks
 from oed_sysid.design.vehicles import between, outside, quantity, span, units_of
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
-from oed_sysid.information.noise import sea_words
+from oed_sysid.information.noise import bearing, sea_words
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Figure, Report, Section, Table
@@ -167,6 +167,9 @@ class TrialCard:
         levels = [f"{o.name} {quantity(o.noise_std, o.unit)}" for o in model.outputs if o.noise_std]
         yield "noise assumed", ", ".join(levels) or "none"
         if self.sea is not None:
+            for one in self.sea.seas:
+                if one.direction is not None:
+                    yield "run heading", f"begin with the swell from {bearing(one.direction)}"
             yield "disturbance forces", sea_words(self.sea)
 
     def _range(self, name: str) -> str:

@@ -50,6 +50,8 @@ _KINDS: Mapping[str, Any] = {
     **{"effects": [Effect], "references": [str], "experiments": {str: Experiment}},
     **{"models": {str: Model}, "published": {str: object}},
     "truth": (Mapping | None, "a mapping from names to numbers"),
+    "length": (float | int | None, "a length in m"),
+    "draught": (float | int | None, "a draught in m"),
     "records": (Callable | None, "a function without arguments that returns the Dataset"),
 }
 
@@ -85,6 +87,8 @@ class Problem:
         wanted.
     published : mapping
         Numbers from the literature to compare with.
+    length, draught : float, optional
+        Of the vehicle, m: waves are averaged over them.
     references : tuple of str
         Citations.
     description : str
@@ -117,6 +121,8 @@ class Problem:
     published: Mapping[str, Any] = field(default_factory=dict)
     references: tuple[str, ...] = ()
     description: str = ""
+    length: float | None = None
+    draught: float | None = None
 
     def __post_init__(self) -> None:
         self._check_kinds()

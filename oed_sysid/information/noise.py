@@ -11,15 +11,17 @@ velocity by a share :math:`\kappa` of what a reference manoeuvre moves it by:
 with :math:`\kappa` of 1, 5 and 15 per cent for *calm*, *moderate* and *rough*. Waves of a period
 :math:`T` have :math:`T/2\pi` in the place of :math:`\tau`, within which a harmonic force moves a
 velocity by as much: accuracy needs their level, period, width and shape. This compares the
-sea with the manoeuvre and knows nothing of wave heights: a fit of an earlier record, whose levels
-are estimated, is better wherever there is one.
+sea with the manoeuvre and knows nothing of wave heights; a swell of some height is translated by
+:mod:`oed_sysid.information.swell`. A fit of an earlier record, whose levels are estimated, is
+better wherever there is one.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from math import degrees
 
 import numpy as np
 
@@ -27,8 +29,10 @@ from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.information.response import Levels, plays
+from oed_sysid.information.swell import Swell
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.filtered import disturbed_model
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
 
@@ -87,7 +91,13 @@ _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?")
 
 
 def sea_noise(
-    model: Model, sea: str, reference: Iterable[Experiment], *, time: float | None = None
+    model: Model,
+    sea: str,
+    reference: Iterable[Experiment],
+    *,
+    time: float | None = None,
+    runs: Sequence[Experiment] = (),
+    sizes: Mapping[str, float | None] | None = None,
 ) -> NoiseModel:
     """Return the noise of a model's sensors, and disturbance forces of a sea.
 
@@ -99,11 +109,17 @@ def sea_noise(
         ``still`` (no forces), ``calm``, ``moderate``, ``rough``; or levels by equation,
         ``"Z=0.3,M=0.06"`` in N, N m or the state's unit per second. ``time=5`` after either sets
         the correlation time, s; ``period=8`` makes it waves of that period, s, of a relative
-        ``bandwidth`` of 0.2 unless ``bandwidth=0.3`` says another.
+        ``bandwidth`` of 0.2 unless ``bandwidth=0.3`` says another. ``swell=0.3m,8s,030deg`` is a
+        swell of that significant height and peak period that comes from there, clockwise from
+        the bow (:mod:`oed_sysid.information.swell`); ``fit.json`` takes the forces of a saved fit.
     reference : iterable of Experiment
         What words are compared with: the manoeuvre that moves a velocity most counts.
     time : float, optional
         Correlation time where ``sea`` says nothing, s; 2 s or four samples, whichever is longer.
+    runs : sequence of Experiment
+        What will meet a swell; by default those of the reference.
+    sizes : mapping of str to float, optional
+        ``length`` and ``draught`` of the vehicle for a swell, m.
 
     Returns
     -------
@@ -128,11 +144,19 @@ def sea_noise(
     >>> noise.places, noise.force.round(5), noise.force_time
     (('force r',), array([0.00022]), array([2.]))
     """
-    runs = tuple(reference)
+    known = tuple(reference)
     white = noise_of(model)
+    calm = NoiseModel.white_only(white, model.output_names)
+    if sea.startswith("swell="):
+        met = Swell.of(sea, {"bandwidth": USUAL_WIDTH, **(sizes or {})}).sea(
+            model, tuple(runs) or known
+        )
+        return replace(calm, seas=(met,))
+    if sea.lower().endswith(".json"):
+        return _of_fit(calm, model, sea)
     word, given = _understood(sea)
     wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
-    sample = max((run.sample_time for run in runs), default=0.0)
+    sample = max((run.sample_time for run in known), default=0.0)
     usual = max(USUAL_TIME, _SHORTEST * sample) if time is None else time
     lasting = given.pop("time", usual)
     if wave is not None:
@@ -145,17 +169,35 @@ def sea_noise(
         found = chosen_places(model, tuple(given))
         levels = np.array(list(given.values()), dtype=float)
     elif SEAS[word] == 0.0:
-        return NoiseModel.white_only(white, model.output_names)
+        return calm
     else:
         found = chosen_places(model, "all")
-        levels = SEAS[word] * natural_forces(model, found, runs) / lasting
+        levels = SEAS[word] * natural_forces(model, found, known) / lasting
     if wave is not None:
         named = dict(zip((place.name for place in found), map(float, levels), strict=True))
         waves = Sea(period=wave, bandwidth=width, levels=named)
-        return replace(NoiseModel.white_only(white, model.output_names), seas=(waves,))
+        return replace(calm, seas=(waves,))
     return NoiseModel(
         white, np.zeros_like(white), levels, force_time=lasting, outputs=model.output_names,
         places=tuple(place.name for place in found),
+    )  # fmt: skip
+
+
+def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:
+    """The sensors' noise with the forces that a saved fit has estimated."""
+    fit = Fit.load(path)
+    found = fit.noise
+    if found is None or not found.has_forces:
+        raise DesignError(
+            f"The fit {path!r} found no disturbance forces. Say still, or take the fit of a record "
+            "in such a sea."
+        )
+    acting = tuple(found.only(found.force > 0).places)
+    chosen_places(model, (*acting, *(place for sea in found.seas for place in sea.places)))
+    forces = found.only(found.force > 0)
+    return replace(
+        calm, force=forces.force, force_time=forces.force_time, places=forces.places,
+        seas=tuple(sea for sea in found.seas if sea.acts),
     )  # fmt: skip
 
 
@@ -165,8 +207,8 @@ def _understood(sea: str) -> tuple[str | None, dict[str, float]]:
     word = parts.pop(0) if parts and "=" not in parts[0] else None
     if word is not None and word not in SEAS:
         raise DesignError(
-            f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, or levels by equation "
-            "such as Z=0.3,M=0.06,time=2."
+            f"The sea {sea!r} is not understood. Say {', '.join(SEAS)}, levels by equation such as "
+            "Z=0.3,M=0.06,time=2, a swell such as swell=0.3m,8s,030deg, or the file of a fit."
         )
     given = {}
     for part in parts:
@@ -220,6 +262,10 @@ def sea_words(noise: NoiseModel) -> str:
     'none'
     >>> sea_words(replace(quiet, seas=(Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3}),)))
     'Z 0.3 in waves of 8 s, 20 % wide'
+    >>> waves = Sea(period=7.2, bandwidth=0.2, levels={"Z": 0.3}, height=0.3, direction=-0.5236)
+    >>> sea_words(replace(quiet, seas=(waves,)))  # doctest: +NORMALIZE_WHITESPACE
+    'Z 0.3 in swell of 0.3 m from 30 deg to port of the bow at the start, met every 7.2 s, 20 %
+    wide'
     """
     parts = [
         f"{place.removeprefix('force ')} {level:.3g}"
@@ -234,6 +280,22 @@ def sea_words(noise: NoiseModel) -> str:
         levels = zip(sea.places, sea.level, strict=True)
         listed = ", ".join(f"{p.removeprefix('force ')} {v:.3g}" for p, v in levels if v > 0)
         if listed:
+            kind = f"waves of {sea.period:.3g} s"
+            if sea.height is not None and sea.direction is not None:
+                kind = f"swell of {sea.height:.3g} m from {bearing(sea.direction)} at the start"
+                kind += f", met every {sea.period:.3g} s"
             width = 100.0 * float(sea.bandwidth or 0.0)
-            said.append(f"{listed} in waves of {sea.period:.3g} s, {width:.2g} % wide")
+            said.append(f"{listed} in {kind}, {width:.2g} % wide")
     return "; ".join(said) or "none"
+
+
+def bearing(direction: float) -> str:
+    """Return from where waves come, rad clockwise from the bow, as people on board say it.
+
+    >>> bearing(0.0), bearing(np.radians(330.0)), bearing(np.pi)
+    ('ahead', '30 deg to port of the bow', 'astern')
+    """
+    angle = round((degrees(direction) + 180.0) % 360.0 - 180.0)
+    if angle in (0, -180):
+        return "astern" if angle else "ahead"
+    return f"{abs(angle)} deg to {'starboard' if angle > 0 else 'port'} of the bow"

@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FOURTH, Disturbed
+from oed_sysid.compiled.filtering import FOURTH, Disturbed, rates
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 
@@ -54,6 +54,9 @@ class Sea:
         ``"velocity"``, whose spectrum vanishes at frequency zero, ``"displacement"``, which has a
         tail there, or ``"jonswap"``, which is steep below its peak and has a tail above, as the
         spectrum of that name, which levels without a shape have. An estimation takes the likeliest.
+    height, direction : float, optional
+        Where the levels are those of a swell: its significant height, m, and from where it comes,
+        clockwise from the bow when a run begins, rad.
 
     Examples
     --------
@@ -66,6 +69,8 @@ class Sea:
     bandwidth: float | None = None
     levels: Mapping[str, float] | None = None
     shape: str | None = None
+    height: float | None = None
+    direction: float | None = None
 
     def __post_init__(self) -> None:
         if self.levels is not None:
@@ -112,6 +117,24 @@ class Sea:
         """Whether any level is above zero."""
         return bool(np.any(self.level > 0))
 
+    @property
+    def band(self) -> tuple[float, float]:
+        """Frequencies at which its power is above a tenth of that at the peak, Hz.
+
+        Examples
+        --------
+        >>> [round(f, 3) for f in Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3}).band]
+        [0.098, 0.199]
+        """
+        found = rates(SHAPES[self.shape or "jonswap"], 0.5 * (self.bandwidth or 0.0))
+        f = np.geomspace(0.1, 10.0, 2000)
+        unit = np.eye(len(found))
+        answer = np.linalg.inv(1j * f[:, None, None] * unit - found)[:, 0]
+        power = np.einsum("fi,ij,fj->f", answer, -(found + found.T), answer.conj()).real
+        inside = f[power > 0.1 * power.max()]
+        period = float(self.period or np.nan)
+        return float(inside[0] / period), float(inside[-1] / period)
+
     def with_levels(self, level: np.ndarray) -> Sea:
         """Return the same sea with other levels in its places."""
         return replace(self, levels=dict(zip(self.places, map(float, level), strict=True)))
@@ -129,12 +152,13 @@ class Sea:
             "shape": self.shape,
             "levels": None if self.levels is None else dict(self.levels),
             "significant": self.significant,
+            **{n: v for n in ("height", "direction") if (v := getattr(self, n)) is not None},
         }
 
     @classmethod
     def from_dict(cls, data: Mapping[str, Any]) -> Sea:
         """Return the sea of :meth:`to_dict`."""
-        return cls(data["period"], data["bandwidth"], data["levels"], data["shape"])
+        return cls(**{name: value for name, value in data.items() if name != "significant"})
 
 
 @dataclass(frozen=True, eq=False)

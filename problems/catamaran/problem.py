@@ -92,6 +92,8 @@ RUNS = (
 problem = Problem(
     "catamaran",
     model,
+    length=2.0,
+    draught=0.2,
     title="Catamaran with two propellers",
     effects=catamaran_effects(
         BODY, length=2.0, speed=1.3, draught=0.2, outputs=("u", "v", "r"), known=HULL, step=0.05

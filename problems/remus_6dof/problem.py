@@ -139,6 +139,7 @@ RUNS = (
 problem = Problem(
     "remus_6dof",
     model,
+    length=1.33,
     title="REMUS in six degrees of freedom",
     effects=underwater_vehicle_effects(
         BODY, length=1.33, diameter=0.191, speed=1.54, outputs=tuple(NOISE), known=HULL, step=0.05

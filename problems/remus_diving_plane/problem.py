@@ -156,6 +156,7 @@ def records() -> Dataset:
 
 problem = Problem(
     name="remus_diving_plane",
+    length=1.33,  # m, the REMUS of Prestero (2001)
     title="REMUS-like AUV in the diving plane",
     model=model,
     effects=diving_plane_effects(step=0.1),
