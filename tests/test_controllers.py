@@ -13,7 +13,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from oed_sysid import Experiment, Input, Limits, Model, Output, Parameter, State, ZigZag
+from benchmarks.truth import NAMES, TRUE, rates, runge_kutta
+from oed_sysid import (
+    Experiment,
+    Input,
+    Limits,
+    Model,
+    Output,
+    Parameter,
+    Piecewise,
+    State,
+    ZigZag,
+    load_problem,
+)
 from oed_sysid.design import AbortRule, Servo, assess_limits, played, write_controller
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.manoeuvres import ReverseSpiral, TurningCircle, ZigZagLike
@@ -47,7 +59,7 @@ def ship() -> Model:
 def experiment(name: str, **change: Any) -> Experiment:
     """A run of a minute and a half."""
     given: dict[str, Any] = {"duration": 90.0, "sample_time": 0.5, "feedback": "true"} | change
-    return Experiment(name, RUNS[name], **given)
+    return Experiment(name, **({"manoeuvre": RUNS[name]} | given))
 
 
 def sail(
@@ -235,3 +247,51 @@ def test_a_loop_that_no_zigzag_is_is_refused(tmp_path: Path) -> None:
     run = replace(experiment("zigzag"), manoeuvre=spiral, duration=80.0)
     with pytest.raises(DesignError, match="reacts as no zigzag"):
         write_controller(tmp_path / "run", ship(), run, "ros2")
+
+
+def test_a_mission_is_flown_as_planned(tmp_path: Path) -> None:
+    """Pymavlink reads the mission; played on a simulator of its own it is the planned motion."""
+    mavwp = pytest.importorskip("pymavlink.mavwp")
+    auv = load_problem("remus_diving_plane")
+    pattern = auv.experiment("zigzag_10_10")
+    fins = Piecewise("fin_command", (0.0, 3.0, 8.5, 12.25, 20.0), (0.0, 0.1, -0.12, 0.05, 0.0))
+    start = {"u": 1.5, "z": 10.0}
+    run = Experiment("steps", fins, duration=30.0, sample_time=0.05, initial=start,
+                     constants=pattern.constants)  # fmt: skip
+    servos = {"fin_command": Servo(2, -0.35, 0.35, 900, 2100), "thrust": Servo(3, 0.0, 14.0)}
+    path = write_controller(tmp_path / "m.waypoints", auv.model, run, "mission", servos=servos)
+    loader = mavwp.MAVWPLoader()
+    assert loader.load(str(path)) == len(path.read_text().splitlines()) - 1
+    assert loader.wp(0).command == 16  # home
+    now = {2: 1500.0, 3: 1100.0}
+    state, played_states = np.array([1.5, 0.0, 0.0, 0.0, 10.0]), []
+    for number in range(1, loader.count()):
+        item = loader.wp(number)
+        if item.command == 183:
+            now[int(item.param1)] = item.param2
+            continue
+        assert item.command == 93
+        command = -0.35 + 0.7 * (now[2] - 900) / 1200, 14.0 * (now[3] - 1100) / 800
+        for _ in range(round(item.param1 / 0.01)):
+            played_states.append(state)
+            rate = lambda x, _, command=command: np.array(rates(x, command, TRUE, np.sin, np.cos))  # noqa: E731
+            state = runge_kutta(rate, state, 0.01)
+    assert len(played_states) == 3000
+    assert now[2] == 1500
+    planned = simulate(auv.model.with_values(dict(zip(NAMES, TRUE, strict=True))), run, noise=False)
+    found = np.array(played_states)[: planned.n_samples * 5 : 5]
+    apart = np.abs(found - planned.outputs[: len(found)]).max(axis=0)
+    assert np.all(apart < [0.02, 0.01, 0.01, 0.01, 0.05]), apart  # pulses are whole microseconds
+    assert np.ptp(found[:, 3]) > 0.3
+
+
+def test_a_mission_serves_no_feedback_and_no_quick_orders(tmp_path: Path) -> None:
+    """What a mission cannot do is said, and what can."""
+    with pytest.raises(DesignError, match="no feedback"):
+        write_controller(tmp_path / "m", ship(), experiment("zigzag"), "mission", servos=SERVO)
+    quick = Piecewise("rudder", (0.0, 2.0, 2.5), (0.0, 0.1, 0.0))
+    run = experiment("circle", manoeuvre=quick)
+    with pytest.raises(DesignError, match="apart"):
+        write_controller(tmp_path / "m", ship(), run, "mission", servos=SERVO)
+    with pytest.raises(DesignError, match="needs a servo"):
+        write_controller(tmp_path / "m", ship(), experiment("circle"), "mission")

@@ -776,7 +776,9 @@ class Played(Files):
 
     def before(self, study: Study) -> None:
         """Check the channels of the servos, and that no bag is in the way."""
-        if self.overrides is not None or "ardupilot" in self._controllers():
+        from oed_sysid.design.controllers import BY_SERVO
+
+        if self.overrides is not None or {*BY_SERVO} & {*self._controllers()}:
             self._servos(study.problem.limits)
         if self.bag is not None and self.bag.exists():
             raise FileError(f"{str(self.bag)!r} exists already. Name a folder that does not.")
@@ -786,6 +788,7 @@ class Played(Files):
         import numpy as np
 
         from oed_sysid import design
+        from oed_sysid.design.controllers import BY_SERVO
 
         found, limits = outcome.result, outcome.result.experiment.limits
         closed, rng = found.assurance, np.random.default_rng(outcome.settings["seed"])
@@ -805,7 +808,7 @@ class Played(Files):
             yield from self._as_table(found, rng)
         rules = None if closed is None else closed.rules
         for kind, place in self._controllers().items():
-            servos = self._servos(limits) if kind == "ardupilot" else {}
+            servos = self._servos(limits) if kind in BY_SERVO else {}
             design.write_controller(
                 place, found.model, found.experiment, kind, aborts=rules, servos=servos
             )

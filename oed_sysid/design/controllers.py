@@ -12,6 +12,9 @@ Every file holds the same law, with the plan as data: triggers, gains, limits of
 at which the run is broken off, and the neutral commands that follow. Names in the files are those
 of the channels, which are identifiers; titles keep to a safe alphabet.
 
+A MAVLink mission has no feedback. It serves runs without any whose orders are held: each is a
+``DO_SET_SERVO``, the time to the next a ``NAV_DELAY``, and nothing in it ends the run early.
+
 Commands of a run as files that autopilots take.
 
 An override list holds servo pulses: a command :math:`c` between the ends of its servo is
@@ -54,8 +57,16 @@ KINDS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "ros2": (".py", ("law", "ros2")),
     "moos": (".py", ("law", "moos")),
     "ardupilot": (".lua", ("ardupilot",)),
+    "mission": (".waypoints", ()),
     "words": (".txt", ()),
 }
+# Kinds that set servos.
+BY_SERVO = ("ardupilot", "mission")
+# Shortest time between two orders of a mission, s: an autopilot looks at its mission ten times a
+# second or more, so that each order of a second is late by a tenth of its length at most.
+SHORTEST_ORDER = 1.0
+# MAVLink: frame of items without a place, home and its command, and the two commands of a run.
+_FRAME, _WAYPOINT, _DELAY, _SET_SERVO = 2, 16, 93, 183
 # What an autopilot knows of a vehicle without being told, after SNAME.
 SEEN = ("x", "y", "z", "phi", "theta", "psi", "u", "v", "w", "p", "q", "r")
 
@@ -101,12 +112,13 @@ def write_controller(
         Zigzags, and whatever needs no feedback.
     kind : str
         ``"ardupilot"``, a Lua script; ``"ros2"``, a node that reads ``nav_msgs/Odometry``;
-        ``"moos"``, an application of pymoos; ``"words"``, numbered rules for whoever programmes it.
+        ``"moos"``, an application of pymoos; ``"mission"``, a MAVLink mission (QGC WPL 110) of a
+        run without feedback; ``"words"``, numbered rules for whoever programmes it.
     aborts : sequence of AbortRule, optional
         When the run is broken off, such as ``design.assurance.rules``; by default the limits of
         the experiment on the motion.
     servos : mapping of str to Servo, optional
-        By input; ArduPilot's script needs them.
+        By input; ArduPilot's script and a mission need them.
 
     Returns
     -------
@@ -123,6 +135,10 @@ def write_controller(
     place = Path(path)
     if kind == "words":
         write_text(place, "\n".join(words(model, plan)) + "\n")
+        return place
+    if kind == "mission":
+        _with_servos(plan, servos or {})
+        write_text(place, "\n".join(_mission(plan, servos or {})) + "\n")
         return place
     if unknown := [name for name in plan["signals"] if name not in SEEN]:
         raise DesignError(
@@ -199,11 +215,54 @@ def _channel(manoeuvre: Manoeuvre, experiment: Experiment) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def _mission(plan: Mapping[str, Any], servos: Mapping[str, Servo]) -> list[str]:
+    """Lines of a mission: servos, then the time until the next order; neutral at the end."""
+    name = plan["name"]
+    if loops := [one["input"] for one in plan["channels"] if one["kind"] != "table"]:
+        raise DesignError(
+            f"The run {name!r} reacts in {', '.join(loops)}, and a mission has no feedback. Write "
+            "kind='ardupilot', or the mission of its table (design.played), which is another run."
+        )
+    orders: dict[float, dict[str, float]] = {0.0: dict(plan["constants"])}
+    for one in plan["channels"]:
+        for time, value in zip(one["times"], one["values"], strict=True):
+            orders.setdefault(time, {})[one["input"]] = value
+    times = sorted(time for time in orders if time < plan["duration"])
+    ends = [*times[1:], plan["duration"]]
+    if (shortest := float(np.min(np.subtract(ends, times)))) < SHORTEST_ORDER - 1e-9:
+        raise DesignError(
+            f"The run {name!r} has orders {shortest:.3g} s apart; those of a mission have to be "
+            f"{SHORTEST_ORDER:g} s apart or more. Write kind='ardupilot', or overrides."
+        )
+    items: list[tuple[float, ...]] = [(0, _WAYPOINT)]
+    for time, end in zip(times, ends, strict=True):
+        items += _servo_items(orders[time], servos)
+        items.append((_FRAME, _DELAY, round(end - time, 3)))
+    items += _servo_items(plan["neutral"], servos)
+    lines = ["QGC WPL 110"]
+    for number, (frame, what, *given) in enumerate(items):
+        numbers = [*given, *(0.0 for _ in range(7 - len(given)))]
+        cells = (number, int(number == 0), frame, what, *(f"{one:g}" for one in numbers), 1)
+        lines.append("\t".join(map(str, cells)))
+    return lines
+
+
+def _servo_items(
+    orders: Mapping[str, float], servos: Mapping[str, Servo]
+) -> list[tuple[float, ...]]:
+    """Items that set the servos; constants without one are left to whoever holds them."""
+    return [
+        (_FRAME, _SET_SERVO, servos[name].channel, int(servos[name].pulses(np.array([value]))[0]))
+        for name, value in orders.items()
+        if name in servos
+    ]
+
+
 def _with_servos(plan: dict[str, Any], servos: Mapping[str, Servo]) -> dict[str, Any]:
     """The plan with the calibration of its servos, which have to reach what is ordered."""
     if missing := [name for name in plan["neutral"] if name not in servos]:
         raise DesignError(
-            f"ArduPilot needs a servo for {', '.join(missing)}: "
+            f"The file needs a servo for {', '.join(missing)}: "
             f"servos={{{missing[0]!r}: Servo(1, -0.4, 0.4)}}."
         )
     for one in plan["channels"]:
