@@ -43,6 +43,7 @@ from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import Doublet, Piecewise
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -51,6 +52,7 @@ from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.results import figure_card
 from oed_sysid.results.design_plots import DANGER
+from oed_sysid.runtime.parallel import CellProgress, ParallelError, spread_over
 
 
 def test_forbidden_frequencies_get_no_power() -> None:
@@ -528,3 +530,46 @@ def test_a_card_is_made_of_any_run_and_names_the_side_of_each_order() -> None:
     assert [row[1] for row in orders[:2]] == [
         "rudder to 6 deg to port", "rudder to 11 deg to starboard",
     ]  # fmt: skip
+
+
+@pytest.mark.slow
+def test_vehicles_are_the_same_wherever_they_are_simulated() -> None:
+    """In this process, in others and on a dask cluster; every part of them is told."""
+    distributed = pytest.importorskip("distributed")
+    auv = load_problem("remus_diving_plane")
+    run = replace(auv.experiment("zigzag_10_10"), duration=20.0)
+    sea = sea_noise(auv.model, "moderate", [run])
+
+    def found() -> tuple[np.ndarray, dict]:
+        one = assess_limits(
+            auv.model, run, rng=np.random.default_rng(3), limits=auv.limits, vehicles=40, sea=sea
+        )
+        return one.kept, dict(one.ranges)
+
+    kept, ranges = found()
+    assert 0 < kept.sum() < 40
+    told: list[CellProgress] = []
+    with spread_over(n_jobs=2, progress=told.append):
+        apart = found()
+    assert np.array_equal(apart[0], kept)
+    assert apart[1] == ranges
+    assert [one.n_done for one in told] == list(range(1, told[-1].n_cells + 1))
+    with (
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address=None
+        ) as local,
+        spread_over(local.scheduler_address),
+    ):
+        afar = found()
+    assert np.array_equal(afar[0], kept)
+    assert afar[1] == ranges
+
+
+def test_a_cluster_that_does_not_answer_is_named() -> None:
+    """Nobody waits for long, and the address is in the message."""
+    pytest.importorskip("distributed")
+    with (
+        pytest.raises(ParallelError, match=r"tcp://127\.0\.0\.1:9"),
+        spread_over("tcp://127.0.0.1:9"),
+    ):
+        pass

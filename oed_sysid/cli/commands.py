@@ -433,8 +433,8 @@ def campaign(
     if record is not None:
         with progress("Estimating") as show:
             journal = journal.with_record(record)
-            show.say("deciding")
-    decision = journal.decide()
+    with progress("Deciding") as show, weather.spread(show):
+        decision = journal.decide()
     report = decision.report()
     if journal.fit is not None:
         concerns = "; ".join(str(one) for one in journal.fit.concerns)

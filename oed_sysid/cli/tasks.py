@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
     from oed_sysid.likelihood.fit import Fit
     from oed_sysid.physics.model import Model
     from oed_sysid.runtime.display import Report
+    from oed_sysid.runtime.parallel import CellProgress
 
 NOMINAL, IMPROVED = "nominal", "improved"
 
@@ -86,10 +88,21 @@ class Aim:
 
 @dataclass(frozen=True)
 class Weather:
-    """The disturbance forces that a trial will meet, and how wrong coefficients may be."""
+    """The disturbance forces that a trial will meet, and how wrong coefficients may be.
+
+    ``cluster`` and ``jobs`` say where the vehicles that are possible are simulated.
+    """
 
     sea: str | None = None
     uncertainty: float | None = None
+    cluster: str | None = None
+    jobs: int = 1
+
+    def spread(self, show: Shown) -> AbstractContextManager[None]:
+        """Simulate vehicles over processes or a cluster, and tell how far they are."""
+        from oed_sysid.runtime.parallel import spread_over
+
+        return spread_over(self.cluster, n_jobs=self.jobs, progress=partial(_simulated, show))
 
     def noise(
         self, problem: Problem, nominal: Fit | Model, show: Shown, runs: Sequence[Experiment] = ()
@@ -169,6 +182,11 @@ class Allowed:
 
         sensors = numbers("--sensor", self.sensor)
         return Budget(self.hours, self.runs, 60.0 * self.turnaround, sensors)
+
+
+def _simulated(show: Shown, state: CellProgress) -> None:
+    """Tell how many parts of the vehicles are simulated."""
+    show.say(f"simulating other vehicles, part {state.n_done} of {state.n_cells}")
 
 
 def numbers(option: str, given: Sequence[str], form: str = "NAME=NUMBER") -> dict[str, float]:
@@ -515,14 +533,16 @@ def design(
     search, criterion = effort.search(), aim.made(study)
     nominal = expected.nominal(study, show)
     spread = None if expected.after else expected.uncertainty
-    found = oed_sysid.design_experiment(
-        nominal, Trial.like(pattern, limits, duration=bounds.duration),
-        rng=np.random.default_rng(effort.seed), criterion=criterion, search=search,
-        knowledge=Knowledge(noise=expected.noise(problem, nominal, show, [pattern]), spread=spread),
-        caution=effort.caution(spread), journal=show.journal,
-        progress=partial(_searching, show, search.n_starts, search.n_steps),
-    )  # fmt: skip
-    found = _on_other_vehicles(found, limits, spread, effort.seed, show)
+    noise = expected.noise(problem, nominal, show, [pattern])
+    with expected.spread(show):
+        found = oed_sysid.design_experiment(
+            nominal, Trial.like(pattern, limits, duration=bounds.duration),
+            rng=np.random.default_rng(effort.seed), criterion=criterion, search=search,
+            knowledge=Knowledge(noise=noise, spread=spread),
+            caution=effort.caution(spread), journal=show.journal,
+            progress=partial(_searching, show, search.n_starts, search.n_steps),
+        )  # fmt: skip
+        found = _on_other_vehicles(found, limits, spread, effort.seed, show)
     return Outcome(
         found, found.document(title=problem.title), found.to_dict(),
         figure=Figure("figure_design", found, ""), text=found.sea_trial_card(),
@@ -555,12 +575,13 @@ def programme(
     durations = None if bounds.duration is None else (bounds.duration,)
     lent = patterns_of(problem, patterns)
     noise = expected.noise(problem, nominal, show, lent)
-    found = design_programme(
-        nominal, lent, limits=bounds.limits(problem, show),
-        rng=np.random.default_rng(seed), budget=allowed.budget(), criterion=aim.made(study),
-        knowledge=Knowledge(noise=noise, spread=expected.uncertainty),
-        search=ProgrammeSearch(durations=durations, n_rounds=rounds), progress=show.say,
-    )  # fmt: skip
+    with expected.spread(show):
+        found = design_programme(
+            nominal, lent, limits=bounds.limits(problem, show),
+            rng=np.random.default_rng(seed), budget=allowed.budget(), criterion=aim.made(study),
+            knowledge=Knowledge(noise=noise, spread=expected.uncertainty),
+            search=ProgrammeSearch(durations=durations, n_rounds=rounds), progress=show.say,
+        )  # fmt: skip
     return Outcome(
         found, found.document(title=problem.title), found.to_dict(),
         figure=Figure("figure_programme", found, ""),

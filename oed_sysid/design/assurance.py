@@ -42,6 +42,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 from scipy.integrate import cumulative_trapezoid
@@ -51,6 +52,7 @@ from oed_sysid.design.vehicles import (
     LimitBounds,
     at_least,
     draw_models,
+    in_own_waves,
     motion,
     percent,
 )
@@ -65,10 +67,13 @@ from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
+from oed_sysid.runtime.parallel import run_cells
 
 NO_LIMIT = "no limit on the motion was given"
 # Ranges of the motion that are stated leave out this share of the vehicles at either end.
 _TAIL = 0.025
+# Parts in which vehicles are simulated, each told when it is done: enough for some ten processes.
+BLOCKS = 20
 # A run is stopped this part of the way from the start before a limit, or, of the width of the
 # stated range, beyond that of an attitude, depth or speed without a limit.
 _ROOM = 0.1
@@ -264,13 +269,15 @@ def assess_limits(
         raise DesignError(f"{n_vehicles} vehicles tell no probability. Give 20 or more.")
     bounds = LimitBounds.of(model, limits or experiment.limits)
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
-    extremes, first, tracks = [], [], []
-    for vehicle in fresh:
-        run = motion(vehicle, experiment, sea, rng)
-        first.append("diverged" if run is None else bounds.first_left(run))
-        if run is not None:
-            extremes.append([[s.min(), s.max()] for s in map(run.signal, names)])
-            tracks.append(_track(run))
+    # Waves are drawn here and in order, so that numbers do not depend on who simulates.
+    met = [in_own_waves(vehicle, experiment, sea, rng) for vehicle in fresh]
+    parts = np.array_split(np.arange(n_vehicles), BLOCKS)
+    work = partial(_behaviour, bounds=bounds, names=names)
+    blocks = {f"vehicles from {i[0] + 1}": [met[j] for j in i] for i in parts if len(i)}
+    done = [one for part in run_cells(work, blocks, n_jobs=None).values() for one in part]
+    first = [one.left for one in done]
+    extremes = [one.ends for one in done if one.ends is not None]
+    tracks = [one.track for one in done if one.ends is not None]
     kept = np.array([one is None for one in first])
     ends = np.array(extremes).reshape(-1, len(names), 2)
     ranges = _ranges(names, ends)
@@ -293,6 +300,30 @@ def _ranges(names: Sequence[str], ends: np.ndarray) -> dict[str, tuple[float, fl
     low = np.quantile(ends[:, :, 0], _TAIL, axis=0).tolist()
     high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0).tolist()
     return dict(zip(names, zip(low, high, strict=True), strict=True))
+
+
+@dataclass(frozen=True)
+class _Behaviour:
+    """What one vehicle did: the limit left first, ranges ``(n_names, 2)`` or None, the track."""
+
+    left: str | None
+    ends: np.ndarray | None = None
+    track: np.ndarray | None = None
+
+
+def _behaviour(
+    met: Sequence[tuple[Model, Experiment]], bounds: LimitBounds, names: Sequence[str]
+) -> list[_Behaviour]:
+    """What several vehicles do in their runs."""
+    found = []
+    for vehicle, experiment in met:
+        run = motion(vehicle, experiment)
+        if run is None:
+            found.append(_Behaviour("diverged"))
+            continue
+        ends = np.array([[s.min(), s.max()] for s in map(run.signal, names)])
+        found.append(_Behaviour(bounds.first_left(run), ends, _track(run)))
+    return found
 
 
 def _rules(

@@ -465,12 +465,16 @@ class ScenarioRun:
     excess: float
 
 
-def motion(
-    vehicle: Model,
-    run: Experiment,
-    sea: NoiseModel | None = None,
-    rng: np.random.Generator | None = None,
-) -> Trajectory | None:
+def in_own_waves(
+    vehicle: Model, run: Experiment, sea: NoiseModel | None, rng: np.random.Generator
+) -> tuple[Model, Experiment]:
+    """A vehicle and its run, with one draw of disturbance forces where any are expected."""
+    if sea is None or not sea.has_forces:
+        return vehicle, run
+    return at_sea(vehicle, replace(run, limits=Limits()), sea, rng=rng)
+
+
+def motion(vehicle: Model, run: Experiment) -> Trajectory | None:
     """What a vehicle does in a run; None where it diverges.
 
     Parameters
@@ -478,12 +482,8 @@ def motion(
     vehicle : Model
     run : Experiment
         One that reacts closes its loop on this vehicle; its limits are not looked at.
-    sea, rng : optional
-        Disturbance forces, and the source of the draw that this vehicle meets.
     """
     run = replace(run, limits=Limits())
-    if sea is not None and rng is not None and sea.has_forces:
-        vehicle, run = at_sea(vehicle, run, sea, rng=rng)
     try:
         commands = (
             simulate(vehicle, run, noise=False).inputs

@@ -9,6 +9,8 @@ over the machines of a dask cluster:
     with Client("scheduler:8786"), joblib.parallel_config(backend="dask"):
         run_cells(work, cells, store="out/study")
 
+:func:`spread_over` is this context for everything that a program calculates within it.
+
 Every process uses one thread for linear algebra: with a cell per core, more
 threads only get in each other's way.
 """
@@ -20,7 +22,8 @@ import time
 import traceback
 from collections.abc import Callable, Container, Generator, Iterator, Mapping
 from concurrent.futures import BrokenExecutor, CancelledError
-from contextlib import closing
+from contextlib import closing, contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Generic, TypeVar, cast
@@ -68,6 +71,10 @@ class CellProgress:
         return f"{self.n_done}/{self.n_cells} {self.key} ({self.seconds_left / 60:.1f} min left)"
 
 
+# Who is told of the cells of a program.
+_told: ContextVar[Callable[[CellProgress], None] | None] = ContextVar("told", default=None)
+
+
 @dataclass(frozen=True)
 class _Outcome(Generic[Result]):
     """Result of one cell, or what went wrong there."""
@@ -77,12 +84,72 @@ class _Outcome(Generic[Result]):
     error: str = ""
 
 
+@contextmanager
+def spread_over(
+    cluster: str | None = None,
+    *,
+    n_jobs: int = 1,
+    progress: Callable[[CellProgress], None] | None = None,
+) -> Iterator[None]:
+    """Spread the calculations that name no number of processes over cores or a cluster.
+
+    Parameters
+    ----------
+    cluster : str, optional
+        Address of a dask scheduler, such as ``tcp://10.0.0.5:8786``; its workers need the package.
+    n_jobs : int
+        Processes of this computer where there is no cluster.
+    progress : callable, optional
+        Told after every cell of theirs.
+
+    Raises
+    ------
+    ParallelError
+        If no scheduler answers there, or dask is not installed.
+
+    Examples
+    --------
+    >>> with spread_over(n_jobs=1):
+    ...     run_cells(abs, {"one": -1}, n_jobs=None)
+    {'one': 1}
+    """
+    from joblib import parallel_config
+
+    before = _told.set(progress)
+    try:
+        if cluster is None:
+            with parallel_config(n_jobs=n_jobs):
+                yield
+        else:
+            with _client(cluster), parallel_config(backend="dask"):
+                yield
+    finally:
+        _told.reset(before)
+
+
+def _client(cluster: str) -> Any:
+    """A client of a dask cluster."""
+    try:
+        from distributed import Client
+
+        return Client(cluster, timeout=10.0)
+    except ImportError as error:
+        raise ParallelError(
+            "A cluster needs dask: pip install 'oed-sysid[dask]', here and on its workers."
+        ) from error
+    except (OSError, ValueError) as error:  # a timeout is an OSError
+        raise ParallelError(
+            f"No dask scheduler answers at {cluster!r} ({error}). Start one (dask scheduler), give "
+            "its address, or leave the cluster out."
+        ) from error
+
+
 def run_cells(
     work: Callable[[Cell], Result],
     cells: Mapping[str, Cell],
     *,
     store: str | Path | None = None,
-    n_jobs: int = -1,
+    n_jobs: int | None = -1,
     progress: Callable[[CellProgress], None] | None = None,
 ) -> dict[str, Result]:
     """Calculate all cells, those that are not in the store.
@@ -99,11 +166,12 @@ def run_cells(
         :class:`~oed_sysid.runtime.journal.CellStore`). A later call, also after a
         crash or with more cells, calculates only what is missing. Without a
         store an error in one cell ends everything; with one, the others finish.
-    n_jobs : int
+    n_jobs : int or None
         Processes; all cores, or all of the cluster, by default. 1 stays in
-        this process.
+        this process; None is what :func:`spread_over` says, this process without it.
     progress : callable, optional
-        Called in this process after every cell with a :class:`CellProgress`.
+        Called in this process after every cell with a :class:`CellProgress`; by default whoever
+        :func:`spread_over` names.
 
     Returns
     -------
@@ -120,6 +188,7 @@ def run_cells(
     >>> run_cells(abs, {"one": -1, "two": 2}, n_jobs=1)
     {'one': 1, 'two': 2}
     """
+    progress = progress or _told.get()
     keeper = None if store is None else CellStore(Path(store))
     results: dict[str, Result] = keeper.find(cells) if keeper else {}
     n_kept, began = len(results), time.perf_counter()
@@ -146,7 +215,7 @@ def _outcomes(
     cells: Mapping[str, Cell],
     kept: Container[str],
     keeper: CellStore | None,
-    n_jobs: int,
+    n_jobs: int | None,
 ) -> Generator[_Outcome[Result], None, None]:
     """Yield outcomes of all cells that are not kept, and keep them; go on where workers die."""
     left = {key: cell for key, cell in cells.items() if key not in kept}
@@ -172,7 +241,7 @@ def _calculate(
     work: Callable[[Cell], Result],
     cells: Mapping[str, Cell],
     keeper: CellStore | None,
-    n_jobs: int,
+    n_jobs: int | None,
 ) -> Generator[_Outcome[Result], None, None]:
     """Yield outcomes as they arrive."""
     from joblib import Parallel, delayed  # a fifth of a second that most programs do not need
