@@ -371,7 +371,7 @@ def test_problem_from_a_log(tmp_path: Path, log: Path) -> None:
     assert problem.channels.input_names == ("rudder_angle",)
     assert [output.unit for output in problem.model.outputs] == ["rad", "rad/s"]
     assert problem.model.kinematics["psi"] == "r"
-    fit = MultipleShooting().fit(problem.model, problem.data())
+    fit = MultipleShooting(disturbances="none").fit(problem.model, problem.data())
     assert fit.status.ok
     # The log's difference equation, read as the exact answer to a held command.
     decay = np.log(1 - 0.2 * 0.8) / 0.2

@@ -402,7 +402,7 @@ def test_wave_is_named_where_it_acts(
     assert best.score.statistic > 0.5 * best.gain
 
 
-@pytest.mark.parametrize(("problem", "sizes"), [(AUV, SIZES[0]), (SHIP_FORCES, SIZES[1])])
+@pytest.mark.parametrize(("problem", "sizes"), [*slow((AUV, SIZES[0])), (SHIP_FORCES, SIZES[1])])
 def test_no_wave_is_found_where_there_is_none(problem: object, sizes: dict[str, float]) -> None:
     """The best of many frequencies gains by chance; what a claim needs counts them."""
     found = ranked(problem, sizes, "", 0.0)

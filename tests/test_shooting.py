@@ -168,10 +168,3 @@ def test_other_channels_are_refused() -> None:
     model = replace(yaw_model(), outputs=(Output("r", "rad/s"),))
     with pytest.raises(DataError, match="Read it with the model's channels"):
         Shooting(model, yaw_data(), NOISE[:1])
-
-
-def test_divergence_is_none_not_nan() -> None:
-    """Where the model diverges, there is no linearisation."""
-    model = yaw_model(alpha=Parameter("alpha", -1e6))
-    shooting = Shooting(model, yaw_data(), NOISE, interval=np.inf)
-    assert shooting.linearise(shooting.start_point()) is None
