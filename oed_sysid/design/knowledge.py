@@ -145,11 +145,7 @@ class ExpectedInformation:
         # The levels belong to the model, so that reports and cards state them.
         model = with_levels(model, sigma)
         prior = knowledge.before(given, model)
-        if hasattr(criterion, "bind_shifts"):
-            raise DesignError(
-                "A criterion has no bind_shifts. Write bind(Setting(..., shifts=...))."
-            )
-        shifts = criterion.shifts(model) if isinstance(criterion, ByShifts) else None
+        shifts = _shifts(criterion, model)
         n = len(_shared(model))
         before = np.zeros((n if shifts is None else n + len(shifts),) * 2)
         if prior is not None:
@@ -187,9 +183,7 @@ class ExpectedInformation:
 
     def shifts_of(self, vehicle: Model) -> Shifts | None:
         """Absent effects on a vehicle."""
-        if vehicle is self.model or not isinstance(self.criterion, ByShifts):
-            return self.shifts
-        return self.criterion.shifts(vehicle)
+        return self.shifts if vehicle is self.model else _shifts(self.criterion, vehicle)
 
     def measure(self, vehicle: Model | None = None, scales: np.ndarray | None = None) -> Measure:
         """The criterion as a function of matrices in units of the parameters."""
@@ -281,6 +275,13 @@ class ExpectedInformation:
         if not isinstance(self.criterion, Detect) or self.shifts is None:
             return ()
         return self.criterion.detections(self.shifts, self.total(None), total, len(self.names))
+
+
+def _shifts(criterion: Criterion, model: Model) -> Shifts | None:
+    """Absent effects that a criterion asks for, if it does."""
+    if hasattr(criterion, "bind_shifts"):
+        raise DesignError("A criterion has no bind_shifts. Write bind(Setting(..., shifts=...)).")
+    return criterion.shifts(model) if isinstance(criterion, ByShifts) else None
 
 
 def with_levels(model: Model, sigma: np.ndarray) -> Model:

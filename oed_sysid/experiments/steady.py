@@ -129,13 +129,13 @@ def equilibrium(
     known = {**dict.fromkeys(order, 0.0), **(guess or {}), **given}
     function = _settled(graph, model.step)
     # States on which some rate depends; a position usually is not among them.
-    used = {column for _, column in zip(*function.sparsity_out(1).get_triplet(), strict=True)}
-    depended = tuple(name for index, name in enumerate(names) if index in used)
+    used = sorted(set(function.sparsity_out(1).get_triplet()[1]))
+    depended = tuple(names[index] for index in used if index < len(names))
     target = tuple(steady) if steady is not None else depended
     _check(model, order, given, wanted, (*target, *known))
     unknowns = tuple(name for name in order if name in {*depended, *wanted} - given.keys())
     point = np.array([known[name] for name in order])
-    rows, columns = [names.index(n) for n in target], [order.index(n) for n in unknowns]
+    rows, columns = [*map(names.index, target)], [*map(order.index, unknowns)]
     scales = np.array([*state_scales(model, len(names)), *np.ones(len(model.input_names))])
 
     def settled(trial: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

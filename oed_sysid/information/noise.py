@@ -60,17 +60,8 @@ def noise_of(
         If a level is missing or not positive.
     """
     names = model.output_names
-    if levels is not None and not isinstance(levels, Mapping):
-        given = np.asarray(levels, dtype=float)
-        if given.shape != (len(names),):
-            raise DesignError(
-                f"There are {given.size} noise levels for the outputs {', '.join(names)}. "
-                "Give one each."
-            )
-        levels = dict(zip(names, given.tolist(), strict=True))
-    located(DesignError, f"Model {model.name!r} has no output", levels or {}, names)
     stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
-    stds |= {**(levels or {}), **(changed or {})}
+    stds |= {**_by_output(model, levels), **(changed or {})}
     for name, std in stds.items():
         if std is None or not (np.isfinite(std) and std > 0):
             raise DesignError(
@@ -78,6 +69,21 @@ def noise_of(
                 f"Output(noise_std=...) or noise={{{name!r}: standard deviation}}."
             )
     return np.array([stds[name] for name in names], dtype=float)
+
+
+def _by_output(model: Model, levels: Levels) -> Mapping[str, float]:
+    """Levels by output; none where none are given."""
+    names = model.output_names
+    if levels is None or isinstance(levels, Mapping):
+        located(DesignError, f"Model {model.name!r} has no output", levels or {}, names)
+        return levels or {}
+    given = np.asarray(levels, dtype=float)
+    if given.shape != (len(names),):
+        raise DesignError(
+            f"There are {given.size} noise levels for the outputs {', '.join(names)}. "
+            "Give one each."
+        )
+    return dict(zip(names, given.tolist(), strict=True))
 
 
 SEAS = {"still": 0.0, "calm": 0.01, "moderate": 0.05, "rough": 0.15}
@@ -156,23 +162,16 @@ def sea_noise(
         return _of_fit(calm, model, sea)
     word, given = _understood(sea)
     wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
-    sample = max((run.sample_time for run in known), default=0.0)
-    usual = max(USUAL_TIME, _SHORTEST * sample) if time is None else time
-    lasting = given.pop("time", usual)
+    lasting = given.pop("time", _usual_time(known) if time is None else time)
     if wave is not None:
         lasting = wave / (2.0 * np.pi)
     if not lasting > 0 or any(level < 0 for level in given.values()):
         raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")
     if word is not None and given:
         raise DesignError(f"Give the sea as a word or as levels, not both: {sea!r}.")
-    if word is None:
-        found = chosen_places(model, tuple(given))
-        levels = np.array(list(given.values()), dtype=float)
-    elif SEAS[word] == 0.0:
+    if word is not None and SEAS[word] == 0.0:
         return calm
-    else:
-        found = chosen_places(model, "all")
-        levels = SEAS[word] * natural_forces(model, found, known) / lasting
+    found, levels = _acting(model, word, given, known, lasting)
     if wave is not None:
         named = dict(zip((place.name for place in found), map(float, levels), strict=True))
         waves = Sea(period=wave, bandwidth=width, levels=named)
@@ -199,6 +198,24 @@ def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:
         calm, force=forces.force, force_time=forces.force_time, places=forces.places,
         seas=tuple(sea for sea in found.seas if sea.acts),
     )  # fmt: skip
+
+
+def _usual_time(runs: Iterable[Experiment]) -> float:
+    return max([USUAL_TIME, *(_SHORTEST * run.sample_time for run in runs)])
+
+
+def _acting(
+    model: Model,
+    word: str | None,
+    given: Mapping[str, float],
+    runs: tuple[Experiment, ...],
+    lasting: float,
+) -> tuple[tuple[Place, ...], np.ndarray]:
+    """Where forces act and their levels: those given, or of a word."""
+    if word is None:
+        return chosen_places(model, tuple(given)), np.array([*given.values()], dtype=float)
+    found = chosen_places(model, "all")
+    return found, SEAS[word] * natural_forces(model, found, runs) / lasting
 
 
 def _understood(sea: str) -> tuple[str | None, dict[str, float]]:

@@ -208,22 +208,7 @@ def rank_parameters(
     factors = [expected.factor(play) for play in played]
     information = expected.joint(factors, priors)
     wanted = tuple(signals) if signals is not None else model.output_names
-    base = [_signals(model, play, wanted) for play in played]
-    with np.errstate(divide="ignore"):
-        alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
-    rows = []
-    for name, *errors in zip(information.names, alone, information.std_errors, strict=True):
-        parameter = model.parameter(name)
-        size = parameter.reference
-        changed = model.with_values({name: parameter.value + change * (parameter.value or size)})
-        total, peaks = _indices(base, [_signals(changed, play, wanted) for play in played])
-        one, together = (float(error / size) for error in errors)
-        rows.append(
-            Sensitivity(
-                name, parameter.unit, parameter.value, total, peaks / abs(change), one, together
-            )
-        )
-    rows.sort(key=lambda row: row.error)
+    rows = _sensitivities(model, information, played, wanted, change)
     # States and inputs in all runs, one behind the other.
     moved = np.vstack(
         [np.hstack([_signals(model, play, model.state_names), play.inputs]) for play in played]
@@ -238,6 +223,29 @@ def rank_parameters(
     return SensitivityRanking(
         tuple(rows), change, wanted, tuple(play.name for play in played), information, subset
     )
+
+
+def _sensitivities(
+    model: Model,
+    information: Information,
+    played: Sequence[Play],
+    wanted: Sequence[str],
+    change: float,
+) -> list[Sensitivity]:
+    """Each parameter in both views, best determined first."""
+    base = [_signals(model, play, wanted) for play in played]
+    with np.errstate(divide="ignore"):
+        alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
+    rows = []
+    for name, *errors in zip(information.names, alone, information.std_errors, strict=True):
+        parameter = model.parameter(name)
+        value, size = parameter.value, parameter.reference
+        changed = model.with_values({name: value + change * (value or size)})
+        total, peaks = _indices(base, [_signals(changed, play, wanted) for play in played])
+        one, together = (float(error / size) for error in errors)
+        peaks /= abs(change)
+        rows.append(Sensitivity(name, parameter.unit, value, total, peaks, one, together))
+    return sorted(rows, key=lambda row: row.error)
 
 
 def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:

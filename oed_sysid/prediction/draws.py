@@ -57,19 +57,7 @@ def draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
     ModelError
         If the fit does not determine a parameter.
     """
-    sampled = {} if fit.posterior is None else fit.posterior.draws
-    if sampled and set(fit.names) <= set(sampled):
-        flat = np.column_stack([np.ravel(sampled[name]) for name in fit.names])
-        shared = flat[rng.choice(len(flat), min(n_draws, len(flat)), replace=False)]
-    elif np.all(np.isfinite(fit.covariance)):
-        shared = rng.multivariate_normal(fit.estimates, fit.covariance, size=n_draws, method="eigh")
-    else:
-        unknown = [n for n, error in fit.std_errors.items() if not math.isfinite(error)]
-        raise ModelError(
-            f"The fit does not determine {', '.join(unknown)}: no uncertainty can be drawn. Fix "
-            "these parameters, or give them a prior, and fit again; or pass fit.model."
-        )
-    model = fit.model
+    shared, model = _shared(fit, n_draws, rng), fit.model
     table = np.tile(model.value_vector, (len(shared), 1))
     position = {name: i for i, name in enumerate(model.parameter_names)}
     table[:, [position[name] for name in fit.names]] = shared
@@ -79,3 +67,18 @@ def draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
     lower = [parameter.lower for parameter in model.all_parameters]
     upper = [parameter.upper for parameter in model.all_parameters]
     return np.clip(table, lower, upper)
+
+
+def _shared(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
+    """Draws ``(n_draws, n_names)`` of the parameters that all records share."""
+    sampled = {} if fit.posterior is None else fit.posterior.draws
+    if sampled and set(fit.names) <= set(sampled):
+        flat = np.column_stack([np.ravel(sampled[name]) for name in fit.names])
+        return flat[rng.choice(len(flat), min(n_draws, len(flat)), replace=False)]
+    if np.all(np.isfinite(fit.covariance)):
+        return rng.multivariate_normal(fit.estimates, fit.covariance, size=n_draws, method="eigh")
+    unknown = [n for n, error in fit.std_errors.items() if not math.isfinite(error)]
+    raise ModelError(
+        f"The fit does not determine {', '.join(unknown)}: no uncertainty can be drawn. Fix "
+        "these parameters, or give them a prior, and fit again; or pass fit.model."
+    )

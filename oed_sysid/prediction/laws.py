@@ -487,19 +487,12 @@ def _legs(
     """
     ends = [*map(int, np.searchsorted(times, executes)), len(times)]
     noise = fast_level([rudder])
-    orders, errors, ramps = [], [], []
+    orders, errors, ramps = list[float](), list[float](), list[np.ndarray]()
     for begin, end in pairwise(ends):
-        leg = rudder[begin:end]
-        side = math.copysign(1.0, float(np.median(leg)))
-        near = max(HELD_NOISE * noise, HELD * float(np.max(np.abs(leg))))
-        held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
-        orders.append(float(np.median(leg[held])))
-        few = held.sum() < FEWEST_HELD
-        errors.append(math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum()))
-        last = max(begin - 1, 0)  # the rudder as it was before
-        while last and abs(rudder[last] - (orders[-2] if len(orders) > 1 else before)) > near:
-            last -= 1
-        ramps.append(np.arange(last + 1, begin + int(held.argmax())))
+        order, error, ramp = _leg(rudder, begin, end, orders[-1] if orders else before, noise)
+        orders.append(order)
+        errors.append(error)
+        ramps.append(ramp)
     levels, known = np.array(orders), np.isfinite(errors)
     for loose in np.flatnonzero(~known):
         others = levels[known & (levels * levels[loose] > 0)]
@@ -518,3 +511,20 @@ def _legs(
             left = levels[i - 1] if i else before
             begins[i] = np.mean(times[ramp]) - abs(np.mean(rudder[ramp]) - left) / rate
     return levels, np.array(errors), begins, rate, error
+
+
+def _leg(
+    rudder: np.ndarray, begin: int, end: int, before: float, noise: float
+) -> tuple[float, float, np.ndarray]:
+    """Order of one leg, its standard error, and the samples of the ramp from the one before."""
+    leg = rudder[begin:end]
+    side = math.copysign(1.0, float(np.median(leg)))
+    near = max(HELD_NOISE * noise, HELD * float(np.max(np.abs(leg))))
+    held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
+    few = held.sum() < FEWEST_HELD
+    error = math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum())
+    last = max(begin - 1, 0)  # the rudder as it was before
+    while last and abs(rudder[last] - before) > near:
+        last -= 1
+    ramp = np.arange(last + 1, begin + int(held.argmax()))
+    return float(np.median(leg[held])), error, ramp
