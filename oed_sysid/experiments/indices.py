@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from oed_sysid.errors import DataError
 from oed_sysid.experiments.base import FloatArray, Numbers
@@ -13,6 +17,9 @@ from oed_sysid.runtime.display import Report, as_dict, as_text
 
 _SIDE_SHARE = 0.2  # of the largest rudder angle: below, the rudder is on neither side
 _PLATEAU_SHARE = 0.05  # of a leg's angle: within, the rudder still holds it
+# So many standard deviations of noise (normal noise passes them once in 16,000 samples) are held
+# too; samples that tell a level or a slope.
+_HELD_NOISE, _FEWEST_HELD = 4.0, 3
 _STEADY_ARC = math.pi / 2  # least heading change from which a steady turn is measured [rad]
 
 
@@ -202,7 +209,7 @@ def zigzag_indices(
     """
     moments, angle, helm = columns(times, heading=heading, rudder=rudder)
     angle = np.unwrap(angle)
-    executes = rudder_executes(moments, helm, execute)
+    executes = rudder_legs(moments, helm, first=execute).begins.tolist()
     at_execute = np.interp(executes, moments, angle)
     original = float(at_execute[0])
     # Which way the first swing went: indices are the same for port and starboard.
@@ -394,55 +401,122 @@ def within_record(times: FloatArray, execute: float | None) -> float:
     return float(execute)
 
 
-def rudder_executes(times: FloatArray, rudder: FloatArray, first: float | None) -> list[float]:
-    """Return the times [s] at which the rudder leaves each angle that it holds.
+@dataclass(frozen=True, eq=False)
+class Legs:
+    """A rudder that is held, moves to the other side and is held again, as in a zigzag.
 
-    The first is given, or that at which the rudder leaves the middle.
+    Attributes
+    ----------
+    orders, errors : ndarray (n_legs,)
+        Rudder of each leg and its standard error, NaN where it was not held: the order is then
+        that of the other legs.
+    begins : ndarray (n_legs,)
+        When the rudder leaves the order before, s.
+    rate, rate_error : float
+        Largest rate of the rudder, and its standard error, per second.
+    before : float
+        Rudder before the first leg.
     """
+
+    orders: np.ndarray
+    errors: np.ndarray
+    begins: np.ndarray
+    rate: float
+    rate_error: float
+    before: float
+
+
+def rudder_legs(
+    times: FloatArray, rudder: FloatArray, *, first: float | None = None, noise: float | None = None
+) -> Legs:
+    r"""Read the legs of a zigzag from its rudder, order or measured angle.
+
+    A rudder that moves over several samples has left the order before where its ramp meets it,
+
+    .. math:: t_b = \bar t - |\bar\delta - \delta_\mathrm{before}| / \dot\delta
+
+    with the means over the ramp; one that jumps, at its first sample, because an order is held
+    until the next one is given.
+
+    Parameters
+    ----------
+    times, rudder : ndarray (n_times,)
+        s, and the angle with zero as its middle.
+    first : float, optional
+        When the first leg begins, s; by default found.
+    noise : float, optional
+        Standard deviation of the rudder's sensor; by default from second differences, which are
+        zero on a ramp and where it is held: their median is :math:`0.67 \sqrt 6` of it.
+
+    Raises
+    ------
+    DataError
+        If the rudder is never reversed.
+    """
+    starts = _reversals(rudder)
+    if noise is None:
+        noise = float(np.median(np.abs(np.diff(rudder, 2)))) / (ndtri(0.75) * math.sqrt(6))
+    before = float(np.median(rudder[: max(starts[0], 1)]))
+    found = list[tuple[float, float, NDArray[np.intp]]]()
+    for begin, end in pairwise([*starts.tolist(), len(times)]):
+        found.append(_leg(rudder, begin, end, found[-1][0] if found else before, noise))
+    levels, deviations, ramps = zip(*found, strict=True)
+    orders, errors = np.array(levels), np.array(deviations)
+    for loose in np.flatnonzero(np.isnan(errors)):
+        others = orders[np.isfinite(errors) & (orders * orders[loose] > 0)]
+        orders[loose] = np.median(others) if len(others) else orders[loose]
+    left = np.array([before, *orders[:-1]])
+    rate, error = _rate(times, rudder, ramps, np.abs(orders - left))
+    begins = times[starts].astype(float)
+    for i, ramp in enumerate(ramps):
+        if len(ramp):
+            begins[i] = np.mean(times[ramp]) - abs(np.mean(rudder[ramp]) - left[i]) / rate
+    begins[0] = max(begins[0], times[0]) if first is None else first
+    return Legs(orders, errors, begins, rate, error, before)
+
+
+def _reversals(rudder: FloatArray) -> NDArray[np.intp]:
+    """First samples of the rudder on each side."""
     largest = float(np.max(np.abs(rudder)))
     side = np.where(np.abs(rudder) > _SIDE_SHARE * largest, np.sign(rudder), 0.0)
     used = np.flatnonzero(side)
-    changes = np.flatnonzero(np.diff(side[used]) != 0)
-    if len(changes) == 0:
+    starts = used[np.flatnonzero(np.diff(side[used], prepend=0.0))]
+    if len(starts) < 2:
         raise DataError(
             f"The rudder is never reversed (it stays between {np.min(rudder):.3g} and "
             f"{np.max(rudder):.3g}), so this is no zigzag. Check the column and its middle."
         )
-    executes = [_leaves_middle(times, rudder, int(used[0])) if first is None else first]
-    begins = used[np.concatenate([[0], changes + 1])]
-    ends = used[changes]
-    for begin, end in zip(begins, ends, strict=False):
-        sign = side[begin]
-        leg = sign * rudder[begin : end + 1]
-        held = float(np.percentile(leg, 90))
-        last = int(begin + np.flatnonzero(leg >= (1 - _PLATEAU_SHARE) * held)[-1])
-        executes.append(_corner(times, 1 - sign * rudder / held, last))
-    return executes
+    return starts
 
 
-def _leaves_middle(times: FloatArray, rudder: FloatArray, on_side: int) -> float:
-    """Return the time at which the rudder first leaves zero."""
-    sign = math.copysign(1.0, rudder[on_side])
-    largest = float(np.max(np.abs(rudder)))
-    before = np.flatnonzero(np.abs(rudder[:on_side]) <= _PLATEAU_SHARE * largest)
-    if len(before) == 0:
-        return float(times[0])
-    return _corner(times, sign * rudder / largest, int(before[-1]))
+def _leg(
+    rudder: FloatArray, begin: int, end: int, before: float, noise: float
+) -> tuple[float, float, NDArray[np.intp]]:
+    """Order of one leg, its standard error, and the samples of the ramp from the one before."""
+    leg = rudder[begin:end]
+    side = math.copysign(1.0, leg[0])
+    near = max(_HELD_NOISE * noise, _PLATEAU_SHARE * float(np.max(np.abs(leg))))
+    held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
+    few = held.sum() < _FEWEST_HELD
+    error = math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum())
+    last = max(begin - 1, 0)  # the rudder as it was before
+    while last and abs(rudder[last] - before) > near:
+        last -= 1
+    return float(np.median(leg[held])), error, np.arange(last + 1, begin + int(held.argmax()))
 
 
-def _corner(times: FloatArray, moved: FloatArray, last: int) -> float:
-    """Return the time at which ``moved``, still about 0 at ``last``, begins to grow to 1.
-
-    A ramp is followed back along its slope up to one half; a jump happens at
-    its first sample, because an order is held until the next one is given.
-    """
-    after = last + 1
-    half = after + int(np.argmax(moved[after:] >= 0.5))
-    if half == after:
-        return float(times[after])
-    slope = (moved[half] - moved[after]) / (times[half] - times[after])
-    corner = times[after] - moved[after] / slope
-    return float(max(corner, times[0]))
+def _rate(
+    times: FloatArray, rudder: FloatArray, ramps: Sequence[NDArray[np.intp]], moves: FloatArray
+) -> tuple[float, float]:
+    """Rate of the rudder on its ramps and its standard error; without ramps it jumps a sample."""
+    slopes = [
+        abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0]))
+        for ramp in ramps
+        if len(ramp) >= _FEWEST_HELD
+    ]
+    if not slopes:
+        return float(np.max(moves / np.median(np.diff(times)))), 0.0
+    return float(np.median(slopes)), 1.25 * float(np.std(slopes)) / math.sqrt(len(slopes))
 
 
 def summit(

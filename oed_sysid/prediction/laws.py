@@ -8,17 +8,11 @@ A helmsman or an autopilot that holds a course,
 within a limit and at a limited rate; :math:`\psi_\mathrm{ref}` changes in steps
 (:class:`CourseControl`).
 
-Of a zigzag (:class:`ZigzagControl`) the logged rudder is held at an order, moves at its rate to the
-next and is held again. Orders are the levels at which it is held; an order is given where the ramp
-leaves the level before,
-
-.. math::
-    t_b = \bar t - \frac{\bar\delta - \delta_\mathrm{before}}{\dot\delta} ,
-
-with the means of time and rudder over the ramp. In a log by samples the order lies within the
-step after :math:`t_b`; the heading of reversal is that at half of it, from the smoothed heading
-(:func:`oed_sysid.prediction.helmsman.smooth_heading`), uncertain by the smoother and by
-:math:`|r| \Delta t / \sqrt{12}`.
+Of a zigzag (:class:`ZigzagControl`) orders are the levels at which the logged rudder is held, each
+given where it leaves the level before (:func:`oed_sysid.experiments.indices.rudder_legs`). In a log
+by samples the order lies within the step after; the heading of reversal is that at half of it, from
+the smoothed heading (:func:`oed_sysid.prediction.helmsman.smooth_heading`), uncertain by the
+smoother and by :math:`|r| \Delta t / \sqrt{12}`.
 """
 
 from __future__ import annotations
@@ -26,14 +20,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
-from oed_sysid.experiments.indices import rudder_executes
+from oed_sysid.experiments.indices import rudder_legs
 from oed_sysid.likelihood.noise_levels import fast_level
 from oed_sysid.prediction.helmsman import (
     correlation,
@@ -298,9 +291,6 @@ def _series(record: Record, courses: ArrayLike | str) -> np.ndarray:
     return series
 
 
-# A rudder within this share of its order, or so many standard deviations of noise (which normal
-# noise passes once in 16,000 samples), is held; and samples that tell a level or a slope.
-HELD, HELD_NOISE, FEWEST_HELD = 0.02, 4.0, 3
 # Mean cosine of the phases of orders from which on they were given at samples.
 AT_SAMPLES = 0.9
 
@@ -448,11 +438,10 @@ class ZigzagControl:
         """
         rudder, times = record.input(input), record.times
         record.output(heading)
-        found = np.array(rudder_executes(times, rudder, None))
-        begun = bool(found[0] > times[0])
-        before = float(np.median(rudder[times < found[0]])) if begun else float(rudder[0])
-        orders, errors, executes, rate, rate_error = _legs(rudder, times, found, before)
-        unsure = fast_level([rudder]) / rate
+        noise = fast_level([rudder])
+        legs = rudder_legs(times, rudder, noise=noise)
+        executes, unsure = legs.begins, noise / legs.rate
+        begun = bool(executes[0] > times[0])
         step = float(np.median(np.diff(times)))
         smooth = smooth_heading(record, input, heading=heading, yaw_rate=yaw_rate)
         # Orders that were given at samples all begin at the same phase of a step.
@@ -463,11 +452,11 @@ class ZigzagControl:
         own = np.hypot(error, free * r * unsure)
         spread = np.hypot(own, np.abs(r) * half)
         return cls(
-            input, tuple(map(float, orders)), tuple(map(float, psi)),
-            tuple(map(float, np.copysign(1.0, r))), rate,
-            before, begun * float(max(executes[0] + step / 2 - times[0], 0.0)), heading, 0.0,
+            input, tuple(map(float, legs.orders)), tuple(map(float, psi)),
+            tuple(map(float, np.copysign(1.0, r))), legs.rate,
+            legs.before, begun * float(max(executes[0] + step / 2 - times[0], 0.0)), heading, 0.0,
             ZigzagEvidence(
-                errors, spread, spread if free else own, rate_error,
+                legs.errors, spread, spread if free else own, legs.rate_error,
                 begun * free * math.hypot(half, unsure),
             ),
         )  # fmt: skip
@@ -476,55 +465,3 @@ class ZigzagControl:
 def _error(value: float) -> str:
     """Standard error in degrees."""
     return "" if math.isnan(value) else f"{max(DEGREE * value, 0.0):.2f}"
-
-
-def _legs(
-    rudder: np.ndarray, times: np.ndarray, executes: np.ndarray, before: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float, float]:
-    """Order of each leg and its standard error, when the one before is left, the rate with its own.
-
-    The error is NaN where the rudder was not held: the order is then that of the other legs.
-    """
-    ends = [*map(int, np.searchsorted(times, executes)), len(times)]
-    noise = fast_level([rudder])
-    orders, errors, ramps = list[float](), list[float](), list[np.ndarray]()
-    for begin, end in pairwise(ends):
-        order, error, ramp = _leg(rudder, begin, end, orders[-1] if orders else before, noise)
-        orders.append(order)
-        errors.append(error)
-        ramps.append(ramp)
-    levels, known = np.array(orders), np.isfinite(errors)
-    for loose in np.flatnonzero(~known):
-        others = levels[known & (levels * levels[loose] > 0)]
-        levels[loose] = np.median(others) if len(others) else levels[loose]
-    slopes = [
-        abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0]))
-        for ramp in ramps
-        if len(ramp) >= FEWEST_HELD
-    ]
-    moves = np.abs(np.diff(levels, prepend=before))
-    rate = float(np.median(slopes)) if slopes else float(np.max(moves / np.median(np.diff(times))))
-    error = 1.25 * float(np.std(slopes)) / math.sqrt(len(slopes)) if slopes else 0.0
-    begins = executes.copy()
-    for i, ramp in enumerate(ramps):
-        if len(ramp):
-            left = levels[i - 1] if i else before
-            begins[i] = np.mean(times[ramp]) - abs(np.mean(rudder[ramp]) - left) / rate
-    return levels, np.array(errors), begins, rate, error
-
-
-def _leg(
-    rudder: np.ndarray, begin: int, end: int, before: float, noise: float
-) -> tuple[float, float, np.ndarray]:
-    """Order of one leg, its standard error, and the samples of the ramp from the one before."""
-    leg = rudder[begin:end]
-    side = math.copysign(1.0, float(np.median(leg)))
-    near = max(HELD_NOISE * noise, HELD * float(np.max(np.abs(leg))))
-    held = np.abs(leg - side * np.quantile(side * leg, 0.75, method="higher")) <= near
-    few = held.sum() < FEWEST_HELD
-    error = math.nan if few else 1.25 * float(np.std(leg[held])) / math.sqrt(held.sum())
-    last = max(begin - 1, 0)  # the rudder as it was before
-    while last and abs(rudder[last] - before) > near:
-        last -= 1
-    ramp = np.arange(last + 1, begin + int(held.argmax()))
-    return float(np.median(leg[held])), error, ramp
