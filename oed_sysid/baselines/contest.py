@@ -208,9 +208,6 @@ PLAIN = MultipleShooting(disturbances="none", loss="square")
 AUTOMATIC = MultipleShooting(disturbances="auto", loss="auto")
 
 
-# A search by a population goes from this part of a start value to as many times that value, where
-# the problem has no bounds.
-REGION = 4.0
 # Take start values as a prior by their nature.
 BELIEVERS = ("ekf", "ukf", "ekf_tuned", "ukf_tuned")
 
@@ -229,8 +226,8 @@ class Contestant:
         with the filter makes it.
     knows_start : bool
         Be told the true start state where there is one training run, as in the
-        source of the differential swarm, and a region. An advantage over all others, which
-        estimate or measure the start.
+        source of the differential swarm, and a region (:func:`with_region`). An
+        advantage over all others, which estimate or measure the start.
     """
 
     estimator: Estimator
@@ -309,8 +306,8 @@ def contestant_by_name(name: str) -> Contestant:
     return CONTESTANTS[name]
 
 
-def with_region(model: Model) -> Model:
-    """Return the model whose free parameters lie between a quarter and four times their values.
+def with_region(model: Model, factor: float = 4.0) -> Model:
+    """Return the model whose free parameters lie within a factor of their values.
 
     Bounds that the problem states stay.
     """
@@ -318,7 +315,7 @@ def with_region(model: Model) -> Model:
     def bounded(p: Parameter) -> Parameter:
         if p.name not in model.free_names:
             return p
-        low, high = sorted((p.value / REGION, p.value * REGION))
+        low, high = sorted((p.value / factor, p.value * factor))
         return replace(
             p,
             lower=p.lower if np.isfinite(p.lower) else low,

@@ -27,9 +27,6 @@ from oed_sysid.physics.model import Model
 
 KINDS = ("extended", "unscented")
 LIKELIEST = "likeliest"
-# Shares of a velocity's scale, per root second, among which the likeliest process noise is sought:
-# from what no record shows to what hides every motion.
-LEAST_SHARE, LARGEST_SHARE = 1e-4, 1.0
 # A measured start state is known this many noise levels well before its first measurement.
 START_SPREAD = 10.0
 # A start value without a prior is known to this share of its magnitude.
@@ -166,7 +163,8 @@ class JointKalmanFilter(Baseline):
 
         found = minimize_scalar(
             lambda power: -at(10.0**power).log_likelihood,
-            bounds=np.log10((LEAST_SHARE, LARGEST_SHARE)),
+            # From what no record shows to what hides every motion, as shares per root second.
+            bounds=(-4.0, 0.0),
             method="bounded",
             options={"xatol": 0.1},  # a quarter of the level: errors of the values are flat there
         )

@@ -26,9 +26,6 @@ FORMS = ("primal", "dual")
 # Published weight of the errors.
 WEIGHT = 3e4
 CROSS_VALIDATED = "cross-validated"
-# Stretches of a cross-validation, and its weights for features of unit size: from a pull on every
-# coefficient to none.
-STRETCHES, WEIGHTS = 5, 10.0 ** np.arange(-2, 9)
 
 
 def linear_kernel(first: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -168,7 +165,9 @@ def ridge(features: np.ndarray, targets: np.ndarray, C: float, *, bias: bool) ->
     return scale * np.linalg.lstsq(matrix * scale, right, rcond=None)[0]
 
 
-def best_weight(features: np.ndarray, targets: np.ndarray, bias: bool) -> float:
+def best_weight(
+    features: np.ndarray, targets: np.ndarray, bias: bool, n_stretches: int = 5
+) -> float:
     r"""Weight of the errors that predicts left-out stretches best.
 
     .. math:: \hat C = \arg\min_C \sum_{j} \sum_{i \in S_j}
@@ -183,9 +182,11 @@ def best_weight(features: np.ndarray, targets: np.ndarray, bias: bool) -> float:
     targets : ndarray (n_samples,)
     bias : bool
         Whether there is a constant.
+    n_stretches : int
+        How many are left out, one after the other.
     """
     size = float(np.mean(features**2)) or 1.0
-    stretches = np.array_split(np.arange(len(targets)), STRETCHES)
+    stretches = np.array_split(np.arange(len(targets)), n_stretches)
 
     def error(weight: float) -> float:
         total = 0.0
@@ -196,7 +197,8 @@ def best_weight(features: np.ndarray, targets: np.ndarray, bias: bool) -> float:
             total += float(errors @ errors)
         return total
 
-    return min(WEIGHTS / size, key=error)
+    # Of features of unit size: from a pull on every coefficient to none.
+    return min(10.0 ** np.arange(-2, 9) / size, key=error)
 
 
 def check_weight(C: float) -> None:

@@ -35,8 +35,6 @@ from oed_sysid.physics.model import Model
 
 # Correlation times, in samples.
 FORCE_TIME, NOISE_TIME = 4.0, 5.0
-# Swell: its period, s, but at least ten waves to a run, and its bandwidth.
-SWELL_PERIOD, SWELL_WAVES, SWELL_BANDWIDTH = 8.0, 10, 0.2
 # Steps per sample in which disturbance forces are drawn and integrated.
 SUBSTEPS = 4
 
@@ -53,6 +51,8 @@ class World:
         Level of disturbance forces, share of the largest force.
     swell : float
         The same of narrow-band forces.
+    period, bandwidth : float
+        Of the swell: s, at most a tenth of the run; and its width as a share of the frequency.
     hidden : float
         Quadratic damping that the fitted model does not have, at the largest velocity of the
         undisturbed run, share of the largest force; not of a velocity that a run starts with.
@@ -75,6 +75,8 @@ class World:
     title: str
     forces: float = 0.0
     swell: float = 0.0
+    period: float = 8.0
+    bandwidth: float = 0.2
     hidden: float = 0.0
     colour: float = 0.0
     declared: float = 1.0
@@ -152,11 +154,14 @@ class World:
         shape = len(fine), len(places)
         push = self.forces * _gauss_markov(shape, FORCE_TIME * SUBSTEPS, rng)
         if self.swell:
-            period = _swell_period(clean) / experiment.sample_time * SUBSTEPS
-            push += self.swell * _narrow_band(shape, period, SWELL_BANDWIDTH, rng)
+            period = self._period(clean) / experiment.sample_time * SUBSTEPS
+            push += self.swell * _narrow_band(shape, period, self.bandwidth, rng)
         inputs = np.column_stack([*columns, push * np.array(list(largest.values()))])
         path = simulate_inputs(pushed, fine, inputs=inputs, initial=start)
         return clean.with_outputs(path.outputs[::SUBSTEPS])
+
+    def _period(self, clean: Record) -> float:
+        return min(self.period, 0.1 * float(np.ptp(clean.times)))
 
     def _damping(
         self, model: Model, clean: Record, experiment: Experiment, largest: Mapping[str, float]
@@ -190,7 +195,7 @@ class World:
             largest = _largest_forces(model, clean, experiment)
         if self.swell:
             levels = {place: self.swell * force for place, force in largest.items()}
-            seas = (Sea(_swell_period(clean), SWELL_BANDWIDTH, levels, "displacement"),)
+            seas = (Sea(self._period(clean), self.bandwidth, levels, "displacement"),)
         forces = {place: self.forces * force for place, force in largest.items() if self.forces}
         return NoiseModel(
             np.sqrt(max(1.0 - self.colour, 0.01)) * std,  # a filter needs some white noise
@@ -247,10 +252,6 @@ def _largest(
     start = _start(model, experiment)
     run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=start)
     return [float(x) for x in np.abs(run.outputs).max(axis=0)]
-
-
-def _swell_period(clean: Record) -> float:
-    return min(SWELL_PERIOD, float(np.ptp(clean.times)) / SWELL_WAVES)
 
 
 def _start(model: Model, experiment: Experiment) -> dict[str, float]:
