@@ -13,6 +13,7 @@ from sklearn.model_selection import KFold, cross_val_score
 from benchmarks.comparison import PAGE, STORE, cells, merged, ratios, summary, tables
 from oed_sysid.baselines import JointKalmanFilter, LeastSquaresSVM
 from oed_sysid.baselines.contest import Cell, load_scenario, run_cell, with_region
+from oed_sysid.baselines.equations import exact_rates, regression_form, rows_of
 from oed_sysid.baselines.support_vectors import best_weight
 from oed_sysid.baselines.world import WORLDS, _narrow_band
 from oed_sysid.data.dataset import Dataset
@@ -130,3 +131,19 @@ def test_the_page_is_made_of_the_store() -> None:
     rows = list(merged(STORE.rows()).values())
     assert rows
     assert tables(rows) in PAGE.read_text(encoding="utf-8")
+
+
+def test_equations_that_share_a_parameter_are_one_machine() -> None:
+    """With the true rates of a torpedo, whose drag acts in surge and heave, it finds the truth."""
+    problem = load_scenario("torpedo")
+    run = WORLDS["ideal"].record(
+        problem.model, problem.train[0], rng=np.random.default_rng(0), noise=False
+    )
+    dataset = Dataset((run,))
+    rates = exact_rates(problem.model, dataset)
+    for scale in ("raw", "unit"):
+        machine = LeastSquaresSVM(C=1e12, scale=scale, rule="exact", rates=rates)
+        fit = machine.fit(problem.model, dataset)
+        found = np.array([fit.values[name] for name in problem.truth])
+        assert found == pytest.approx(list(problem.truth.values()), rel=1e-4)
+    assert rows_of(regression_form(problem.model), dataset).groups() == [(0, 1, 2)]

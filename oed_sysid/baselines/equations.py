@@ -298,6 +298,17 @@ class Rows:
         names = tuple(self.form.names[i] for i in used)
         return regressors[rows][:, used], target[rows], names
 
+    def groups(self) -> list[tuple[int, ...]]:
+        """Positions of the equations, those together that share a parameter with each other."""
+        found: list[tuple[set[str], tuple[int, ...]]] = []
+        for index in range(len(self.form.equations)):
+            names, group = set(self.equation(index)[2]), tuple([index])
+            for one in [one for one in found if one[0] & names]:
+                found.remove(one)
+                names, group = names | one[0], one[1] + group
+            found.append((names, group))
+        return sorted(group for _, group in found)
+
     def check_separate(self) -> None:
         """Raise :class:`ModelError` where two equations share a parameter."""
         owner: dict[str, str] = {}

@@ -265,20 +265,27 @@ class EquationSolution:
     facts: Mapping[str, Any] = field(default_factory=dict)
 
 
-def each_equation(rows: Rows, solve: Callable[[int], EquationSolution]) -> Regression:
-    """Solve equation by equation; ``extras`` holds the facts, by the state of the equation."""
-    names = rows.form.names
+def each_equation(
+    rows: Rows,
+    solve: Callable[..., EquationSolution],
+    groups: Sequence[Sequence[int]] | None = None,
+) -> Regression:
+    """Solve equation by equation; ``extras`` holds the facts, by the state of the equation.
+
+    ``groups`` are equations that are solved together, whose positions ``solve`` takes.
+    """
+    names, equations = rows.form.names, rows.form.equations
     estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
     extras: dict[str, dict[str, Any]] = {}
     coloured = False
-    for index, equation in enumerate(rows.form.equations):
-        found = solve(index)
+    for group in groups or [(index,) for index in range(len(equations))]:
+        found = solve(*group)
         where = [names.index(name) for name in found.names]
         estimates[where] = found.values
         covariance[np.ix_(where, where)] = found.covariance
         coloured |= found.coloured
         for key, fact in found.facts.items():
-            extras.setdefault(key, {})[equation] = fact
+            extras.setdefault(key, {})[", ".join(equations[i] for i in group)] = fact
     return Regression(estimates, covariance, coloured=coloured, facts=extras)
 
 
@@ -491,6 +498,9 @@ def separate(
 ) -> Regression:
     """Solve every equation with ``solver(features, targets, bias)``.
 
+    Equations that share parameters are solved as one, each divided by its scale and without a
+    bias.
+
     Returns
     -------
     Regression
@@ -504,13 +514,17 @@ def separate(
     else:
         scales = positive(scale, equations, "equation of")
 
-    def solve(index: int) -> EquationSolution:
-        features, targets, names = rows.equation(index)
-        constant = _constant(features, names, equations[index])
+    def solve(*group: int) -> EquationSolution:
+        if alone := len(group) == 1:
+            features, targets, names = rows.equation(*group)
+            constant, own = _constant(features, names, equations[group[0]]), scales[group[0]]
+        else:
+            features, targets, names = _coupled(rows, group, scales)
+            constant, own = None, scale if isinstance(scale, str) else "raw"
         order = [i for i in range(len(names)) if i != constant]
-        sizes, divisor = _units(features[:, order], targets, scales[index])
+        sizes, divisor = _units(features[:, order], targets, own)
         scaled, aims = features[:, order] / sizes, targets / divisor
-        with_bias = bias or constant is not None
+        with_bias = alone and (bias or constant is not None)
         solution = solver(scaled, aims, with_bias)
         block, coloured = solution_covariance(scaled, aims, solution, with_bias)
         # Coefficients and the bias, which stands for the constant parameter where there is one.
@@ -525,8 +539,24 @@ def separate(
         covariance = (block * units[:, None] * units)[:n, :n]
         return EquationSolution(owners, values, covariance, coloured, facts)
 
-    found = each_equation(rows, solve)
+    found = each_equation(rows, solve, rows.groups())
     return replace(found, facts={**found.facts, "history": history}) if history else found
+
+
+def _coupled(
+    rows: Rows, group: Sequence[int], scales: Sequence[str | float]
+) -> tuple[np.ndarray, np.ndarray, tuple[str, ...]]:
+    """Rows of several equations below each other, divided by their scales: as of one equation."""
+    parts = [rows.equation(index) for index in group]
+    names = tuple(dict.fromkeys(name for *_, own in parts for name in own))
+    features, targets = [], []
+    for (own, aims, known), index in zip(parts, group, strict=True):
+        _, divisor = _units(own, aims, scales[index])
+        wide = np.zeros((len(aims), len(names)))
+        wide[:, [names.index(name) for name in known]] = own / divisor
+        features.append(wide)
+        targets.append(aims / divisor)
+    return np.vstack(features), np.concatenate(targets), names
 
 
 def solution_covariance(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -209,10 +210,11 @@ def check_weight(C: float) -> None:
 
 @dataclass(frozen=True)
 class LeastSquaresSVM(RegressionEstimator):
-    r"""Separate linear least-squares support vector regressions, one per equation.
+    r"""Linear least-squares support vector regressions, one per equation.
 
     A parameter whose regressor is constant, such as a steady thrust, is taken
-    as the bias of its equation, as published.
+    as the bias of its equation, as published. Equations that share parameters
+    are one regression without a bias: with ``scale="unit"`` each counts alike.
 
     Parameters
     ----------
@@ -241,6 +243,7 @@ class LeastSquaresSVM(RegressionEstimator):
     LS-SVM, J. Hydrodynamics 24(5), doi 10.1016/S1001-6058(11)60299-0.
     """
 
+    apart: ClassVar[bool] = False
     C: float | str = WEIGHT
     form: str = "primal"
     scale: str | Mapping[str, float] = "raw"
