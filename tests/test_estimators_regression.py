@@ -298,7 +298,7 @@ def test_shared_parameters_need_a_joint_solution() -> None:
     both = Force("both", {"Z": "E_both*u**2", "M": "E_both*u**2"}, (Parameter("E_both", 0.0, "1"),))
     model = AUV.model + both
     with pytest.raises(ModelError, match=r"E_both appears in the equations of w and of q"):
-        LeastSquaresSVM().fit(model, DATA)
+        OnlineRegression().fit(model, DATA)
     fixed = model.fix("Z_uu_prime", "M_uu_prime")
     fit = EquationError(rule="exact", rates=exact_rates(AUV.model, DATA)).fit(fixed, DATA)
     assert fit.values["E_both"] == pytest.approx(0.0, abs=1e-6)
