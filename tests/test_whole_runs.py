@@ -185,10 +185,11 @@ def test_values_for_runs_replay_better(hidden: Fit, runs: Fit) -> None:
     assert runs.purpose == "replay"
     white = MultipleShooting(disturbances="none").fit(NOMOTO, hidden.dataset)
     other = turning(2, cubic=8e3, level=0.0)
-    errors = [fit.predict(other).rms["psi"] for fit in (runs, white, hidden)]
+    predictions = [fit.predict(other) for fit in (runs, white, hidden)]
+    errors = [one.rms["psi"] for one in predictions]
     assert errors[0] < 1.1 * min(errors[1:])
-    assert "lacks physics" in runs.predict(other).caveat
-    assert "replayed(fit)" in hidden.predict(other).caveat
+    assert "lacks physics" in predictions[0].caveat
+    assert "replayed(fit)" in predictions[2].caveat
     with pytest.warns(UserWarning, match="errors do not hold"):
         _information(runs)
 
