@@ -271,10 +271,7 @@ def assess_limits(
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     # Waves are drawn here and in order, so that numbers do not depend on who simulates.
     met = [in_own_waves(vehicle, experiment, sea, rng) for vehicle in fresh]
-    parts = np.array_split(np.arange(n_vehicles), BLOCKS)
-    work = partial(_behaviour, bounds=bounds, names=names)
-    blocks = {f"vehicles from {i[0] + 1}": [met[j] for j in i] for i in parts if len(i)}
-    done = [one for part in run_cells(work, blocks, n_jobs=None).values() for one in part]
+    done = _simulated(met, bounds, names)
     first = [one.left for one in done]
     extremes = [one.ends for one in done if one.ends is not None]
     tracks = [one.track for one in done if one.ends is not None]
@@ -309,6 +306,16 @@ class _Behaviour:
     left: str | None
     ends: np.ndarray | None = None
     track: np.ndarray | None = None
+
+
+def _simulated(
+    met: Sequence[tuple[Model, Experiment]], bounds: LimitBounds, names: Sequence[str]
+) -> list[_Behaviour]:
+    """What all vehicles do, in their order, spread over processes."""
+    parts = np.array_split(np.arange(len(met)), BLOCKS)
+    work = partial(_behaviour, bounds=bounds, names=names)
+    blocks = {f"vehicles from {i[0] + 1}": [met[j] for j in i] for i in parts if len(i)}
+    return [one for part in run_cells(work, blocks, n_jobs=None).values() for one in part]
 
 
 def _behaviour(

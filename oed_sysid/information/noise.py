@@ -154,21 +154,15 @@ def sea_noise(
     white = noise_of(model)
     calm = NoiseModel.white_only(white, model.output_names)
     if sea.startswith("swell="):
-        met = Swell.of(sea, {"bandwidth": USUAL_WIDTH, **(sizes or {})}).sea(
-            model, tuple(runs) or known
-        )
-        return replace(calm, seas=(met,))
+        swell = Swell.of(sea, {"bandwidth": USUAL_WIDTH, **(sizes or {})})
+        return replace(calm, seas=(swell.sea(model, tuple(runs) or known),))
     if sea.lower().endswith(".json"):
         return _of_fit(calm, model, sea)
     word, given = _understood(sea)
     wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
-    lasting = given.pop("time", _usual_time(known) if time is None else time)
-    if wave is not None:
-        lasting = wave / (2.0 * np.pi)
-    if not lasting > 0 or any(level < 0 for level in given.values()):
-        raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")
-    if word is not None and given:
-        raise DesignError(f"Give the sea as a word or as levels, not both: {sea!r}.")
+    usual = _usual_time(known) if time is None else time
+    lasting = given.pop("time", usual) if wave is None else wave / (2.0 * np.pi)
+    _check_stated(sea, word, given, lasting)
     if word is not None and SEAS[word] == 0.0:
         return calm
     found, levels = _acting(model, word, given, known, lasting)
@@ -180,6 +174,14 @@ def sea_noise(
         white, np.zeros_like(white), levels, force_time=lasting, outputs=model.output_names,
         places=tuple(place.name for place in found),
     )  # fmt: skip
+
+
+def _check_stated(sea: str, word: str | None, given: Mapping[str, float], lasting: float) -> None:
+    """Refuse levels below zero, no time, and a word beside levels."""
+    if not lasting > 0 or any(level < 0 for level in given.values()):
+        raise DesignError(f"The sea {sea!r} has a level below zero or no time. Correct it.")
+    if word is not None and given:
+        raise DesignError(f"Give the sea as a word or as levels, not both: {sea!r}.")
 
 
 def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:

@@ -151,14 +151,13 @@ class Swell:
                 f"{model.name!r} has an equation of {unknown[0]!r}. Give levels by equation."
             )
         straight, commands = _straight(model, runs)
+        speed = straight.get("u")
+        if speed is None:
+            speed = self._known(model, "speed", self.speed, "speed=1.5")
         depth = straight.get("z", 0.0)
         if not depth > 0:
             depth = 0.5 * self._known(model, "draught", self.draught, "draught=0.4")
         water = self._water(self._known(model, "length", self.length, "length=7"), depth)
-        speed = straight.get("u")
-        if speed is None:
-            speed = self._known(model, "speed", self.speed, "speed=1.5")
-        omega = 2.0 * pi / self.period
         wide = with_disturbance_inputs(model, place)
         given = [*map(float, commands), *(0.0 for _ in place)]
         point = dict(zip(wide.input_names, given, strict=True))
@@ -167,22 +166,27 @@ class Swell:
         # What the water does to each state, and which of them the forces take relative to it.
         moved = {name: water.get(name, 0.0) for name in states if name not in _RATES}
         rows = [states.index(name) for name in axes]
-        rate = np.array([1j * omega * water[name] for name in axes])
+        rate = np.array([2j * pi / self.period * water[name] for name in axes])
         rate -= np.asarray(linear.A)[rows] @ np.array([moved.get(name, 0.0) for name in states])
         by_force = np.asarray(linear.B)[np.ix_(rows, range(len(commands), len(given)))]
         level = np.abs(np.linalg.solve(by_force, rate)) * self.height / 4.0
         # What is nothing by symmetry is nothing but for rounding.
         dust = 1e-12 * float(level.max(initial=0.0))
         acting = {p.name: float(one) for p, one in zip(place, level, strict=True) if one > dust}
+        return Sea(
+            self._met(speed), self.bandwidth, acting, height=self.height, direction=self.direction
+        )
+
+    def _met(self, speed: float) -> float:
+        """Period at which a vehicle meets the waves, s."""
+        omega = 2.0 * pi / self.period
         met = abs(omega - omega**2 / GRAVITY * speed * cos(self.direction + pi))
         if not met > 1e-9 * omega:
             raise DesignError(
                 f"At {speed:g} m/s the vehicle runs as fast as waves of {self.period:g} s: it does "
                 "not meet them. Choose another heading."
             )
-        return Sea(
-            2.0 * pi / met, self.bandwidth, acting, height=self.height, direction=self.direction
-        )  # fmt: skip
+        return 2.0 * pi / met
 
     def _water(self, length: float, depth: float) -> dict[str, complex]:
         """Motion of the water by state for waves of amplitude one."""
