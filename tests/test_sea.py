@@ -28,10 +28,13 @@ from oed_sysid.experiments.simulation import simulate as simulate_forces
 from oed_sysid.likelihood import random_forces
 from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel
+from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
+from oed_sysid.likelihood.score_test import Setting, moved, posed
 from oed_sysid.physics import Parameter, wave_force
 from oed_sysid.physics.channels import Channels, Input, Output, State
 from oed_sysid.physics.model import Model
@@ -250,6 +253,36 @@ def test_processes_in_one_place_add_up() -> None:
     rng = np.random.default_rng(0)
     (drawn,) = [drawn_disturbances(noise, 0.5 * np.arange(20000), rng)["force r"]]
     assert np.std(drawn) == pytest.approx(5.0, rel=0.05)
+
+
+def test_a_test_of_one_more_level_is_that_of_all_equations(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What resonators at variance zero gain by one pass of their own tangents, and by all."""
+    ends: list[tuple[FilteredSolution, Setting]] = []
+
+    def kept(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+        ends.append((found, setting))
+        return found
+
+    monkeypatch.setattr(random_forces, "with_sea", kept)
+    MultipleShooting().fit(SHIP, records("waves", 1))
+    ((found, setting),) = ends
+    for period in (4.0, PERIOD, 20.0):
+        nothing = Sea(period, 0.3, {"r": 0.0}, "velocity")
+        noise, known = replace(found.noise, seas=(nothing,)), [replace(nothing, levels=None)]
+        wide = posed(found, setting, noise, seas=known, longest_hold=0.5)
+        gain, _ = random_forces._Scored.at(found, 0.5).gain(wide, ["sea force r level"])
+        still = moved(found, wide, 0)
+        assert still is not None
+        unknowns, limits = still.point.unknowns, wide.limits
+        equations = limits.with_priors(still.matrix, still.right, unknowns)
+        lower, upper = limits.lower - unknowns, limits.upper - unknowns
+        _, both = gain_within(*equations, lower, upper)
+        new = wide.layout.levels.start + wide.levels.names.index("sea force r level")
+        lower[new] = upper[new] = 0.0
+        _, without = gain_within(*equations, lower, upper)
+        # But for the wide prior of the time of forces, whose middle is where levels begin.
+        assert gain == pytest.approx(both - without, rel=5e-3, abs=0.05)
+        assert (gain > 20.0) == (period == PERIOD)
 
 
 def test_threshold_is_the_tail_of_signed_normals() -> None:

@@ -32,7 +32,7 @@ from oed_sysid.compiled.filtering import (
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
 from oed_sysid.likelihood.levels import Levels
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import NoiseModel, step_within
 from oed_sysid.likelihood.shooting import Follows, Point
 from oed_sysid.likelihood.unknowns import KnownStarts, Posed
 from oed_sysid.physics import Effect
@@ -77,6 +77,9 @@ class Filtered(Posed):
         Start states that are held or known with a stated error; by default all are free.
     knowledge : Knowledge, optional
         Joint normal prior of the shared parameters, as another fit left it.
+    longest_hold : float, optional
+        Longest time over which disturbances are held, s, where samples are further apart; by
+        default what the waves of ``levels`` allow.
     """
 
     def __init__(
@@ -88,11 +91,13 @@ class Filtered(Posed):
         kernel: FilterKernel | None = None,
         known_starts: KnownStarts | None = None,
         knowledge: Knowledge | None = None,
+        longest_hold: float | None = None,
     ) -> None:
         self.kernel = kernel or filter_kernel(disturbed_model(model, levels.disturbances))
         wide = self.kernel.model
         super().__init__(model, dataset, wide, known_starts, len(levels))
         self.levels, self.knowledge = levels, knowledge
+        self.longest_hold = levels.noise.longest_hold if longest_hold is None else longest_hold
         for name in ("lower", "upper", "prior_mean", "prior_weight"):
             getattr(self.limits, name)[self.layout.levels] = getattr(levels, name)
         if knowledge is not None:  # what other records say already holds these priors
@@ -196,10 +201,16 @@ class Filtered(Posed):
         block = self.layout.levels
         return (self.levels.following(matrix[block, block], point.unknowns[block]),)
 
-    def with_levels(self, levels: Levels) -> Filtered:
+    def with_levels(self, levels: Levels, longest_hold: float | None = None) -> Filtered:
         """Return the same problem with other levels of the noise unknown."""
-        starts = self.known_starts
-        return Filtered(self.model, self.dataset, levels, kernel=self.kernel, known_starts=starts)
+        return Filtered(
+            self.model,
+            self.dataset,
+            levels,
+            kernel=self.kernel,
+            known_starts=self.known_starts,
+            longest_hold=longest_hold,
+        )
 
     def open_unknowns(self, first: int) -> np.ndarray:
         """Positions from ``first`` on of what is estimated; levels count as such."""
@@ -281,7 +292,7 @@ class Filtered(Posed):
             active=self.active,
             passing=self.passing,
             **wanted,
-            longest_step=self.levels.noise.longest_step(record.times),
+            longest_step=step_within(record.times, self.longest_hold),
         )
         return _white_alone(part, self.levels.entries) if record.independent else part
 
@@ -331,7 +342,7 @@ class Filtered(Posed):
                 self._noise_in(index, noise),
                 part.gains,
                 active=self.active,
-                longest_step=self.levels.noise.longest_step(record.times),
+                longest_step=step_within(record.times, self.longest_hold),
             )
 
         results = both_cores(one, range(len(self.records)))
@@ -349,16 +360,21 @@ class Filtered(Posed):
         n, levels = self.layout.n_unknowns, self.layout.levels
         matrix, right = np.zeros((n, n)), np.zeros(n)
         scale = self.levels.scale
-        tail = np.arange(levels.start, levels.stop)
-        for index, (columns, part) in enumerate(zip(self._columns, found, strict=True)):
-            where = np.concatenate([columns, tail])
-            size = np.concatenate([self.layout.record_slopes(unknowns, index), scale])
+        for index, part in enumerate(found):
+            where, size = self.columns_of(unknowns, index)
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale
             right[levels] -= part.level_slope * scale
         self._add_knowledge(unknowns, matrix, right)
         return matrix, right
+
+    def columns_of(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
+        """Unknowns of the columns of a pass, levels last, and units of these, ``(n_columns,)``."""
+        levels = self.layout.levels
+        where = np.concatenate([self._columns[record], np.arange(levels.start, levels.stop)])
+        slopes = self.layout.record_slopes(unknowns, record)
+        return where, np.concatenate([slopes, self.levels.scale])
 
     def differentiated(
         self, unknowns: np.ndarray, base: Sequence[FilterPass], std: np.ndarray

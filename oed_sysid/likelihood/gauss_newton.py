@@ -674,6 +674,7 @@ def solve_filtered(
     tolerance: float = FROZEN_TOLERANCE,
     polish: int = POLISH_STEPS,
     callback: Callable[[Progress], None] | None = None,
+    begin: Iterate | None = None,
 ) -> FilteredSolution | None:
     """Minimise the likelihood of innovations: frozen gain first, then the filter as it is.
 
@@ -691,13 +692,15 @@ def solve_filtered(
         those of the frozen gain.
     callback : callable, optional
         Called after each iteration.
+    begin : Iterate, optional
+        The start at frozen gain, where another solution ended there.
 
     Returns
     -------
     FilteredSolution or None
         None where the filter diverges at the start.
     """
-    begin = whitened(problem, point)
+    begin = begin or whitened(problem, point)
     if begin is None:
         return None
     control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)

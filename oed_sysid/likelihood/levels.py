@@ -318,11 +318,11 @@ class Levels:
 
     def only_variances(self) -> Levels:
         """The same where all times and dampings are known."""
-        chosen = self.are_variances
-        numbers = ("lower", "upper", "scale", "prior_mean", "prior_weight")
-        kept = {name: getattr(self, name)[chosen] for name in numbers}
-        entries = tuple(compress(self.entries, chosen))
-        return replace(self, entries=entries, **kept)  # type: ignore[arg-type]
+        return self._only(self.are_variances)
+
+    def only(self, names: Sequence[str]) -> Levels:
+        """Return the same noise with some of its unknowns, by :attr:`names`."""
+        return self._only(np.isin(self.names, names))
 
     @property
     def shares_a_time(self) -> bool:
@@ -362,11 +362,11 @@ class Levels:
         of_sensors = (WHITE_VARIANCE, COLOUR_VARIANCE, COLOUR_TIME)
         return self._only([kind in of_sensors for kind, _ in self.entries])
 
-    def _only(self, keep: Sequence[bool]) -> Levels:
+    def _only(self, keep: Sequence[bool] | np.ndarray) -> Levels:
         """Some of the unknowns; the others stay at the noise model's values."""
         return replace(
             self,
-            entries=tuple(e for e, kept in zip(self.entries, keep, strict=True) if kept),
+            entries=tuple(compress(self.entries, keep)),
             **{
                 name: getattr(self, name)[np.array(keep, dtype=bool)]
                 for name in ("lower", "upper", "scale", "prior_mean", "prior_weight")

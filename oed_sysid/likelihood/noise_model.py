@@ -295,12 +295,15 @@ class NoiseModel:
             each(-1, *range(len(self.seas))),
         )
 
+    @property
+    def longest_hold(self) -> float:
+        """Longest time over which the waves that act may be held, s; infinite without a sea."""
+        periods = [float(sea.period or np.inf) for sea in self.seas if sea.acts]
+        return min(periods, default=np.inf) / STEPS_OF_PERIOD
+
     def longest_step(self, times: np.ndarray) -> float | None:
         """Longest time over which forces are held, s; None for the median sample time."""
-        if not self.seas or len(times) < 2:
-            return None
-        shortest = min(float(sea.period or np.inf) for sea in self.seas) / STEPS_OF_PERIOD
-        return min(float(np.median(np.diff(times))), shortest)
+        return step_within(times, self.longest_hold)
 
     def to_dict(self) -> dict[str, Any]:
         """Return the noise model as plain data for JSON."""
@@ -327,6 +330,13 @@ def seas_in(disturbances: Disturbances) -> tuple[Sea, ...]:
     """Seas that are declared among disturbances."""
     given = (disturbances,) if isinstance(disturbances, str | Sea) else disturbances
     return tuple(one for one in given if isinstance(one, Sea))
+
+
+def step_within(times: np.ndarray, most: float) -> float | None:
+    """Longest step between some samples of at most a time, s; None for their median."""
+    if not np.isfinite(most) or len(times) < 2:
+        return None
+    return min(float(np.median(np.diff(times))), most)
 
 
 def disturbance_names(at_places: Sequence[str]) -> tuple[str, ...]:

@@ -30,11 +30,12 @@ from scipy.optimize import brentq
 from scipy.special import comb
 from scipy.stats import chi2
 
-from oed_sysid.compiled.filtering import FilterKernel
+from oed_sysid.compiled.filtering import FilterKernel, FilterPass
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
+    FROZEN_TOLERANCE,
     NEAR,
     POLISH_STEPS,
     FilteredSolution,
@@ -43,7 +44,7 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import BEYOND, credible_levels
-from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel, Sea
+from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel, Sea
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, moved, posed
 from oed_sysid.likelihood.shooting import Point
@@ -59,6 +60,9 @@ DECADES, STRIDE = 21, 3
 # Steps after which the likeliest of several starts goes on and the others only where they promise
 # to overtake, and at frozen gain before the exact ones where those before did not converge.
 FEW_STEPS = 3
+# Times its promise that a first look at a shape of a sea falls short of the likeliest so far, from
+# which on it cannot win: that of a quadratic is half of what is gained at the most (measured).
+PROMISED = 2.0
 # Steps with white noise before process noise is asked for, and with forces of first order before a
 # sea is: without it they do not converge.
 FIRST_STEPS = 8
@@ -181,7 +185,9 @@ def _raced_to_sea(
 def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
     """The end by the exact gradient, which has the last word only where it finds a way."""
     more = 0 if found.reason == "converged" else FEW_STEPS
-    again = solve_filtered(found.problem, found.point, max_iterations=more, polish=polish)
+    again = solve_filtered(
+        found.problem, found.point, max_iterations=more, polish=polish, begin=found.now
+    )
     if again is None:
         return found
     stood = not more and again.reason == "iterations"
@@ -347,25 +353,90 @@ def _worth(found: FilteredSolution, again: FilteredSolution | None) -> FilteredS
     return again
 
 
-def score_gain(found: FilteredSolution, names: Sequence[str]) -> tuple[float, np.ndarray]:
-    """What some levels that are zero would gain, and the step of all levels.
+@dataclass(frozen=True, eq=False)
+class _Scored:
+    """A solution with the derivatives of every innovation, at which further noise is tested.
 
-    Parameters
+    Noise of variance zero leaves the filter as it is. What it adds to the equations are the
+    derivatives of the innovations by its variances, and their products with those that are there:
+    one pass with these tangents alone.
+
+    Attributes
     ----------
-    found : FilteredSolution
-        With its equations at a point where these levels are unknown.
-    names : sequence of str
-        Of these levels, as :attr:`~oed_sysid.likelihood.levels.Levels.names` has them.
+    problem : Filtered
+    unknowns : ndarray (n_unknowns,)
+    passes : sequence of FilterPass
+        With the derivatives of every innovation.
     """
-    problem = found.problem
-    limits, unknowns = problem.limits, found.point.unknowns
-    matrix, right = limits.with_priors(found.matrix, found.right, unknowns)
-    lower, upper = limits.lower - unknowns, limits.upper - unknowns
-    new = problem.layout.levels.start + np.flatnonzero(np.isin(problem.levels.names, names))
-    step, gain = gain_within(matrix, right, lower, upper)
-    lower[new] = upper[new] = 0.0
-    _, without = gain_within(matrix, right, lower, upper)
-    return gain - without, step[problem.layout.levels]
+
+    problem: Filtered
+    unknowns: np.ndarray
+    passes: Sequence[FilterPass]
+
+    @classmethod
+    def at(cls, found: FilteredSolution, longest_hold: float | None = None) -> _Scored:
+        """The end of an estimation, forces perhaps held over shorter steps."""
+        problem, unknowns = found.problem, found.point.unknowns
+        if longest_hold is not None:
+            problem = problem.with_levels(problem.levels, longest_hold)
+        return cls(problem, unknowns, problem.passes(unknowns, rows=True))
+
+    def gain(self, wide: Filtered, names: Sequence[str]) -> tuple[float, np.ndarray]:
+        """What some variances that are zero would gain, everything else following, and the step.
+
+        Parameters
+        ----------
+        wide : Filtered
+            The same problem with these variances among its levels.
+        names : sequence of str
+            Theirs, as :attr:`~oed_sysid.likelihood.levels.Levels.names` has them.
+
+        Returns
+        -------
+        gain : float
+            In twice the log-likelihood.
+        variances : ndarray (n_names,)
+            To begin with, in squared units of their places.
+        """
+        problem = self.problem
+        alone = wide.with_levels(wide.levels.only(names), problem.longest_hold)
+        others = self.unknowns[: problem.layout.levels.start]
+        passes = alone.passes(np.append(others, np.zeros(len(names))), levels_only=True, rows=True)
+        if not all(part.ok for part in passes):
+            return 0.0, np.zeros(len(names))
+        matrix, right = self._equations(passes, alone.levels.scale)
+        limits, nothing = problem.limits, np.zeros(len(names))
+        own = len(self.unknowns)
+        known = limits.with_priors(matrix[:own, :own], right[:own], self.unknowns)
+        matrix[:own, :own], right[:own] = known
+        lower = np.append(limits.lower - self.unknowns, nothing)
+        upper = np.append(limits.upper - self.unknowns, nothing)
+        _, without = gain_within(matrix, right, lower, upper)
+        upper[own:] = np.inf
+        step, gain = gain_within(matrix, right, lower, upper)
+        return gain - without, np.maximum(step[own:], 0.0) * alone.levels.scale
+
+    def _equations(
+        self, passes: Sequence[FilterPass], scale: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Matrix and right-hand side of all unknowns, variances of passes last, without priors."""
+        problem, n_new = self.problem, len(scale)
+        known, right = problem.gathered(self.unknowns, self.passes)
+        cross, new = np.zeros((len(right), n_new)), np.zeros((n_new, n_new))
+        slope, levels = np.zeros(n_new), problem.layout.levels
+        for index, (part, more) in enumerate(zip(self.passes, passes, strict=True)):
+            where, size = problem.columns_of(self.unknowns, index)
+            assert part.rows is not None
+            assert more.rows is not None
+            seen = np.isfinite(part.innovations)
+            rows, added = part.rows[seen], more.rows[seen]
+            cross[where] += size[:, None] * (rows[:, : len(where)].T @ added[:, :n_new])
+            spread = 0.5 * rows[:, len(where) :].T @ added[:, n_new:]
+            cross[levels] += problem.levels.scale[:, None] * spread
+            new += more.gram[:-1, :-1] + more.level_information
+            slope -= more.gram[:-1, -1] + more.level_slope
+        cross, new = cross * scale, new * scale[:, None] * scale
+        return np.block([[known, cross], [cross.T, new]]), np.append(right, slope * scale)
 
 
 def _joined(
@@ -385,16 +456,14 @@ def _joined(
         return posed(found, setting, noise, own_times=own, unit=unit, seas=known)
 
     noise, least, begin = found.noise, WORTH, None
-    for time in times if places else ():
+    if not places:
+        return found
+    scored = _Scored.at(found)
+    for time in times:
         wide = noise.with_places(places, time)
-        problem = posed_at(wide)
-        still = moved(found, problem, 0)
-        if still is None:
-            continue
-        gain, step = score_gain(still, [f"{place} level" for place in places])
+        gain, variances = scored.gain(posed_at(wide), [f"{place} level" for place in places])
         if gain >= least:
-            after = np.maximum(problem.levels.vector() + step, problem.levels.lower)
-            size = problem.levels.at(after).force[len(noise.places) :]
+            size = np.sqrt(variances)
             least, begin = gain, replace(wide, force=np.append(noise.force, size))
     if begin is None:
         return found
@@ -553,12 +622,17 @@ def _with_forces(found: FilteredSolution, setting: Setting) -> FilteredSolution:
 
 def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Setting) -> bool:
     """Whether a sea is clearly likelier than forces of first order."""
-    # Held over the same shorter steps, these may be as likely.
-    period = float(sea.noise.seas[0].period or 0.0)
-    calm = _calm(setting.at_sea, period)
-    first = _again(found, setting, replace(found.noise, seas=(calm,)), calm)
-    rival = found if first is None or first.objective > found.objective else first
-    return rival.objective - 2.0 * rival.promise - sea.objective >= 2.0 * WORTH
+    # Held over the same shorter steps, these may be as likely; what they promise there decides
+    # where that is clear.
+    own, most = _own_times(found, found.noise), sea.noise.longest_hold
+    problem = posed(found, setting, found.noise, own_times=own, longest_hold=most)
+    for steps in (0, setting.max_iterations):
+        first = moved(found, problem, steps)
+        rival = found if first is None or first.objective > found.objective else first
+        promised = max(one.promise for one in (rival, first) if one is not None)
+        if rival.objective - 2.0 * promised - sea.objective >= 2.0 * WORTH:
+            return True
+    return False
 
 
 def _likeliest_period(
@@ -568,8 +642,15 @@ def _likeliest_period(
     tried = periods(found)
     if setting.seas and not tried:
         return found.problem.records[0].duration / 8
-    tests = [_tested(found, setting, places, one) for one in tried]
-    shows = bool(tests) and max(tests) >= threshold(len(places), len(tried))
+    if not tried:
+        return None
+    # Held over as many steps of a sample as a wave needs: those of one number have one filter.
+    sample = max(record.sample_time for record in found.problem.records)
+    steps = [max(int(np.ceil(STEPS_OF_PERIOD * sample / one - 1e-6)), 1) for one in tried]
+    scored = {count: _Scored.at(found, sample / count) for count in set(steps)}
+    each = zip(tried, steps, strict=True)
+    tests = [_tested(scored[count], found, setting, places, one) for one, count in each]
+    shows = max(tests) >= threshold(len(places), len(tried))
     return tried[int(np.argmax(tests))] if setting.seas or shows else None
 
 
@@ -589,11 +670,14 @@ def _again(
     setting: Setting,
     noise: NoiseModel,
     known: Sea,
-    most: int | None = None,
+    most: int,
 ) -> FilteredSolution | None:
-    """Go on from a solution with another noise model; of its sea what ``known`` leaves out."""
+    """Some steps of a race with another noise model; of its sea what ``known`` leaves out.
+
+    They end where next to nothing is left.
+    """
     problem = posed(found, setting, noise, own_times=_own_times(found, noise), seas=[known])
-    return moved(found, problem, setting.max_iterations if most is None else most)
+    return moved(found, problem, most, NEAR)
 
 
 def _calm(places: Sequence[str], period: float) -> Sea:
@@ -602,13 +686,18 @@ def _calm(places: Sequence[str], period: float) -> Sea:
 
 
 def _tested(
-    found: FilteredSolution, setting: Setting, places: Sequence[str], period: float
+    scored: _Scored,
+    found: FilteredSolution,
+    setting: Setting,
+    places: Sequence[str],
+    period: float,
 ) -> float:
     """Gain of resonators of a period at variance zero."""
     nothing = _calm(places, period)
-    noise = replace(found.noise, seas=(nothing,))
-    still = _again(found, setting, noise, replace(nothing, levels=None), 0)
-    return 0.0 if still is None else score_gain(still, [f"sea {p} level" for p in places])[0]
+    own, noise = _own_times(found, found.noise), replace(found.noise, seas=(nothing,))
+    known = [replace(nothing, levels=None)]
+    wide = posed(found, setting, noise, own_times=own, seas=known)
+    return scored.gain(wide, [f"sea {place} level" for place in places])[0]
 
 
 def _at_sea(
@@ -637,15 +726,27 @@ def _at_sea(
         sea = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
-    begun = _again(found, setting, replace(alone, seas=(sea,)), held, FEW_STEPS)
+    begun = _again(found, setting, replace(alone, seas=(sea,)), held, FIRST_STEPS)
     if begun is None:
         return None
     noise, free = begun.noise, replace(known, shape=None)
     shaped = [replace(noise.seas[0], shape=s) for s in ([known.shape] if known.shape else SHAPES)]
-    return _first_home(
-        (_again(begun, setting, replace(noise, seas=(s,)), free, FEW_STEPS) for s in shaped),
-        lambda one: _again(one, setting, one.noise, free) or one,
-    )
+    looked: list[FilteredSolution] = []
+    for one in shaped:
+        # A shape that promises too little at its first look wins no race.
+        look = _again(begun, setting, replace(noise, seas=(one,)), free, 0) if looked else begun
+        least = min((end.cost for end in looked), default=np.inf)
+        if look is not None and look.cost - PROMISED * look.promise < least:
+            end = _again(begun, setting, replace(noise, seas=(one,)), free, FEW_STEPS)
+            looked += [] if end is None else [end]
+
+    def to_the_end(one: FilteredSolution) -> FilteredSolution:
+        most = setting.max_iterations
+        end = solve_filtered(one.problem, one.point, max_iterations=most, polish=0, begin=one.now)
+        return one if end is None else end
+
+    best = _first_home(looked, to_the_end)
+    return best if best is None or best.promise < FROZEN_TOLERANCE else to_the_end(best)
 
 
 def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel, sea: Sea) -> Sea:

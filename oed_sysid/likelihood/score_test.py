@@ -34,7 +34,11 @@ from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place, disturbance
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.gauss_newton import FilteredSolution, solve_filtered
+from oed_sysid.likelihood.gauss_newton import (
+    FROZEN_TOLERANCE,
+    FilteredSolution,
+    solve_filtered,
+)
 from oed_sysid.likelihood.levels import LONGEST, SHORTEST, Levels
 from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea, disturbance_names
@@ -222,23 +226,28 @@ def posed(
     own_times: bool = False,
     unit: NoiseModel | None = None,
     seas: Sequence[Sea] | None = None,
+    longest_hold: float | None = None,
 ) -> Filtered:
     """The problem of a solution with other levels unknown, begun at a noise model.
 
     Coloured sensors are by default those of ``noise``; of ``seas`` is unknown what they leave out.
+    Forces are held no longer than the waves of ``noise`` may be, or than ``longest_hold``, s.
     """
     problem, colour = found.problem, noise.colour > 0 if colour is None else colour
     unit = problem.levels.unit if unit is None else unit
     return problem.with_levels(
-        setting.levels(problem.dataset, noise, unit, colour, own_times=own_times, seas=seas)
+        setting.levels(problem.dataset, noise, unit, colour, own_times=own_times, seas=seas),
+        longest_hold,
     )
 
 
-def moved(found: FilteredSolution, problem: Filtered, most: int) -> FilteredSolution | None:
+def moved(
+    found: FilteredSolution, problem: Filtered, most: int, tolerance: float = FROZEN_TOLERANCE
+) -> FilteredSolution | None:
     """Estimate again from a solution with other levels unknown, in at most so many steps."""
     others = found.point.unknowns[: found.problem.layout.levels.start]
     point = Point(np.concatenate([others, problem.levels.vector()]), ())
-    return solve_filtered(problem, point, max_iterations=most, polish=0)
+    return solve_filtered(problem, point, max_iterations=most, tolerance=tolerance, polish=0)
 
 
 # Correlation times that are tried, in samples.
