@@ -152,8 +152,7 @@ class TrialCard:
         yield (
             "length",
             f"{run.duration:g} s ({run.times[-1] / 60:.1f} min), one run; log every "
-            f"{run.sample_time:g} s "
-            "or faster, commands and measurements on one clock",
+            f"{run.sample_time:g} s or faster, commands and measurements on one clock",
         )
         yield (
             "start from",

@@ -158,6 +158,17 @@ def sea_noise(
         return replace(calm, seas=(swell.sea(model, tuple(runs) or known),))
     if sea.lower().endswith(".json"):
         return _of_fit(calm, model, sea)
+    return _in_words(calm, model, sea, known, time)
+
+
+def _in_words(
+    calm: NoiseModel,
+    model: Model,
+    sea: str,
+    known: tuple[Experiment, ...],
+    time: float | None,
+) -> NoiseModel:
+    """The sensors' noise with the forces of a word, or of levels by equation."""
     word, given = _understood(sea)
     wave, width = given.pop("period", None), given.pop("bandwidth", USUAL_WIDTH)
     usual = _usual_time(known) if time is None else time
@@ -170,10 +181,9 @@ def sea_noise(
         named = dict(zip((place.name for place in found), map(float, levels), strict=True))
         waves = Sea(period=wave, bandwidth=width, levels=named)
         return replace(calm, seas=(waves,))
-    return NoiseModel(
-        white, np.zeros_like(white), levels, force_time=lasting, outputs=model.output_names,
-        places=tuple(place.name for place in found),
-    )  # fmt: skip
+    places = tuple(place.name for place in found)
+    times = np.full(len(levels), lasting)
+    return replace(calm, force=levels, force_time=times, places=places)
 
 
 def _check_stated(sea: str, word: str | None, given: Mapping[str, float], lasting: float) -> None:
@@ -299,13 +309,16 @@ def sea_words(noise: NoiseModel) -> str:
         levels = zip(sea.places, sea.level, strict=True)
         listed = ", ".join(f"{p.removeprefix('force ')} {v:.3g}" for p, v in levels if v > 0)
         if listed:
-            kind = f"waves of {sea.period:.3g} s"
-            if sea.height is not None and sea.direction is not None:
-                kind = f"swell of {sea.height:.3g} m from {bearing(sea.direction)} at the start"
-                kind += f", met every {sea.period:.3g} s"
             width = 100.0 * float(sea.bandwidth or 0.0)
-            said.append(f"{listed} in {kind}, {width:.2g} % wide")
+            said.append(f"{listed} in {_waves(sea)}, {width:.2g} % wide")
     return "; ".join(said) or "none"
+
+
+def _waves(sea: Sea) -> str:
+    if sea.height is None or sea.direction is None:
+        return f"waves of {sea.period:.3g} s"
+    swell = f"swell of {sea.height:.3g} m from {bearing(sea.direction)} at the start"
+    return f"{swell}, met every {sea.period:.3g} s"
 
 
 def bearing(direction: float) -> str:
