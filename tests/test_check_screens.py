@@ -12,7 +12,7 @@ from kinematic_logs import DIVER, SHIP, Vehicle, log, motions
 from oed_sysid.cli import main
 from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
-from oed_sysid.evidence.check import check, corrected_copies, quick_check, why_not_more
+from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, deviations, screen, screened, steps, weights
@@ -341,6 +341,7 @@ def test_size_is_said_in_degrees_and_corrected_copies_pass() -> None:
     assert check(copies, SHIP.model, inputs=False).ok
 
 
+@pytest.mark.slow
 def test_an_underwater_vehicle_whose_compass_was_reset() -> None:
     """In six degrees of freedom, in all four records, between the steps of the rudder."""
     problem = load_problem("remus_6dof")
@@ -443,10 +444,23 @@ def test_noise_that_leaves_everything_is_no_misfit() -> None:
     assert found.share > 0.9
 
 
-def test_the_equation_the_record_and_the_time_are_named() -> None:
+@pytest.fixture(scope="module", name="wandered")
+def _wandered() -> tuple[Dataset, LogCheck]:
+    """A yaw rate of another record, two spikes and a turned signal, with what the check finds."""
+    spoilt = wandering(clean_log(SHIP))
+    spiky = spoilt[0].output("u").copy()
+    spiky[[200, 500]] += 3.0
+    spoilt = with_output(spoilt, 0, "u", spiky)
+    for number in range(3):
+        spoilt = with_output(spoilt, number, "y", -spoilt[number].output("y"))
+    return spoilt, check(spoilt, SHIP.model, inputs=False)
+
+
+def test_the_equation_the_record_and_the_time_are_named(
+    wandered: tuple[Dataset, LogCheck],
+) -> None:
     """A rate of another record is no sign, unit or size: the heading stays unexplained there."""
-    data = clean_log(SHIP)
-    found = check(wandering(data), SHIP.model, inputs=False)
+    data, found = wandered
     one = found.named("unexplained", "psi")
     assert one is not None
     assert one.records == (data[1].name,)
@@ -454,19 +468,11 @@ def test_the_equation_the_record_and_the_time_are_named() -> None:
     assert found.contradictory
     psi_r = next(row for row in found.balances if row.relation == "psi' = r")
     assert psi_r.after > 0.2
-    assert check(data, SHIP.model, inputs=False).ok
 
 
-def test_only_bad_samples_are_corrected_then() -> None:
+def test_only_bad_samples_are_corrected_then(wandered: tuple[Dataset, LogCheck]) -> None:
     """A unit that was found is not undone while an equation fails; empty cells are written."""
-    data = clean_log(SHIP)
-    spoilt = wandering(data)
-    spiky = spoilt[0].output("u").copy()
-    spiky[[200, 500]] += 3.0
-    spoilt = with_output(spoilt, 0, "u", spiky)
-    for number in range(3):
-        spoilt = with_output(spoilt, number, "y", -spoilt[number].output("y"))
-    found = check(spoilt, SHIP.model, inputs=False)
+    spoilt, found = wandered
     assert found.named("sign", "y") is not None
     copies, done = corrected_copies(spoilt, SHIP.model, found)
     assert done == (found.named("spikes", "u").says,)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
-from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, rates
+from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, improved, rates
 
 from oed_sysid import Force, NoiseModel, Parameter, improve
 from oed_sysid.errors import DataError
@@ -72,8 +72,7 @@ def test_decision_needs_all_three_conditions(
 
 def test_statistic_of_a_search_is_that_of_its_fits() -> None:
     """Both terms come again from the two fits, and the report prints every decision."""
-    train, test = dataset(11, -15.0), dataset(12, -15.0)
-    found = improve(SHIP, train, test, candidates=CANDIDATES)
+    found = improved()
     step, one = found.steps[0], found.decisions[0]
     assert one.name == "cubic_damping"
     assert step.claim is one

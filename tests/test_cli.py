@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 
 from oed_sysid import Fit, load_problem, new_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main
@@ -292,15 +293,6 @@ def test_suspect_logs_exit_1_with_report_page_and_copies(logs, tmp_path, capsys)
     assert main(["check", "remus_diving_plane", str(fixed)]) == 0
 
 
-def test_copies_never_overwrite_the_records(logs, capsys) -> None:  # type: ignore[no-untyped-def]
-    """The folder of the records is refused for the copies."""
-    before = sorted((p.name, p.read_bytes()) for p in logs[1].iterdir())
-    command = ["check", "remus_diving_plane", str(logs[1]), "--fix", str(logs[1])]
-    assert main(command) == 2
-    assert "overwrite" in capsys.readouterr().err
-    assert sorted((p.name, p.read_bytes()) for p in logs[1].iterdir()) == before
-
-
 @pytest.mark.parametrize(
     ("text", "terminal", "no_color", "red"),
     [
@@ -342,6 +334,14 @@ def _place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def names(folder: Path) -> set[str]:
     """Everything below a folder."""
     return {str(one.relative_to(folder)) for one in folder.rglob("*")}
+
+
+def test_copies_never_overwrite_the_records(place: Path, capsys) -> None:
+    """The folder of the records is refused for the copies."""
+    before = Path("log.csv").read_bytes()
+    assert main(f"check {SHIP} log.csv --fix .".split()) == BAD_INPUT
+    assert "overwrite" in capsys.readouterr().err
+    assert Path("log.csv").read_bytes() == before
 
 
 @pytest.mark.parametrize(
@@ -462,11 +462,10 @@ def _ship(tmp_path_factory: pytest.TempPathFactory) -> Path:
     circle = str(folder / "data" / "turning_circle.csv")
     for command in SAVERS:
         line = [command, str(folder), *zigzags, "--validate", circle, "--known-noise", "--quiet"]
-        files = [f"--{kind}" for kind in ("save", "json", "html")]
-        ends = ("saved.json", "numbers.json", "page.html")
-        for option, end in zip(files, ends, strict=True):
-            line += [option, str(folder / f"{command}_{end}")]
-        assert main(line) in (DONE, NO_RESULT)
+        line += ["--save", str(folder / f"{command}_saved.json")]
+        line += ["--json", str(folder / f"{command}_numbers.json")]
+        page = ["--html", str(folder / "improve_page.html")] if command == "improve" else []
+        assert main([*line, *page]) in (DONE, NO_RESULT)
     return folder
 
 
@@ -479,7 +478,7 @@ def read(reader: str, ship: Path, saved: Path, out: Path) -> int:
         "report": ["report", saved, "--validate", circle, "--out", out.with_suffix(".html")],
         "export": ["export", saved, "--as", "python", "--out", out.with_suffix(".py")],
         "compare": ["compare", ship, data / "zigzag_10_10.csv", "--validate", circle,
-                    "--with", saved, "--known-noise", "--json", out],
+                    "--with", saved, "--known-noise", "--disturbances", "none", "--json", out],
         "design": ["design", ship, "--after", saved, "--duration", "40", "--json", out],
         "programme": ["programme", ship, "--after", saved, *shared, "--duration", "60",
                       "--json", out],
@@ -487,8 +486,29 @@ def read(reader: str, ship: Path, saved: Path, out: Path) -> int:
     return main([*map(str, lines[reader]), "--quiet"])
 
 
-@pytest.mark.parametrize("reader", READERS)
-@pytest.mark.parametrize("saver", SAVERS)
+def test_improve_finds_what_was_hidden(ship: Path) -> None:
+    """The hidden effect is added, and the error on the validation circle falls to the noise."""
+    stored = json.loads((ship / "improve_numbers.json").read_text())
+    hidden = "yaw_quadratic_damping"
+    assert stored["verdict"] == "missing"
+    assert [step["added"] for step in stored["steps"]] == [hidden]
+    assert stored["base_error"]["test"] > 3.0
+    assert stored["final_error"]["test"] == pytest.approx(1.0, abs=0.1)
+    assert stored["ranking"][0]["effect"] == hidden
+    (amplitude,) = [one for one in stored["parameters"] if one["name"] == "E_yaw"]
+    assert abs(amplitude["value"] - 1.5) < 4 * amplitude["std_error"]
+    page = (ship / "improve_page.html").read_text(encoding="utf-8")
+    assert page.startswith("<!doctype html>")
+
+
+@pytest.mark.parametrize(
+    ("saver", "reader"),
+    [
+        *(("improve", reader) for reader in READERS),
+        *(("fit", reader) for reader in ("export", "compare")),
+        *slow(*(("fit", reader) for reader in ("report", "design", "programme"))),
+    ],
+)
 def test_saved_model_goes_on(saver: str, reader: str, ship: Path, tmp_path: Path) -> None:
     """A reader of a saved fit works with its parameters, those that were found included."""
     saved, out = ship / f"{saver}_saved.json", tmp_path / "out.json"
@@ -548,6 +568,8 @@ def test_saved_model_of_another_vehicle_is_refused(ship: Path, tmp_path: Path, c
     line = ["compare", str(other), str(other / "data"), "--validate", str(other / "data")]
     assert main([*line, "--with", str(ship / "fit_saved.json")]) == BAD_INPUT
     assert capsys.readouterr().err
+    for absent in ("data/zigzag_10_10.csv", "missing.json"):
+        assert main(["report", str(ship / absent)]) == BAD_INPUT
 
 
 def test_two_records_never_share_a_file(tmp_path: Path) -> None:

@@ -284,7 +284,7 @@ def test_prior_knowledge_is_completed() -> None:
     """After a fit the next design starts from its information and adds to it."""
     data = Dataset((simulate(ship(), TURN, rng=np.random.default_rng(0)),))
     fit = MultipleShooting(noise="given").fit(ship(), data)
-    found = quick(fit)
+    found = quick(fit, caution=None)
     assert found.prior is not None
     np.testing.assert_allclose(found.prior.std_errors, fit.information.std_errors, rtol=1e-6)
     assert np.all(found.information.std_errors < found.prior.std_errors)

@@ -436,11 +436,12 @@ def test_after_a_fit_designs_are_cautious_by_themselves() -> None:
     record = simulate(ship(), replace(RUN, limits=Limits()), rng=np.random.default_rng(0))
     estimator = MultipleShooting(noise="given", coloured="never", disturbances="none")
     fit = estimator.fit(ship(), Dataset((record,)))
-    found = quick(fit)
+    short = {"n_starts": 1, "n_candidates": 8, "n_steps": 3}
+    found = quick(fit, **short)
     assert found.assurance is not None
     assert found.assurance.wanted == 0.95
     assert found.assurance.is_safe or found.sea_trial_card().startswith("DANGER")
-    assert quick(fit, caution=None).assurance is None
+    assert quick(fit, caution=None, **short).assurance is None
     with pytest.raises(DesignError, match="Give a Caution"):
         quick(caution="always")
     with pytest.raises(DesignError):

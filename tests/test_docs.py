@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import os
 import re
+import runpy
 import shlex
-import subprocess
 import sys
 import warnings
 from pathlib import Path
@@ -277,6 +277,7 @@ SLOW: tuple[str, ...] = (
     "cascaded_tanks",
     "choose_a_trial_programme",
     "design_the_next_dive",
+    "draw_a_fit",
     "esso_osaka_wind",
     "find_missing_physics",
     "fly_the_plan",
@@ -311,24 +312,21 @@ MAXIMUM_LINES = 80
         for path in EXAMPLES
     ],
 )
-def test_example_runs_and_concludes(path: Path, tmp_path: Path) -> None:
+def test_example_runs_and_concludes(
+    path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
     """An example asks a question, stays short, and prints its answer."""
     if path.stem in MEASURED and "OED_SYSID_DATA" not in os.environ:
         pytest.skip("measured data absent")
     text = path.read_text(encoding="utf-8")
     assert text.startswith('"""Question: '), f"{path.name} begins with its question"
     assert len(text.splitlines()) <= MAXIMUM_LINES
-    done = subprocess.run(
-        [sys.executable, path],
-        capture_output=True,
-        text=True,
-        cwd=tmp_path,
-        env=os.environ | {"PYTHONWARNINGS": "error::DeprecationWarning:__main__"},
-        check=False,
-        timeout=600,
-    )
-    assert done.returncode == 0, done.stderr
-    assert len(done.stdout.strip().splitlines()) >= 2
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", [str(path)])
+    with warnings.catch_warnings():
+        warnings.filterwarnings("error", category=DeprecationWarning, module="__main__")
+        runpy.run_path(str(path), run_name="__main__")
+    assert len(capsys.readouterr().out.strip().splitlines()) >= 2
 
 
 def test_slow_examples_exist() -> None:

@@ -278,6 +278,7 @@ def test_tanker_measured() -> None:
     assert lost["residual"].max() > 0.1
 
 
+@pytest.mark.slow
 def test_sailboat() -> None:
     """Errors, draws, intervals, forces and speeds, each of one realisation or a few."""
     script, kept = paper("sailboat"), KEPT["sailboat"]

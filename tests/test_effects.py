@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.integrate import solve_ivp
 from vehicles import (
     DIVING_INPUTS,
@@ -50,52 +51,7 @@ ODD = {
     *("dvl_misalignment", "rudder_neutral_angle", "single_screw_asymmetry", "wave_yaw_moment"),
     *("bias_r", "bias_psi", "log_misalignment", "heel_moment", "wave_roll_moment", "bias_phi"),
 }
-UNCLAIMED = {"hull_compressibility", "nonlinear_yaw_damping", "current", "wind"}
-
-
-def claim(effect: Effect, mirror: tuple[str, ...]) -> dict:
-    """Symmetry that an effect claims, as arguments of the check."""
-    if effect.name in UNCLAIMED:
-        return {}
-    return {"mirror": mirror, "amplitude_sign": -1 if effect.name in ODD else 1}
-
-
-def names(effect: Effect) -> str:
-    """Test identifier of an effect."""
-    return effect.name
-
-
-@pytest.mark.parametrize("effect", DIVING, ids=names)
-def test_diving_plane_effect(effect: Effect) -> None:
-    """An effect of the diving plane keeps the contract on a REMUS-like vehicle."""
-    check_effect(
-        effect,
-        remus(),
-        rng=np.random.default_rng(3),
-        initial=DIVING_START,
-        inputs=DIVING_INPUTS,
-        **claim(effect, DIVING_MIRROR),
-    )
-
-
-@pytest.mark.parametrize("effect", SHIP, ids=names)
-def test_surface_ship_effect(effect: Effect) -> None:
-    """An effect of the horizontal plane keeps the contract on a ship."""
-    check_effect(
-        effect,
-        ship(),
-        rng=np.random.default_rng(4),
-        initial=SHIP_START,
-        inputs=SHIP_INPUTS,
-        **claim(effect, SHIP_MIRROR),
-    )
-
-
-@pytest.mark.parametrize("effect", ROLL, ids=names)
-def test_roll_effect(effect: Effect) -> None:
-    """An effect of rolling keeps the contract on an oscillator."""
-    rng = np.random.default_rng(5)
-    check_effect(effect, roll_oscillator(), rng=rng, **claim(effect, ROLL_MIRROR))
+UNCLAIMED = {"hull_compressibility", "nonlinear_yaw_damping", "current", "wind", "cogging"}
 
 
 GENERIC = (
@@ -109,30 +65,69 @@ GENERIC = (
     effects.cubic_damping("cubic", "M", "q", scale=200.0),
     effects.coupling("lift", "Z", "w_r", scale=5.0),
 )
+BEARINGS = np.linspace(-np.pi, np.pi, 13)
+TABULATED = effects.wind_load(
+    "wind",
+    {"X": (BEARINGS, np.cos(BEARINGS)), "Y": (BEARINGS, np.sin(BEARINGS))},
+    speed=15.0,
+    direction=1.0,
+    area=900.0,
+    length=160.0,
+)
+ARM = effects.righting_arm_table("gz", [-1.0, -0.33, 0.0, 0.33, 1.0], [0.2, -0.1, 0, 0.1, -0.2])
+MECHANICAL = (
+    *mechanical_effects(force=1.0, stiffness=2.0),
+    bouc_wen_hysteresis("hysteresis", "K", "p", yielding=0.1, unit="N m", displacement_unit="rad"),
+    delayed_force("late", "K", "phi", unit="N m/rad", start="phi", delay=0.3),
+)
 
 
-@pytest.mark.parametrize("effect", GENERIC, ids=names)
-def test_generic_effect(effect: Effect) -> None:
-    """A constructor outside the vocabularies keeps the contract too."""
-    rng = np.random.default_rng(6)
-    check_effect(effect, remus(), rng=rng, initial=DIVING_START, inputs=DIVING_INPUTS)
-
-
-def test_wind_and_righting_arm() -> None:
-    """Tabulated loads keep the contract."""
-    angles = np.linspace(-np.pi, np.pi, 13)
-    wind = effects.wind_load(
-        "wind",
-        {"X": (angles, np.cos(angles)), "Y": (angles, np.sin(angles))},
-        speed=15.0,
-        direction=1.0,
-        area=900.0,
-        length=160.0,
+def pendulum(*effects: Effect) -> Model:
+    """A driven pendulum of unit inertia."""
+    return Model(
+        "pendulum",
+        (State("phi", "rad"), State("p", "rad/s")),
+        (Input("torque", "N m", interpolation="linear"),),
+        (Output("phi", "rad"), Output("p", "rad/s")),
+        {"phi": "p"},
+        axes={"K": "p"},
+        inertia={("K", "p"): "J"},
+        effects=(Force("drive", {"K": "torque - k*phi"}), *effects),
+        parameters=(
+            Parameter("J", 1.0, "kg m^2", fixed=True),
+            Parameter("k", 2.0, "N m/rad", fixed=True),
+        ),
+        step=0.01,
     )
-    rng = np.random.default_rng(7)
-    check_effect(wind, ship(), rng=rng, initial=SHIP_START, inputs=SHIP_INPUTS)
-    arm = effects.righting_arm_table("gz", [-1.0, -0.33, 0.0, 0.33, 1.0], [0.2, -0.1, 0, 0.1, -0.2])
-    check_effect(arm, roll_oscillator(), rng=rng, mirror=ROLL_MIRROR)
+
+
+# Vehicle, effects, what it does in the probe, and what changes sign in its mirror.
+DIVES = {"initial": DIVING_START, "inputs": DIVING_INPUTS}
+SAILS = {"initial": SHIP_START, "inputs": SHIP_INPUTS}
+CARRIED = (
+    (remus, DIVING, DIVES, DIVING_MIRROR),
+    (remus, GENERIC, DIVES, ()),
+    (ship, SHIP, SAILS, SHIP_MIRROR),
+    (ship, [TABULATED], SAILS, ()),
+    (roll_oscillator, [*ROLL, ARM], {}, ROLL_MIRROR),
+    (pendulum, MECHANICAL, {"initial": {"phi": 0.4, "p": 0.3}}, ("phi", "p", "torque")),
+)
+CONTRACTS = [
+    pytest.param(vehicle, effect, probe, mirror, id=f"{vehicle.__name__}-{effect.name}")
+    for vehicle, of, probe, mirror in CARRIED
+    for effect in of
+]
+
+
+@pytest.mark.parametrize("size", [{"n_times": 12, "n_points": 1}, *slow({})], ids=["short", ""])
+@pytest.mark.parametrize(("vehicle", "effect", "probe", "mirror"), CONTRACTS)
+def test_effect_keeps_the_contract(
+    vehicle: Callable[[], Model], effect: Effect, probe: dict, mirror: tuple[str, ...], size: dict
+) -> None:
+    """Units, derivatives, an absence at zero and the claimed symmetry, on a vehicle of its kind."""
+    claimed = {"mirror": mirror, "amplitude_sign": -1 if effect.name in ODD else 1}
+    claimed = {} if effect.name in UNCLAIMED else claimed
+    check_effect(effect, vehicle(), rng=np.random.default_rng(3), **probe, **size, **claimed)
 
 
 def test_vocabulary_is_complete() -> None:
@@ -506,14 +501,14 @@ def test_hidden_states_answer_as_their_transfer_functions() -> None:
     tank = effects.hidden_oscillator("tank", "X", "d", unit="1", frequency=3.0, value=2.0)
     omega, zeta = (p.value for p in tank.parameters[1:])
 
-    def slow(t: float, x: np.ndarray) -> list[float]:
+    def lagging(t: float, x: np.ndarray) -> list[float]:
         return [2.0 * x[1], (1.0 - x[1]) / 0.5]
 
     def swinging(t: float, x: np.ndarray) -> list[float]:
         return [2.0 * x[1], x[2], omega**2 * (1.0 - x[1]) - 2.0 * zeta * omega * x[2]]
 
     times = 0.01 * np.arange(300)
-    for effect, rates, n in ((lag, slow, 2), (tank, swinging, 3)):
+    for effect, rates, n in ((lag, lagging, 2), (tank, swinging, 3)):
         expected = solve_ivp(rates, (0.0, 3.0), np.zeros(n), t_eval=times, rtol=1e-9, atol=1e-12)
         np.testing.assert_allclose(hidden(effect, lambda t: 1.0), expected.y[0], atol=2e-3)
 
@@ -564,45 +559,6 @@ def test_wave_has_two_amplitudes_and_a_bounded_frequency() -> None:
     assert wave.amplitude_names == ("E_wave_cos", "E_wave_sin")
     assert wave.shape_names == ("omega_wave",)
     assert (wave.parameters[2].lower, wave.parameters[2].upper) == pytest.approx((0.6, 1.4))
-
-
-def pendulum(*effects) -> Model:
-    """A driven pendulum of unit inertia."""
-    return Model(
-        "pendulum",
-        (State("phi", "rad"), State("p", "rad/s")),
-        (Input("torque", "N m", interpolation="linear"),),
-        (Output("phi", "rad"), Output("p", "rad/s")),
-        {"phi": "p"},
-        axes={"K": "p"},
-        inertia={("K", "p"): "J"},
-        effects=(Force("drive", {"K": "torque - k*phi"}), *effects),
-        parameters=(
-            Parameter("J", 1.0, "kg m^2", fixed=True),
-            Parameter("k", 2.0, "N m/rad", fixed=True),
-        ),
-        step=0.01,
-    )
-
-
-CANDIDATES = (
-    *mechanical_effects(force=1.0, stiffness=2.0),
-    bouc_wen_hysteresis("hysteresis", "K", "p", yielding=0.1, unit="N m", displacement_unit="rad"),
-    delayed_force("late", "K", "phi", unit="N m/rad", start="phi", delay=0.3),
-)
-
-
-@pytest.mark.parametrize("effect", CANDIDATES, ids=lambda effect: effect.name)
-def test_contract(effect: Force) -> None:
-    """Every mechanical effect is absent at zero and has exact derivatives."""
-    check_effect(
-        effect,
-        pendulum(),
-        rng=np.random.default_rng(1),
-        initial={"phi": 0.4, "p": 0.3},
-        n_points=1,
-        mirror=() if effect.name == "cogging" else ("phi", "p", "torque"),
-    )
 
 
 def states(

@@ -54,7 +54,7 @@ def test_independent_prior_against_quadrature() -> None:
     x = rng.standard_normal((12, 1))
     y = 0.7 * x[:, 0] + 0.5 * rng.standard_normal(12)
 
-    c, variance = np.meshgrid(np.linspace(-1.5, 2.0, 401), np.linspace(0.02, 6.0, 1201))
+    c, variance = np.meshgrid(np.linspace(-1.5, 2.0, 151), np.linspace(0.02, 6.0, 601))
     errors = y - c[:, :, None] * x[:, 0]
     logarithm = stats.norm.logpdf(errors, scale=np.sqrt(variance)[:, :, None]).sum(axis=2)
     logarithm += stats.norm.logpdf(c, scale=0.3) + stats.invgamma.logpdf(variance, 2.0, scale=1.0)
@@ -219,6 +219,7 @@ def test_noise_of_a_measured_start_is_in_the_errors() -> None:
         DifferentialSwarm(initial={"u": 1.0}).fit(YAW, yaw_data(2))
 
 
+@pytest.mark.slow
 def test_members_of_a_difference_may_be_the_same() -> None:
     """Over six seeds the search converges faster where the two random members may coincide."""
     data = Dataset((simulate(YAW, TEST, noise=False),))

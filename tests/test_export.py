@@ -80,7 +80,7 @@ MODELS = {
 def fit() -> Fit:
     """Yaw model with one parameter of its own for each record."""
     model = yaw_model(K=Parameter("K", 0.1, "1/s", per_record=True))
-    return MultipleShooting(noise=NOISE).fit(model, yaw_data(1))
+    return MultipleShooting(noise=NOISE, disturbances="none").fit(model, yaw_data(1))
 
 
 def trajectory(model: Model) -> Example:

@@ -60,7 +60,7 @@ HOSTILE = (
 
 @pytest.fixture(scope="module", name="fit")
 def _fit() -> Fit:
-    return MultipleShooting(noise=NOISE).fit(yaw_model(), yaw_data(1))
+    return MultipleShooting(noise=NOISE, disturbances="none").fit(yaw_model(), yaw_data(1))
 
 
 @pytest.fixture(scope="module", name="plain")

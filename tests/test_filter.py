@@ -380,8 +380,8 @@ def test_smoothed_seas_are_those_of_the_joint_normal_distribution(turn: int) -> 
 def test_filter_with_a_sea_is_a_textbook_kalman_filter() -> None:
     """Innovations and variances equal those of a plain NumPy filter with matrix exponentials."""
     noise = ship_noise(
-        disturbances=(SHIP_FORCES[0],), variance=np.array([4e-4]), time=np.array([2.5]),
-        damping=np.array([0.12]), turn=np.array([-1]), sea=np.array([0]),
+        variance=np.array([4e-4, 0.0]), time=np.array([2.5, 1.0]),
+        damping=np.array([0.12, 0.0]), turn=np.array([-1, 0]), sea=np.array([0, -1]),
         coloured=np.zeros(0, dtype=int), colour_variance=np.zeros(0), colour_time=np.zeros(0),
     )  # fmt: skip
     times, _, measured = linear_record()
@@ -509,10 +509,10 @@ def test_columns_are_exact_where_the_gain_does_not_move() -> None:
 
 def test_a_model_that_leaves_the_numbers_is_said_to() -> None:
     """Where it fails is returned, the objective is infinite, nothing raises."""
-    wild = (SHIP + CANDIDATES[0]).with_values({"n3": 1e4})
-    kernel = filter_kernel(disturbed_model(wild, SHIP_FORCES))
+    kernel = filter_kernel(disturbed_model(SHIP + CANDIDATES, SHIP_FORCES))
+    wild = kernel.model.with_values({"n3": 1e4}).value_vector
     times = np.arange(0.0, 40.0, 0.2)
-    args = (times, np.full((200, 1), 1.0), kernel.model.value_vector, np.array([0.0, 3.0]))
+    args = (times, np.full((200, 1), 1.0), wild, np.array([0.0, 3.0]))
     for one in (kernel, interpreted(kernel)):
         found = one.filter(*args, np.full((200, 2), np.nan), ship_noise())
         assert not found.ok

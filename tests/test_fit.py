@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from golden_files import restored
+from marks import slow
 from scipy.stats import norm
 from test_design import ship
 from test_information import ar1
@@ -26,6 +27,8 @@ from oed_sysid.likelihood.multistart import Multistart, profile
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.physics.parameters import Parameter
 
+KNOWN = MultipleShooting(noise=NOISE, disturbances="none")
+
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
@@ -35,7 +38,7 @@ def fit() -> Fit:
     outputs[10:30, 0] = np.nan
     data = Dataset((data[0], data[1].with_outputs(outputs), data[2]))
     model = yaw_model(K=Parameter("K", 0.1, "1/s", per_record=True))
-    return MultipleShooting(noise=NOISE).fit(model, data)
+    return KNOWN.fit(model, data)
 
 
 def test_frame_holds_what_the_table_says(fit: Fit) -> None:
@@ -83,19 +86,8 @@ def test_interval_and_correlation(fit: Fit) -> None:
 
 def test_report_names_idle_inputs() -> None:
     """A rudder that never moves is said to excite nothing, and what it does is not identifiable."""
-    data = Dataset(
-        tuple(
-            record.__class__(
-                record.name,
-                record.times,
-                np.zeros_like(record.inputs),
-                record.outputs,
-                record.channels,
-            )
-            for record in yaw_data(2)
-        )
-    )
-    report = MultipleShooting(noise="estimate").fit(yaw_model(), data).report()
+    data = Dataset(tuple(replace(one, inputs=0.0 * one.inputs) for one in yaw_data(2)))
+    report = replace(KNOWN, noise="estimate").fit(yaw_model(), data).report()
     assert "Input delta never moves in any record" in report
     assert "Not identifiable: K does not influence any output" in report
 
@@ -105,7 +97,7 @@ def test_saved_fit_comes_back(fit: Fit, tmp_path) -> None:  # type: ignore[no-un
     again = restored(fit, tmp_path)
     text = (tmp_path / "fit.json").read_text()
     json.loads(text, parse_constant=lambda text: pytest.fail(f"{text} is not JSON"))
-    resumed = MultipleShooting(noise=NOISE).fit(again.model, again.dataset, warm=again)
+    resumed = KNOWN.fit(again.model, again.dataset, warm=again)
     assert resumed.iterations <= 2
 
 
@@ -113,7 +105,7 @@ def test_infinite_errors_survive_the_file(tmp_path) -> None:  # type: ignore[no-
     """What is not identifiable is still so after loading."""
     model = yaw_model().with_values({"K": 0.0, "alpha": 1.0}).fix("K")
     quiet = Dataset(tuple(r.with_outputs(0.0 * r.outputs + NOISE) for r in yaw_data(3)))
-    restored(MultipleShooting(noise=NOISE).fit(model, quiet), tmp_path)
+    restored(KNOWN.fit(model, quiet), tmp_path)
 
 
 @pytest.mark.parametrize("content", ["{}", "not json", '{"fit": {"class": "Popen", "fields": {}}}'])
@@ -131,23 +123,21 @@ def test_coloured_residuals_widen_the_errors() -> None:
     """Slow noise of the same size gives larger, honest errors, and the report says why."""
     rng = np.random.default_rng(4)
     white = yaw_data(4, noise=np.zeros(2))
-    slow = Dataset(
+    remembering = Dataset(
         tuple(
             record.with_outputs(record.outputs + NOISE * ar1(record.n_samples, 0.9, rng, 2))
             for record in white
         )
     )
-    white_only = MultipleShooting(noise=NOISE, disturbances="none")
-    fit = white_only.fit(yaw_model(), slow)
-    plain = replace(white_only, coloured="never").fit(yaw_model(), slow)
+    fit = KNOWN.fit(yaw_model(), remembering)
+    plain = replace(KNOWN, coloured="never").fit(yaw_model(), remembering)
     assert fit.coloured
     assert "correlated in time" in fit.report()
     ratio = np.sqrt(np.diag(fit.covariance) / np.diag(plain.covariance))
     # Independent samples are (1 - 0.9) / (1 + 0.9) of all: errors are up to 4.4 times larger.
     assert np.all(ratio > 1.5)
     assert np.all(ratio < 6.0)
-    never = MultipleShooting(noise=NOISE).fit(yaw_model(), yaw_data(4))
-    assert not never.coloured
+    assert not KNOWN.fit(yaw_model(), yaw_data(4)).coloured
 
 
 WHITE = MultipleShooting(disturbances="none", noise="given")
@@ -247,7 +237,7 @@ def straight(model: Model) -> Model:
     )
 
 
-@pytest.mark.parametrize("estimator", [WHITE, MultipleShooting()], ids=["white", "forces"])
+@pytest.mark.parametrize("estimator", [WHITE, *slow(MultipleShooting())], ids=["white", "forces"])
 def test_a_missing_term_shows_where_runs_differ_in_strength(estimator: MultipleShooting) -> None:
     """Quadratic damping that the model lacks: each run looks well, weak and strong ones differ."""
     contradicted, plain = [], []

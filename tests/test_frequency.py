@@ -152,6 +152,7 @@ def test_the_command_compares_frequency_responses(tmp_path: Path) -> None:
         write_csv(simulate(problem.model, run, rng=rng), path)
     stored, page = tmp_path / "c.json", tmp_path / "c.html"
     line = ["compare", "online_ship", paths[0], "--validate", paths[1], "--frequency"]
+    line += ["--disturbances", "none"]
     assert main([*line, "--json", str(stored), "--html", str(page)]) == DONE
     found = json.loads(stored.read_text())["frequency"]
     assert {band["verdict"] for band in found["bands"]} >= {HOLDS}
