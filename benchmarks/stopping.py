@@ -1,10 +1,12 @@
 """Are errors true when a trial programme says stop? And how many dives does it take?
 
     OMP_NUM_THREADS=1 python -m benchmarks.stopping [--seeds 20] [--hidden NAME ...] [--rules ...]
+                                                    [--swell 8]
 
-Dives of the REMUS-like vehicle in a moderate sea until all eight coefficients are known to six per
-cent, or three hours are over; coefficients are up to 12 per cent off, and something may act that
-the model does not know, at its usual size unless `EFFECT=SIZE` is given. Dives are planned (those
+Dives of the REMUS-like vehicle in a moderate sea, or with ``--swell`` in one of that period, until
+all eight coefficients are known to six per cent, or three hours are over; coefficients are up to 12
+per cent off, and something may act that the model does not know, at its usual size unless
+`EFFECT=SIZE` is given. Dives are planned (those
 that `decide` chooses) or the standard programme's in turn. Three rules stop them:
 
 - *errors*: all stated errors are small enough (nothing else is asked);
@@ -43,7 +45,7 @@ from oed_sysid.likelihood.realisation import simulate_at_sea
 
 STORE = Store(
     RESULTS / "stopping.jsonl",
-    lambda row: (row["hidden"], row["arm"], row["rule"], row["seed"]),
+    lambda row: (row["hidden"], row["arm"], row["rule"], row["seed"], row.get("swell", 0.0)),
 )
 HOURS, GOAL, SPREAD = 3.0, 0.06, 0.12
 RULES, ARMS = ("errors", "checked", "searched"), ("planned", "standard")
@@ -59,12 +61,13 @@ class Trial:
     programme: Programme
 
     @classmethod
-    def of_auv(cls) -> Trial:
-        """The programme of `examples/programme_for_an_auv.py`."""
+    def of_auv(cls, swell: float = 0.0) -> Trial:
+        """The programme of `examples/programme_for_an_auv.py`, or the same in a swell."""
         problem = load_problem("remus_diving_plane")
         run = problem.experiment("zigzag_10_10")
         pattern = replace(run, initial={**run.initial, "z": 25.0}, duration=60.0, sample_time=0.2)
-        sea = sea_noise(problem.model, "moderate", [pattern])
+        words = f"moderate,period={swell}" if swell else "moderate"
+        sea = sea_noise(problem.model, words, [pattern])
         programme = design_programme(
             problem.model,
             pattern,
@@ -167,8 +170,9 @@ def held(group: Sequence[Row]) -> str:
     return f"{np.mean(inside):.0%} of {len(inside)}" if inside else "-"
 
 
-COLUMNS: dict[str, Callable[[tuple[str, str, str], list[Row]], object]] = {
+COLUMNS: dict[str, Callable[[tuple[str, str, str, float], list[Row]], object]] = {
     "hidden": lambda key, _: f"`{key[0]}`",
+    "sea": lambda key, _: f"swell of {key[3]:g} s" if key[3] else "moderate",
     "rule": lambda key, _: key[1],
     "dives": lambda key, _: key[2],
     "trials": lambda _, group: len(group),
@@ -186,7 +190,9 @@ COLUMNS: dict[str, Callable[[tuple[str, str, str], list[Row]], object]] = {
 
 def table(rows: list[Row]) -> str:
     """Rows of a table in Markdown."""
-    groups = grouped(rows, lambda row: (row["hidden"], row["rule"], row["arm"]))
+    groups = grouped(
+        rows, lambda row: (row["hidden"], row["rule"], row["arm"], row.get("swell", 0.0))
+    )
     return "\n".join(tabulate(groups, COLUMNS))
 
 
@@ -196,6 +202,7 @@ def main(
     hidden: Sequence[str] = (NOTHING, "pitch_quadratic_damping=-40"),
     arms: Sequence[str] = ARMS,
     rules: Sequence[str] = RULES,
+    swell: float = 0.0,
     show: bool = False,
 ) -> None:
     """Run what is missing and print the table.
@@ -210,20 +217,22 @@ def main(
         planned, standard
     rules : sequence of str
         errors, checked, searched
+    swell : float
+        period of a swell of the same strength in place of first-order forces, s; 0 for none
     show : bool
         print finished trials only
     """
     wanted = [
-        (one, arm, rule, seed)
+        (one, arm, rule, seed, swell)
         for one in hidden for rule in rules for arm in arms for seed in range(seeds)
     ]  # fmt: skip
     if not show:
-        trial = Trial.of_auv()
+        trial = Trial.of_auv(swell)
         for one in wanted:
             if one in STORE.done():
                 continue
             try:
-                STORE.add(trial.run(*one))
+                STORE.add({**trial.run(*one[:-1]), "swell": swell})
             except OedSysidError as error:
                 print(f"{one}: {error}", flush=True)
     print(table(STORE.rows()))

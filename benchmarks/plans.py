@@ -1,0 +1,374 @@
+r"""What is promised of plans, beside what was measured: one table in docs/programme.md.
+
+    OMP_NUM_THREADS=1 python -m benchmarks.plans [sets flown starts] [--write]
+
+*sets*: of vehicles with at most 17 free parameters, the set that can be estimated together against
+all :math:`2^n` sets, tried by code of this file, and the errors of its parameters, the others
+fixed, against central differences of simulated outputs. *flown*: a designed run that reacts is
+written as a ROS 2 node; the law in that file flies vehicles drawn from what is known, integrated by
+the NumPy equations of `benchmarks.missing_physics`, in forces of their own; the share that keeps
+the limits is put beside what was stated. *starts*: start values by Fourier regression of a ship's
+zigzags in swell (`benchmarks.random_forces`), with and without the band of the waves.
+
+The other lines are those of `benchmarks.realised` and `benchmarks.stopping`, as kept. ``--write``
+writes the table; without it the table is printed.
+"""
+
+from __future__ import annotations
+
+import runpy
+import tempfile
+from collections.abc import Callable, Sequence
+from functools import partial
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks import realised, stopping
+from benchmarks.harness import (
+    RESULTS,
+    ROOT,
+    Row,
+    Store,
+    command,
+    grouped,
+    ignorant,
+    known,
+    markdown,
+    run_cases,
+    write_page,
+)
+from benchmarks.missing_physics.simulator import Case, Truth, integrate
+from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
+from benchmarks.random_forces.simulator import simulate as data_sets
+from benchmarks.random_forces.trial import JONSWAP_WIDTH, _model, dataset
+from benchmarks.ship_hours import LEAST, MOST, PITCH
+from oed_sysid import Experiment, Model, load_problem
+from oed_sysid.baselines.fourier import FourierRegression
+from oed_sysid.design import (
+    Caution,
+    Knowledge,
+    Search,
+    Trial,
+    ZigZags,
+    assess_limits,
+    design_experiment,
+    played,
+    write_controller,
+)
+from oed_sysid.design.vehicles import at_least, draw_models
+from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.information import identifiable_subset, information_of
+from oed_sysid.information.identifiability import ASSUMED, COLLINEARITY_LIMIT
+from oed_sysid.information.response import plays
+from oed_sysid.likelihood.noise_model import Sea
+from oed_sysid.likelihood.realisation import drawn_disturbances
+
+STORE = Store(RESULTS / "plans.jsonl")
+# Vehicles with at most 17 free parameters: shipped ones, and single runs of these.
+SETS: tuple[tuple[str, str | None, str | None], ...] = (
+    ("remus_diving_plane", None, None),
+    ("remus_diving_plane", None, "steps"),
+    ("online_ship", None, None),
+    ("online_ship", None, "zigzag_5_5"),
+    ("torpedo", None, None),
+    ("catamaran", None, None),
+    ("kvlcc2", "linear_hull", None),
+    ("kvlcc2", "linear_hull", "zigzag_20_20"),
+    ("remus_6dof", None, None),
+    ("remus_6dof", None, "slow"),
+)
+FLIGHTS, SETS_OF_SHIP = 200, 12
+
+
+# -- sets ------------------------------------------------------------------------------
+
+
+def described(name: str, variant: str | None, run: str | None) -> tuple[Model, list[Experiment]]:
+    """A vehicle without priors, and its runs."""
+    problem = load_problem(name, variant=variant)
+    runs = [problem.experiment(run)] if run else list(problem.experiments.values())
+    return ignorant(problem.model), runs
+
+
+def best_by_trial(gram: np.ndarray, errors: float, limit: float) -> tuple[int, float]:
+    """Size and smallest collinearity of the largest sets that may be estimated, all tried.
+
+    Parameters
+    ----------
+    gram : ndarray (n, n)
+        Information in units of the values.
+    errors : float
+        Largest relative error.
+    limit : float
+        Largest collinearity.
+    """
+    sizes = np.sqrt(np.diagonal(gram))
+    unit = gram / np.outer(sizes, sizes)
+    for size in range(len(gram), 0, -1):
+        best = np.inf
+        for chosen in combinations(range(len(gram)), size):
+            part = unit[np.ix_(chosen, chosen)]
+            least = float(np.linalg.eigvalsh(part)[0])
+            if least < limit**-2.0:
+                continue
+            variances = np.diagonal(np.linalg.inv(part)) / sizes[list(chosen)] ** 2
+            if np.all(variances <= errors**2):
+                best = min(best, least**-0.5)
+        if np.isfinite(best):
+            return size, best
+    return 0, 0.0
+
+
+def errors_by_differences(
+    model: Model, runs: Sequence[Experiment], names: Sequence[str]
+) -> np.ndarray:
+    """Standard errors of some parameters, all others fixed, start states free: differences."""
+    sigma = np.array([output.noise_std for output in model.outputs])
+    blocks = []
+    for play in plays(model, runs):
+        own = np.array(play.initial, dtype=float)
+
+        def outputs(values: dict[str, float], start: np.ndarray, play: Any = play) -> np.ndarray:
+            run = simulate_inputs(
+                model.with_values(values), play.times, inputs=play.inputs, initial=start
+            )
+            return np.asarray((run.outputs / sigma)[play.present])
+
+        columns = []
+        for name in names:
+            step = 1e-5 * model.parameter(name).magnitude
+            ends = [outputs({name: model.values[name] + s * step}, own) for s in (1, -1)]
+            columns.append((ends[0] - ends[1]) / (2 * step))
+        steps = 1e-5 * np.diag([state.scale for state in model.states])
+        starts = [(outputs({}, own + s) - outputs({}, own - s)) / (2 * s.sum()) for s in steps]
+        free, own_states = np.array(columns).T, np.array(starts).T
+        blocks.append(free - own_states @ np.linalg.lstsq(own_states, free, rcond=None)[0])
+    rows = np.vstack(blocks)
+    return np.sqrt(np.diagonal(np.linalg.inv(rows.T @ rows)))
+
+
+def set_of(key: str, name: str, variant: str | None, run: str | None) -> Row:
+    """The set that is found beside the best of all, and its errors beside differences."""
+    model, runs = described(name, variant, run)
+    information = information_of(model, runs, priors=None)
+    values = {n: model.values[n] for n in information.names}
+    found = identifiable_subset(information, values)
+    sizes = np.array([abs(values[n]) or model.parameter(n).magnitude for n in information.names])
+    gram = information.matrix * np.outer(sizes, sizes)
+    size, index = best_by_trial(gram, ASSUMED, COLLINEARITY_LIMIT)
+    own = [place for place in found.places if place.free]
+    errors = errors_by_differences(model, runs, [place.name for place in own])
+    units = [sizes[information.names.index(place.name)] for place in own]
+    stated = np.array([place.error for place in own]) * units
+    return {
+        "key": key, "parameters": len(values), "size": found.size, "best": size,
+        "optimal": found.size == size and found.collinearity <= index * (1 + 1e-6),
+        "error": float(np.max(np.abs(stated / errors - 1.0))),
+    }  # fmt: skip
+
+
+# -- flown -----------------------------------------------------------------------------
+
+
+def flown(key: str, spread: float, forces: float, seed: int) -> Row:
+    """Limits stated of a run that reacts, and kept where its file flies other vehicles."""
+    problem, rng = load_problem("remus_diving_plane"), np.random.default_rng(seed)
+    model = realised.believed()
+    sea = realised.sea(model, forces)
+    pattern = problem.experiment("zigzag_10_10")
+    trial = Trial(
+        limits=problem.limits, duration=60.0, sample_time=0.1, constants=pattern.constants,
+        initial={**pattern.initial, "z": 25.0},
+    )  # fmt: skip
+    found = design_experiment(
+        model, trial, rng=rng, search=Search(family=ZigZags()),
+        knowledge=Knowledge(noise=sea, spread=spread), caution=Caution(0.9, spread, 80, FLIGHTS),
+    )  # fmt: skip
+    run, row = found.experiment, {"key": key, "run": found.experiment.name}
+    for name, one in (("closed", run), ("table", played(model, run))):
+        stated = assess_limits(
+            model, one, rng=rng, limits=problem.limits, spread=spread, vehicles=FLIGHTS, sea=sea
+        )
+        vehicles = draw_models(model, spread, FLIGHTS, None, rng)
+        row[f"stated {name}"] = stated.n_kept
+        row[f"flown {name}"] = int(np.sum(flights(model, one, vehicles, sea, rng)))
+    return row
+
+
+def flights(
+    model: Model, run: Experiment, vehicles: Sequence[Model], sea: Any, rng: np.random.Generator
+) -> np.ndarray:
+    """On which vehicles the written file keeps the limits, on the foreign simulator."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = write_controller(Path(folder) / "run.py", model, run, "ros2", aborts=[])
+        law = runpy.run_path(str(path))["Run"]
+        laws = [law() for _ in vehicles]
+    drawn = [drawn_disturbances(sea, run.times, rng) for _ in vehicles]
+    forces = [np.column_stack([one[place] for place in sea.places]) for one in drawn]
+    thrust = run.constants["thrust"]
+    names = ("u", "w", "q", "theta", "z")
+
+    def command_of(k: int, state: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        fins = []
+        for number, one in enumerate(laws):
+            seen = dict(zip(names, map(float, state[:5, number]), strict=True))
+            orders, _ = one.step(k * run.sample_time, seen)
+            fins.append(orders["fin_command"])
+        return np.array(fins), np.full(len(laws), thrust)
+
+    n = len(vehicles)
+    truth = Truth([Case("v", dict(vehicle.values)) for vehicle in vehicles])
+    begin = np.full(n, run.initial["u"]), np.full(n, run.initial["z"])
+    kept = np.ones(n, dtype=bool)
+    for _, state in integrate(truth, begin, np.stack(forces, axis=2), command_of):
+        kept &= (np.abs(state[3]) <= PITCH) & (state[4] >= LEAST) & (state[4] <= MOST)
+    return kept
+
+
+# -- starts ----------------------------------------------------------------------------
+
+
+def start_of(key: str, number: int) -> Row:
+    """Relative errors of start values, root mean square over the parameters of one data set."""
+    scenario = SCENARIOS["ship_swell"]
+    model = _model(scenario.vehicle)
+    (one,) = data_sets(scenario, 0, [number])
+    data = dataset(scenario, model, one.runs)
+    levels = dict(zip(VEHICLES[scenario.vehicle].forces, scenario.force, strict=True))
+    sea = Sea(period=scenario.swell, bandwidth=JONSWAP_WIDTH, levels=levels)
+    row: Row = {"key": key}
+    for name, bands in (("all", ()), ("without", (sea.band,))):
+        found = FourierRegression(without=bands).fit(model, data).values
+        shares = [found[n] / value - 1.0 for n, value in one.truth.items() if n in found]
+        row[name] = float(np.sqrt(np.mean(np.square(shares))))
+    return row
+
+
+# -- the table --------------------------------------------------------------------------
+
+
+def cases() -> dict[str, dict[str, Callable[[], Row]]]:
+    """Sections and their cases."""
+    sets = {f"set {n} {v or ''} {r or 'all'}": partial(set_of, name=n, variant=v, run=r)
+            for n, v, r in SETS}  # fmt: skip
+    closed = {f"flown {s:g} off": partial(flown, spread=s, forces=1.0, seed=1) for s in (0.12, 0.2)}
+    starts = {f"start {i}": partial(start_of, number=i) for i in range(SETS_OF_SHIP)}
+    sections = {"sets": sets, "flown": closed, "starts": starts}
+    return {
+        section: {key: partial(work, key) for key, work in own.items()}
+        for section, own in sections.items()
+    }
+
+
+def spread_of(values: Sequence[float]) -> str:
+    """Median and range in per cent."""
+    return f"{np.median(values):.1%} ({min(values):.1%} to {max(values):.1%})"
+
+
+def lines() -> list[tuple[str, str, str, str]]:
+    """Lines of the table that have been measured: what, how, how many, result."""
+    rows, found = STORE.rows(), []
+    sets = [row for row in rows if row["key"].startswith("set ")]
+    if sets:
+        best = sum(row["optimal"] for row in sets)
+        how, n = "`plans sets`", f"{len(sets)} vehicles and runs"
+        found += [
+            ("largest set against all sets", how, n, f"best in {best} of {len(sets)}"),
+            ("errors, the others fixed, against differences", how, n,
+             f"largest deviation {max(row['error'] for row in sets):.1g}"),
+        ]  # fmt: skip
+    for row in rows:
+        if row["key"].startswith("flown "):
+            off = row["key"].split()[1]
+            for kind, words in (("closed", "file of a run that reacts"), ("table", "its table")):
+                stated, kept = row[f"stated {kind}"], row[f"flown {kind}"]
+                low = at_least(stated, FLIGHTS)
+                found.append((
+                    f"limits kept, {words}, coefficients up to {float(off):.0%} off",
+                    "`plans flown`", f"{FLIGHTS} vehicles each",
+                    f"stated {stated / FLIGHTS:.1%} (at least {low:.1%}), flown "
+                    f"{kept / FLIGHTS:.1%}",
+                ))  # fmt: skip
+    starts = [row for row in rows if row["key"].startswith("start ")]
+    if starts:
+        for name, words in (("all", "with"), ("without", "without")):
+            found.append((
+                f"start values in swell of 8 s, {words} the band of the waves", "`plans starts`",
+                f"{len(starts)} data sets", spread_of([row[name] for row in starts]),
+            ))  # fmt: skip
+    return [*found, *_realised(), *_stopped()]
+
+
+def _realised() -> list[tuple[str, str, str, str]]:
+    """Lines of `benchmarks.realised`."""
+    found = []
+    kinds = grouped(realised.STORE.rows(), lambda row: (row["plan"], row["forces"], row["swell"]))
+    for (plan, forces, swell), group in kinds.items():
+        ratio = realised.ratios(group)
+        near = np.sum((ratio >= realised.TRUE[0]) & (ratio <= realised.TRUE[1]))
+        mean, error = np.exp(np.mean(np.log(ratio))), 1.0 / np.sqrt(2.0 * len(group))
+        held = np.mean([row["inside"] for row in group])
+        sea = f"swell of {swell:g} s" if swell else "first-order forces"
+        found.append((
+            f"realised over stated errors, {plan} run, {sea} x {forces:g}",
+            f"`realised --swell {swell:g}`", f"{len(group)} repetitions",
+            f"{near} of {len(ratio)} from 0.8 to 1.25, each ±{error:.2f}; mean {mean:.2f}; 95 % "
+            f"intervals hold {held:.0%}",
+        ))  # fmt: skip
+    return found
+
+
+def _stopped() -> list[tuple[str, str, str, str]]:
+    """Lines of `benchmarks.stopping` with nothing hidden."""
+    kinds = grouped(
+        (row for row in stopping.STORE.rows() if row["hidden"] == stopping.NOTHING
+         and row["rule"] == "checked" and row["arm"] == "planned"),
+        lambda row: row.get("swell", 0.0),
+    )  # fmt: skip
+    found = []
+    for swell, group in kinds.items():
+        n, doubted = len(group), sum(row["doubted"] for row in group)
+        sea = f"swell of {swell:g} s" if swell else "first-order forces"
+        inside = np.mean([abs(v) < 1.96 for row in group for v in row["apart"].values()])
+        found.append((
+            f"right model called contradicted, {sea}",
+            f"`stopping --hidden nothing --rules checked --arms planned --swell {swell:g}`",
+            f"{n} trials",
+            f"{doubted} (at most {1 - at_least(n - doubted, n):.0%}); intervals hold {inside:.0%}",
+        ))  # fmt: skip
+    return found
+
+
+def main(
+    sections: Sequence[str] = (), *, jobs: int = 1, write: bool = False, show: bool = False
+) -> None:
+    """Measure what is missing and print or write the table.
+
+    Parameters
+    ----------
+    sections : sequence of str
+        sets, flown, starts; all without a name
+    jobs : int
+        processes
+    write : bool
+        write the table into docs/programme.md
+    show : bool
+        measure nothing
+    """
+    every = cases()
+    for section in () if show else sections or every:
+        own = every[known(section, every, "section")]
+        run_cases(
+            STORE, list(own), lambda left, own=own: [own[str(key)] for key in left], n_jobs=jobs
+        )
+    text = "\n".join(markdown(("what", "`python -m benchmarks.`", "of", "measured"), lines()))
+    if write:
+        write_page(ROOT / "docs" / "programme.md", text, "plans")
+    print(text)
+
+
+if __name__ == "__main__":
+    command(main)
