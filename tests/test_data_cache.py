@@ -151,7 +151,7 @@ def test_unknown_name_gets_the_nearest() -> None:
     """A misspelt name is answered with the right one."""
     with pytest.raises(DataError, match=r"Did you mean 'silverbox/multisine\.csv'"):
         data_cache.fetch("silverbox/multisin.csv")
-    with pytest.raises(DataError, match="no registered data file"):
+    with pytest.raises(DataError, match="register has no data file"):
         data_cache.fetch("nothing/")
 
 

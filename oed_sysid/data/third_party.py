@@ -25,7 +25,7 @@ from urllib.parse import quote
 
 import numpy as np
 
-from oed_sysid.errors import DataError, closest
+from oed_sysid.errors import DataError, located
 from oed_sysid.runtime.files import write_bytes
 
 # -- from the files of third parties as they publish them to the form that this package reads
@@ -146,11 +146,7 @@ def describe(path: str) -> DataFile:
     DataError
         If the file is not registered.
     """
-    if path not in _REGISTRY:
-        raise DataError(
-            f"There is no registered data file {path!r}.{closest(path, _REGISTRY)} See "
-            "oed_sysid.data.third_party.registered()."
-        )
+    located(DataError, "The register has no data file", [path], _REGISTRY)
     return _REGISTRY[path]
 
 

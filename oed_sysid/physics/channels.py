@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.errors import DataError, ModelError, OedSysidError
+from oed_sysid.errors import DataError, ModelError, OedSysidError, located
 from oed_sysid.text.units import dimension
 
 INTERPOLATIONS = ("hold", "linear")
@@ -142,11 +142,8 @@ class Input:
     def __post_init__(self) -> None:
         check_signal("Input", self.name, self.unit)
         _check_sign("Input", self.name, self.sign)
-        if self.interpolation not in INTERPOLATIONS:
-            raise ModelError(
-                f"Input {self.name!r} has interpolation {self.interpolation!r}. "
-                f"Choose one of {', '.join(INTERPOLATIONS)}."
-            )
+        what = f"Input {self.name!r} knows no interpolation"
+        located(ModelError, what, [self.interpolation], INTERPOLATIONS)
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Channels, Input, Output, State, settle
 from oed_sysid.physics.parameters import Parameter, check_unique
@@ -240,11 +240,14 @@ def _check_settings(model: Structure) -> None:
     is_number = isinstance(step, int | float) and not isinstance(step, bool)
     if not is_number or not 0 < step < math.inf:
         raise ModelError(f"Model {model.name!r} has step {step!r:.40}. Give seconds above zero.")
-    if model.integrator not in ("explicit", "implicit"):
-        raise ModelError(
-            f"Model {model.name!r} has integrator {model.integrator!r}. Choose explicit, or "
-            "implicit for a stiff model."
-        )
+    known = ("explicit", "implicit")
+    located(
+        ModelError,
+        "There is no integrator",
+        [model.integrator],
+        known,
+        "Implicit is for stiff models.",
+    )
 
 
 def _check_equations(model: Structure) -> None:
