@@ -38,7 +38,7 @@ from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.random_forces import FEW_STEPS, Start
+from oed_sysid.likelihood.random_forces import FEW_STEPS
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 
@@ -338,14 +338,9 @@ class Evidence:
 
     def smoothed(self) -> tuple[Series, ...]:
         """The disturbance if nothing else is wrong, per record."""
-        old = self.fit.problem
-        held = old.levels.held().starting(self.fit.noise)
-        problem = Filtered(
-            old.model.with_values(self.fit.values), old.dataset, held, kernel=old.kernel,
-            known_starts=old.known_starts,
-        )  # fmt: skip
-        unknowns = problem.point(self.fit.initial, self.fit.local).unknowns
-        return ResidualForces.of(problem, unknowns).series()
+        problem = self.fit.problem
+        held = problem.with_levels(problem.levels.held().starting(self.fit.noise))
+        return ResidualForces.of(held, _apart(self.fit.problem, self.fit.point)).series()
 
 
 def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:
@@ -360,6 +355,11 @@ def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:
         if bench is not None:
             return bench.judged(places(fit.problem.model))
     return None
+
+
+def _apart(problem: Filtered, point: Point) -> np.ndarray:
+    """Unknowns of a point but the levels, which come last."""
+    return point.unknowns[: problem.layout.levels.start]
 
 
 def _kernel(fit: FilteredSolution) -> FilterKernel:
@@ -394,15 +394,15 @@ class _Bench:
     ----------
     quiet : FilteredSolution
         The fit to white noise alone.
-    starts : tuple of Start
-        That with disturbance forces, whose parameters have bent less to what is missing; and that
-        to white noise alone.
+    starts : tuple of ndarray (n_unknowns,)
+        Unknowns but the levels: of the fit with disturbance forces, whose parameters have bent less
+        to what is missing, and of that to white noise alone.
     unknown : ndarray of bool (n_outputs,)
         Sensors whose noise nobody declared: it must not make every misfit evidence.
     """
 
     quiet: FilteredSolution
-    starts: tuple[Start, ...]
+    starts: tuple[np.ndarray, ...]
     unknown: np.ndarray
 
     @classmethod
@@ -417,13 +417,11 @@ class _Bench:
         levels = Levels.of(noise, noise, (), white=unknown, colour=none, force=none[:0])
         known = fit.problem.known_starts if pieces == 1 else None
         problem = Filtered(model, dataset, levels, kernel=_kernel(fit), known_starts=known)
-        quiet = solve_filtered(
-            problem, problem.point(initial, local), max_iterations=MOST_STEPS, polish=0
-        )
+        point = problem.point(initial, local)
+        quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
         if quiet is None:
             return None
-        ended = Start(quiet.values, quiet.initial, quiet.local)
-        return cls(quiet, (Start(model.values, initial, local), ended), unknown)
+        return cls(quiet, (_apart(problem, point), _apart(problem, quiet.point)), unknown)
 
     def judged(self, where: Sequence[Place]) -> list[Evidence]:
         """The most likely disturbance of every place, the likeliest first.
@@ -452,20 +450,11 @@ class _Bench:
             return best
         return min(best, self._likeliest(place, self.starts[1]), key=lambda one: one.objective)
 
-    def _likeliest(self, place: Place, start: Start) -> _Begun:
+    def _likeliest(self, place: Place, others: np.ndarray) -> _Begun:
         """The likeliest of some decades of a level, from where the records begin to tell of it."""
-        old = self.quiet.problem
-        model = old.model.with_values(dict(start.values))
-
-        def posed(size: float) -> Filtered:
-            return Filtered(
-                model, old.dataset, self._levels(place, size), kernel=old.kernel,
-                known_starts=old.known_starts,
-            )  # fmt: skip
-
         # At variance zero its information says of which variance the records begin to tell.
-        first = posed(1.0)
-        nothing = first.point(start.initial, start.local).unknowns
+        first = self.quiet.problem.with_levels(self._levels(place, 1.0))
+        nothing = np.concatenate([others, first.levels.vector(first.levels.noise)])
         nothing[first.layout.levels.start] = 0.0
         told = sum(
             float(part.level_information[0, 0] + part.gram[0, 0])
@@ -475,9 +464,9 @@ class _Bench:
         size = told**-0.25 if told > 0 else 1.0
         best: _Begun | None = None
         while True:
-            problem = posed(size)
-            point = problem.point(start.initial, start.local)
-            now = _Begun(problem, point, problem.objective(point.unknowns))
+            problem = self.quiet.problem.with_levels(self._levels(place, size))
+            unknowns = np.concatenate([others, problem.levels.vector(problem.levels.noise)])
+            now = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
             if best is not None and not now.objective < best.objective:
                 return best
             best, size = now, 10.0 * size
