@@ -592,17 +592,12 @@ def test_reload_in_mid_job_waits_for_the_same_job(ship: Path) -> None:
     """A job goes on while the browser is away, and its result is found by the same address."""
     from oed_sysid.app.visit import desk
 
-    app = opened(ship)
-    records_for(app, "Training").set_value(["turning_circle"]).run()
-    app = at_fit(app)
-    assert not text_of(app)
-    app.button(key="ask:fit").click().run()
-    (job,) = [j for (who, key), j in desk()._jobs.items()
-              if who == app.session_state["study"] and key.startswith("fit ")]  # fmt: skip
-    again = at_fit(reopened(app, ship))
-    assert "parameters estimated" in text_of(again)
-    assert job.state == "done"
-    assert job in desk()._jobs.values()
+    app = following(opened(ship))
+    mine = [j for (who, _), j in desk()._jobs.items() if who == app.session_state["study"]]
+    again = fine(checked(reopened(app, ship)))
+    assert "agree with each other" in text_of(again)
+    assert [job.state for job in mine] == ["done"]
+    assert mine[0] in desk()._jobs.values()
 
 
 def test_two_tabs_are_two_studies(ship: Path) -> None:

@@ -263,25 +263,16 @@ def test_advice_on_noise_names_the_option(ferry: Path, tmp_path: Path, capsys) -
     assert main([*line, "--no-noise"]) == DONE
 
 
-@pytest.fixture(scope="module")
-def logs(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
-    """A folder with two good logs, and one with the pitch turned round."""
+def test_suspect_log_ends_with_4_report_page_and_copies(tmp_path: Path, capsys) -> None:
+    """A wrong sign ends with 4, names the line, and its corrected copies pass."""
     problem = load_problem("remus_diving_plane")
-    rng = np.random.default_rng(8)
-    good, bad = tmp_path_factory.mktemp("good"), tmp_path_factory.mktemp("bad")
-    for name in ("zigzag_5_5", "zigzag_10_10"):
-        record = simulate(problem.model, problem.experiments[name], rng=rng)
-        write_csv(record, good / f"{name}.csv")
-        outputs = np.array(record.outputs)
-        outputs[:, problem.model.output_names.index("theta")] *= -1.0
-        write_csv(record.with_outputs(outputs), bad / f"{name}.csv")
-    return good, bad
-
-
-def test_suspect_logs_exit_1_with_report_page_and_copies(logs, tmp_path, capsys) -> None:  # type: ignore[no-untyped-def]
-    """A wrong sign ends with 1, names the line, and its corrected copies pass."""
+    run = problem.experiments["zigzag_10_10"]
+    record = simulate(problem.model, run, rng=np.random.default_rng(8))
+    turned = np.where(np.array(problem.model.output_names) == "theta", -1.0, 1.0)
+    log = tmp_path / "zigzag.csv"
+    write_csv(record.with_outputs(turned * record.outputs), log)
     plain, page, fixed = tmp_path / "check.json", tmp_path / "check.html", tmp_path / "fixed"
-    command = ["check", "remus_diving_plane", str(logs[1]), "--json", str(plain)]
+    command = ["check", "remus_diving_plane", str(log), "--json", str(plain)]
     assert main([*command, "--html", str(page), "--fix", str(fixed)]) == 4
     said = capsys.readouterr()
     assert 'Output("theta", "rad", sign=-1)' in said.out

@@ -88,7 +88,7 @@ CASES = [
     (OnlineRegression(method="forgetting", forgetting=0.998), 5e-3, None, 0),
     (GibbsRegression(rule="simpson", n_draws=300), 5e-3, None, 0),
     (GibbsRegression(rule="simpson", n_draws=2000, draw="coordinate"), 1e-2, None, 0),
-    (DifferentialSwarm(n_particles=40, n_generations=120), 1e-3, None, 0),
+    *slow((DifferentialSwarm(n_particles=40, n_generations=120), 1e-3, None, 0)),
     (DifferentialEvolution(n_particles=30, n_generations=80), 1e-3, None, 0),
     (CovarianceMatrixAdaptation(n_generations=120), 1e-3, None, 0),
     (ParticleSwarm(n_particles=30, n_generations=80), 1e-2, None, 0),
