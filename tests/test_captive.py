@@ -143,7 +143,7 @@ def test_one_bollard_pull_is_enough_for_a_record() -> None:
     ("changes", "error", "words"),
     [
         ({"motions": {"w": [0.1]}}, ModelError, "no velocity of an axis"),
-        ({"inputs": {}}, ModelError, "what the input 'delta' was"),
+        ({"inputs": {}}, ModelError, "lack the input 'delta'"),
         ({"forces": {"K": [1.0]}}, ModelError, "no axis"),
         ({"inputs": {"delta": [0.1, 0.2]}}, DataError, "one value per test"),
         ({"motions": {"v": [np.nan]}}, DataError, "not finite"),

@@ -13,7 +13,6 @@ from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
 
 from oed_sysid import Dataset, Model, MultipleShooting, Parameter, Record, Solver, simulate_inputs
 from oed_sysid.compiled.kernels import Kernel
-from oed_sysid.compiled.normal_equations import eliminate, gather
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.gauss_newton import (
     Convergence,
@@ -29,7 +28,7 @@ from oed_sysid.likelihood.gauss_newton import (
 )
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.unknowns import Limits
-from oed_sysid.likelihood.windows import CONTROL, Windows, climb
+from oed_sysid.likelihood.windows import CONTROL, Windows, climb, eliminate
 
 FREE = np.full(4, np.inf)
 
@@ -291,7 +290,7 @@ def test_sums_are_those_of_the_sensitivities(length: int, compiled: bool) -> Non
     nodes = np.tile([1.5, 0.0, 0.02, -0.01, 10.0], (len(starts), 1))
     nodes[:, 1] = 0.01 * np.arange(len(starts))
     values = 0.8 * model.value_vector
-    blocks = gather(
+    blocks = Kernel.gather(
         kernel, times, inputs, values, nodes, outputs, SIGMA, starts=starts, linked=True
     )
     run = kernel.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
@@ -314,7 +313,7 @@ def test_segments_without_ends_have_the_same_sums() -> None:
     starts = np.arange(0, len(times), 4, dtype=np.intc)
     nodes = np.nan_to_num(outputs[starts])
     both = [
-        gather(
+        Kernel.gather(
             Kernel(model),
             times,
             inputs,
@@ -335,7 +334,7 @@ def test_segments_without_ends_have_the_same_sums() -> None:
 def test_explosion_is_said(compiled: bool) -> None:
     """A trajectory that diverges gives None."""
     model, record = yaw_model().with_values({"alpha": -1e12}), yaw_data(1)[0]
-    blocks = gather(
+    blocks = Kernel.gather(
         Kernel(model, compiled=compiled),
         record.times,
         record.inputs,

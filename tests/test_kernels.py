@@ -447,7 +447,7 @@ def test_changed_source_is_another_library(tmp_path: Path, monkeypatch: pytest.M
 def test_models_depend_on_their_own_source_only() -> None:
     """The name of a model's library depends on the C files it may include and on no other."""
     native = ROOT / "oed_sysid" / "compiled"
-    included = set(re.findall(r'"(\w+\.c)"', (native / "generate.py").read_text()))
+    included = set(re.findall(r'"(\w+\.c)"', (native / "compile.py").read_text()))
     included &= {path.name for path in native.glob("*.c")}
     counted = {Path(name).name for name in compiling._GENERATOR if name.endswith(".c")}
     assert counted == included == {"trajectory.c", "filter.c"}

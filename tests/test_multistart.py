@@ -98,7 +98,7 @@ def test_priors_count_among_starts(data: Dataset) -> None:
 
 def test_mistakes_are_answered() -> None:
     """Too few starts, no span and nothing to estimate."""
-    with pytest.raises(ModelError, match="Give 2 or more"):
+    with pytest.raises(ModelError, match="2 or more"):
         Multistart(n_starts=1)
     with pytest.raises(ModelError, match="positive"):
         Multistart(span=0.0)

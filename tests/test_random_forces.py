@@ -21,7 +21,7 @@ from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.prediction import unknown_series
-from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
+from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, Start, score_test
 from oed_sysid.likelihood.shooting import Shooting
 from oed_sysid.likelihood.windows import Windows
 from oed_sysid.physics import Parameter, Sensor
@@ -39,7 +39,8 @@ def score_of(data: Dataset, model: Model = SHIP, *, colour: bool = True) -> Scor
     places = chosen_places(model, "all")
     declared = np.zeros(len(fit.sigma), dtype=bool)
     setting = Setting(data, places, fit.sigma, declared, colour=colour)
-    return score_test(fit.model, data, setting, fit.initial_states, fit.local_values)
+    start = Start({}, fit.initial_states, fit.local_values)
+    return score_test(fit.model, setting, start)
 
 
 @pytest.mark.parametrize("count", [10, *slow(40)])

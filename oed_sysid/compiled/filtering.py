@@ -371,10 +371,12 @@ class InterpretedFilter:
         self.chosen = len(self.z) + chosen
         self.inside = [*range(n_active), *range(self.na, self.size)]
         nx, nl = first.shape[1], len(levels)
-        self.big_x, self.p = np.zeros((self.size, nx)), np.zeros((self.size, self.size))
-        self.big_x[: self.na] = first
+        # Derivatives of the mean by columns, whose gain is frozen, then by levels.
+        self.d_mean, self.p = np.zeros((self.size, nx + nl)), np.zeros((self.size, self.size))
+        self.d_mean[: self.na, :nx] = first
+        self.own = slice(nx - len(chosen), nx)
         self.p[self.extra, self.extra] = np.diag(self.tail)
-        self.d_p, self.d_m = np.zeros((nl, self.size, self.size)), np.zeros((nl, self.size))
+        self.d_p = np.zeros((nl, self.size, self.size))
         for level, (kind, index) in enumerate(levels):
             if kind in VARIANCES:
                 unit = np.diag(self._touched(kind, index).astype(float))
@@ -448,7 +450,7 @@ class InterpretedFilter:
         y, _, dy, _ = self.code.sample(self.z, record, k, self.values)
         if found.moves is not None:
             found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
-        nx, nl, n_p = self.big_x.shape[1], len(self.levels), len(self.chosen)
+        width = self.d_mean.shape[1]
         delta, second = np.zeros(self.size), np.zeros(noise.n_second)
         # One scalar after the other: white noises of two sensors are independent.
         for i in range(len(y)):
@@ -459,13 +461,11 @@ class InterpretedFilter:
             found.variances[k, i] = s
             if not s > 0:
                 return False
-            # de = -h' X - dy/dp by columns, -h' dm by levels, and e itself behind them.
-            row = np.zeros(nx + nl + 1)
-            row[nx - n_p : nx] = -dy[i, self.chosen]
-            row[:nx] -= h @ self.big_x
-            row[nx:-1] = -self.d_m @ h
+            # de = -h' dm - dy/dp, and e itself behind them.
+            row = np.append(-h @ self.d_mean, 0.0)
+            row[self.own] -= dy[i, self.chosen]
             if found.rows is not None:
-                found.rows[k, i, : nx + nl] = row[:-1] / np.sqrt(s)
+                found.rows[k, i, :width] = row[:-1] / np.sqrt(s)
             if not np.isfinite(measured[i]):
                 continue
             row[-1] = e = float(measured[i] - y[i] - h @ delta - h[m:] @ self.mean[m:])
@@ -474,7 +474,7 @@ class InterpretedFilter:
             delta += g * e / s
             q = self._corrected(i, h, g, s, row)
             if found.rows is not None:
-                found.rows[k, i, nx + nl :] = q
+                found.rows[k, i, width:] = q
             if found.gains is not None:
                 found.gains[k, i] = h[self.inside], g[self.inside] / s
             found.innovations[k, i] = e
@@ -486,13 +486,13 @@ class InterpretedFilter:
         self, output: int, h: np.ndarray, g: np.ndarray, s: float, row: np.ndarray
     ) -> np.ndarray:
         """Covariance, columns, tangents and sums after one scalar; ``q`` of the levels."""
-        nx, e = self.big_x.shape[1], row[-1]
+        e = row[-1]
         own = [kind == WHITE_VARIANCE and index == output for kind, index in self.levels]
         # With g = P h: dS = h' dP h + dr, and dK = (dP h - q g) / S.
         d_g = self.d_p @ h
         q = (d_g @ h + np.array(own, dtype=float)) / s
-        self.big_x += np.outer(g, row[:nx]) / s
-        self.d_m += ((d_g - np.outer(q, g)) * e + np.outer(row[nx:-1], g)) / s
+        self.d_mean += np.outer(g, row[:-1]) / s
+        self.d_mean[:, self.own.stop :] += (d_g - np.outer(q, g)).T * e / s
         # d(g g' / S) = (dg g' + g dg' - q g g') / S.
         cross = d_g[:, :, None] * g
         both = cross + np.swapaxes(cross, 1, 2)
@@ -520,10 +520,8 @@ class InterpretedFilter:
             count = len(self.inside)
             before = self.found.moves[k, :count] if part[0] else np.eye(count)
             self.found.moves[k, :count] = f[np.ix_(self.inside, self.inside)] @ before
-        self.big_x = f @ self.big_x
-        self.big_x[:na, self.big_x.shape[1] - len(self.chosen) :] += s[
-            np.ix_(self.kept, self.chosen)
-        ]
+        self.d_mean = f @ self.d_mean
+        self.d_mean[:na, self.own] += s[np.ix_(self.kept, self.chosen)]
         for level in range(len(self.levels)):
             kind = self.levels[level][0]
             self._predict_level(level, f, phi, by_damping if kind == SEA_DAMPING else by_time)
@@ -537,14 +535,13 @@ class InterpretedFilter:
         kind, index = self.levels[level]
         extra = self.extra
         d_p = f @ self.d_p[level] @ f.T
-        self.d_m[level] = f @ self.d_m[level]
         if kind in VARIANCES:
             unit = np.diag(self._touched(kind, index).astype(float))
             d_p[extra, extra] += unit - phi @ unit @ phi.T
         elif kind != WHITE_VARIANCE:
             # Of a time or damping: d(F P F' + Q) by dPhi, mean and covariance as before the step.
             change = np.where(self._touched(kind, index)[:, None], d_phi, 0.0)
-            self.d_m[level, extra] += change @ self.mean[extra]
+            self.d_mean[extra, self.own.stop + level] += change @ self.mean[extra]
             moved = change @ (self.p[extra] @ f.T)
             d_p[extra] += moved
             d_p[:, extra] += moved.T
@@ -574,17 +571,16 @@ class FilterKernel(Kernel):
     def __reduce__(self) -> tuple[Callable[[Model], FilterKernel], tuple[Model]]:
         return filter_kernel, (self.model,)
 
-    def part(self, model: Model, own: np.ndarray | None) -> Kernel | None:
+    def part(self, model: Model, own: np.ndarray) -> Kernel | None:
         """Trajectories of a smaller model by the same library; None where nothing is compiled.
 
         Parameters
         ----------
         model : Model
             Without some effects, whose absence is their default.
-        own : ndarray of int (n_full,) or None
-            Components of the full state that it has; None for all.
+        own : ndarray of int (n_full,)
+            Components of the full state that it has.
         """
-        own = np.arange(self.n_full) if own is None else own
         return None if self.library is None else _Part(self, self.library, model, own)
 
     def filter(

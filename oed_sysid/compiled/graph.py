@@ -223,6 +223,14 @@ def _chain(effects: Iterable[Effect], stage: str) -> list[Effect]:
     return [effect for effect in effects if effect.stage == stage]
 
 
+def _actuators(model: Model) -> tuple[list[Effect], list[Effect]]:
+    """Those that act sample by sample, and those that move with the vehicle."""
+    found: tuple[list[Effect], list[Effect]] = [], []
+    for effect in _chain(model.effects, "actuator"):
+        found[not is_sampled(model, effect)].append(effect)
+    return found
+
+
 def _apply(effect: Effect, scope: Scope, tables: Mapping) -> tuple[Scope, Scope]:
     """Evaluate definitions and terms of a signal effect; all read the old values."""
     local = dict(scope)
@@ -250,8 +258,7 @@ def _build(model: Model) -> Graph:
     p, x, command = (_vertcat(part.values()) for part in (parameters, states, inputs))
 
     # Actuators: sampled, with memory; those with states of their own move with the vehicle.
-    actuators = _chain(model.effects, "actuator")
-    sampled = [effect for effect in actuators if is_sampled(model, effect)]
+    sampled, lasting = _actuators(model)
     scope = inputs | always
     ideal = {name: to_casadi(text, scope, tables) for name, text in model.actuator_signals.items()}
     acting = _Sampled.of(sampled, scope, ideal, tables)
@@ -264,7 +271,6 @@ def _build(model: Model) -> Graph:
 
     # Motion between the samples.
     drive = _symbols(acting.signals)
-    lasting = [effect for effect in actuators if not is_sampled(model, effect)]
     motion = _Motion.of(model, states, states | drive | always, lasting)
     d = _vertcat(drive.values())
     speeds = _vertcat(motion.speeds.values())
@@ -361,10 +367,9 @@ class _Motion:
             rates |= {state.name: to_casadi(state.rate, local, tables) for state in effect.states}
             scope = scope | new
         scope = _with_flow(model, scope)
-        rates |= {name: to_casadi(text, scope, tables) for name, text in model.kinematics.items()}
         forces, sensed = _forces(model, scope, rates)
-        for name in model.kinematics:
-            rates[name] = rates[name] + forces.get(name, ca.SX(0))
+        for name, text in model.kinematics.items():
+            rates[name] = to_casadi(text, scope, tables) + forces.get(name, ca.SX(0))
         speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
         balance = {name: speeds[name] - rates[name] for name in rates}
         accelerations, momentum = _momentum(model, scope, forces, tables, speeds)
@@ -423,8 +428,7 @@ def _momentum(
     """
     if not model.axes:
         return {}, {}
-    axes = list(model.axes)
-    velocities = list(model.axes.values())
+    axes, velocities = list(model.axes), list(model.axes.values())
     mass = ca.SX.zeros(len(axes), len(axes))
     stated = {axis for axis, _ in model.inertia}
     for row, axis in enumerate(axes):
@@ -437,17 +441,19 @@ def _momentum(
         row, column = axes.index(axis), velocities.index(velocity)
         mass[row, column] += to_casadi(text, scope, tables)
     right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))
-    if len(axes) <= 4:
-        accelerations = ca.inv_minor(mass) @ right
-    elif all(ca.is_equal(mass[i, j], mass[j, i], 9) for i in range(len(axes)) for j in range(i)):
-        accelerations = _solve_symmetric(mass, right)
-    else:
-        accelerations = ca.solve(mass, right)
     balance = mass @ ca.vertcat(*(speeds[velocity] for velocity in velocities)) - right
-    return (
-        {velocity: accelerations[row] for row, velocity in enumerate(velocities)},
-        {velocity: balance[row] for row, velocity in enumerate(velocities)},
-    )
+    solved = dict(zip(velocities, ca.vertsplit(_solved(mass, right)), strict=True))
+    return solved, dict(zip(velocities, ca.vertsplit(balance), strict=True))
+
+
+def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    """Solution of linear equations, by the cheapest way that the matrix allows."""
+    n = matrix.size1()
+    if n <= 4:
+        return ca.inv_minor(matrix) @ right
+    if all(ca.is_equal(matrix[i, j], matrix[j, i], 9) for i in range(n) for j in range(i)):
+        return _solve_symmetric(matrix, right)
+    return ca.solve(matrix, right)
 
 
 def _solve_symmetric(matrix: ca.SX, right: ca.SX) -> ca.SX:

@@ -7,6 +7,10 @@ data nor other values compile anything again. Without a C compiler the same
 functions run in CasADi's interpreter, slower, and this is said once.
 
 The cache folder is ``$OED_SYSID_CACHE``, or ``~/.cache/oed_sysid``.
+
+Least squares over independent segments needs of each the products of its sensitivities and
+residuals only (:meth:`Kernel.gather`). Compiled code sums them sample by sample, so that
+sensitivities are never written to memory; without a compiler NumPy forms the same sums.
 """
 
 from __future__ import annotations
@@ -55,6 +59,26 @@ class Run:
     def ok(self) -> bool:
         """Whether the whole trajectory is finite."""
         return self.failed_at < 0
+
+
+@dataclass(frozen=True, eq=False)
+class Blocks:
+    """Sums over the samples of each segment.
+
+    Attributes
+    ----------
+    gram : ndarray (n_segments, n_columns + 1, n_columns + 1)
+        Products ``[J r]' [J r]`` of scaled sensitivities, by the segment's start
+        state and the free parameters, and scaled residuals (measured minus model).
+    ends : ndarray (n_segments, n_full) or None
+        State at the next segment's first sample.
+    end_sensitivities : ndarray (n_segments, n_full, n_columns) or None
+        Its derivatives.
+    """
+
+    gram: np.ndarray
+    ends: np.ndarray | None
+    end_sensitivities: np.ndarray | None
 
 
 class Kernel:
@@ -197,6 +221,57 @@ class Kernel:
             dy[failed:] = np.nan
         return Run(y, z, dy, ends, dends, failed)
 
+    def gather(
+        self,
+        times: np.ndarray,
+        inputs: np.ndarray,
+        values: np.ndarray,
+        nodes: np.ndarray,
+        measured: np.ndarray,
+        sigma: np.ndarray,
+        *,
+        starts: np.ndarray,
+        linked: bool,
+    ) -> Blocks | None:
+        """Integrate the segments of one record and gather their normal equations.
+
+        Parameters
+        ----------
+        times, inputs, values, starts
+            As :meth:`oed_sysid.compiled.kernels.Kernel.run` takes them.
+        nodes : ndarray (n_segments, n_full)
+            Full state at the start of each segment.
+        measured : ndarray (n_times, n_outputs)
+            Measurements; NaN weighs nothing.
+        sigma : ndarray (n_outputs,)
+            Standard deviations of the noise.
+        linked : bool
+            Whether ends and their derivatives are wanted.
+
+        Returns
+        -------
+        Blocks or None
+            None where a trajectory or a sum is not finite.
+        """
+        n_segments, size = len(starts), self.n_columns + 1
+        if self.library is None:
+            run = self.run(times, inputs, values, nodes, starts=starts, sensitivities=True)
+            return _summed(run, measured, sigma, starts, linked)
+        starts = np.ascontiguousarray(starts, dtype=np.intc)
+        gram = np.empty((n_segments, size, size))
+        ends = np.empty((n_segments, self.n_full)) if linked else None
+        dends = np.empty((n_segments, self.n_full, self.n_columns)) if linked else None
+        times, inputs, values, nodes, measured, weight = doubles(
+            times, inputs, values, nodes, measured, 1.0 / sigma
+        )
+        failed = call(
+            self.library.kernel_gather, len(times), times, inputs, values, float(self.model.step),
+            n_segments, starts, nodes, measured, weight, gram, ends, dends,
+        )  # fmt: skip
+        if failed >= 0 or not np.isfinite(gram).all():
+            return None
+        return Blocks(gram, ends, dends)
+
     def simulate(
         self,
         times: np.ndarray,
@@ -227,6 +302,25 @@ class Kernel:
             return found
         chained = by_unknowns(found.output_sensitivities, dz, self.n_own)
         return replace(found, output_sensitivities=chained, end_sensitivities=None)
+
+
+def _summed(
+    run: Run, measured: np.ndarray, sigma: np.ndarray, starts: np.ndarray, linked: bool
+) -> Blocks | None:
+    """The same sums by NumPy, from a run with its sensitivities."""
+    if not run.ok or run.output_sensitivities is None:
+        return None
+    present = np.isfinite(measured)
+    scaled = np.where(present, measured - run.outputs, 0.0) / sigma
+    rows = run.output_sensitivities * (present / sigma)[:, :, None]
+    both = np.concatenate([rows, scaled[:, :, None]], axis=2)
+    with np.errstate(over="ignore", invalid="ignore"):
+        # A segment's gram is [J r]' [J r] over its own rows.
+        parts = [part.reshape(-1, both.shape[2]) for part in np.split(both, starts[1:])]
+        gram = np.array([part.T @ part for part in parts])
+    if not np.isfinite(gram).all():
+        return None
+    return Blocks(gram, run.ends, run.end_sensitivities) if linked else Blocks(gram, None, None)
 
 
 def by_unknowns(by_start: np.ndarray, dz: np.ndarray, n_own: int) -> np.ndarray:

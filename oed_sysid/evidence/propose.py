@@ -223,9 +223,7 @@ def term_scores(
     """
     passes, paths = smoothable(problem, unknowns)
     if signals is None:
-        n_full = problem.kernel.n_full
-        kept = np.arange(n_full) if problem.own is None else problem.own
-        states = [part.path[:, :n_full][:, kept] for part in passes]
+        states = [part.path[:, problem.own] for part in passes]
         signals = signals_along(problem.model, problem.dataset, states)
     dictionary = terms(problem.model, signals.signals)
     matrix, right = problem.gathered(unknowns, passes)

@@ -180,7 +180,7 @@ class Study:
         kernel = _kernel(model, effects, setting)
         plain, end = _white_fit(model, train)
         starts = [_nominal_start(model, train, white), *([] if end is None else [end])]
-        test = _best_test(model, train, setting, starts, kernel)
+        test = _best_test(model, setting, starts, kernel)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
         study = cls(
@@ -548,18 +548,13 @@ def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
 
 
 def _best_test(
-    model: Model,
-    train: Dataset,
-    setting: Setting,
-    starts: Sequence[Start],
-    kernel: FilterKernel,
+    model: Model, setting: Setting, starts: Sequence[Start], kernel: FilterKernel
 ) -> ScoreTest:
     """Levels to begin with: from the last start, the fitted one, where the model runs there."""
     tests, errors = [], []
     for start in reversed(starts):
-        at = model.with_values(dict(start.values))
         try:
-            tests.append(score_test(at, train, setting, start.initial, start.local, kernel))
+            tests.append(score_test(model, setting, start, kernel))
         except SimulationError as error:
             errors.append(error)
         if tests and np.isfinite(tests[-1].gain):

@@ -211,6 +211,8 @@ def _check_names(cls: type, entries: Mapping[str, Any], place: str) -> None:
             raise _damage(place, f"a {cls.__name__} without its {key}")
 
 
+# What is said of files that nobody can use, and what mends them.
+DAMAGED, AGAIN = "is damaged, or was changed by hand:", "Use a copy of it, or make it again."
 _DTYPES = ("float64", "float32", "int64", "int32", "bool")
 
 
@@ -264,10 +266,7 @@ def _is_length(number: object) -> bool:
 
 def _damage(place: str, found: str) -> DataError:
     """Error about something that :func:`encode` does not write."""
-    return DataError(
-        f"The file is damaged, or was changed by hand: it holds {found}{_at(place)}. Use a copy "
-        "of it, or make it again."
-    )
+    return DataError(f"The file {DAMAGED} it holds {found}{_at(place)}. {AGAIN}")
 
 
 def _finite(item: Any) -> Any:
@@ -353,47 +352,49 @@ def read_result(path: str | Path, kind: str) -> tuple[Any, dict[str, Any]]:
         If the file is missing, damaged, or something else; the message says which.
     """
     data = read_json(path)
+    if _is_of_format_1(data):
+        return data["fit"], {}
+    fault = next(_faults_of_head(data, kind), None)
+    if fault is not None:
+        raise DataError(f"{path} {fault}")
+    return data["content"], data["made"]
+
+
+def _is_of_format_1(data: Any) -> bool:
+    """Whether this is what version 0.1 wrote: a fit without a head."""
+    if not isinstance(data, dict) or type(data.get("format")) is not int:
+        return False
+    return data["format"] == 1 and "fit" in data
+
+
+def _faults_of_head(data: Any, kind: str) -> Iterator[str]:
+    """What a saved result of a kind does not have, one after the other; the first is grave."""
     wanted = (
         "Expected what fit.save(), or --save of `oed-sysid fit` and `oed-sysid improve`, writes "
         f"({kind})."
     )
     if not isinstance(data, dict):
-        raise DataError(f"{path} holds a {_WORDS[type(data)]}, not a saved result. {wanted}")
-    if data.get("format") is None:
-        raise DataError(_foreign(path, data, wanted))
-    if type(data["format"]) is int and data["format"] == 1 and "fit" in data:
-        return data["fit"], {}
-    _check_head(path, data, wanted)
-    if data["kind"] != kind:
-        raise DataError(f"{path} holds a {data['kind']!r:.40}, expected a {kind}.")
-    if _digest(data["content"]) != data["sha256"]:
-        raise DataError(
-            f"{path} is damaged, or was changed by hand: its content does not have the digest that "
-            "was written with it. Use a copy of it, or make it again."
-        )
-    return data["content"], data["made"]
-
-
-def _check_head(path: str | Path, data: Mapping[str, Any], wanted: str) -> None:
-    """Raise :class:`DataError` unless a result is of this format and says who made it."""
-    version, made = data["format"], data.get("made", {})
+        yield f"holds a {_WORDS[type(data)]}, not a saved result. {wanted}"
+    version, made = data.get("format"), data.get("made", {})
+    if version is None:
+        yield _foreign(data, wanted)
     if type(version) is not int or version < 1:
-        raise DataError(f"{path} is of format {version!r:.40}, which is none. {wanted}")
+        yield f"is of format {version!r:.40}, which is none. {wanted}"
     if version > FORMAT:
         by = made.get("version", "?") if isinstance(made, dict) else "?"
-        raise DataError(
-            f"{path} is of format {version}, written by oed_sysid {by!s:.20}. This is "
-            f"{__version__}, which reads formats up to {FORMAT}: update it."
+        yield (
+            f"is of format {version}, written by oed_sysid {by!s:.20}. This is {__version__}, "
+            f"which reads formats up to {FORMAT}: update it."
         )
-    needed = ("fit",) if version < FORMAT else ("kind", "made", "sha256", "content")
-    for key in needed:
+    for key in ("fit",) if version < FORMAT else ("kind", "made", "sha256", "content"):
         if key not in data:
-            raise DataError(
-                f"{path} is of format {version} but has no {key!r}: "
-                "a part of it is missing. Use a copy of it, or make it again."
-            )
+            yield f"is of format {version} but has no {key!r}: a part of it is missing. {AGAIN}"
     if not isinstance(made, dict):
-        raise DataError(f"{path} does not say who made it: its 'made' is no object. {wanted}")
+        yield f"does not say who made it: its 'made' is no object. {wanted}"
+    if data["kind"] != kind:
+        yield f"holds a {data['kind']!r:.40}, expected a {kind}."
+    if _digest(data["content"]) != data["sha256"]:
+        yield f"{DAMAGED} its content does not have the digest that was written with it. {AGAIN}"
 
 
 def decode_result(path: str | Path, kind: str, classes: Iterable[type]) -> Any:
@@ -420,10 +421,7 @@ def check_fit(fit: Estimate, where: str) -> None:
     """
     fault = next(_faults(fit), None)
     if fault is not None:
-        raise DataError(
-            f"{where} is damaged, or was changed by hand: it holds {fault}. Use a copy of it, or "
-            "make it again."
-        )
+        raise DataError(f"{where} {DAMAGED} it holds {fault}. {AGAIN}")
 
 
 def _faults(fit: Estimate) -> Iterator[str]:
@@ -483,7 +481,7 @@ def read_json(path: str | Path) -> Any:
         cut = " It ends in the middle: the file was cut." if error.pos >= len(text) - 1 else ""
         raise DataError(
             f"{path} is no saved fit, nor any JSON: line {error.lineno}, column {error.colno}: "
-            f"{error.msg}.{cut} Use a copy of it, or make it again."
+            f"{error.msg}.{cut} {AGAIN}"
         ) from None
     except RecursionError:
         raise DataError(f"{path} is nested too deeply to be a saved result.") from None
@@ -505,7 +503,7 @@ def _text_of(path: str | Path) -> str:
     except OSError as error:
         raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
     if not raw.strip():
-        raise DataError(f"{path} is empty. Use a copy of it, or make it again.")
+        raise DataError(f"{path} is empty. {AGAIN}")
     try:
         return raw.decode("utf-8-sig")
     except UnicodeDecodeError:
@@ -518,20 +516,22 @@ _WORDS = {list: "list", str: "text", int: "number", float: "number", bool: "trut
 _WORDS[type(None)] = "null"
 
 
+_BEGINNINGS = {
+    b"PK": "a ZIP or Excel file",
+    b"\x89PNG": "a picture",
+    b"\x80": "a Python pickle",
+    b"\x1f\x8b": "a compressed file (unpack it first)",
+    b"\xff\xfe": "UTF-16 text",
+    b"\xfe\xff": "UTF-16 text",
+    b"\x89HDF": "an HDF5 file",
+    b"MATLAB": "a MATLAB file",
+}
+
+
 def _likely(raw: bytes) -> str:
-    for start, words in (
-        (b"PK", "a ZIP or Excel file"),
-        (b"\x89PNG", "a picture"),
-        (b"\x80", "a Python pickle"),
-        (b"\x1f\x8b", "a compressed file (unpack it first)"),
-        (b"\xff\xfe", "UTF-16 text"),
-        (b"\xfe\xff", "UTF-16 text"),
-        (b"\x89HDF", "an HDF5 file"),
-        (b"MATLAB", "a MATLAB file"),
-    ):
-        if raw.startswith(start):
-            return words
-    return "binary data"
+    return next(
+        (words for start, words in _BEGINNINGS.items() if raw.startswith(start)), "binary data"
+    )
 
 
 def is_numbers_of_fit(data: Any) -> bool:
@@ -539,18 +539,18 @@ def is_numbers_of_fit(data: Any) -> bool:
     return isinstance(data, dict) and {"parameters", "estimator", "covariance"} <= set(data)
 
 
-def _foreign(path: str | Path, data: Mapping[str, Any], wanted: str) -> str:
+def _foreign(data: Mapping[str, Any], wanted: str) -> str:
     """Say what a JSON object without a format is."""
     if is_numbers_of_fit(data):
         return (
-            f"{path} holds the numbers of a fit, as --json writes them, without model and data. "
-            "Repeat the fit with --save FILE and give that file."
+            "holds the numbers of a fit, as --json writes them, without model and data. Repeat the "
+            "fit with --save FILE and give that file."
         )
     if isinstance(data.get("oed_sysid"), dict):
         command = data["oed_sysid"].get("command", "")
-        return f"{path} holds what --json of `{command!s:.80}` wrote, not a saved fit. {wanted}"
+        return f"holds what --json of `{command!s:.80}` wrote, not a saved fit. {wanted}"
     keys = ", ".join(f"{key!r:.30}" for key in list(data)[:5]) or "nothing"
-    return f"{path} does not hold a saved fit but an object with {keys}. {wanted}"
+    return f"does not hold a saved fit but an object with {keys}. {wanted}"
 
 
 def _digest(content: Any) -> str:

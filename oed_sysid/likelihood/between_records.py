@@ -84,7 +84,7 @@ import numpy as np
 from scipy.special import chdtrc, stdtrit
 
 from oed_sysid.data.record import Record
-from oed_sysid.likelihood.projection import NOTHING
+from oed_sysid.likelihood.projection import coordinates
 
 # Records from which on their scatter tells something: three degrees of freedom.
 FEWEST_RECORDS = 4
@@ -92,8 +92,7 @@ FEWEST_RECORDS = 4
 CHANCE = 0.01
 # Standard deviations that are wrong by a smaller factor are not worth a word.
 WORTH_TELLING = 1.5
-# Share of the joint information in a direction below which a source tells nothing of it, and
-# squared part in an unseen direction from which on an unknown is not determined.
+# Share of the joint information in a direction below which a source tells nothing of it.
 TOLD = 1e-6
 
 
@@ -239,14 +238,14 @@ class Sources:
         whole = self.matrices.sum(axis=0)
         scale = np.sqrt(np.maximum(np.diag(whole), 0.0))
         alone = scale == 0
-        onto, _ = _coordinates(whole)
+        onto, _ = coordinates(whole)
         inverse = onto @ onto.T
         step = inverse @ self.scores.sum(axis=0)
         moved, shares = np.empty((n, size)), np.empty((n, size))
         for index, (matrix, score) in enumerate(
             zip(self.matrices[1:], self.scores[1:], strict=True)
         ):
-            onto, blind = _coordinates(whole - matrix, scale)
+            onto, blind = coordinates(whole - matrix, scale)
             without, alone = onto @ onto.T, alone | blind
             moved[index] = without @ (score - matrix @ step)
             shares[index] = np.diag(without @ matrix @ inverse)
@@ -298,7 +297,7 @@ class Sources:
             matrices = shrink @ matrices
             matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
             scores = (shrink @ scores[..., None])[..., 0]
-        onto, _ = _coordinates(matrices.sum(axis=0))
+        onto, _ = coordinates(matrices.sum(axis=0))
         shares = onto.T @ matrices @ onto
         slopes = scores @ onto
         slopes = slopes - (shares @ slopes.sum(axis=0)[:, None])[..., 0]
@@ -317,7 +316,7 @@ class Sources:
     def _grown(self, stated: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Information and scores of the records where errors are as a covariance states."""
         whole = self.matrices.sum(axis=0)
-        onto, _ = _coordinates(whole)
+        onto, _ = coordinates(whole)
         back = whole @ onto  # the transposed inverse, where anything is told
         grown, axes = np.linalg.eigh(back.T @ np.where(np.isfinite(stated), stated, 0.0) @ back)
         less = (axes / np.sqrt(np.maximum(grown, 1.0))) @ axes.T
@@ -334,38 +333,12 @@ class Sources:
         Zero where the others, or it alone, do not tell a parameter.
         """
         whole = self.matrices.sum(axis=0)
-        told = (_coordinates(one)[0] for one in (whole - self.matrices[index], whole))
+        told = (coordinates(one)[0] for one in (whole - self.matrices[index], whole))
         left, joint = (onto @ onto.T for onto in told)
         moved = left @ self.scores[index]
         variance = np.diag(left) - np.diag(joint)
         usable = variance > TOLD * np.diag(joint)
         return np.where(usable, moved / np.sqrt(np.where(usable, variance, 1.0)), 0.0)
-
-
-def _coordinates(
-    information: np.ndarray, scale: np.ndarray | None = None
-) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates in which an information is the identity, where it tells anything.
-
-    Parameters
-    ----------
-    information : ndarray (n, n)
-    scale : ndarray (n,), optional
-        Units of its directions; by default the roots of its diagonal.
-
-    Returns
-    -------
-    onto : ndarray (n, n_told)
-        Its product with its transpose is the pseudo-inverse.
-    blind : ndarray of bool (n,)
-        Which unknowns have a part in directions of which nothing is told.
-    """
-    scale = np.sqrt(np.maximum(np.diag(information), 0.0)) if scale is None else scale
-    scale = np.where(scale > 0, scale, 1.0)
-    values, vectors = np.linalg.eigh(information / scale[:, None] / scale)
-    clear = values > NOTHING * max(float(values.max(initial=0.0)), 0.0)
-    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > TOLD
-    return vectors[:, clear] / scale[:, None] / np.sqrt(values[clear]), blind
 
 
 def sources_of(

@@ -29,7 +29,7 @@ import numpy as np
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.record import MINIMUM_SAMPLES
-from oed_sysid.errors import DataError, ModelError, UnitWarning
+from oed_sysid.errors import DataError, ModelError, UnitWarning, located
 from oed_sysid.likelihood.estimate import CaptiveErrors
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
@@ -209,16 +209,16 @@ class CaptiveTests:
             (self.inputs, model.input_names, "input"),
             (self.forces, tuple(model.axes), "axis"),
         ):
-            if wrong := sorted(set(what) - set(have)):
-                raise ModelError(
-                    f"Captive tests {self.name!r} name {wrong[0]!r}, which is no {kind} of model "
-                    f"{model.name!r}: {', '.join(have) or 'it has none'}."
-                )
-        if lacking := sorted(set(model.input_names) - set(self.inputs)):
-            raise ModelError(
-                f"Captive tests {self.name!r} do not say what the input {lacking[0]!r} was. Add it "
-                "to inputs; zero is a value too."
-            )
+            lacking = f"Captive tests {self.name!r}: model {model.name!r} has no {kind}"
+            located(ModelError, lacking, what, have)
+        advice = "Add it to inputs; zero is a value too."
+        located(
+            ModelError,
+            f"Captive tests {self.name!r} lack the input",
+            model.input_names,
+            self.inputs,
+            advice,
+        )
         if model.kinematics.keys() & set(velocities):
             raise ModelError(f"Model {model.name!r} moves a velocity without an axis.")
 

@@ -653,9 +653,9 @@ class ReducedFilter:
             return white
         weight = self.problem.limits.prior_weight
         middle = np.diag(weight[:n_shared]) + (share * weight) @ share.T
-        if self.problem.knowledge is not None:
-            middle = middle + self.problem.knowledge.information
-        middle = self._by_values(middle) + self.told.coloured(25.0 * period)
+        middle = self._by_values(middle + self.problem.knowledge.information) + self.told.coloured(
+            25.0 * period
+        )
         middle += self.told.of_tests(white, scattered=False)
         robust = sandwich(white, middle)
         least, found = np.diag(white)[finite], np.diag(robust)[finite]
@@ -674,9 +674,7 @@ class ReducedFilter:
         each = [self._of_record(index) for index in range(len(self.passes))]
         matrices, scores = zip(*each, strict=True)
         weight = limits.prior_weight[:n_shared]
-        prior = np.diag(weight / self._slopes**2)
-        if self.problem.knowledge is not None:
-            prior = prior + self._by_values(self.problem.knowledge.information)
+        prior = self._by_values(np.diag(weight) + self.problem.knowledge.information)
         away = limits.prior_mean[:n_shared] - self.unknowns[:n_shared]
         gradient = weight * away / self._slopes + np.sum(scores, axis=0)
         return sources_of(matrices, scores, prior, self.problem.records, gradient=gradient)

@@ -367,24 +367,30 @@ def other_way(fit: Estimate, nominal: Mapping[str, float]) -> tuple[OtherWay, ..
     nominal : mapping of str to float
         Values that the parameters were expected to have; zero says nothing.
     """
-    errors = dict(zip(fit.names, np.sqrt(np.diag(fit.covariance)), strict=True))
+    errors = np.sqrt(np.diag(fit.covariance))
     # Of the others the records do not say the sign, or nobody did before.
     ratios = {
         name: float(value) / nominal[name]
-        for name, value in zip(fit.names, fit.estimates, strict=True)
-        if nominal.get(name) and abs(value) > CLEARLY * errors[name]
+        for name, value, error in zip(fit.names, fit.estimates, errors, strict=True)
+        if nominal.get(name) and abs(value) > CLEARLY * error
     }
+    found = (_otherwise(fit, column, ratios, nominal) for column in range(len(fit.model.inputs)))
+    return tuple(one for one in found if one is not None)
+
+
+def _otherwise(
+    fit: Estimate, column: int, ratios: Mapping[str, float], nominal: Mapping[str, float]
+) -> OtherWay | None:
+    """How an input acts other than expected: reversed, or in another unit."""
+    channel = fit.model.inputs[column]
     loose = [name for name in fit.names if name not in ratios]
-    found = []
-    for column, channel in enumerate(fit.model.inputs):
-        for factor, unit in ((-1.0, ""), *UNITS.get(channel.unit, ())):
-            most = np.inf if factor < 0.0 else TWOFOLD
-            moved = [name for name, ratio in ratios.items() if 1.0 / most < ratio / factor < most]
-            if moved and _is_the_same(fit, column, factor, moved, loose):
-                values = {n: (float(fit.values[n]), nominal[n]) for n in moved}
-                found.append(OtherWay(channel, factor, unit, values))
-                break
-    return tuple(found)
+    for factor, unit in ((-1.0, ""), *UNITS.get(channel.unit, ())):
+        most = np.inf if factor < 0.0 else TWOFOLD
+        moved = [name for name, ratio in ratios.items() if 1.0 / most < ratio / factor < most]
+        if moved and _is_the_same(fit, column, factor, moved, loose):
+            values = {name: (float(fit.values[name]), nominal[name]) for name in moved}
+            return OtherWay(channel, factor, unit, values)
+    return None
 
 
 def _is_the_same(

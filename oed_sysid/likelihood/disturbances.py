@@ -137,19 +137,21 @@ def chosen_places(model: Model, names: Sequence[str] | str) -> tuple[Place, ...]
     """
     known = {place.name: place for place in places(model)}
     if names == "all":
-        names = [name for name, place in known.items() if place.stage == "force"]
-        if not names:
+        forces = tuple(place for place in known.values() if place.stage == "force")
+        if not forces:
             raise ModelError(
                 f"Model {model.name!r} has no equation with a parameter in which a force could "
                 "act. Name the states that are disturbed, such as disturbances=('r',)."
             )
+        return forces
     result = {}
     for name in [names] if isinstance(names, str) else names:
-        fits = [one for one in (name, f"force {name}", f"kinematics {name}") if one in known]
-        if not fits:
+        spellings = (name, f"force {name}", f"kinematics {name}")
+        found = next(filter(None, map(known.get, spellings)), None)
+        if found is None:
             raise ModelError(
                 f"There is no place {name!r} for a disturbance in model {model.name!r}. Places "
                 f"are: {', '.join(known)}."
             )
-        result[fits[0]] = known[fits[0]]
+        result[found.name] = found
     return tuple(result.values())

@@ -81,10 +81,10 @@ def check_choice(name: str, value: str, options: Iterable[str]) -> None:
         raise ModelError(f"{name} is {value!r}. Choose one of {', '.join(options)}.")
 
 
-def check_count(name: str, value: Any) -> None:
-    """Raise :class:`ModelError` where an option is no whole number from one on."""
-    if not isinstance(value, Integral) or isinstance(value, bool) or value < 1:
-        raise ModelError(f"{name} is {value!r}. Give a whole number, 1 or more.")
+def check_count(name: str, value: Any, least: int = 1) -> None:
+    """Raise :class:`ModelError` where an option is no whole number from the least on."""
+    if not isinstance(value, Integral) or isinstance(value, bool) or value < least:
+        raise ModelError(f"{name} is {value!r}. Give a whole number, {least} or more.")
 
 
 def check_positive(name: str, value: Any, advice: str, *, infinite: bool = False) -> None:

@@ -96,20 +96,20 @@ class Filtered(Posed):
         self.kernel = kernel or filter_kernel(disturbed_model(model, levels.disturbances))
         wide = self.kernel.model
         super().__init__(model, dataset, wide, known_starts, len(levels))
-        self.levels, self.knowledge = levels, knowledge
+        n = len(self.layout.shared)
+        nothing = Knowledge(np.zeros(n), np.zeros((n, n)))
+        self.levels, self.knowledge = levels, knowledge or nothing
         self.longest_hold = levels.noise.longest_hold if longest_hold is None else longest_hold
         for name in ("lower", "upper", "prior_mean", "prior_weight"):
             getattr(self.limits, name)[self.layout.levels] = getattr(levels, name)
-        if knowledge is not None:  # what other records say already holds these priors
-            self.limits.prior_weight[: len(self.layout.shared)] = 0.0
+        if self.knowledge.information.any():  # what other records say holds these priors already
+            self.limits.prior_weight[:n] = 0.0
         self.own = active_components(wide, model)
-        self.active, self.passing = self.own, np.zeros(0, dtype=int)
-        if self.own is not None:
-            both = active_components(wide, model, passing=True)
-            if any(name.startswith(f"{DISTURBANCE}actuator_") for name in levels.disturbances):
-                self.active = both  # what an uncertain command is remembered as is uncertain
-            elif both is not None:
-                self.passing = np.setdiff1d(both, self.own)
+        both = active_components(wide, model, passing=True)
+        commands = any(one.startswith(f"{DISTURBANCE}actuator_") for one in levels.disturbances)
+        # What an uncertain command is remembered as is uncertain.
+        self.active = both if commands else self.own
+        self.passing = np.setdiff1d(both, self.active)
 
     # -- points --------------------------------------------------------------------
 
@@ -184,17 +184,14 @@ class Filtered(Posed):
 
     def prior_cost(self, unknowns: np.ndarray) -> float:
         """Half the weighted sum of squares of the departures from the priors."""
-        cost = self.limits.prior_cost(unknowns)
-        if self.knowledge is not None:
-            away = unknowns[: len(self.layout.shared)] - self.knowledge.mean
-            cost += 0.5 * float(away @ self.knowledge.information @ away)
-        return cost
+        away = unknowns[: len(self.layout.shared)] - self.knowledge.mean
+        cost = 0.5 * float(away @ self.knowledge.information @ away)
+        return cost + self.limits.prior_cost(unknowns)
 
     def _add_knowledge(self, unknowns: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> None:
-        if self.knowledge is not None:
-            n = len(self.layout.shared)
-            matrix[:n, :n] += self.knowledge.information
-            right[:n] += self.knowledge.information @ (self.knowledge.mean - unknowns[:n])
+        n = len(self.layout.shared)
+        matrix[:n, :n] += self.knowledge.information
+        right[:n] += self.knowledge.information @ (self.knowledge.mean - unknowns[:n])
 
     def maps(self, point: Point, matrix: np.ndarray) -> tuple[np.ndarray, ...]:
         """How variances follow their times at a point with given equations."""
@@ -481,28 +478,17 @@ def disturbed_model(model: Model, disturbances: Sequence[str]) -> Model:
     return model + effects
 
 
-def active_components(wide: Model, model: Model, *, passing: bool = False) -> np.ndarray | None:
-    """Components of the wide model's full state that a smaller model has; None for all.
+def active_components(wide: Model, model: Model, *, passing: bool = False) -> np.ndarray:
+    """Components of the wide model's full state that a smaller model has.
 
     With ``passing`` the one memory of an absent actuator effect counts among them: where a
     command stands still, derivatives pass an absent play through what it remembers.
     """
-    if set(wide.effect_names) - set(model.effect_names) <= {
-        e.name for e in wide.effects if not (e.states or e.memory)
-    }:
-        return None
-    own = set(model.effect_names)
-    kept, position = list(range(len(wide.states))), len(wide.states)
-
-    def extend(parts: Sequence[tuple[str, int]], *, single: bool = False) -> None:
-        nonlocal position
-        for name, count in parts:
-            if name in own or (passing and single and count == 1):
-                kept.extend(range(position, position + count))
-            position += count
-
-    extend([(e.name, len(e.states)) for e in wide.effects])
+    parts = [(effect.name, len(effect.states), False) for effect in wide.effects]
     for stage in ("actuator", "sensor"):
         memories = [(e.name, len(e.memory)) for e in wide.effects if e.stage == stage]
-        extend(memories, single=stage == "actuator")
-    return np.array(kept, dtype=int)
+        parts += [(name, n, stage == "actuator" and n == 1) for name, n in memories]
+    kept = [True] * len(wide.states)
+    for name, count, single in parts:
+        kept += [name in model.effect_names or (passing and single)] * count
+    return np.flatnonzero(kept)

@@ -636,16 +636,14 @@ def _typed(content: dict[str, Any]) -> dict[str, Any]:
     """Fields of a fit, with what version 0.1 kept in ``extras`` as what it is now."""
     extras = dict(content.get("extras", {}))
     told: dict[str, Any] = {}
-    for name, field in (("nominal", "nominal"), ("excluded", "excluded"), ("horizon", "horizon"),
-                        ("tests_scatter", "tests_scatter"), ("windows", "n_windows")):  # fmt: skip
-        if name in extras:
-            told[field] = extras.pop(name)
+    for name in {"nominal", "excluded", "horizon", "tests_scatter", "windows"} & {*extras}:
+        told["n_windows" if name == "windows" else name] = extras.pop(name)
     if extras.keys() & {"disturbance_test", "process_noise_failed"}:
         delay = extras.pop("white_delay", None)
         told["process_noise"] = estimate.ProcessNoiseTest(
             extras.pop("disturbance_test", np.inf),
             extras.pop("process_noise_failed", ""),
-            None if delay is None else estimate.Delay(*(*delay, np.nan, np.nan)),
+            estimate.Delay(*(*delay, np.nan, np.nan)) if delay else None,
             tuple(estimate.ActuatorStart(*one) for one in extras.pop("white_starts", ())),
         )
     if "captive" in extras:

@@ -50,7 +50,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.normal_equations import Blocks
+from oed_sysid.compiled.kernels import Blocks
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -210,7 +210,7 @@ def gathered(shooting: Shooting, point: Point) -> Iterate | None:
 
 
 def _condensed(
-    blocks: Blocks, nodes: np.ndarray, dz0: np.ndarray, n_own: int, slopes: np.ndarray | None
+    blocks: Blocks, nodes: np.ndarray, dz0: np.ndarray, n_own: int, slopes: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
     """Products ``[J t]' [J t]`` of a record's condensed rows and closed residuals.
 
@@ -715,6 +715,8 @@ def solve_filtered(
     reason = descent.run(max_iterations, callback=callback, enough=to_and_fro)
     reason = "converged" if reason == "enough" else reason
     descent.now = descent.lowest
+    # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
+    near = ["stalled"]
     exact_control = StepControl(FEW, MOST_DAMPING)
     if reason != "interrupted" and polish and descent.refine(differentiated, exact_control):
         last = descent.run(polish, enough=lambda progress: progress.decrement < NEAR)
@@ -724,12 +726,9 @@ def solve_filtered(
             kept = replace(before, right=before.right - before.matrix @ step)
             descent.now = replace(descent.now, derive=partial(_told, kept))
         # The exact gradient has the last word, whatever the frozen one ended with.
-        if last == "interrupted":
-            reason = last
-        elif reason == "iterations" and descent.decrease < NEAR:
-            reason = "converged"
-    # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
-    if reason == "stalled" and descent.decrease < NEAR:
+        near.append("iterations")
+        reason = last if last == "interrupted" else reason
+    if reason in near and descent.decrease < NEAR:
         reason = "converged"
     now = replace(descent.now, derive=partial(_told, descent.now.equations))
     return FilteredSolution(now, descent.steps + 1, reason)

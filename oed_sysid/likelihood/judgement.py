@@ -71,7 +71,9 @@ from oed_sysid.likelihood.estimate import ActuatorStart, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
+    NORMAL,
     fast_level,
+    given_levels,
     noisy_inputs,
     signal_spread,
     spike_masks,
@@ -310,7 +312,7 @@ def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool
     if n < 20:
         return None
     # A spike is not a level: what lies beyond four deviations is left out.
-    size = max(1.4826 * float(np.median(np.abs(present))), 1e-12)
+    size = max(NORMAL * float(np.median(np.abs(present))), 1e-12)
     kept = present[np.abs(present) < 4.0 * size]
     if not len(kept):
         return None
@@ -328,11 +330,8 @@ def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool
 
 def _declared(fit: Estimate) -> np.ndarray:
     """Declared noise levels, those that the fit took where it was given others."""
-    levels = [np.nan if o.noise_std is None else o.noise_std for o in fit.model.outputs]
-    given = np.array(levels, dtype=float)
-    if fit.innovations is None:
-        return np.where(fit.sigma_estimated, given, fit.sigma)
-    return given
+    given = given_levels(fit.model.outputs)
+    return np.where(fit.sigma_estimated, given, fit.sigma) if fit.innovations is None else given
 
 
 def _peaks(fit: Estimate) -> list[Peak]:
@@ -754,23 +753,21 @@ def _records_differ(fit: Estimate) -> Iterator[Found]:
 
 def _follows(fit: Estimate) -> Iterator[Found]:
     """Parameters of records that follow the amplitude of a signal over the records."""
-    n, amplitudes = len(fit.dataset), [np.max(np.abs(r.inputs), axis=0) for r in fit.dataset]
-    sizes = {
-        name: size
-        for name, size in zip(fit.model.input_names, np.array(amplitudes).T, strict=True)
-        if np.ptp(size) > 1e-2 * np.max(size)
-    }
+    n, sizes = len(fit.dataset), {}
+    amplitudes = np.array([np.max(np.abs(record.inputs), axis=0) for record in fit.dataset])
+    for name, part in zip(fit.model.input_names, amplitudes.T, strict=True):
+        if np.ptp(part) > 1e-2 * np.max(part):
+            sizes[name] = part
     for name in fit.local_values[0] if n >= FEWEST_RECORDS and fit.local_values and sizes else ():
         values = np.array([local[name] for local in fit.local_values])
-        if not np.ptp(values) > 0:
-            continue
-        told = {signal: float(np.corrcoef(values, size)[0, 1]) for signal, size in sizes.items()}
-        signal = max(told, key=lambda one: abs(told[one]))
-        t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
-        chance = 2.0 * float(stdtr(n - 2, -t))
-        if chance * len(sizes) <= FOLLOWS_CHANCE:
-            facts = {"follows": signal, "n": n, "chance": 100 * chance}
-            yield Found(told[signal], name, facts=facts)
+        if np.ptp(values) > 0:
+            told = {one: float(np.corrcoef(values, size)[0, 1]) for one, size in sizes.items()}
+            signal = max(told, key=lambda one: abs(told[one]))
+            t = abs(told[signal]) * np.sqrt((n - 2) / max(1.0 - told[signal] ** 2, 1e-12))
+            chance = 2.0 * float(stdtr(n - 2, -t))
+            if chance * len(sizes) <= FOLLOWS_CHANCE:
+                facts = {"follows": signal, "n": n, "chance": 100 * chance}
+                yield Found(told[signal], name, facts=facts)
 
 
 # The gravest first.

@@ -125,9 +125,9 @@ class Levels:
             """Unknowns of a kind at some positions, with natural sizes or values, and bounds."""
             low, high = (np.broadcast_to(end, len(size)) for end in (low, high))
             for i in map(int, which):
-                own = (size[i] ** 2, 0.0)
+                own = (size[i] ** 2, 0.0, 0.0)
                 if kind in LOGARITHMS:
-                    own = (1.0, float(np.clip(np.log(size[i]), low[i], high[i])))
+                    own = (1.0, float(np.clip(np.log(size[i]), low[i], high[i])), VAGUE_TIME**-2.0)
                 rows.append((kind, i, low[i], high[i], *own))
 
         def add_times(kind: int, which: np.ndarray, time: np.ndarray) -> None:
@@ -154,23 +154,11 @@ class Levels:
         add(SEA_PERIOD, np.flatnonzero(free), periods, np.log(4.0 * times[0]), between[1])
         free = [sea.bandwidth is None for sea in known]
         add(SEA_DAMPING, np.flatnonzero(free), damping, *np.log(DAMPING))
-        kinds = np.array([row[0] for row in rows], dtype=int)
-        table = np.array([row[2:] for row in rows], dtype=float).reshape(len(rows), 4)
-        return cls(
-            noise,
-            unit,
-            tuple((int(row[0]), int(row[1])) for row in rows),
-            coloured,
-            (
-                *disturbances[: len(noise.force)],
-                *disturbance_names([place for sea in noise.seas for place in sea.places]),
-            ),
-            table[:, 0],
-            table[:, 1],
-            table[:, 2],
-            table[:, 3],
-            np.where(np.isin(kinds, LOGARITHMS), VAGUE_TIME**-2.0, 0.0),
-        )
+        table = np.array(rows, dtype=float).reshape(-1, 7).T
+        entries = tuple(zip(*table[:2].astype(int).tolist(), strict=True))
+        of_seas = disturbance_names([place for sea in noise.seas for place in sea.places])
+        names = (*disturbances[: len(noise.force)], *of_seas)
+        return cls(noise, unit, entries, coloured, names, *table[2:])
 
     def __len__(self) -> int:
         return len(self.entries)
@@ -364,14 +352,10 @@ class Levels:
 
     def _only(self, keep: Sequence[bool] | np.ndarray) -> Levels:
         """Some of the unknowns; the others stay at the noise model's values."""
-        return replace(
-            self,
-            entries=tuple(compress(self.entries, keep)),
-            **{
-                name: getattr(self, name)[np.array(keep, dtype=bool)]
-                for name in ("lower", "upper", "scale", "prior_mean", "prior_weight")
-            },
-        )
+        chosen = np.array(keep, dtype=bool)
+        numbers = ("lower", "upper", "scale", "prior_mean", "prior_weight")
+        kept: dict[str, Any] = {name: getattr(self, name)[chosen] for name in numbers}
+        return replace(self, entries=tuple(compress(self.entries, chosen)), **kept)
 
     def starting(self, noise: NoiseModel) -> Levels:
         """Return the same unknowns, begun elsewhere."""

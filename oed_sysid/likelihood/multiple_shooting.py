@@ -237,21 +237,18 @@ class MultipleShooting:
         initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
     ) -> Fit:
-        began = time.perf_counter()
-        shooting, estimated = self._begun(model, dataset, warm, initial_states, known_starts)
-        model = shooting.model
-        point = shooting.warm_point(warm if initial_states is None else None)
+        task = self._task(model, dataset, warm, initial_states, known_starts)
+        model = task.model
+        point = task.shooting.warm_point(warm if initial_states is None else None)
         wanted = self._wants_process_noise(model, dataset)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
-        carried = _carried(shooting, point, warm) if wanted else None
-        how = Procedure(self.name, estimated, 0, began, self.coloured)
-        task = _Task(model, shooting, known_starts, how)
+        carried = _carried(task.shooting, point, warm) if wanted else None
         end = self._without_process_noise(task, point, carried, wanted=wanted)
         fit = white = self._summary(task, end, weighed=not wanted)
         disturbed = None
         if fit.status.code != "interrupted":
-            fit = self._without_spikes(fit, model, known_starts)
+            fit = self._without_spikes(fit, task)
             fit, disturbed = self._disturbed(fit, task, carried) if wanted else (fit, None)
         if disturbed is not None:
             disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
@@ -260,20 +257,18 @@ class MultipleShooting:
                 return disturbed
             fit = _failed(fit, code)
         fit = _judged(self._weighed(fit, white, task, end) if wanted else fit, model)
-        if disturbed is None or fit.status.code not in FAILED:
-            return fit
-        # Where it is no better without process noise.
-        return disturbed if np.isfinite(disturbed.estimates).all() else fit
+        return fit if disturbed is None else _either(fit, disturbed)
 
-    def _begun(
+    def _task(
         self,
         model: Model,
         dataset: Dataset,
         warm: Fit | None,
         initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
-    ) -> tuple[Shooting, np.ndarray]:
-        """The problem without process noise, and which levels of white noise are unknown."""
+    ) -> _Task:
+        """The problem without process noise, and what is known of it."""
+        began = time.perf_counter()
         check_channels(model, dataset)
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
@@ -289,15 +284,11 @@ class MultipleShooting:
         shooting.check_enough_samples()
         if self.horizon is not None:
             check_horizon(shooting, self.horizon)
-            if known_starts is not None and known_starts.of_series(dataset):
-                raise ModelError(
-                    "start_states are those of whole records; windows of a horizon begin from "
-                    "states of their own. Drop one of the two."
-                )
         if self.solver.method == "ipopt":
             every = [np.arange(len(r.times), dtype=np.intc) for r in shooting.records]
             shooting = shooting.having(starts=tuple(every))
-        return shooting, estimated
+        how = Procedure(self.name, estimated, 0, began, self.coloured)
+        return _Task(shooting.model, shooting, known_starts, how)
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
         """Whether process noise is to be tested for or estimated."""
@@ -344,45 +335,42 @@ class MultipleShooting:
             end = _after(again or end, end)
         return replace(self._summary(task, end), process_noise=fit.process_noise)
 
-    def _without_spikes(self, fit: Fit, model: Model, known_starts: KnownStarts | None) -> Fit:
+    def _without_spikes(self, fit: Fit, task: _Task) -> Fit:
         """Fit again without samples that stand out alone, and how many of how many they were."""
         if self.loss != "auto" or self.horizon is not None:
             return fit
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
+        before, spent = _measured(fit.dataset), [fit.iterations]
+
+        def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
+            found = way._fit(task.model, dataset, earlier, None, task.known_starts)
+            spent.append(found.iterations)
+            return found
 
         def without(again: Fit) -> Fit:
             for _ in range(4):  # large ones hide small ones
                 left = _left(again, before)
                 if left is None:
                     break
-                again = looking._fit(model, left, again, None, known_starts)
-                spent.append(again.iterations)
+                again = again_by(looking, left, again)
             return again
 
-        before, spent = _measured(fit.dataset), [fit.iterations]
         again = without(fit)
         if not (fit.status.ok or _is_white(again)):
             # Bent so far that none shows, or by process noise, which no samples take away: first
             # steps that outliers do not bend tell which.
             few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
-            begun = replace(looking, solver=few)
-            robust = begun._fit(model, fit.dataset, None, None, known_starts)
-            spent.append(robust.iterations)
-            robust = without(robust)
-            fewer = np.any(_measured(robust.dataset) < before)
-            again = robust if fewer and _is_white(robust) else again
+            robust = without(again_by(replace(looking, solver=few), fit.dataset, None))
+            if np.any(_measured(robust.dataset) < before) and _is_white(robust):
+                again = robust
         if again is fit:
             return fit
-        again = plain._fit(model, again.dataset, again, None, known_starts)
-        spent.append(again.iterations)
-        pairs = zip(before.tolist(), _measured(again.dataset).tolist(), strict=True)
-        counts = {
-            name: (n - m, n)
-            for name, (n, m) in zip(model.output_names, pairs, strict=True)
-            if m < n
-        }
+        again = again_by(plain, again.dataset, again)
+        left = _measured(again.dataset)
+        rows = zip(task.model.output_names, (before - left).tolist(), before.tolist(), strict=True)
+        counts = {name: (gone, n) for name, gone, n in rows if gone}
         return replace(again, iterations=sum(spent), excluded=counts)
 
     def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
@@ -503,21 +491,21 @@ class MultipleShooting:
         """Iterate from near, from far, or from both, and return the better end."""
         if self.start == "near" or self.horizon is not None:
             return minimise(shooting, point)
-        begin = shooting.misfit(point)
-        far = self.start == "wide" or begin > FAR
-        first = None if far else minimise(shooting, point)
-        # A local minimum is worth a second attempt only if the start was doubtful.
-        if first is not None and _trusted(begin, shooting, first):
-            return first
+        begin, first = shooting.misfit(point), None
+        if self.start != "wide" and begin <= FAR:
+            first = minimise(shooting, point)
+            # A local minimum is worth a second attempt only if the start was doubtful.
+            if _trusted(begin, shooting, first):
+                return first
         try:
             second = minimise(shooting, wide_start(shooting, point))
         except KeyboardInterrupt:
             if first is None:
                 raise
             return replace(first, reason="interrupted")
-        if self.start == "auto" and first is None and not _explains(shooting, second):
-            first = minimise(shooting, point)  # what looked far may be the better side
-        return _better(first, second)
+        if self.start == "wide" or first or _explains(shooting, second):
+            return _better(first, second)
+        return _better(minimise(shooting, point), second)  # what looked far may be the better side
 
 
 _GONE = {
@@ -580,10 +568,10 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
     return end.rated(shooting)
 
 
-def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
+def _trusted(begin: float, shooting: Shooting, found: Solution | None) -> bool:
     """Whether an end is no doubtful minimum: it began or ended near the records."""
-    if found.reason not in ENDED:
-        return found.reason == "interrupted"
+    if found is None or found.reason not in ENDED:
+        return found is not None and found.reason == "interrupted"
     return begin < DOUBTFUL or shooting.misfit(found.point) < GOOD
 
 
@@ -612,6 +600,12 @@ def _fault(disturbed: Fit, white: Fit) -> str:
     # Those are runs from starts that the filter estimated; whole runs have their own.
     alone = not own and other and bool(disturbed.whole_runs.diverging)
     return "diverged" if alone else ""
+
+
+def _either(fit: Fit, disturbed: Fit) -> Fit:
+    """The fit without process noise unless it failed, too, and the other one has numbers."""
+    failed = fit.status.code in FAILED and np.isfinite(disturbed.estimates).all()
+    return disturbed if failed else fit
 
 
 def _failed(fit: Fit, code: str) -> Fit:
@@ -648,24 +642,22 @@ def _score(
 
     Correlation times of the process noise that an earlier fit found come before others.
     """
-    model = task.model.with_values(dict(start.values))
-    at = start.initial, start.local, kernel
     quiet = replace(setting, white=np.maximum(fit.sigma, setting.white))
     factors = {one.signal: one.size for one in concerns_of(fit, "noise_level")} if tests else {}
     sizes = np.array([factors.get(name, 0.0) for name in fit.model.output_names])
     if (sizes > 1.0).any():
         # White noise above the declared level is no process noise.
         noisier = replace(quiet, white=np.maximum(sizes, 1.0) * quiet.white)
-        test = score_test(model, fit.dataset, noisier, *at)
+        test = score_test(task.model, noisier, start, kernel)
         if test.gain < CLEAR:
             return test
     if carried is not None and carried.noise is not None:
         noise = carried.noise
         times = np.unique(noise.force_time[(noise.force > 0) & (noise.force_time > 0)]).tolist()
-        test = score_test(model, fit.dataset, quiet, *at, times=times)
+        test = score_test(task.model, quiet, start, kernel, times=times)
         if test.gain >= CLEAR:
             return test
-    return score_test(model, fit.dataset, quiet, *at)
+    return score_test(task.model, quiet, start, kernel)
 
 
 def _before_absorbed(fit: Fit, statistic: float) -> ProcessNoiseTest:

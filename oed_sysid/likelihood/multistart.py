@@ -20,10 +20,10 @@ import numpy as np
 from scipy.special import gammaincinv
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.errors import ModelError
+from oed_sysid.errors import ModelError, located
 from oed_sysid.likelihood.covariance import ReducedProblem
 from oed_sysid.likelihood.estimate import Attempts
-from oed_sysid.likelihood.estimator import Estimator
+from oed_sysid.likelihood.estimator import Estimator, check_count, check_positive
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Solution, solve
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
@@ -73,10 +73,8 @@ class Multistart:
     progress: Callable[[CellProgress], None] | None = None
 
     def __post_init__(self) -> None:
-        if self.n_starts < 2:
-            raise ModelError(f"n_starts is {self.n_starts}. Give 2 or more.")
-        if not self.span > 0:
-            raise ModelError(f"span is {self.span}. Give a positive number.")
+        check_count("n_starts", self.n_starts, least=2)
+        check_positive("span", self.span, "Give a positive number.", infinite=True)
 
     @property
     def name(self) -> str:
@@ -261,10 +259,7 @@ def profile(
     -------
     Profile
     """
-    if name not in fit.names:
-        raise ModelError(
-            f"{name!r} is not a shared parameter of this fit. There are: {', '.join(fit.names)}."
-        )
+    located(ModelError, "This fit has no shared parameter", [name], fit.names)
     if not 0.0 < level < 1.0:
         raise ModelError(f"level is {level}. Give a share between 0 and 1, for instance 0.95.")
     shooting = Shooting(

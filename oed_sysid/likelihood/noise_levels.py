@@ -14,7 +14,9 @@ one value to the last digit longer than noise lets them.
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from math import comb
 
 import numpy as np
@@ -205,24 +207,18 @@ def start_levels(
     names = model.output_names
     measured = np.isfinite(np.vstack([record.outputs for record in dataset])).any(axis=0)
     if not isinstance(noise, str):
-        levels = np.asarray(noise, dtype=float)
-        if levels.shape != (len(names),):
-            raise ModelError(
-                f"noise gives {levels.size} levels, expected {len(names)}, for {', '.join(names)}."
-            )
-        _check_positive(names, levels)
-        return levels, np.zeros(len(levels), dtype=bool)
+        return _stated(names, np.asarray(noise, dtype=float)), np.zeros(len(names), dtype=bool)
     declared = given_levels(model.outputs)
     unknown = np.isnan(declared)
     if noise == "given" and np.any(unknown & measured):
-        missing = [name for name, is_unknown in zip(names, unknown, strict=True) if is_unknown]
+        missing = itertools.compress(names, unknown)
         raise DataError(
             f"The noise level of {', '.join(missing)} is not declared. Set noise_std on these "
             "outputs, or use noise='auto' to estimate it."
         )
     estimated = measured & (unknown if noise != "estimate" else True)
     if noise != "estimate":
-        _check_positive(names, np.where(unknown, 1.0, declared))
+        _stated(names, np.where(unknown, 1.0, declared))
     if not estimated.any():
         return np.where(measured, declared, 1.0), estimated
     if earlier is not None and earlier.shape == declared.shape:
@@ -234,13 +230,19 @@ def start_levels(
     return np.where(measured, levels, 1.0), estimated
 
 
-def _check_positive(names: Sequence[str], levels: np.ndarray) -> None:
+def _stated(names: Sequence[str], levels: np.ndarray) -> np.ndarray:
+    """Levels that somebody states, each above zero."""
+    if levels.shape != (len(names),):
+        raise ModelError(
+            f"noise gives {levels.size} levels, expected {len(names)}, for {', '.join(names)}."
+        )
     for name, level in zip(names, levels, strict=True):
         if not 0 < level < np.inf:
             raise DataError(
                 f"The noise level of output {name!r} is {level}; residuals are divided by it. "
                 "Give a positive standard deviation, or noise='estimate'."
             )
+    return levels
 
 
 def root_mean_square(parts: Sequence[np.ndarray]) -> np.ndarray:
@@ -268,8 +270,73 @@ RARE = 1e-3
 FALSE_SHARE = 0.1
 # Where residuals are structured, only what is this many deviations off stands out as a spike.
 STRUCTURED_SPIKE = 8.0
-# Spread of the departure of white noise from the median of its four neighbours.
-BESIDE = 1.137
+# Spread of the departure of white noise from the median of its four neighbours, and of normal
+# numbers over the median of their sizes.
+BESIDE, NORMAL = 1.137, 1.4826
+
+
+@dataclass(frozen=True, eq=False)
+class _Output:
+    """Samples of one output that were measured, per record.
+
+    Attributes
+    ----------
+    rows : list of ndarray of int (n,)
+        Where they are.
+    values : list of ndarray (n,)
+    away : list of ndarray (n,)
+        Their departures from the median of their neighbours.
+    """
+
+    rows: list[np.ndarray]
+    values: list[np.ndarray]
+    away: list[np.ndarray]
+
+    @cached_property
+    def every(self) -> np.ndarray:
+        """Values of all records."""
+        return np.concatenate(self.values)
+
+    @property
+    def middle(self) -> float:
+        """Median of all values."""
+        return float(np.median(self.every))
+
+    @cached_property
+    def usual(self) -> float:
+        """Standard deviation of the departures, were they normal."""
+        away = np.concatenate(self.away)
+        return _deviation(away - np.median(away)) if len(away) else 0.0
+
+    def surely(self, chance: float) -> float:
+        """Deviations beyond which normal noise shows any sample with a chance."""
+        return float(-ndtri(0.5 * chance / len(self.every)))
+
+    def sizes(self, off: Sequence[np.ndarray], usual: float, spread: float) -> list[np.ndarray]:
+        """How far samples stand out: of both departures, in their spreads, the smaller."""
+        return [
+            np.minimum(np.abs(piece) / usual, np.abs(other) / (spread or usual))
+            for piece, other in zip(self.away, off, strict=True)
+        ]
+
+
+def _by_output(
+    whitened: Sequence[np.ndarray],
+    find: Callable[[int, _Output], Sequence[np.ndarray] | None],
+    nothing: float | bool = False,
+) -> tuple[np.ndarray, ...]:
+    """What is found of the measured samples of every output, ``(n_times, n_outputs)`` per record.
+
+    Elsewhere, and where nothing is found, stands ``nothing``.
+    """
+    found = tuple(np.full(part.shape, nothing) for part in whitened)
+    for column in range(whitened[0].shape[1]):
+        rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
+        values = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
+        parts = find(column, _Output(rows, values, [_beside(one) for one in values]))
+        for one, index, part in zip(found, rows, parts, strict=True) if parts is not None else ():
+            one[index, column] = part
+    return found
 
 
 def spike_masks(
@@ -297,79 +364,58 @@ def spike_masks(
     -------
     tuple of ndarray of bool (n_times, n_outputs)
     """
-    masks = tuple(np.zeros(part.shape, dtype=bool) for part in whitened)
     n_outputs = whitened[0].shape[1]
-    for column in range(n_outputs):
-        rows, series, pieces, usual = _departures(whitened, column)
-        n = sum(len(piece) for piece in pieces)
-        if n < 30 or usual <= 0.0:
-            continue
-        least = 1.0 if declared is not None and declared[column] else 0.0
-        count = 0 if taken is None else taken[column]
-        chance = RARE / n_outputs
-        found = _outliers(series, pieces, max(usual, BESIDE * least), least, count, chance)
-        if stepped is not None:
-            calm = [~part[index] for part, index in zip(stepped, rows, strict=True)]
-            groups = _jumping(series, rows, calm, least, chance)
-            found = [one | group for one, group in zip(found, groups, strict=True)]
-        for mask, index, one in zip(masks, rows, found, strict=True):
-            mask[index, column] = one
-    return masks
+    taken = np.zeros(n_outputs) if taken is None else taken
+    least = np.zeros(n_outputs) if declared is None else declared.astype(float)
+
+    def find(column: int, one: _Output) -> list[np.ndarray] | None:
+        if len(one.every) < 30 or one.usual <= 0.0:
+            return None
+        found = _outliers(one, least[column], taken[column], RARE / n_outputs)
+        if stepped is None:
+            return found
+        calm = [~part[index] for part, index in zip(stepped, one.rows, strict=True)]
+        groups = _jumping(one, calm, least[column], RARE / n_outputs)
+        return [alone | group for alone, group in zip(found, groups, strict=True)]
+
+    return _by_output(whitened, find)
 
 
-def _outliers(
-    series: list[np.ndarray],
-    pieces: list[np.ndarray],
-    usual: float,
-    least: float,
-    count: int,
-    chance: float,
-) -> list[np.ndarray]:
+def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.ndarray]:
     """Spikes among the samples of one output, per record; see :func:`spike_masks`.
 
     Parameters
     ----------
-    series, pieces : list of ndarray (n,)
-        Values, and their departures from the median of their neighbours.
-    usual, least : float
-        Usual departure, and least deviation of the values.
+    one : _Output
+    least : float
+        Least deviation of the values.
     count : int
         Spikes that were taken out before.
     chance : float
         Probability that normal noise shows one.
     """
-    own = np.concatenate(series)
-    n, middle = len(own), float(np.median(own))
-    slow = max(_deviation(own - middle), least)
-    surely = float(-ndtri(0.5 * chance / n))
-    structured = slow > 1.1 * usual / BESIDE
-    if structured:
+    usual, surely = max(one.usual, BESIDE * least), one.surely(chance)
+    off = [values - one.middle for values in one.values]
+    slow = max(_deviation(one.every - one.middle), least)
+    if slow > 1.1 * usual / BESIDE:
         # A bend of slow residuals is followed by the cubic through the neighbours; a transient
         # here and there makes large departures usual.
-        surely = limit = max(surely, STRUCTURED_SPIKE)
-        off = [_off_cubic(values) for values in series]
+        off = [_off_cubic(values) for values in one.values]
         spread = max(_deviation(np.concatenate(off)), least)
-        usual = max(usual, float(np.quantile(np.abs(np.concatenate(pieces)), 0.9) / ndtri(0.95)))
-    else:
-        # Neighbours that happen to lie on the other side do not make a spike.
-        off, spread, limit = [values - middle for values in series], slow, surely
-    sizes = [
-        np.minimum(np.abs(piece) / usual, np.abs(away) / (spread or usual))
-        for piece, away in zip(pieces, off, strict=True)
-    ]
-    masks = [np.zeros(len(values), dtype=bool) for values in series]
-    if np.any(np.concatenate(sizes) > surely):
-        # Where spikes are clear, small ones hide among the noise: how deep depends on their share.
-        limit = limit if structured else _depth(np.concatenate(sizes), count, surely)
-        masks = [size > limit for size in sizes]
-        count += sum(int(mask.sum()) for mask in masks)
-    if structured or count < 3:
-        return masks
+        usual = max(usual, np.quantile(np.abs(np.concatenate(one.away)), 0.9) / ndtri(0.95))
+        limit = max(surely, STRUCTURED_SPIKE)
+        return [size > limit for size in one.sizes(off, usual, spread)]
+    # Neighbours that happen to lie on the other side do not make a spike.
+    sizes = one.sizes(off, usual, slow)
+    every = np.concatenate(sizes)
+    # Where spikes are clear, small ones hide among the noise: how deep depends on their share.
+    limit = _depth(every, count, surely) if np.any(every > surely) else np.inf
+    masks = [size > limit for size in sizes]
+    count += int(np.sum(every > limit))
     # Where there are several spikes some meet: as many in a row as chance makes of so many.
-    longest = _longest(count, n)
-    for mask, away in zip(masks, off, strict=True):
-        big = np.abs(away) > surely * slow
-        mask |= big & (_run_lengths(big) <= longest)
+    for mask, away in zip(masks, off, strict=True) if count >= 3 else ():
+        for first, stop in _runs(np.abs(away) > surely * slow):
+            mask[first:stop] |= stop - first <= _longest(count, len(every))
     return masks
 
 
@@ -405,41 +451,41 @@ def _longest(count: int, n: int) -> int:
 
 
 def _jumping(
-    series: Sequence[np.ndarray],
-    rows: Sequence[np.ndarray],
-    calm: Sequence[np.ndarray],
-    least: float,
-    chance: float,
+    one: _Output, calm: Sequence[np.ndarray], least: float, chance: float
 ) -> list[np.ndarray]:
     """Groups of samples that are off and jump as nothing does that moves.
 
     There and back, or from one side to the other. Where most groups begin as an input steps, it
-    is the vehicle that answers, at once. Over a gap in the ``rows`` a motion may go far. Other
+    is the vehicle that answers, at once. Over a gap in the rows a motion may go far. Other
     parameters as of :func:`_outliers`; ``calm`` are samples before which no input has stepped.
     """
-    steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in series]
-    own, step = np.concatenate(series), _deviation(np.concatenate(steps))
-    middle, surely = float(np.median(own)), float(-ndtri(0.5 * chance / len(own)))
-    far = surely * max(_deviation(own - middle), least)
-    jump = surely * max(step, np.sqrt(2.0) * least)
-    found = [np.zeros(len(values), dtype=bool) for values in series]
+    steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in one.values]
+    far = one.surely(chance) * max(_deviation(one.every - one.middle), least)
+    jump = one.surely(chance) * max(_deviation(np.concatenate(steps)), np.sqrt(2.0) * least)
+    found = [np.zeros(len(values), dtype=bool) for values in one.values]
     answers, elsewhere = [], 0
-    for mask, values, away, row, still in zip(found, series, steps, rows, calm, strict=True):
-        apart = np.diff(row, prepend=row[:1], append=row[-1:])
-        close = apart <= 2.0 * np.median(apart) if len(row) else apart > 0
-        big, jumps = np.abs(values - middle) > far, (np.abs(away) > jump) & close
-        edges = np.flatnonzero(np.diff(np.r_[False, big, False].astype(int)))
-        for first, stop in zip(edges[::2], edges[1::2], strict=True):
-            above = values[first:stop] > middle
-            across = bool(np.any((above[1:] != above[:-1]) & jumps[first + 1 : stop]))
-            if across or (jumps[first] and jumps[stop] and still[first]):
+    for mask, values, away, row, still in zip(
+        found, one.values, steps, one.rows, calm, strict=True
+    ):
+        jumps = (np.abs(away) > jump) & _close(row)
+        for first, stop in _runs(np.abs(values - one.middle) > far):
+            above = values[first:stop] > one.middle
+            across = np.any((above[1:] != above[:-1]) & jumps[first + 1 : stop])
+            back = jumps[first] and jumps[stop]
+            if across or (back and still[first]):
                 mask[first:stop] = True
                 elsewhere += 1
-            elif jumps[first] and jumps[stop]:
+            elif back:
                 answers.append(mask[first:stop])
     for group in answers if len(answers) < elsewhere else ():
         group[:] = True
     return found
+
+
+def _close(row: np.ndarray) -> np.ndarray:
+    """Steps between neighbouring rows, ends included, that leave no gap, ``(n + 1,)``."""
+    apart = np.diff(row, prepend=row[:1], append=row[-1:])
+    return np.asarray(apart <= 2.0 * np.median(apart) if len(row) else apart > 0)
 
 
 def input_steps(record: Record) -> np.ndarray:
@@ -447,7 +493,7 @@ def input_steps(record: Record) -> np.ndarray:
     moves = np.abs(np.diff(record.inputs, axis=0))
     if not len(moves):
         return np.ones(record.n_samples, dtype=bool)
-    usual = 1.4826 * np.nanmedian(moves, axis=0)
+    usual = NORMAL * np.nanmedian(moves, axis=0)
     stepped = np.r_[False, np.any(moves > BEYOND * usual, axis=1)]
     return stepped | np.r_[False, stepped[:-1]] | np.r_[stepped[1:], False]
 
@@ -472,36 +518,33 @@ def held_masks(
     sigma : ndarray (n_outputs,)
         Standard deviation of each.
     """
-    masks = tuple(np.zeros(part.shape, dtype=bool) for part in outputs)
-    for column, level in enumerate(sigma):
-        rows, away, _, _ = _departures(whitened, column)
-        values = [part[index, column] for part, index in zip(outputs, rows, strict=True)]
+
+    def find(column: int, one: _Output) -> list[np.ndarray] | None:
+        values = [part[index, column] for part, index in zip(outputs, one.rows, strict=True)]
         steps = np.abs(np.concatenate([np.diff(part) for part in values]))
         n, equal = len(steps) + 1, int(np.sum(steps == 0.0))
-        if equal < 2 or equal == len(steps):
-            continue
-        usual = _deviation(np.concatenate(away))
-        if usual * level < np.min(steps[steps > 0.0]):
-            continue  # too coarse: repetitions are the resolution's
+        usual = _deviation(one.every) if equal else 0.0
+        if equal < 2 or equal == len(steps) or usual * sigma[column] < np.min(steps[steps > 0.0]):
+            return None  # too coarse: repetitions are the resolution's
         longest, every = _longest(equal, n), np.concatenate(values)
         ends, jump = (every.min(), every.max()), -np.sqrt(2.0) * usual * ndtri(0.5 * RARE / n)
-        for mask, index, part, off in zip(masks, rows, values, away, strict=True):
+        masks = [np.zeros(len(part), dtype=bool) for part in values]
+        for mask, part, off in zip(masks, values, one.values, strict=True):
             edges = np.flatnonzero(np.diff(part, prepend=np.nan, append=np.nan) != 0.0)
             for first, stop in itertools.pairwise(edges):
-                square = float(np.sum(off[first:stop] ** 2)) / usual**2
-                if stop - first <= longest:
-                    continue
-                around = np.diff(off[max(first - 1, 0) : stop + 1])[[0, -1]]
-                if part[first] in ends and np.abs(around).max() < jump:
-                    continue
-                if square > chdtri(stop - first, RARE / n):
-                    mask[index[first:stop], column] = True
-    return masks
+                if stop - first > longest:
+                    around = np.diff(off[max(first - 1, 0) : stop + 1])[[0, -1]]
+                    limit = part[first] in ends and np.abs(around).max() < jump
+                    square = float(np.sum(off[first:stop] ** 2)) / usual**2
+                    mask[first:stop] = not limit and square > chdtri(stop - first, RARE / n)
+        return masks
+
+    return _by_output(whitened, find)
 
 
 def _deviation(values: np.ndarray) -> float:
     """Standard deviation of normal numbers of mean zero, from the median of their sizes."""
-    return 1.4826 * float(np.median(np.abs(values)))
+    return NORMAL * float(np.median(np.abs(values)))
 
 
 def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
@@ -517,33 +560,17 @@ def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     tuple of ndarray (n_times, n_outputs)
         With the sign of the departure; NaN where missing.
     """
-    found = [np.full(part.shape, np.nan) for part in whitened]
-    for column in range(whitened[0].shape[1]):
-        rows, _, pieces, usual = _departures(whitened, column)
-        for one, index, piece in zip(found, rows, pieces, strict=True):
-            one[index, column] = piece / usual if usual > 0 else 0.0
-    return tuple(found)
+
+    def find(_: int, one: _Output) -> list[np.ndarray]:
+        return [piece / one.usual if one.usual > 0 else 0.0 * piece for piece in one.away]
+
+    return _by_output(whitened, find, np.nan)
 
 
-def _run_lengths(marked: np.ndarray) -> np.ndarray:
-    """Length of the run of marked samples that each belongs to, zero where it is not marked."""
+def _runs(marked: np.ndarray) -> Iterable[tuple[int, int]]:
+    """First sample, and the one after the last, of every run of marked samples."""
     edges = np.flatnonzero(np.diff(np.r_[False, marked, False].astype(int)))
-    lengths = np.zeros(len(marked), dtype=int)
-    for first, stop in zip(edges[::2], edges[1::2], strict=True):
-        lengths[first:stop] = stop - first
-    return lengths
-
-
-def _departures(
-    whitened: Sequence[np.ndarray], column: int
-) -> tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray], float]:
-    """Rows, values and departures of the samples of one output, per record; the usual departure."""
-    rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
-    series = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
-    pieces = [_beside(values) for values in series]
-    away = np.concatenate(pieces)
-    usual = _deviation(away - np.median(away)) if len(away) else 0.0
-    return rows, series, pieces, usual
+    return zip(edges[::2], edges[1::2], strict=True)
 
 
 def _beside(values: np.ndarray) -> np.ndarray:

@@ -85,7 +85,7 @@ class NonlinearProgram:
             columns = layout.record_columns(index)
             own = unknowns[columns[: layout.n_own].tolist()]
             free = unknowns[columns[layout.n_own :].tolist()]
-            if layout.logged is not None:
+            if layout.logged.any():
                 logged = np.flatnonzero(layout.logged).tolist()
                 free[logged] = ca.exp(free[logged])
             values = self._values(shooting, free)

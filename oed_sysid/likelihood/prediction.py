@@ -22,7 +22,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, located
 from oed_sysid.likelihood.estimate import Estimate, by_name
 from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -124,10 +124,7 @@ def unknown_series(fit: Estimate, effect: str) -> tuple[tuple[np.ndarray, np.nda
         If the model has no such effect.
     """
     inputs = {e.name: e for e in fit.model.effects if e.name.startswith("unknown_")}
-    if effect not in inputs:
-        raise DataError(
-            f"The fit has no unknown input {effect!r}. It has {', '.join(inputs) or 'none'}."
-        )
+    located(DataError, "The fit has no unknown input", [effect], inputs)
     names = [parameter.name for parameter in inputs[effect].parameters]
     # Nodes are counted by (t - begin)/spacing.
     spacing = float(inputs[effect].definitions["node"].rpartition("/")[2])

@@ -15,8 +15,9 @@ import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
 from scipy.optimize import lsq_linear
 
-# Scaled information below this share of the largest is none.
-NOTHING = 1e-12
+# Scaled information below this share of the largest is none; and squared part in an unseen
+# direction from which on an unknown is not determined.
+NOTHING, UNSEEN = 1e-12, 1e-6
 # Singular directions below this share of the largest are not projected out, nor answered.
 BLIND = 1e-10
 # Below this share of the largest eigenvalue of the equilibrated matrix, a direction is rounding
@@ -84,11 +85,36 @@ def gain_within(
     return step, float(2.0 * right @ step - step @ matrix @ step)
 
 
+def coordinates(
+    information: np.ndarray, scale: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Coordinates in which an information is the identity, where it tells anything.
+
+    Parameters
+    ----------
+    information : ndarray (n, n)
+    scale : ndarray (n,), optional
+        Units of its directions; by default the roots of its diagonal.
+
+    Returns
+    -------
+    onto : ndarray (n, n_told)
+        Its product with its transpose is the pseudo-inverse.
+    blind : ndarray of bool (n,)
+        Which unknowns have a part in directions of which nothing is told.
+    """
+    scale = np.sqrt(np.maximum(np.diag(information), 0.0)) if scale is None else scale
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(information / scale[:, None] / scale)
+    clear = values > NOTHING * max(float(values.max(initial=0.0)), 0.0)
+    blind = (vectors[:, ~clear] ** 2).sum(axis=1) > UNSEEN
+    return vectors[:, clear] / scale[:, None] / np.sqrt(values[clear]), blind
+
+
 def inverse_of(matrix: np.ndarray) -> np.ndarray:
     """Inverse of an information in the directions that it sees, in units of its diagonal."""
-    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), 1.0))
-    inverse = np.linalg.pinv(matrix / size[:, None] / size, rcond=NOTHING, hermitian=True)
-    return np.asarray(inverse / size[:, None] / size)
+    onto, _ = coordinates(matrix)
+    return np.asarray(onto @ onto.T)
 
 
 def share_of(matrix: np.ndarray, kept: np.ndarray, others: np.ndarray) -> np.ndarray:

@@ -22,7 +22,7 @@ likelier. Forces of first order on top are asked last, because a wrong shape let
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -46,7 +46,7 @@ from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import BEYOND, credible_levels
 from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel, Sea
 from oed_sysid.likelihood.projection import gain_within
-from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, moved, posed
+from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.physics.model import Model
 
@@ -68,19 +68,6 @@ PROMISED = 2.0
 FIRST_STEPS = 8
 # Probability of a test above its threshold where no sea acts.
 FALSE_SEA = 0.005
-
-
-@dataclass(frozen=True, eq=False)
-class Start:
-    """Where an estimation begins: values, start states and values of each record.
-
-    Levels are looked for unless ``noise`` gives those of an earlier fit.
-    """
-
-    values: Mapping[str, float]
-    initial: Sequence[np.ndarray]
-    local: Sequence[Mapping[str, float]]
-    noise: NoiseModel | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +129,8 @@ def fit_disturbed(
         for start in starts
         if not count or start.noise is None
     ]
-    best = _stayed(begun[0]) if len(begun) == 1 and starts[0].noise is not None else None
-    best = best or _raced_to_sea(begun, setting, progress)
+    carried = len(begun) == 1 and starts[0].noise is not None
+    best = (_stayed(begun[0]) if carried else None) or _raced_to_sea(begun, setting, progress)
     if best is None:
         return None
     for step in (with_colour, with_input_noise, with_own_times):
@@ -257,15 +244,7 @@ def _likeliest_level(
             tried[decades] = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
         return tried[decades].objective
 
-    best = (0,) * len(free) if near is None else near
-    for decade in range(0, DECADES + 1, STRIDE) if near is None else ():
-        together = (decade,) * len(free)
-        if attempt(together) < attempt(best) - 1.0:
-            best = together
-        elif np.isfinite(attempt(best)) and (
-            not np.isfinite(attempt(together)) or best != (0,) * len(free)
-        ):
-            break
+    best = _together(attempt, len(free)) if near is None else near
     every = np.ones(len(free), dtype=int)
     moved = True
     while moved:
@@ -276,6 +255,18 @@ def _likeliest_level(
                 best, moved = after, True
                 after = tuple(map(int, best + way))
     return tried[best], best
+
+
+def _together(attempt: Callable[[tuple[int, ...]], float], count: int) -> tuple[int, ...]:
+    """The likeliest decade of all levels, by strides up to where they are no longer likelier."""
+    none = best = (0,) * count
+    for decade in range(0, DECADES + 1, STRIDE):
+        here = (decade,) * count
+        if attempt(here) < attempt(best) - 1.0:
+            best = here
+        elif np.isfinite(attempt(best)) and (best != none or not np.isfinite(attempt(here))):
+            break
+    return best
 
 
 def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseModel:
@@ -600,16 +591,16 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     FilteredSolution
         The same one where no sea is clearly likelier.
     """
-    declared = setting.seas[0] if setting.seas else None
-    known = declared or Sea()
-    places = known.places or setting.at_sea
-    if found.noise.seas or not places or not (declared or setting.any_sea):
+    known = setting.sea
+    places = () if known is None else known.places or setting.at_sea
+    if known is None or not places or found.noise.seas:
         return found
     period = known.period or _likeliest_period(found, setting, places)
-    sea = None if period is None else known.filled(_calm(places, period))
-    best = None if sea is None else _at_sea(found, setting, sea, known)
-    if best is None or declared:
-        return best or found
+    best = period and _at_sea(found, setting, known.filled(_calm(places, period)), known)
+    if not best:
+        return found
+    if setting.seas:
+        return best
     return _with_forces(best, setting) if _clearly_a_sea(best, found, setting) else found
 
 

@@ -132,6 +132,11 @@ class Setting:
         return tuple(place for place in self.logged if self.most_input[place.name] > 0)
 
     @property
+    def sea(self) -> Sea | None:
+        """The sea that is declared, one without any number where one may be; else None."""
+        return self.seas[0] if self.seas else Sea() if self.any_sea else None
+
+    @property
     def at_sea(self) -> tuple[str, ...]:
         """Places at which waves may act: forces whose level is not known."""
         names = [place.name for place in self.places if place.stage == "force"]
@@ -262,6 +267,19 @@ HEADS = (100, 30, 10)
 
 
 @dataclass(frozen=True, eq=False)
+class Start:
+    """Where an estimation begins: values, start states and values of each record.
+
+    Levels are looked for unless ``noise`` gives those of an earlier fit.
+    """
+
+    values: Mapping[str, float]
+    initial: Sequence[np.ndarray]
+    local: Sequence[Mapping[str, float]]
+    noise: NoiseModel | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class ScoreTest:
     """What letting disturbances in would gain at a white fit.
 
@@ -285,10 +303,8 @@ class ScoreTest:
 
 def score_test(
     model: Model,
-    dataset: Dataset,
     setting: Setting,
-    initial: Sequence[np.ndarray],
-    local: Sequence[Mapping[str, float]],
+    start: Start,
     kernel: FilterKernel | None = None,
     *,
     times: Sequence[float] = (),
@@ -298,27 +314,24 @@ def score_test(
     Parameters
     ----------
     model : Model
-        At the fitted values.
-    dataset : Dataset
     setting : Setting
-    initial : sequence of ndarray (n_own,)
-        Start states, per record.
-    local : sequence of mapping
-        Values of per-record parameters.
+    start : Start
+        Where the white fit ended.
     kernel : FilterKernel, optional
         Of a larger model.
     times : sequence of float, optional
         Correlation times that are tried, s; by default :data:`TIMES`, in samples.
     """
-    sample = float(np.median([record.sample_time for record in dataset]))
-    look = partial(_score_at, model, setting, initial, local, kernel)
-    tried = [look(dataset, time) for time in times or [count * sample for count in TIMES]]
+    records = setting.dataset
+    sample = float(np.median([record.sample_time for record in records]))
+    look = partial(_score_at, model.with_values(dict(start.values)), setting, start, kernel)
+    tried = [look(records, time) for time in times or [count * sample for count in TIMES]]
     best = max(tried, key=lambda one: one.gain)
     if np.isfinite(best.gain):
         return best
     # The model on its own diverges: sizes from where it has not yet done so.
     for length in HEADS:
-        found = look(Dataset(tuple(_head(one, length) for one in dataset)), TIMES[0] * sample)
+        found = look(Dataset(tuple(_head(one, length) for one in records)), TIMES[0] * sample)
         if np.isfinite(found.gain):
             return replace(found, gain=np.inf)
     raise SimulationError(
@@ -338,8 +351,7 @@ def _head(record: Record, length: int) -> Record:
 def _score_at(
     model: Model,
     setting: Setting,
-    initial: Sequence[np.ndarray],
-    local: Sequence[Mapping[str, float]],
+    start: Start,
     kernel: FilterKernel | None,
     dataset: Dataset,
     time: float,
@@ -357,7 +369,7 @@ def _score_at(
         force=np.ones(n_forces, dtype=bool),
     ).only_variances()
     problem = Filtered(model, dataset, levels, kernel=kernel)
-    found = problem.passes(problem.point(initial, local).unknowns, levels_only=True)
+    found = problem.passes(problem.point(start.initial, start.local).unknowns, levels_only=True)
     vast = ScoreTest(np.inf, time, quiet, one)
     if not all(part.ok for part in found):
         return vast

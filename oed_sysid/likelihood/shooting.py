@@ -19,8 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, Run, kernel
-from oed_sysid.compiled.normal_equations import Blocks, gather
+from oed_sysid.compiled.kernels import Blocks, Kernel, Run, kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.estimate import Estimate
@@ -211,15 +210,11 @@ class Shooting(Posed):
         data = self.records[record]
         own, values = self.initial_state(unknowns, record), self.values(unknowns, record)
         z0, dz0 = self.kernel.start(own, data.inputs[0], values, data.times[0])
-        slopes = self.slopes(unknowns, record)
-        if slopes is not None:
-            dz0[:, self.layout.n_own :] *= slopes
+        dz0[:, self.layout.n_own :] *= self.slopes(unknowns, record)
         return z0, dz0
 
-    def slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray | None:
-        """Derivatives of a record's parameters by their unknowns; None where all are one."""
-        if self.layout.logged is None:
-            return None
+    def slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray:
+        """Derivatives of a record's parameters by their unknowns, ``(n_free,)``."""
         return self.layout.slopes(unknowns[self._columns[record][self.layout.n_own :]])
 
     def run(
@@ -253,8 +248,8 @@ class Shooting(Posed):
     ) -> Blocks | None:
         """Normal equations of the segments of a record that begin at ``starts``, up to ``stop``."""
         data, values = self.records[record], self.values(unknowns, record)
-        return gather(
-            self.kernel, data.times[:stop], data.inputs[:stop], values, nodes, data.outputs[:stop],
+        return self.kernel.gather(
+            data.times[:stop], data.inputs[:stop], values, nodes, data.outputs[:stop],
             self.sigma, starts=starts, linked=linked,
         )  # fmt: skip
 

@@ -225,32 +225,39 @@ def _function(
     model: Model, record: Record, text: str, touched: set[str]
 ) -> tuple[Callable[[dict[str, np.ndarray]], np.ndarray], frozenset[str]] | None:
     """Expression as a function of the states; None if anything unknown enters it."""
-    states = set(model.state_names)
-    constants = {p.name: p.value for p in model.all_parameters if p.fixed}
-    signals: dict[str, str] = {}
-    used: set[str] = set()
-    pending, called = set(expressions.names(text)), set(expressions.functions(text))
-    while pending:
-        name = pending.pop()
-        if name in states:
-            used.add(name)
-        elif name in model.signals and name not in touched:
-            signals[name] = model.signals[name]
-            called |= expressions.functions(model.signals[name])
-            pending |= expressions.names(model.signals[name]) - signals.keys()
-        elif name not in constants and name != "t":
-            return None
-    if called - set(expressions.FUNCTIONS):
+    needed = _needed(model, text, touched)
+    if needed is None:
         return None
-    ordered = [name for name in model.signals if name in signals]
+    used, ordered = needed
+    constants = {p.name: p.value for p in model.all_parameters if p.fixed}
 
     def evaluate(here: dict[str, np.ndarray]) -> np.ndarray:
         scope: dict[str, object] = {**constants, "t": record.times, **here}
         for name in ordered:
-            scope[name] = expressions.to_numpy(signals[name], scope)
+            scope[name] = expressions.to_numpy(model.signals[name], scope)
         return np.broadcast_to(expressions.to_numpy(text, scope), record.times.shape)
 
-    return evaluate, frozenset(used)
+    return evaluate, used
+
+
+def _needed(model: Model, text: str, touched: set[str]) -> tuple[frozenset[str], list[str]] | None:
+    """States and signals that an expression needs; None if it needs what is not known."""
+    known = {p.name for p in model.all_parameters if p.fixed} | {"t"}
+    states, signals = set(model.state_names), dict[str, str]()
+    used, pending = set[str](), {*expressions.names(text)}
+    while pending := pending - known - used - signals.keys():
+        name = pending.pop()
+        if name in states:
+            used.add(name)
+        elif name not in model.signals or name in touched:
+            return None
+        else:
+            signals[name] = model.signals[name]
+            pending |= expressions.names(model.signals[name])
+    called = frozenset().union(*map(expressions.functions, (text, *signals.values())))
+    if called - set(expressions.FUNCTIONS):
+        return None
+    return frozenset(used), [name for name in model.signals if name in signals]
 
 
 # Longest interval by default: over more samples a wrong model runs far from the

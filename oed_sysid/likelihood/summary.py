@@ -188,7 +188,7 @@ def summarise_filtered(solution: FilteredSolution, how: Procedure) -> Fit:
     paths = []
     for index in range(len(problem.records)):
         outputs, path, _ = problem.alone(unknowns, index)
-        paths.append((outputs, path if problem.own is None else path[:, problem.own]))
+        paths.append((outputs, path[:, problem.own]))
     cost = 0.5 * sum(part.square for part in reduced.passes) + problem.prior_cost(unknowns)
     return replace(
         how.fit(problem, unknowns, (solution.reason, cost), reduced.errors(how.coloured), paths),

@@ -54,16 +54,15 @@ class Layout:
     free_names: tuple[str, ...]
     shared: np.ndarray
     local: np.ndarray
+    logged: np.ndarray
     n_own: int
     n_records: int
     n_levels: int = 0
-    logged: np.ndarray | None = None
 
     @classmethod
     def of(cls, model: Model, n_records: int, n_levels: int = 0) -> Layout:
         """Layout of a model's unknowns over some records."""
         local = np.array([p.per_record for p in model.free_parameters], dtype=bool)
-        logged = np.array([p.log for p in model.free_parameters], dtype=bool)
         return cls(
             free_names=model.free_names,
             shared=np.flatnonzero(~local),
@@ -71,7 +70,7 @@ class Layout:
             n_own=len(model.states),
             n_records=n_records,
             n_levels=n_levels,
-            logged=logged if logged.any() else None,
+            logged=np.array([p.log for p in model.free_parameters], dtype=bool),
         )
 
     @property
@@ -97,22 +96,16 @@ class Layout:
 
     def natural(self, free: np.ndarray) -> np.ndarray:
         """Values of the free parameters ``(n_free,)`` from their unknowns."""
-        if self.logged is None:
-            return free
         with np.errstate(over="ignore"):  # told by a trajectory that is not finite
             return np.where(self.logged, np.exp(np.where(self.logged, free, 0.0)), free)
 
     def inward(self, values: np.ndarray) -> np.ndarray:
         """Unknowns ``(n_free,)`` that stand for values of the free parameters."""
-        if self.logged is None:
-            return np.asarray(values, dtype=float)
         with np.errstate(divide="ignore"):  # a lower bound of zero is none
             return np.where(self.logged, np.log(np.where(self.logged, values, 1.0)), values)
 
     def slopes(self, free: np.ndarray) -> np.ndarray:
         """Derivatives ``(n_free,)`` of the values of free parameters by their unknowns."""
-        if self.logged is None:
-            return np.ones(len(free))
         return np.where(self.logged, self.natural(free), 1.0)
 
     def record_slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray:
@@ -391,7 +384,7 @@ def node_maps(
     defects: np.ndarray,
     dz0: np.ndarray,
     n_own: int,
-    slopes: np.ndarray | None = None,
+    slopes: np.ndarray,
 ) -> np.ndarray:
     """Start states of all intervals, and free parameters, by the unknowns of a record.
 
@@ -405,7 +398,7 @@ def node_maps(
         Derivatives of the first state by the unknowns.
     n_own : int
         Number of initial states among the unknowns.
-    slopes : ndarray (n_free,), optional
+    slopes : ndarray (n_free,)
         Derivatives of the free parameters by their unknowns; one by default.
 
     Returns
@@ -416,7 +409,7 @@ def node_maps(
     n_segments, n_full, n_columns = end_sensitivities.shape
     n_free = n_columns - n_full
     maps = np.zeros((n_segments, n_columns, n_own + n_free + 1))
-    maps[:, n_full:, n_own:-1] = np.eye(n_free) if slopes is None else np.diag(slopes)
+    maps[:, n_full:, n_own:-1] = np.diag(slopes)
     maps[0, :n_full, :-1] = dz0
     for i in range(n_segments - 1):
         maps[i + 1, :n_full] = end_sensitivities[i] @ maps[i]

@@ -394,23 +394,23 @@ class WholeRuns:
         if self.diverging:
             return (f"whole runs diverge in {', '.join(self.diverging)}",)
         what = "process noise" if self.process_noise else "noise of the sensors"
-        unlikely = [name for name, share in self.shares.items() if share > 0.5]
-        objects = (
-            (f"{what} this strong would not have left whole runs as good in", self._beyond(-1)),
-            (f"{what} would not have left whole runs as bad in", self._beyond(1)),
-            # More noise than signal, of a level that nobody declared.
-            (f"{what} cannot be most of", [name for name in unlikely if name not in self.beyond]),
-        )
-        found = [
-            f"{words} {', '.join(names)}"
-            for words, names in objects[: 2 if self.process_noise else 3]
-            if names
-        ]
+        said = {
+            f"{what} this strong would not have left whole runs as good in": self._beyond(-1),
+            f"{what} would not have left whole runs as bad in": self._beyond(1),
+            f"{what} cannot be most of": self._mostly_noise,
+        }
+        found = [f"{words} {', '.join(names)}" for words, names in said.items() if names]
         if self.process_noise and self.ratio > max(WORTH_TELLING, self.usual_ratio):
             found.append(
                 f"with process noise a whole run is off {self.ratio:.2g} times as much as without"
             )
         return tuple(found)
+
+    @property
+    def _mostly_noise(self) -> list[str]:
+        """Outputs with more noise than signal, of a level that nobody declared."""
+        named = {*self.beyond, *(self.shares if self.process_noise else ())}
+        return [name for name, share in self.shares.items() if share > 0.5 and name not in named]
 
     @property
     def open_questions(self) -> tuple[str, ...]:
@@ -475,35 +475,30 @@ def judged_runs(fit: Estimate, other: Dataset | None = None, *, unasked: str = "
         Why draws would say nothing (waves that the noise model does not hold); errors are told
         all the same.
     """
-    model, noise = fit.model, fit.noise
-    dataset = fit.dataset if other is None else other
-    declared = given_levels(model.outputs)
-    levels, error = _granted(dataset, declared, noise.sensors)
-    own = runs = whole_runs(model, dataset, levels, None if other else _starts(fit))
-    if other is None and not noise.is_white:
-        runs = without_process_noise(fit, levels, own) or own
-    without, scatter = rms(runs), _scatter(fit)
-    z, usual = np.full(len(declared), np.nan), np.inf
-    unasked = unasked or ("independent tests have no runs" if dataset.only_tests else "")
+    dataset, declared = fit.dataset if other is None else other, given_levels(fit.model.outputs)
+    granted = _granted(dataset, declared, fit.noise.sensors)
+    starts = _starts(fit) if other is None else None
+    own = runs = whole_runs(fit.model, dataset, granted[0], starts)
+    if other is None and not fit.noise.is_white:
+        runs = without_process_noise(fit, granted[0], own) or own
+    without, z, usual = rms(runs), np.full(len(declared), np.nan), np.inf
+    if dataset.only_tests:
+        unasked = unasked or "independent tests have no runs"
     while not unasked:
-        # Sensors are no noisier than they are granted, whatever a fit took for their noise; beside
-        # process noise only where that was declared.
-        taken = np.isfinite(declared) | (not noise.has_forces)
-        sensors = noise.at_most(np.where(taken, levels, np.inf))
-        z, usual, unasked = _departure(runs, sensors, error, scatter, shared=not other)
+        z, usual, unasked = _departure(fit, runs, declared, granted, shared=other is None)
         coarse = np.isfinite(declared) & (z < -BEYOND)
-        if noise.has_forces or not coarse.any():
+        if fit.noise.has_forces or not coarse.any():
             break
         # The declared noise would not have left runs as good: it is not the sensor's.
         declared = np.where(coarse, np.nan, declared)
-        levels, error = _granted(dataset, declared, without)
-    facts = (rms(own), without, signal_spread(dataset), levels, np.isfinite(declared), z)
+        granted = _granted(dataset, declared, without)
+    facts = (rms(own), without, signal_spread(dataset), granted[0], np.isfinite(declared), z)
     return WholeRuns(
         tuple(
-            OutputRuns(output.name, output.unit, *row)
-            for output, *row in zip(model.outputs, *(part.tolist() for part in facts), strict=True)
+            OutputRuns(output.name, output.unit, *(part[column].item() for part in facts))
+            for column, output in enumerate(fit.model.outputs)
         ),
-        noise.has_forces,
+        fit.noise.has_forces,
         unasked,
         usual if runs is own or _near(own, runs) else np.inf,
     )
@@ -531,12 +526,6 @@ def _starts(fit: Estimate) -> list[tuple[np.ndarray, Mapping[str, float]]] | Non
     if not len(fit.initial_states) == len(fit.local_values) == len(fit.dataset):
         return None
     return list(zip(fit.initial_states, fit.local_values, strict=True))
-
-
-def _scatter(fit: Estimate) -> np.ndarray:
-    """Root of the covariance of the shared parameters, ``(n_shared, n_shared)``; known ones."""
-    covariance = fit.shared_covariance
-    return root_of(np.where(np.isfinite(covariance), covariance, 0.0))
 
 
 def without_process_noise(
@@ -579,21 +568,25 @@ def _square(runs: Sequence[WholeRun]) -> float:
 
 
 def _departure(
+    fit: Estimate,
     runs: Sequence[WholeRun],
-    noise: NoiseModel,
-    error: np.ndarray,
-    root: np.ndarray,
+    declared: np.ndarray,
+    granted: tuple[np.ndarray, np.ndarray],
     *,
     shared: bool,
 ) -> tuple[np.ndarray, float, str]:
     """``z`` of every output, the usual ratio, and why not where they cannot be told.
 
-    ``error`` is that of the logarithm of the sensors' variance, ``root`` of the covariance of the
-    shared parameters: where these are not ``shared`` unknowns of the runs they scatter by it.
+    Sensors are no noisier than they are granted, whatever a fit took for their noise; beside
+    process noise only where that was declared.
     """
-    nothing = np.full(len(noise.white), np.nan)
+    nothing = np.full(len(declared), np.nan)
     if any(run.jacobian is None for run in runs):
         return nothing, np.inf, "the model diverges without process noise"
+    (levels, error), covariance = granted, fit.shared_covariance
+    taken = np.isfinite(declared) | (not fit.noise.has_forces)
+    noise = fit.noise.at_most(np.where(taken, levels, np.inf))
+    root = root_of(np.where(np.isfinite(covariance), covariance, 0.0))
     sums = _draws(runs, noise, root, shared=shared)
     if sum(len(left) for left, _ in sums) < 0.5 * DRAWS:
         return nothing, np.inf, "most runs under this process noise diverge"

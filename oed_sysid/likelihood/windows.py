@@ -34,9 +34,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from oed_sysid.compiled.normal_equations import Elimination, eliminate
 from oed_sysid.data.record import Record
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.gauss_newton import (
     Convergence,
     Descent,
@@ -60,6 +59,28 @@ LADDER = (2, 4, 10, 30)
 CONTROL = StepControl(lengths=1, most_damping=1e6)
 # Far from the truth the first step is not trusted.
 CAREFUL = replace(CONTROL, damping=1e-3)
+
+
+@dataclass(frozen=True, eq=False)
+class Elimination:
+    """Normal equations of the parameters, start states eliminated.
+
+    Attributes
+    ----------
+    matrix : ndarray (n_free, n_free)
+    right : ndarray (n_free,)
+    solved : ndarray (n_segments, n_full, n_free + 1)
+        Start states answer a step of the parameters by the last column minus
+        the others times that step.
+    gain : float
+        Right-hand sides times solutions of the start states: twice what they
+        alone would gain.
+    """
+
+    matrix: np.ndarray
+    right: np.ndarray
+    solved: np.ndarray
+    gain: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,10 +252,8 @@ class Windows:
         if blocks is None:
             return None
         gram = blocks.gram[part.counted]
-        slopes = shooting.slopes(unknowns, part.record)
-        if slopes is not None:
-            scale = np.concatenate([np.ones(n_full), slopes, [1.0]])
-            gram = gram * scale[:, None] * scale
+        scale = np.concatenate([np.ones(n_full), shooting.slopes(unknowns, part.record), [1.0]])
+        gram = gram * scale[:, None] * scale
         if record.independent:
             wide = self.from_start(by_unknowns)
             gram = wide.T @ gram @ wide
@@ -301,6 +320,42 @@ class Windows:
         return Point(unknowns, tuple(nodes))
 
 
+def eliminate(
+    gram: np.ndarray, away: np.ndarray, weight: np.ndarray, damping: float
+) -> Elimination:
+    """Eliminate the start states of independent segments.
+
+    Parameters
+    ----------
+    gram : ndarray (n_segments, n_columns + 1, n_columns + 1)
+        As in :class:`Blocks`.
+    away : ndarray (n_segments, n_full)
+        Start states minus their guesses.
+    weight : ndarray (n_full,)
+        What these differences weigh, above zero.
+    damping : float
+        Share by which the diagonal of the start states is raised.
+    """
+    n_full = len(weight)
+    damped, diagonal = gram[:, :n_full, :n_full].copy(), range(n_full)
+    damped[:, diagonal, diagonal] += weight
+    damped[:, diagonal, diagonal] *= 1.0 + damping
+    both = gram[:, :n_full, n_full:].copy()
+    both[:, :, -1] -= weight * away
+    # Equilibrated, and raised by rounding: what two start states share must not stop the step.
+    scale = 1.0 / np.sqrt(np.maximum(damped[:, diagonal, diagonal], np.finfo(float).tiny))
+    damped *= scale[:, :, None] * scale[:, None, :]
+    damped[:, diagonal, diagonal] += n_full * np.finfo(float).eps
+    # (G_zz + Omega)^-1 [G_zp, b_z]: how start states follow the parameters, and their own step.
+    solved = scale[:, :, None] * np.linalg.solve(damped, scale[:, :, None] * both)
+    # By axes: reshaping cannot infer sizes where no parameter is free.
+    reduced = gram[:, n_full:-1, n_full:].sum(axis=0) - np.tensordot(
+        both[:, :, :-1], solved, axes=([0, 1], [0, 1])
+    )
+    gain = float(np.vdot(both[:, :, -1], solved[:, :, -1]))
+    return Elimination(reduced[:, :-1], reduced[:, -1], solved, gain)
+
+
 def _cut(index: int, record: Record, horizon: float) -> list[Part]:
     """Windows that overlap by one sample, in two passes over the record."""
     n = record.n_samples
@@ -364,13 +419,19 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
 
 
 def check_horizon(shooting: Shooting, horizon: float) -> None:
-    """Raise :class:`DataError` where a horizon is shorter than one step of the records."""
+    """Raise an error where a horizon is shorter than one step, or start states are stated."""
     series = [record for record in shooting.records if not record.independent]
     longest = max((record.sample_time for record in series), default=0.0)
     if not horizon >= 0.99 * longest:
         raise DataError(
             f"horizon is {horizon:g} s, and a step of the records {longest:g} s. Give at least one "
             "step; horizon=None predicts whole records."
+        )
+    known = shooting.known_starts
+    if known is not None and known.of_series(shooting.dataset):
+        raise ModelError(
+            "start_states are those of whole records; windows of a horizon begin from states of "
+            "their own. Drop one of the two."
         )
 
 

@@ -173,11 +173,10 @@ def closed_loop(
     quiet = np.zeros(len(sigma))
     outputs, inputs = _run(held, record, control, table[0], quiet, rng)
     opened = _run(held, record, None, table[0], quiet, rng)[0]
-    runs = []
-    for values in table[1:]:
-        law = control.drawn(rng) if isinstance(control, UncertainControl) else control
-        runs.append(_run(held, record, law, values, sigma, rng)[0])
-    drawn = np.array([one for one in runs if np.isfinite(one).all()])
+    runs = np.array(
+        [_run(held, record, _drawn(control, rng), values, sigma, rng)[0] for values in table[1:]]
+    ).reshape(-1, *outputs.shape)
+    drawn = runs[np.isfinite(runs).all(axis=(1, 2))]
     std = lower = upper = np.full(outputs.shape, np.nan)
     caveat = "" if fit is None else fit.caveat
     if len(drawn) > 1:
@@ -189,6 +188,11 @@ def closed_loop(
     said = control.report() if hasattr(control, "report") else ""
     failed = len(runs) - len(drawn)
     return ClosedLoop(record, outputs, opened, inputs, std, lower, upper, failed, caveat, said)
+
+
+def _drawn(control: Control, rng: np.random.Generator) -> Control:
+    """The law, its numbers drawn where they are uncertain."""
+    return control.drawn(rng) if isinstance(control, UncertainControl) else control
 
 
 def _lost(record: Record, drawn: np.ndarray, heading: str) -> str:

@@ -23,13 +23,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from scipy.special import stdtrit
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, OedSysidError
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, rounded
@@ -37,13 +37,6 @@ from oed_sysid.runtime.display import Report, Section, Table, as_text, digits, r
 Purpose = Callable[[Fit], Mapping[str, float]]
 # With two, one difference would have to tell how much differences scatter.
 FEWEST = 3
-
-
-class Estimator(Protocol):
-    """What is asked of an estimator here."""
-
-    def fit(self, model: Model, dataset: Dataset) -> Fit:
-        """Estimate the free parameters."""
 
 
 @dataclass(frozen=True, eq=False)

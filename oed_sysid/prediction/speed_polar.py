@@ -195,18 +195,13 @@ def speed_polar(
         raise ModelError("A polar needs at least one angle and one sheet angle.")
     solver = _Solver(model, names, wind_speed, limits)
     best = solver.trimmed(angles, sheets, dict(guess or {names.speed: 0.3 * wind_speed}))
-    table = parameter_sets(fit, model, n_draws, rng)[1:]
-    speeds = np.full((len(table), len(angles)), math.nan)
-    for row, values in enumerate(table):
-        drawn = dict(zip(model.parameter_names, map(float, values), strict=True))
-        for column, (angle, point) in enumerate(zip(angles, best, strict=True)):
-            if point is not None:
-                sailed = solver.steady(drawn, angle, point[names.sheet], solver.start(point))
-                speeds[row, column] = sailed[names.speed] if sailed else math.nan
+    sets = parameter_sets(fit, model, n_draws, rng)[1:]
+    drawn = [solver.drawn(values, angles, best) for values in sets]
     states = {
         key: np.array([math.nan if point is None else point[key] for point in best])
         for key in (*solver.keys, names.sheet)
     }
+    speeds = np.array(drawn).reshape(-1, len(angles))
     return SpeedPolar(
         model.name, wind_speed, angles, states[names.speed], states[names.sheet], states, speeds,
         "" if fit is None else fit.caveat,
@@ -245,6 +240,20 @@ class _Solver:
                     found.append(point)
             best.append(max(found, key=lambda point: point[self.names.speed], default=None))
         return best
+
+    def drawn(
+        self,
+        values: np.ndarray,
+        angles: np.ndarray,
+        best: Sequence[Mapping[str, float] | None],
+    ) -> list[float]:
+        """Speed at every angle with other parameters, as trimmed; NaN where nothing sails."""
+        own = dict(zip(self.model.parameter_names, map(float, values), strict=True))
+        found = (
+            point and self.steady(own, angle, point[self.names.sheet], self.start(point))
+            for angle, point in zip(angles, best, strict=True)
+        )
+        return [point[self.names.speed] if point else math.nan for point in found]
 
     def steady(
         self,
