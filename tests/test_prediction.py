@@ -533,7 +533,7 @@ def test_imperfect_sensors_do_not_bend_the_track_and_actuators_do() -> None:
 @pytest.mark.parametrize(
     ("change", "arguments", "message"),
     [
-        ({"K": 0.1}, {"side": "left"}, "starboard, port, both"),
+        ({"K": 0.1}, {"side": "left"}, "starboard, port or both"),
         ({"K": 0.1}, {"rudder": -0.3}, "above zero"),
         ({"K": 0.1}, {"rudder": 35.0}, "degrees, give math.radians.35., which is 0.61"),
         ({"K": 0.1}, {"length": 0.0}, "length 0; .* Give the length of the ship in m"),

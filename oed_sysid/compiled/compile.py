@@ -274,8 +274,8 @@ def source(graph: Graph) -> str:
     plain = (graph.actuate, graph.rates, graph.observe, start)
     labels = ("ACTUATE", "RATES", "OBSERVE", "START")
     for label, *pair in zip(labels, plain, (actuate, rates, observe, start), strict=True):
-        sizes[f"W_{label}"] = max(f.sz_w() for f in pair)
-        sizes[f"IW_{label}"] = max(f.sz_iw() for f in pair)
+        sizes[f"W_{label}"] = max(map(ca.Function.sz_w, pair))
+        sizes[f"IW_{label}"] = max(map(ca.Function.sz_iw, pair))
     updates = (
         _updates(actuate, "DDA DDP DAA DAP", sizes)
         | _updates(rates, "JXX JXD JXP", sizes)

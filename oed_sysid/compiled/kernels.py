@@ -203,10 +203,9 @@ class Kernel:
         z = np.full((n, self.n_full), np.nan)
         ends = np.full((n_segments, self.n_full), np.nan)
         dy = dends = None
-        if sensitivities or n_columns:
-            shape = self.n_full, n_columns or self.n_columns
-            dy = np.empty((n, self.n_outputs, shape[1]))
-            dends = np.empty((n_segments, *shape))
+        if width := n_columns or sensitivities * self.n_columns:
+            dy = np.empty((n, self.n_outputs, width))
+            dends = np.empty((n_segments, self.n_full, width))
         if self.library is None:
             failed = interpreted(self.model).run(
                 times, inputs, values, nodes, starts, carry, (z, y, dy, ends, dends)

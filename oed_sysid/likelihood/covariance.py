@@ -231,7 +231,7 @@ class ReducedProblem:
 
     Attributes
     ----------
-    rows : list of ndarray (n_times, n_outputs, n_shared)
+    rows : list of ndarray (n_times * n_outputs, n_shared)
         Whitened and reduced Jacobian, per record; zero where nothing was measured.
     told : Scores
         Of the residuals, as the loss lets them count.
@@ -248,10 +248,9 @@ class ReducedProblem:
         residuals = [residual / shooting.sigma for residual in lin.residuals]
         scores, self.gain = _scores(residuals, shooting.loss)
         keep = layout.n_own + layout.shared
-        others = np.concatenate([np.arange(layout.n_own), layout.n_own + layout.local])
         # Derivatives by values, of parameters whose logarithm is unknown too.
         self._slopes = layout.shared_values(unknowns)[1]
-        self.rows, self.prior_rows = [], []
+        self.rows, self.prior_rows, jacobians = [], [], []
         for index, residual in enumerate(residuals):
             present = np.isfinite(residual)
             weight = present * np.sqrt(self.gain) / shooting.sigma
@@ -259,30 +258,26 @@ class ReducedProblem:
             flat = jacobian.reshape(-1, jacobian.shape[2])
             columns = layout.record_columns(index)
             # What is held explains nothing away.
-            drop = others[~shooting.limits.held[columns[others]]]
+            drop = layout.own[~shooting.limits.held[columns[layout.own]]]
             prior = np.sqrt(shooting.limits.prior_weight[columns[drop]])
             inner = np.vstack([flat[:, drop], np.diag(prior)])
             outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
             reduced = project_out(inner, outer)
-            self.rows.append(reduced[: len(flat)].reshape(*residual.shape, n_shared))
+            self.rows.append(reduced[: len(flat)])
             self.prior_rows.append(reduced[len(flat) :])
+            # Residuals count once with the slope of a robust loss, not twice.
+            apart = self.rows[-1].reshape(*residual.shape, n_shared)
+            jacobians.append(apart / np.sqrt(self.gain)[:, None])
         own = np.sqrt(shooting.limits.prior_weight[:n_shared])
         self.prior_rows.append(np.diag(own / self._slopes))
-        # Residuals count once with the slope of a robust loss, not twice.
-        jacobians = [rows / np.sqrt(self.gain)[:, None] for rows in self.rows]
         self.told = Scores(shooting.records, jacobians, scores)
 
     @property
     def information(self) -> Information:
         """Information of the shared parameters, as if residuals were white."""
         scales = self.shooting.limits.scale[: len(self._slopes)] * self._slopes
-        jacobian = np.vstack([*self._flat, *self.prior_rows])
+        jacobian = np.vstack([*self.rows, *self.prior_rows])
         return Information.from_jacobian(self.shooting.layout.shared_names, jacobian, scales)
-
-    @property
-    def _flat(self) -> list[np.ndarray]:
-        """Rows of every record, ``(n_times * n_outputs, n_shared)``."""
-        return [rows.reshape(rows.shape[0] * rows.shape[1], -1) for rows in self.rows]
 
     def errors(self, coloured: str, *, weighed: bool) -> Errors:
         """Errors of the shared parameters; of white residuals where they are not ``weighed``.
@@ -306,7 +301,7 @@ class ReducedProblem:
         """What priors and each record say of the shared parameters; None without any."""
         pairs = zip(self.told.jacobians, self.told.errors, strict=True)
         scores = [np.einsum("tip,ti->p", own, np.nan_to_num(errors)) for own, errors in pairs]
-        matrices = [rows.T @ rows for rows in self._flat]
+        matrices = [rows.T @ rows for rows in self.rows]
         return sources_of(matrices, scores, self._prior, self.shooting.records)
 
     @property

@@ -85,8 +85,8 @@ class Levels:
         colour: np.ndarray,
         force: np.ndarray,
         own_times: bool = False,
-        least_white: np.ndarray | None = None,
-        most_colour: np.ndarray | None = None,
+        least_white: float | np.ndarray = 0.0,
+        most_colour: float | np.ndarray = np.inf,
         times: tuple[float, float] = (1e-3, np.inf),
         seas: Sequence[Sea] | None = None,
     ) -> Levels:
@@ -113,10 +113,8 @@ class Levels:
         """
         coloured = np.flatnonzero(colour | (noise.colour > 0))
         of_colour = colour[coloured]
-        floor = np.full(len(noise.white), WHITE_FLOOR)
-        if least_white is not None:
-            floor = np.maximum(floor, (least_white / unit.white) ** 2)
-        most = np.inf if most_colour is None else (most_colour / unit.colour)[coloured] ** 2
+        floor = np.maximum(WHITE_FLOOR, (least_white / unit.white) ** 2)
+        most = np.broadcast_to(most_colour, len(unit.colour))[coloured] / unit.colour[coloured]
         between = np.log(times)
         known = ([Sea()] * len(noise.seas) if seas is None else seas)[: len(noise.seas)]
         rows: list[tuple[float, ...]] = []
@@ -140,7 +138,7 @@ class Levels:
         # White from step to step is no matter of time.
         add_times(FORCE_TIME, force & (noise.force_time > 0), noise.force_time)
         add(WHITE_VARIANCE, np.flatnonzero(white), unit.white, floor)
-        add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], high=most)
+        add(COLOUR_VARIANCE, np.flatnonzero(of_colour), unit.colour[coloured], high=most**2)
         add_times(COLOUR_TIME, of_colour, noise.colour_time[coloured])
         free = [
             one.levels is None

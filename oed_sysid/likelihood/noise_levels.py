@@ -297,7 +297,7 @@ class _Output:
         """Values of all records."""
         return np.concatenate(self.values)
 
-    @property
+    @cached_property
     def middle(self) -> float:
         """Median of all values."""
         return float(np.median(self.every))

@@ -129,8 +129,7 @@ def fit_disturbed(
         for start in starts
         if not count or start.noise is None
     ]
-    carried = len(begun) == 1 and starts[0].noise is not None
-    best = (_stayed(begun[0]) if carried else None) or _raced_to_sea(begun, setting, progress)
+    best = _stayed(begun, starts) or _raced_to_sea(begun, setting, progress)
     if best is None:
         return None
     for step in (with_colour, with_input_noise, with_own_times):
@@ -293,9 +292,11 @@ def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseM
     return found.only(np.isin(begin.places, (*earlier.places, *setting.known)))
 
 
-def _stayed(begun: _Begun) -> FilteredSolution | None:
+def _stayed(begun: Sequence[_Begun], starts: Sequence[Start]) -> FilteredSolution | None:
     """The beginning itself, where an earlier fit ended and steps promise next to nothing."""
-    found = begun.solved(0)
+    if len(begun) > 1 or starts[0].noise is None:
+        return None
+    found = begun[0].solved(0)
     near = found is not None and found.promise <= NEAR
     return replace(found, reason="converged") if found is not None and near else None
 
@@ -592,8 +593,10 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         The same one where no sea is clearly likelier.
     """
     known = setting.sea
-    places = () if known is None else known.places or setting.at_sea
-    if known is None or not places or found.noise.seas:
+    if known is None or found.noise.seas:
+        return found
+    places = known.places or setting.at_sea
+    if not places:
         return found
     period = known.period or _likeliest_period(found, setting, places)
     best = period and _at_sea(found, setting, known.filled(_calm(places, period)), known)

@@ -113,11 +113,11 @@ class Setting:
         return np.where(seen, LEAST_SEEN * np.minimum(floor, self.white), 0.0)
 
     @cached_property
-    def most_colour(self) -> np.ndarray | None:
+    def most_colour(self) -> np.ndarray:
         """Level above which slow noise of a sensor is none, ``(n_outputs,)``."""
         floor, seen = self._seen
-        most = np.where(seen, DRIFTS * np.maximum(floor, self.white), np.inf)
-        return None if self.drifting else most
+        known = seen & (not self.drifting)
+        return np.where(known, DRIFTS * np.maximum(floor, self.white), np.inf)
 
     @cached_property
     def most_input(self) -> dict[str, float]:
@@ -363,7 +363,7 @@ def _score_at(
     levels = Levels.of(
         quiet,
         one,
-        [disturbance(place).name for place in setting.places],
+        disturbance_names(quiet.places),
         white=np.ones(n_outputs, dtype=bool),
         colour=np.full(n_outputs, setting.colour),
         force=np.ones(n_forces, dtype=bool),

@@ -126,7 +126,7 @@ def _solve(
     wanted: list[str],
 ) -> dict[str, Guess]:
     """Gauss-Newton at every sample at once, on all wanted states that occur."""
-    equations, wanted = _telling(_equations(model, record, known, slopes), known, wanted)
+    equations, wanted = _telling(_equations(model, record, slopes), known, wanted)
     if not equations:
         return {}
     scales = {state.name: state.scale for state in model.states if state.name in wanted}
@@ -185,10 +185,7 @@ def _normal(
 
 
 def _equations(
-    model: Model,
-    record: Record,
-    known: Mapping[str, np.ndarray],
-    slopes: Mapping[str, tuple[np.ndarray, float]],
+    model: Model, record: Record, slopes: Mapping[str, tuple[np.ndarray, float]]
 ) -> list[Equation]:
     """Parameter-free equations with a known left side, as functions of the states."""
     touched = {key for e in model.effects for key in e.terms if isinstance(key, str)}

@@ -20,6 +20,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -47,8 +48,8 @@ class Layout:
         Initial states per record; number of records.
     n_levels : int
         Levels and times of the noise.
-    logged : ndarray of bool (n_free,) or None
-        Free parameters that are unknown as their logarithms; None where none is.
+    logged : ndarray of bool (n_free,)
+        Free parameters that are unknown as their logarithms.
     """
 
     free_names: tuple[str, ...]
@@ -94,8 +95,20 @@ class Layout:
         columns[self.n_own + self.local] = begin + self.n_own + np.arange(len(self.local))
         return columns
 
+    @property
+    def own(self) -> np.ndarray:
+        """Positions of own states and per-record parameters among those of one record."""
+        return np.concatenate([np.arange(self.n_own), self.n_own + self.local])
+
+    @cached_property
+    def is_plain(self) -> bool:
+        """Whether no parameter is unknown as its logarithm."""
+        return not self.logged.any()
+
     def natural(self, free: np.ndarray) -> np.ndarray:
         """Values of the free parameters ``(n_free,)`` from their unknowns."""
+        if self.is_plain:  # asked for at every evaluation
+            return free
         with np.errstate(over="ignore"):  # told by a trajectory that is not finite
             return np.where(self.logged, np.exp(np.where(self.logged, free, 0.0)), free)
 
@@ -106,7 +119,7 @@ class Layout:
 
     def slopes(self, free: np.ndarray) -> np.ndarray:
         """Derivatives ``(n_free,)`` of the values of free parameters by their unknowns."""
-        return np.where(self.logged, self.natural(free), 1.0)
+        return np.ones(len(free)) if self.is_plain else np.where(self.logged, self.natural(free), 1)
 
     def record_slopes(self, unknowns: np.ndarray, record: int) -> np.ndarray:
         """Derivatives of own states and free parameters of a record by their unknowns."""

@@ -52,7 +52,6 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import BLIND, inverse_of, root_of
 from oed_sysid.likelihood.realisation import drawn_disturbances, gauss_markov
 from oed_sysid.likelihood.shooting import Shooting
-from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
@@ -99,7 +98,6 @@ class WholeRun:
         model: Model,
         record: Record,
         sigma: np.ndarray,
-        known: KnownStarts | None = None,
         start: tuple[np.ndarray, Mapping[str, float]] | None = None,
         runner: Kernel | None = None,
     ) -> WholeRun:
@@ -112,13 +110,12 @@ class WholeRun:
         record : Record
         sigma : ndarray (n_outputs,)
             Standard deviation of one measurement.
-        known : KnownStarts, optional
         start : pair of ndarray (n_own,) and mapping, optional
             Start states and parameters of the record to begin with.
         runner : Kernel, optional
             What runs the model; by default its own kernel.
         """
-        shooting = Shooting(model, Dataset((record,)), sigma, known_starts=known, runner=runner)
+        shooting = Shooting(model, Dataset((record,)), sigma, runner=runner)
         point = shooting.start_point()
         shared = np.arange(len(shooting.layout.shared))
         held = shooting.holding(shared, point.unknowns[shared])
@@ -150,8 +147,7 @@ class WholeRun:
     def others(self) -> np.ndarray:
         """Positions of start states and parameters of the record among the unknowns."""
         layout = self.shooting.layout
-        columns = layout.record_columns(0)
-        return np.concatenate([columns[: layout.n_own], columns[layout.n_own + layout.local]])
+        return layout.record_columns(0)[layout.own]
 
     @property
     def states(self) -> dict[str, float]:

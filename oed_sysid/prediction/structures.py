@@ -36,10 +36,11 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError, located
 from oed_sysid.experiments.base import finite, positive
 from oed_sysid.likelihood.captive import CaptiveTests
+from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
-from oed_sysid.prediction.jackknife import Estimator, Purpose, leave_out
+from oed_sysid.prediction.jackknife import Purpose, leave_out
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
     Report,
@@ -375,16 +376,16 @@ def _averaged(
 ) -> StructureAverage:
     """Mean of the structures by their weights, and the three parts of its variance."""
     used = [one for one in done if one.weight > 0]
-    share = np.array([one.weight for one in used])
     # Those too light for a jackknife are taken to scatter as the others do.
-    known = np.array([bool(one.std) for one in used])
+    told = [one for one in used if one.std]
+    share, known = (np.array([one.weight for one in some]) for some in (used, told))
     values, total, between, within = (dict[str, float]() for _ in range(4))
     for name in used[0].values:
         table = np.array([one.values[name] for one in used])
-        part = np.array([one.std[name] for one in used if one.std])
+        part = np.array([one.std[name] for one in told])
         values[name] = float(share @ table)
         between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
-        within[name] = float(np.sqrt(share[known] @ part**2 / share[known].sum()))
+        within[name] = float(np.sqrt(known @ part**2 / known.sum()))
         total[name] = math.hypot(between[name], within[name], floor * values[name])
     heaviest = tuple(sorted(done, key=lambda one: -one.weight))
     weaker = tuple(fitted for fitted, _ in rungs)
