@@ -265,7 +265,7 @@ def simulated(
     growth: float, start: float, spread: float = 0.0, *, force: float = FORCE
 ) -> np.ndarray:
     """Many runs by Euler and Maruyama with a fine step, ``(n_runs, n_times)``."""
-    rng, fine, n_runs = np.random.default_rng(5), 0.005, 2000
+    rng, fine, n_runs = np.random.default_rng(5), 0.005, 4000
     x = start + spread * rng.standard_normal(n_runs)
     w = force * rng.standard_normal(n_runs)
     found = []
