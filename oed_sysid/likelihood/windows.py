@@ -252,8 +252,10 @@ class Windows:
         if blocks is None:
             return None
         gram = blocks.gram[part.counted]
-        scale = np.concatenate([np.ones(n_full), shooting.slopes(unknowns, part.record), [1.0]])
-        gram = gram * scale[:, None] * scale
+        if not shooting.layout.is_plain:
+            slopes = shooting.slopes(unknowns, part.record)
+            scale = np.concatenate([np.ones(n_full), slopes, [1.0]])
+            gram = gram * scale[:, None] * scale
         if record.independent:
             wide = self.from_start(by_unknowns)
             gram = wide.T @ gram @ wide
