@@ -178,6 +178,7 @@ def test_every_vehicle_has_enough_to_hide_and_to_confuse_it_with() -> None:
     assert len(PATTERN) == 20
 
 
+@pytest.mark.slow
 def test_a_case_that_lacks_a_part_gets_it_as_a_candidate() -> None:
     """The nominal model is without the damping, the candidate starts absent, the truth has it."""
     draw = next(

@@ -178,6 +178,7 @@ def test_size_of_a_fault_lies_within_four_standard_deviations(make, fault: Fault
     assert half < 0.2 * abs(fault.size)
 
 
+@pytest.mark.slow
 def test_lag_of_all_but_the_positions_is_said_of_them() -> None:
     """Positions that come first mean that everything else is late."""
     found = check(ship_log(Fault("delay", ("u", "v", "psi", "r"), 0.9)), SHIP.model, inputs=False)

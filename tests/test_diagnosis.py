@@ -416,6 +416,7 @@ def test_a_cubic_damping_is_proposed_with_its_value() -> None:
     assert PROBLEM.model + found.best.effect
 
 
+@pytest.mark.slow
 def test_nothing_is_proposed_where_nothing_is_missing() -> None:
     """Noise alone gives no claim, however many terms are looked at."""
     train, _, _ = records(5, duration=40.0)
@@ -659,6 +660,7 @@ def test_a_claim_whose_interval_holds_zero_is_doubted(std_error: float, doubted:
     assert sum("drag" in line for line in told) == doubted
 
 
+@pytest.mark.slow
 def test_score_is_chi_squared_where_nothing_is_missing() -> None:
     """Over seeds, the statistic of an absent effect follows its distribution."""
     statistics = []

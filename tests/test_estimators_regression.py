@@ -624,7 +624,7 @@ def test_four_runs_tell_more_than_one() -> None:
     """Runs add up; four have half the errors of one."""
     stream = FourierStream(ship(), duration=600.0, period=SAMPLING, band=(0.002, 0.08))
     told = []
-    for seed in (1, 2, 4, 5):
+    for seed in range(4):
         record = sailed(seed)
         for t, d, y in zip(record.times, record.inputs[:, 0], record.outputs, strict=True):
             stream.push(t, {"d": d, "v": y[0], "r": y[1]})
