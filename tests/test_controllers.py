@@ -254,7 +254,7 @@ def test_a_mission_is_flown_as_planned(tmp_path: Path) -> None:
     mavwp = pytest.importorskip("pymavlink.mavwp")
     auv = load_problem("remus_diving_plane")
     pattern = auv.experiment("zigzag_10_10")
-    fins = Piecewise("fin_command", (0.0, 3.0, 8.5, 12.25, 20.0), (0.0, 0.1, -0.12, 0.05, 0.0))
+    fins = Piecewise("fin_command", (0.0, 0.5, 8.5, 12.25, 20.0), (0.0, 0.1, -0.12, 0.05, 0.0))
     start = {"u": 1.5, "z": 10.0}
     run = Experiment("steps", fins, duration=30.0, sample_time=0.05, initial=start,
                      constants=pattern.constants)  # fmt: skip
@@ -289,7 +289,7 @@ def test_a_mission_serves_no_feedback_and_no_quick_orders(tmp_path: Path) -> Non
     """What a mission cannot do is said, and what can."""
     with pytest.raises(DesignError, match="no feedback"):
         write_controller(tmp_path / "m", ship(), experiment("zigzag"), "mission", servos=SERVO)
-    quick = Piecewise("rudder", (0.0, 2.0, 2.5), (0.0, 0.1, 0.0))
+    quick = Piecewise("rudder", (0.0, 0.5, 2.0, 2.5), (0.0, 0.1, 0.2, 0.0))
     run = experiment("circle", manoeuvre=quick)
     with pytest.raises(DesignError, match="apart"):
         write_controller(tmp_path / "m", ship(), run, "mission", servos=SERVO)

@@ -229,7 +229,9 @@ def _mission(plan: Mapping[str, Any], servos: Mapping[str, Servo]) -> list[str]:
             orders.setdefault(time, {})[one["input"]] = value
     times = sorted(time for time in orders if time < plan["duration"])
     ends = [*times[1:], plan["duration"]]
-    if (shortest := float(np.min(np.subtract(ends, times)))) < SHORTEST_ORDER - 1e-9:
+    # A run may begin with one sample at trim.
+    lasting = np.subtract(ends, times)[1:]
+    if (shortest := float(lasting.min(initial=np.inf))) < SHORTEST_ORDER - 1e-9:
         raise DesignError(
             f"The run {name!r} has orders {shortest:.3g} s apart; those of a mission have to be "
             f"{SHORTEST_ORDER:g} s apart or more. Write kind='ardupilot', or overrides."
