@@ -13,6 +13,10 @@ from scipy.integrate import solve_ivp
 from scipy.stats import false_discovery_control, norm
 from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 
+from benchmarks.random_forces.scenarios import SCENARIOS
+from benchmarks.random_forces.simulator import believed
+from benchmarks.random_forces.simulator import simulate as simulate_worlds
+from benchmarks.random_forces.trial import _model, dataset
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
@@ -27,6 +31,7 @@ from oed_sysid.likelihood.noise_levels import (
     FALSE_SHARE,
     _depth,
     held_masks,
+    noisy_inputs,
     spike_masks,
     spike_sizes,
 )
@@ -362,6 +367,25 @@ def test_noise_of_a_logged_input_is_named() -> None:
     )
     assert "input_noise" in kinds(WHITE.fit(yaw_model(), noisy))
     assert "input_noise" not in kinds(WHITE.fit(yaw_model(), clean))
+    # Where it is asked for, its level is estimated, in the place of a force that explains as much.
+    asked = MultipleShooting().fit(yaw_model(), noisy)
+    assert asked.noise.places == ("actuator delta",)
+    assert "input_noise" in kinds(asked)
+
+
+def test_a_helmsmans_white_rudder_is_no_noise_of_the_log() -> None:
+    """What he answers to a noisy heading moves the ship: the records exclude noise of the log."""
+    scenario = SCENARIOS["ship_helm_white"]
+    model = _model(scenario.vehicle).with_values(believed(scenario))
+    for drawn in simulate_worlds(scenario, 6, range(2)):
+        data = dataset(scenario, model, drawn.runs)
+        fit = MultipleShooting().fit(model, data)
+        assert set(noisy_inputs(data)) == {"rudder"}
+        assert fit.process_noise is not None
+        assert fit.process_noise.inputs == ("rudder",)
+        assert "input_noise" not in kinds(fit)
+        unasked = MultipleShooting(disturbances="none").fit(model, data)
+        assert "input_noise" in kinds(unasked)
 
 
 def test_filters_state_whether_their_innovations_are_right() -> None:

@@ -490,9 +490,13 @@ def _inputs(fit: Estimate) -> Iterator[Found]:
     """Logged inputs whose white noise reaches the outputs.
 
     The vehicle answers to the true input, not to its log; a fit to the log lets coefficients
-    shrink and errors look white (Fuller 1987, *Measurement error models*).
+    shrink and errors look white (Fuller 1987, *Measurement error models*). But a helmsman's answers
+    to a noisy heading are as white, and move the vehicle: noise that the records exclude is none.
     """
+    excluded = () if fit.process_noise is None else fit.process_noise.inputs
     for name, level in noisy_inputs(fit.dataset).items():
+        if name in excluded:
+            continue
         column, rng = fit.model.input_names.index(name), np.random.default_rng(0)
         size = change_of_outputs(fit, partial(_with_input_noise, fit, column, level, rng))
         if SAME < size < np.inf:

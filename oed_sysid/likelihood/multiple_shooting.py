@@ -45,7 +45,13 @@ from oed_sysid.likelihood.random_forces import (
     Start,
     fit_disturbed,
 )
-from oed_sysid.likelihood.score_test import CLEAR, ScoreTest, Setting, score_test
+from oed_sysid.likelihood.score_test import (
+    CLEAR,
+    ScoreTest,
+    Setting,
+    excluded_inputs,
+    score_test,
+)
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.summary import (
@@ -394,7 +400,9 @@ class MultipleShooting:
             test = _score(fit, task, setting, starts[0], kernel, carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
-        fit = replace(fit, process_noise=ProcessNoiseTest(test.gain))
+        at = fit.model, setting, fit.initial_states, fit.local_values, kernel
+        excluded = excluded_inputs(*at) if setting.inputs and test.gain < np.inf else ()
+        fit = replace(fit, process_noise=ProcessNoiseTest(test.gain, inputs=excluded))
         if tests and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
@@ -405,7 +413,10 @@ class MultipleShooting:
         if tests and _no_likelier(found, fit):
             return fit, None
         model = with_levels(found.model, found.noise)
-        return fit, replace(found, process_noise=_before_absorbed(fit, test.gain), model=model)
+        # Noise of inputs was asked for beside these forces and in their place.
+        absent = [p.channel for p in setting.inputs if not found.noise.level(p.name)[0]]
+        asked = ProcessNoiseTest(test.gain, inputs=tuple(absent))
+        return fit, replace(found, process_noise=_before_absorbed(fit, asked), model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
@@ -660,12 +671,12 @@ def _score(
     return score_test(task.model, quiet, start, kernel)
 
 
-def _before_absorbed(fit: Fit, statistic: float) -> ProcessNoiseTest:
+def _before_absorbed(fit: Fit, asked: ProcessNoiseTest) -> ProcessNoiseTest:
     """The test at the white fit, with delays and starts of actuators that the forces absorb."""
     if not fit.names:
-        return ProcessNoiseTest(statistic)
+        return asked
     late, elsewhere = clear_delay(fit, estimate_delays(fit)), clear_starts(fit)
-    return ProcessNoiseTest(statistic, delay=late, actuator_starts=elsewhere)
+    return replace(asked, delay=late, actuator_starts=elsewhere)
 
 
 def _left(fit: Fit, before: np.ndarray) -> Dataset | None:

@@ -33,6 +33,7 @@ from scipy.stats import chi2
 from oed_sysid.compiled.filtering import FilterKernel, FilterPass
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
+from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
     FROZEN_TOLERANCE,
@@ -522,7 +523,29 @@ def with_input_noise(found: FilteredSolution, setting: Setting) -> FilteredSolut
     # Noise that the log does not show is something else that the inputs happen to explain.
     most = setting.most_input
     levels = zip(again.noise.places, again.noise.force, strict=True)
-    return found if any(level > most.get(place, np.inf) for place, level in levels) else again
+    if any(level > most.get(place, np.inf) for place, level in levels):
+        return found
+    return _instead(found, setting, new) if again is found and new else again
+
+
+def _instead(found: FilteredSolution, setting: Setting, inputs: Sequence[str]) -> FilteredSolution:
+    """Noise of logged inputs in the place of forces, where the records prefer that.
+
+    Forces in the equations in which an input acts explain most of its noise, so that it adds
+    little to them; alone it has fewer unknowns, and one signal moves all these equations.
+    """
+    noise = found.noise
+    if noise.seas or not np.any(noise.force > 0):
+        return found
+    alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0)
+    shown = [setting.most_input[place] / TWOFOLD for place in inputs]
+    alone = replace(alone, force=np.append(alone.force[: -len(inputs)], shown))
+    again = moved(found, posed(found, setting, alone), setting.max_iterations)
+    # As Akaike weighs unknowns (1974).
+    fewer = len(found.problem.levels) - len(again.problem.levels) if again is not None else 0
+    if again is None or again.objective > found.objective + 2.0 * fewer:
+        return found
+    return again
 
 
 def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:

@@ -398,3 +398,45 @@ def _score_at(
         replace(quiet, force=np.sqrt(np.maximum(step[:n_forces], 0.0)), colour=colour),
         replace(one, force=np.sqrt(natural)),
     )
+
+
+def excluded_inputs(
+    model: Model,
+    setting: Setting,
+    initial: Sequence[np.ndarray],
+    local: Sequence[Mapping[str, float]],
+    kernel: FilterKernel | None = None,
+) -> tuple[str, ...]:
+    """Inputs whose log is as white as noise would be, and whose noise the records exclude.
+
+    At a white fit, where noise of the level that the log shows, and of half of it, is clearly less
+    likely than none.
+
+    Parameters
+    ----------
+    model : Model
+        At the fitted values.
+    setting : Setting
+    initial, local, kernel
+        As of :func:`score_test`.
+    """
+    quiet = NoiseModel.white_only(setting.white, model.output_names)
+    nothing, found = np.zeros(len(setting.white), dtype=bool), []
+    for place in setting.inputs:
+        none = quiet.with_places([place.name], 0.0)
+        shown = replace(none, force=np.array([setting.most_input[place.name] / TWOFOLD]))
+        levels = Levels.of(
+            none,
+            shown,
+            [disturbance(place).name],
+            white=nothing,
+            colour=nothing,
+            force=np.ones(1, dtype=bool),
+        )
+        problem = Filtered(model, setting.dataset, levels, kernel=kernel)
+        begin = problem.point(initial, local).unknowns[:-1]
+        costs = [problem.objective(np.append(begin, part**2)) for part in (0.0, 0.5, 1.0)]
+        # Each unknown has taken a square from the residuals, as it would from those of more noise.
+        if min(costs[1:]) > costs[0] + CLEAR + len(begin):
+            found.append(place.channel)
+    return tuple(found)
