@@ -103,6 +103,7 @@ class RegressionForm:
         n, shape = len(times), (len(self.equations), len(self.names))
         if n == 0:
             return np.empty((0, shape[0])), np.empty((0, *shape))
+        # Free parameters have been set to zero in the target: only known ones count of these.
         values = ca.DM(self.model.value_vector)
         target, flat = self._function(states.T, rates.T, signals.T, values, times[None, :])
         # CasADi stacks columns: regressors come as (n_equations * n_free, n_rows).
@@ -137,6 +138,7 @@ def regression_form(model: Model) -> RegressionForm:
     residual = graph.balance(x, rate, d, p, t)
     slope = ca.jacobian(residual, p_free)
     _check_linear(model, graph, slope, p_free)
+    # Equations without a free parameter (kinematics) are no regressions.
     holds = np.array(ca.DM(slope.sparsity(), 1.0)) != 0
     rows = np.flatnonzero(holds.any(axis=1))
     names = model.free_names
@@ -206,6 +208,7 @@ def _act_on_actuators(graph: Graph) -> np.ndarray:
     acts = np.zeros(len(free), dtype=bool)
     if graph.actuate.size1_out(0):
         for output in range(2):  # signals, then memory
+            # The pattern of the Jacobian: whether a parameter can act at all, at any values.
             pattern = np.array(ca.DM(graph.actuate.jac_sparsity(output, 2), 1.0))
             acts |= (pattern[:, free] != 0).any(axis=0)
     return acts
@@ -382,15 +385,19 @@ def rows_from(
     span = SPANS.get(rule, 0)
     n = max(len(times) - span, 0)
     if span:
+        # The mean rate over an interval, exactly; the rule says which mean of the forces goes with
+        # it.
         slopes = (states[span:] - states[:-span]) / (times[span:] - times[:-span])[:, None]
         if rule == "simpson":  # its weights hold for equal steps only
             steps = np.diff(times)
             slopes[np.abs(steps[1:] - steps[:-1]) >= 1e-3 * steps[1:]] = np.nan
     else:
+        # Smoothed states and their rates of one and the same cubic.
         states, slopes = local_cubic(times, states, window)
     parts = []
     for weight, sample, side in STENCILS[rule]:
         part = slice(sample, sample + n)
+        # The equation is linear in everything that is weighed, so that rows may be averaged.
         found = form.evaluate(states[part], slopes, signals[side][part], times[part])
         parts.append((weight * found[0], weight * found[1]))
     targets, regressors = zip(*parts, strict=True)

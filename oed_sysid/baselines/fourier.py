@@ -113,6 +113,7 @@ class FourierRegression(Baseline):
             sums = summed(frequencies, record.times - record.times[0], *rows)
             runs.append(real_rows(frequencies, *sums))
             count += len(frequencies)
+        # Fourier sums at multiples of 1 / length are independent, whatever colour the noise has.
         found = solve_rows(form, *zip(*runs, strict=True), coloured="never")
         return replace(found, facts={"n_frequencies": count})
 
@@ -179,6 +180,7 @@ def _fastest(form: RegressionForm, highest: float) -> float:
         block = jacobian[np.ix_(rows, rows)]
         if np.isfinite(block).all() and len(rows):
             poles.append(float(np.abs(np.linalg.eigvals(block)).max()))
+    # From rad/s to Hz, and an octave of room.
     found = 2.0 * max(poles) / (2 * np.pi)
     return min(found, highest) if found > 0 else highest
 
@@ -318,6 +320,7 @@ class FourierStream(Stream):
 
     def _runs(self) -> list[tuple[np.ndarray, ...]]:
         """Rows of all runs; those of one that goes on count by how much of it is over."""
+        # Frequencies are those of the whole run: of a part of it their sums depend on each other.
         factor = min(1.0, self.length / self.duration)
         return [*self._before, real_rows(self.frequencies, *self._sums, factor=factor)]
 
@@ -355,6 +358,8 @@ class FourierStream(Stream):
             for j, response in enumerate(self.model.output_names, start=n_inputs):
                 cross = np.abs((groups[:, :, j] * groups[:, :, i].conj()).sum(axis=1)) ** 2
                 total = power[:, i].sum() * power[:, j].sum()
+                # |S_xy|^2 / (S_xx S_yy) over neighbouring frequencies, one alone being always
+                # coherent.
                 part = cross / np.maximum(power[:, i] * power[:, j], 1e-300)
                 weight = power[:, j] / max(power[:, j].sum(), 1e-300)
                 found[command, response] = float(part @ weight) if total > 0 else 0.0

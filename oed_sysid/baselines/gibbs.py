@@ -56,6 +56,7 @@ def split_r_hat(draws: np.ndarray) -> np.ndarray:
     half = draws.shape[1] // 2
     halves = np.concatenate([draws[:, :half], draws[:, half : 2 * half]])
     within = halves.var(axis=1, ddof=1).mean(axis=0)
+    # Of means, times the draws in each: what the variance within would be if halves agreed.
     between = half * halves.mean(axis=1).var(axis=0, ddof=1)
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = ((half - 1) / half * within + between / half) / within
@@ -84,6 +85,7 @@ def effective_draws(draws: np.ndarray) -> np.ndarray:
         correlations = np.array([autocorrelation(chain, n_draws - 1) for chain in part])
         variances = part.var(axis=1)[:, None]
         rho = 1.0 - (within - (correlations * variances).mean(axis=0)) / total
+        # Sums of neighbours are positive for a reversible chain: the first negative one is noise.
         pairs = rho[1:-1:2] + rho[2::2]
         negative = np.flatnonzero(pairs < 0)
         tail = pairs[: negative[0]] if len(negative) else pairs
@@ -169,6 +171,7 @@ def sample_posterior(
         if draw == "coordinate":
             for j in range(n):
                 pi = gram[j, j] / variance + precision[j]
+                # What the other coefficients explain of this column.
                 others = c @ gram[j] - c[:, j] * gram[j, j]
                 mu = ((moment[j] - others) / variance + precision[j] * mean0[j]) / pi
                 c[:, j] = mu + rng.standard_normal(n_chains) / np.sqrt(pi)
@@ -176,6 +179,7 @@ def sample_posterior(
             # All chains at once: mean of the normal distribution, and a draw about it.
             inner = gram / variance[:, None, None] + np.diag(precision)
             right = moment / variance[:, None] + precision * mean0
+            # inner = U'U: a solution of U x = z has the covariance inner^-1.
             upper = np.linalg.cholesky(inner).transpose(0, 2, 1)
             unit = rng.standard_normal((n_chains, n))
             c = np.linalg.solve(inner, right[:, :, None])[:, :, 0]
@@ -282,6 +286,7 @@ class GibbsRegression(RegressionEstimator):
     ) -> np.ndarray:
         """Draws ``(n_chains, n_draws, n_names)``."""
         size = float(np.sqrt(np.mean(targets**2))) or 1.0
+        # Columns of unit size: chains of like pace, and one width of prior for all.
         units = size / np.sqrt(np.mean(features**2, axis=0))
         # Known parameters as whitened rows; the others have a wide prior.
         known, means = prior_rows(model)

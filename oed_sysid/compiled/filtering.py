@@ -187,6 +187,7 @@ def rates(turn: int, damping: float) -> np.ndarray:
         ]
     )
     drive = np.diag([0.0, 0.0, 1.0, 0.0])
+    # In coordinates of unit stationary covariance, as the two states of a second-order sea are.
     root = np.linalg.cholesky(solve_continuous_lyapunov(a, -drive))
     return np.linalg.solve(root, a @ root)
 
@@ -227,6 +228,7 @@ def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -
 
     def over(damping: float, *, by_period: bool = False) -> np.ndarray:
         values, vectors, inverse = _modes(turn, damping)
+        # d exp(lambda theta) / d ln T = -lambda theta exp(lambda theta), as theta goes with 1 / T.
         powers = np.exp(values * angles) * (-values * angles if by_period else 1.0)
         return np.asarray((vectors * powers[:, None, :] @ inverse).real)
 
@@ -340,6 +342,8 @@ class InterpretedFilter:
                 return k
             self._let_act()
             y = self.code.sample(self.z, record, k, self.values)[0]
+            # Corrections of earlier outputs of this sample count for the later ones, to first
+            # order.
             delta = np.zeros(self.size)
             for i in np.flatnonzero(np.isfinite(measured[k])):
                 h, gain = gains[k, i]
@@ -375,6 +379,8 @@ class InterpretedFilter:
         self.d_mean, self.p = np.zeros((self.size, nx + nl)), np.zeros((self.size, self.size))
         self.d_mean[: self.na, :nx] = first
         self.own = slice(nx - len(chosen), nx)
+        # Disturbances begin in their stationary distribution; start states are unknowns, without
+        # any.
         self.p[self.extra, self.extra] = np.diag(self.tail)
         self.d_p = np.zeros((nl, self.size, self.size))
         for level, (kind, index) in enumerate(levels):

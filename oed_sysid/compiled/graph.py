@@ -108,6 +108,8 @@ class Graph:
             moved = self._stages(z, start, end, p, t, h)
             return ca.Function("advance", [z, start, end, p, t, h], [moved])
         x, memory, sensor = self._split(z)
+        # Held inputs are one and the same over a step; linear ones are asked at its start, middle,
+        # end.
         if any(self.linear_inputs):
             middle = (start + end) / 2
             first, _ = self.actuate(memory, start, p, t, h)
@@ -133,8 +135,11 @@ class Graph:
             base = x + sum(h * a * k for a, k in zip(weights, slopes, strict=False))
             d, _ = self.actuate(memory, start + fraction * change, p, t, h)
             reached = stage(base, d, p, t + fraction * h, h)
+            # The slope of a stage follows from where it arrives, without evaluating the rates
+            # again.
             slopes.append((reached - base) / (h * GAMMA))
         _, following = self.actuate(memory, start + change / 2, p, t, h)
+        # Stiffly accurate: the last stage is the end of the step.
         return ca.vertcat(reached, following, sensor)
 
     def _stage(self) -> ca.Function:
@@ -291,6 +296,7 @@ def _build(model: Model) -> Graph:
     # Start: what the model's own states imply for everything else.
     own = {name: states[name] for name in model.state_names}
     ready = own | inputs | always | acting.settled
+    # States of effects begin where own states, parameters and settled actuators put them.
     extra = [to_casadi(s.initial, ready, tables) for e in model.effects for s in e.states]
     x_start = _vertcat([*own.values(), *extra])
     first = ca.Function("first", [x, d, p, t, h], [sensing.initial], {"allow_free": False})
@@ -343,6 +349,7 @@ class _Sampled:
             following += [to_casadi(m.update, local, tables) for m in effect.memory]
             begin = {m.name: to_casadi(m.initial, scope | settled, tables) for m in effect.memory}
             initial += begin.values()
+            # In order along the chain: what one effect settles to is what the next one sees.
             settled |= _apply(effect, scope | settled | begin, tables)[1]
             signals |= new
         return cls(_vertcat(memory), _vertcat(following), _vertcat(initial), signals, settled)
@@ -371,6 +378,7 @@ class _Motion:
         for name, text in model.kinematics.items():
             rates[name] = to_casadi(text, scope, tables) + forces.get(name, ca.SX(0))
         speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
+        # x' - f = 0: the form that is linear in masses and forces, which regressions use.
         balance = {name: speeds[name] - rates[name] for name in rates}
         accelerations, momentum = _momentum(model, scope, forces, tables, speeds)
         rates |= accelerations
@@ -391,6 +399,8 @@ def _with_flow(model: Model, scope: Scope) -> Scope:
             if signal in effect.terms:
                 local = dict(scope)
                 for name, definition in effect.definitions.items():
+                    # Definitions may need signals that come later in the chain; those are not for
+                    # this signal.
                     if names(definition) <= local.keys():
                         local[name] = to_casadi(definition, local, tables)
                 scope[signal] = to_casadi(effect.terms[signal], local, tables)

@@ -153,7 +153,10 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
     Weights
     """
     scale = library.prior.shape[0] if isinstance(library.criterion, DOptimal) else 1
+    # Exponents with which the multiplicative iteration rises monotonically (Yu 2010, Annals of
+    # Statistics 38).
     power = 1.0 if isinstance(library.criterion, DOptimal) else 0.5
+    # Weights that start above zero can reach any design; a zero would stay one.
     w = np.full(library.n_runs, 1.0 / library.n_runs)
     best: Weights | None = None
     ceiling, sweep = np.inf, 0
@@ -212,6 +215,7 @@ def _within_both(
     time, count = limits
     low, high = 0.0, 1.0
     for _ in range(8):
+        # Bisection of the multiplier between the limits: the bound of each mixture is one of both.
         theta = 0.5 * (low + high)
         middle = relaxed(library, theta * time + (1 - theta) * count, tolerance=tolerance)
         found.append(middle)
@@ -283,6 +287,7 @@ class _Search:
         value = self.library.value(counts)
         while True:
             chosen = np.repeat(np.arange(len(counts)), counts).tolist()
+            # One or two runs out, so that a swap of two short ones for a long one is found too.
             fewer = [
                 counts - np.bincount(pick, minlength=len(counts))
                 for pick in {*combinations(chosen, 1), *combinations(chosen, 2)}

@@ -294,6 +294,7 @@ def _ranges(names: Sequence[str], ends: np.ndarray) -> dict[str, tuple[float, fl
     """What all but the most extreme vehicles stay within; nothing where all diverged."""
     if not len(ends):
         return {}
+    # Of the lowest value of each vehicle, not of each moment: a run is safe as a whole.
     low = np.quantile(ends[:, :, 0], _TAIL, axis=0).tolist()
     high = np.quantile(ends[:, :, 1], 1 - _TAIL, axis=0).tolist()
     return dict(zip(names, zip(low, high, strict=True), strict=True))
@@ -354,6 +355,7 @@ def _rules(
     for name in dict.fromkeys((*limited, *(n for n in WATCHED if n in ranges))):
         if name in limited:
             first = experiment.initial.get(name, 0.0)
+            # From the start towards the limit, so that the crew has time before it is reached.
             lower, upper = (first + (1 - _ROOM) * (bound - first) for bound in limited[name])
         else:
             low, high = ranges[name]
@@ -456,6 +458,7 @@ def _track(run: Trajectory) -> np.ndarray | None:
     if _knows(run, "psi"):
         psi = run.signal("psi") - run.signal("psi")[0]
         v = run.signal("v") if _knows(run, "v") else np.zeros_like(u)
+        # Kinematics in the plane, from the heading at the start.
         rates = [u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)]
         return cumulative_trapezoid(np.column_stack(rates), run.times, axis=0, initial=0)
     if not _knows(run, "theta", "z"):

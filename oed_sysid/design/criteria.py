@@ -108,6 +108,7 @@ def eliminate(matrix: np.ndarray, n_drop: int) -> tuple[np.ndarray, np.ndarray]:
     # A direction that nothing sees is not worth estimating; it must not stop the elimination.
     regular = block * scale[:, None] * scale + 1e-13 * np.eye(n_drop)
     solved = scale[:, None] * cho_solve(cho_factor(regular), scale[:, None] * matrix[first, last])
+    # Derivative of the Schur complement: map dM map', the solution being stationary.
     mapping = np.hstack([-solved.T, np.eye(n - n_drop)])
     reduced = matrix[last, last] - matrix[last, first] @ solved
     return 0.5 * (reduced + reduced.T), mapping
@@ -118,6 +119,7 @@ def inverse(matrix: np.ndarray) -> np.ndarray:
     regular = matrix + NOTHING * np.eye(matrix.shape[-1])
     diagonal = np.sqrt(np.maximum(np.diagonal(regular, axis1=-2, axis2=-1), NOTHING))
     outer = diagonal[..., :, None] * diagonal[..., None, :]
+    # Scaled to a unit diagonal, so that eigenvalues say how alike, not in which unit.
     values, vectors = np.linalg.eigh(regular / outer)
     inner = (vectors / np.maximum(values, 1e-15)[..., None, :]) @ np.swapaxes(vectors, -1, -2)
     return inner / outer
@@ -140,6 +142,7 @@ def soft_minimum(values: np.ndarray, width: float) -> tuple[float, np.ndarray]:
     >>> print(round(value, 2), weights.round(3))
     1.04 [0.5 0.5 0. ]
     """
+    # Less the smallest, so that no exponent overflows.
     weights = np.exp(-(values - values.min()) / width)
     return float(values.min() - width * np.log(weights.mean())), weights / weights.sum()
 
@@ -258,6 +261,7 @@ class DsOptimal:
         """Return ``log det`` of the Schur complement and its derivative."""
         lacking = f"Model {setting.model.name!r} has no parameter that is estimated"
         last = located(DesignError, lacking, self.interest, setting.names)
+        # Those of no interest in front, where they are eliminated.
         order = np.array([i for i in range(len(setting.names)) if i not in last] + last)
         n_drop = len(order) - len(last)
 
@@ -326,6 +330,7 @@ class GOptimal(_Prediction):
         def measure(matrix: np.ndarray) -> tuple[float, np.ndarray]:
             bound = inverse(matrix)
             variances = np.einsum("ij,ij->i", rows @ bound, rows)
+            # The largest of smooth functions: the derivative is that of the one that is largest.
             worst = int(np.argmax(variances))
             row = bound @ rows[worst]
             return -np.log(variances[worst]), np.outer(row, row) / variances[worst]
@@ -443,6 +448,7 @@ class Discriminate:
             by_gram = np.zeros_like(gram)
             for weight, (_, _, misfit, slope) in zip(weights, pairs, strict=True):
                 if misfit > NOTHING:
+                    # d log T = dT / T, weighted by the soft minimum.
                     by_gram += weight / misfit * slope
             return value, mapping.T @ by_gram @ mapping
 
@@ -514,6 +520,8 @@ def pair_misfits(
                 continue
             mine, theirs = own.columns, other.columns
             block = gram[np.ix_(theirs, theirs)]
+            # A rival without any effect in these runs imitates nothing; it must not divide by
+            # zero.
             floor = NOTHING + 1e-12 * float(np.trace(block))
             imitated = np.linalg.solve(
                 block + floor * np.eye(len(theirs)), gram[np.ix_(theirs, mine)]
@@ -522,6 +530,7 @@ def pair_misfits(
             direction[mine, np.arange(len(mine))] = 1.0
             direction[theirs] = -imitated
             slope = direction @ own.weight @ direction.T
+            # G_ii - G_ij G_jj^-1 G_ji of the class: what the other at its best amplitude leaves.
             left = gram[np.ix_(mine, mine)] - gram[np.ix_(mine, theirs)] @ imitated
             pairs.append((i, j, float(np.sum(own.weight * left)), slope))
     return pairs
@@ -626,6 +635,7 @@ class Detect:
             gain = self.needed(group.freedom)
             first, last = (noncentrality(gram, group)[0] for gram in grams)
             # The gain grows with the square of the size.
+            # Non-centrality at which the test exceeds its threshold with this probability.
             surely = chndtrinc(gain, group.freedom, 1.0 - SURE)
             least = float(np.sqrt(surely / max(last, 1e-300)))
             rare, sure = (

@@ -483,6 +483,7 @@ def _safe_run(
     check: bool,
 ) -> tuple[_Outlook, int | None, Assurance | None]:
     """Take the best run, and refuse those that leave their limits on too many vehicles."""
+    # Drawn once: runs are refused or taken on the same vehicles.
     others = draw_models(expected.model, None, CHECKED, expected.prior, rng)
     vehicles = (expected.model, *others)
     refused: list[int] = []
@@ -545,6 +546,7 @@ class _Outlook:
         cls, expected: ExpectedInformation, candidates: Sequence[Candidate], goals: Sequence[Goal]
     ) -> _Outlook:
         """Return the outlook, without runs that diverge on what is known now."""
+        # Before their time: what the runs would tell does not depend on which is taken.
         each = [*map(expected.told().matrix, (run.experiment for run in candidates))]
         finite = [i for i, one in enumerate(each) if one is not None]
         rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
@@ -568,6 +570,7 @@ class _Outlook:
     def deviations(self, more: np.ndarray | float) -> np.ndarray:
         """Largest standard deviation of each goal with more information, ``(..., n_goals)``."""
         bound = inverse(self.matrix + more)
+        # Standard deviation of a linear function of the parameters, at its worst time.
         parts = [np.sqrt(((row @ bound) * row).sum(axis=-1).max(axis=-1)) for row in self.rows]
         return np.stack(parts, axis=-1)
 
@@ -610,6 +613,7 @@ class _Outlook:
         while len(steps) < 40 and np.any(self.deviations(more) > self.wanted):
             if not (ranked := self.ranked(more)):
                 break
+            # Greedy: information only grows, so that what was taken is never in the way later.
             steps.append(ranked[0])
             more = more + self.told[ranked[0]]
         return steps

@@ -118,6 +118,7 @@ class VehicleInformation:
             return None
         n_full = runner.n_full
         maps = np.empty((len(self.edges), *dz.shape))
+        # Chain rule from edge to edge: derivatives of the state by start and parameters.
         maps[0] = dz
         for i in range(len(self.edges) - 1):
             maps[i + 1] = dends[i, :, :n_full] @ maps[i]
@@ -173,6 +174,7 @@ class VehicleInformation:
         first = int(self.edges[edge])
         times, part = self.times[first:], commands[first:]
         z, chain = evaluation.nodes[edge], evaluation.chains[edge]
+        # A start depends on the commands as well, where something remembers; later nodes are kept.
         if edge == 0:
             z, dz = self.kernel.start(self.own, commands[0], self.values, float(times[0]))
             chain = self._chains(dz[None])[0]
@@ -189,6 +191,7 @@ class VehicleInformation:
             return None
         for position, (moved, _) in enumerate(others, start=n_kept):
             total += float(np.vdot(weights[:, :, position], moved))
+        # What the same rows were worth before: the difference is the change.
         total -= float(np.vdot(by_rows[first:], evaluation.rows[first:]))
         signals = np.hstack([run.states, run.outputs])[:, columns]
         return total, signals - evaluation.signals[first:, columns]
@@ -239,6 +242,7 @@ class VehicleInformation:
         flat = rows.reshape(-1, rows.shape[2])
         matrix = flat.T @ flat
         index = np.arange(self.n_nuisance)
+        # What is known of starts is information too; on parameters it is added per vehicle.
         matrix[index, index] += self.nuisance_prior
         return matrix
 
@@ -394,12 +398,14 @@ class Objective:
     def linearise(self, score: Score) -> Slope:
         """Derivatives of the criterion and of the limited signals by the numbers."""
         size = self.shape.size
+        # A difference towards the middle stays within the box.
         signs = np.where(score.numbers > 0.5, -1.0, 1.0)
         commands = self.all_commands(score.numbers + np.diag(_STEP * signs))
         judged = zip(self.vehicles, score.evaluations, strict=True)
         parts = [vehicle.worth(evaluation) for vehicle, evaluation in judged]
         _, weights = self._combined([value for value, _ in parts])
         slopes = [
+            # d tr(S M(J)) with M = J'J is 2 <J S, dJ>: one weight for all numbers of the family.
             2 * weight * (one.rows @ slope)
             for weight, one, (_, slope) in zip(weights, score.evaluations, parts, strict=True)
         ]
@@ -411,6 +417,7 @@ class Objective:
         signals = np.zeros((len(self.vehicles), len(self.times), len(columns), size))
 
         def one(index: int) -> None:
+            # Before the first changed command everything is as it was: the run is restarted there.
             differs = np.flatnonzero((commands[index] != score.commands).any(axis=1))
             if not len(differs):
                 return

@@ -182,6 +182,7 @@ def design_programme(
     planner = _Planner(expected, vehicles, search.n_draws, limits, budget, certainty, spread, rng)
     tell(f"information of {len(runs)} candidate runs")
     names = tuple(budget.sensors)
+    # All subsets: optional sensors are few, and their worth depends on each other.
     subsets = chain.from_iterable(combinations(names, n) for n in range(len(names) + 1))
     options = [planner.solve(runs, subset) for subset in subsets]
     plan = max(options, key=lambda one: one.chosen.value)
@@ -208,6 +209,7 @@ def _programme(
     sequence = [plan.runs[i] for i in order(library, [int(n) for n in chosen.counts])]
     joint = library.total(chosen.counts.astype(float))
     totals, scales = joint[:, : len(expected.names), : len(expected.names)], planner.scales
+    # Of every vehicle: where coefficients differ, so does what the same runs tell.
     errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
     sensor_options = {
         ", ".join(one.subset) or "none": (
@@ -334,6 +336,7 @@ class _Planner:
         ]
         for run, parts in zip(missing, zip(*told, strict=True), strict=True):
             found = [self.expected.relative(one, self.scales) for one in parts if one is not None]
+            # A run that one vehicle cannot finish is no run to plan with.
             whole = len(found) == len(parts)
             self.known[id(run), outputs] = np.stack(found) if whole else None
         return [self.known[id(run), outputs] for run in runs]

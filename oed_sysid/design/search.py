@@ -133,6 +133,7 @@ def _largest(
     objective: Objective, grid: Grid, numbers: np.ndarray, *, with_scenarios: bool
 ) -> list[Score]:
     """Shrink a manoeuvre towards the neutral command until all limits are kept."""
+    # Towards the neutral command, at which nothing moves and most limits are kept.
     still = objective.shape.start(
         np.broadcast_to(grid.neutral, (len(grid.times), len(grid.inputs)))
     )
@@ -278,6 +279,7 @@ class _Progressed:
                 self.current, self.last_step = trial, step
                 self.merits.append(_merit(trial))
                 return True
+            # The linear program promised what the vehicle does not do: a smaller region.
             self.radius = 0.4 * self.radius
         return False
 
@@ -321,6 +323,7 @@ def _program(
     rights: list[np.ndarray] = []
 
     def limit(excess: np.ndarray, by_numbers: np.ndarray, *, thin: bool = False) -> None:
+        # The most that a step within the region can change a signal, to first order.
         reach = np.abs(by_numbers) @ radius
         for side, sign in enumerate((-1.0, 1.0)):
             beyond = excess[:, :, side] + _MARGIN
@@ -345,6 +348,7 @@ def _program(
     matrix, right = np.vstack(rows), np.concatenate(rights)
     present = max(0.0, float(-right.min(initial=0.0)))
     if not len(right):
+        # Without limits the best vertex is that of the signs of the gradient.
         step = np.where(slope.criterion > 0, upper, lower)
         return step, float(slope.criterion @ step)
     # One elastic variable, the largest excess, keeps the program solvable.

@@ -164,6 +164,7 @@ class LimitBounds:
         lower, upper = np.array([pair for _, pair in limited], dtype=float).reshape(-1, 2).T
         bound = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 1.0))
         width = upper - lower
+        # A limit on one side has no width: its own size is the unit.
         width = np.where(np.isfinite(width), width, np.maximum(np.abs(bound), 1e-3))
         units = units_of(model)
         return cls(
@@ -371,6 +372,8 @@ def _drawn(
         wide = DOUBT if prior is None and number % 2 else 1.0
         moved = values.copy()
         if deviations.any():
+            # Every other vehicle from a prior that is wider: a mixture, since priors are wrong
+            # themselves.
             moved += wide * deviations @ rng.standard_normal(len(names))
         if far.any():
             moved += values * far * rng.uniform(-1, 1, len(names))
@@ -386,6 +389,7 @@ def _deviations(model: Model, prior: Information | None) -> np.ndarray:
     if prior is not None:
         covariance = np.where(np.isfinite(prior.covariance), prior.covariance, 0.0)
         rows = [names.index(name) for name in prior.names]
+        # A root that exists where the covariance is singular, which a Cholesky factor does not.
         values, vectors = np.linalg.eigh(covariance)
         root[np.ix_(rows, rows)] = vectors * np.sqrt(np.maximum(values, 0.0))
     return root
@@ -509,6 +513,7 @@ def kept_on(
     wanted : float
         Below this share of the others nothing is returned.
     """
+    # Once more have failed than may, the rest need not be simulated.
     allowed = int((1 - wanted) * len(vehicles) + 1e-9)
     failed = 0
     for number, vehicle in enumerate(vehicles):

@@ -435,14 +435,17 @@ def _pieces(
     for piece in trace.pieces(usable, LEAST):
         times = trace.times[piece]
         rows = np.flatnonzero(np.isfinite(left[piece, 0]))
+        # Means of blocks: what is fast tells no constant error, and long records stay cheap.
         group = max(1, -(-rows.size // MOST_BLOCKS))
         n = rows.size // group
         if n < LEAST:
             continue
         rows = rows[: n * group]
         sums = relation.integral(times, inside[piece]) if rated else inside[piece]
+        # Left side less integral of the right: zero but for noise, and for what is wrong.
         whole = (left[piece] - sums)[rows]
         means = factor * whole.reshape(n, group, -1).mean(axis=1)
+        # The constant is left out: an integral is known up to where it began.
         waves = dct(means[:, : 2 + len(used)], axis=0, norm="ortho")[1:]
         if not waves[:, :2].any():  # a constant says nothing
             continue
@@ -536,6 +539,8 @@ def assemble(
         shares, variance, law, _ = _noise(mine, faults, nuisance)
         part = shares * law.mean(axis=1)
         active = part > RELATIVE * part.sum()
+        # Information on variances of normal coefficients: half the squared relative change of
+        # each.
         fisher = np.linalg.pinv(0.5 * (law[active] / variance**2) @ law[active].T)
         begin = 0
         for piece in mine:
@@ -554,6 +559,8 @@ def assemble(
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = 2.0 * gram.diagonal() ** 2 / relative
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
+    # Noise levels are estimates themselves: Student's distribution, shared among all that is
+    # asked.
     limits = stdtrit(freedom, 1.0 - 0.5 * FALSE_CLAIMS / (n + n_more)) ** 2
     # Noise of the rates enters by slopes that vary: at one place it may be that much louder.
     limits = limits * np.where([f.placed for f in faults], VARYING, 1.0)
@@ -578,6 +585,7 @@ def _noise(
     variance = floor @ law
     for _ in range(4 if used.size else 1):  # what is left depends on the noise by the faults alone
         white = matrix / np.sqrt(variance)[:, None]
+        # Faults in units of their usual size, with a prior of one.
         inner = np.linalg.inv(white.T @ white + np.eye(used.size))
         hat = np.einsum("ij,jk,ik->i", white, inner, white)
         size = inner @ (white.T @ (y / np.sqrt(variance)))

@@ -239,6 +239,7 @@ def locate(
     if found is None:
         return Located.nothing(fit)
     found.sort(key=lambda part: part.order)
+    # Forces in all equations at once, whichever place is best: what they look like is a finding.
     smoother = ResidualForces.of(*let_in(fit, unit))
     columns = _force_columns(fit.noise)
     forces = tuple(series.only([*columns]) for series in smoother.series())
@@ -461,6 +462,7 @@ class _Bench:
             for part in first.passes(nothing, levels_only=True)
             if part.ok
         )
+        # The standard error of a variance is told^-1/2; its root is the level.
         size = told**-0.25 if told > 0 else 1.0
         best: _Begun | None = None
         while True:
@@ -511,6 +513,8 @@ def _cut(
         for number, (first, stop) in enumerate(pairwise(edges), start=1):
             cut = record.window(record.times[first], record.times[stop - 1])
             records.append(cut.rename(f"{record.name}, part {number}"))
+            # On the filtered path, which stays with the record where the model alone would leave
+            # it.
             initial.append(part.path[first, : len(problem.model.states)])
             local.append(own)
     return Dataset(tuple(records)), initial, local

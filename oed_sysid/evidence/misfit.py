@@ -278,6 +278,7 @@ def correlate(
         seen = np.isfinite(residual)
         if seen.sum() < 20 or not np.ptp(series) > 0:
             continue
+        # Zero where nothing was measured: a gap adds nothing to any product.
         r = np.where(seen, residual - np.nanmean(residual), 0.0)
         s = series - np.mean(series)
         squares += r @ r, np.sum(s[seen] ** 2)
@@ -286,6 +287,8 @@ def correlate(
         memory = 1.0
         if in_time:
             n_lags = min(len(s) // 3, 300)
+            # Variance of a cross-correlation of two series with memories: the sum of the products
+            # of their autocorrelations (Bartlett 1946), tapered as Bartlett does.
             product = autocorrelation(residual, n_lags) * autocorrelation(series, n_lags)
             taper = 1.0 - np.arange(n_lags + 1) / (n_lags + 1.0)
             memory = max(1.0 + 2.0 * float(product[1:] @ taper[1:]), 0.1)
@@ -326,6 +329,7 @@ def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float,
     """Record, begin and end, s, and misfit of the worst window; of tests the number, twice."""
     best = ("", np.nan, np.nan, np.nan)
     for part, record in zip(windows, dataset, strict=True):
+        # Windows without a measurement, or beyond a divergence, are never the worst.
         filled = np.where(np.isfinite(part), part, -1.0)
         i = int(np.argmax(filled))
         if filled[i] > 0 and not filled[i] <= best[3]:
@@ -428,6 +432,7 @@ def _dependence(
         if count < 2 or len(rows) <= count:
             continue
         share = _share(rows, labels)
+        # Analysis of variance: F of the class means, none of which was fitted.
         ratio = (len(rows) - count) / count * share / max(1.0 - share, 1e-12)
         # Where chance is beyond the digits of a number, the larger share is the clearer one.
         best = min(best, (float(fdtrc(count, len(rows) - count, ratio)) - 1e-12 * share, place))

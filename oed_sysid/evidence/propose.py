@@ -142,6 +142,7 @@ def _refitted(
         scores.append(Score(effect, one.statistic, 1, size, error, one.distinct, nothing))
     if not scores:
         return []
+    # One structure with all of them: compiled once.
     wide = study.with_candidates([score.effect for score in scores])
     given = {score.effect.name: pair for score, pair in zip(scores, chosen, strict=True)}
     found = []
@@ -240,6 +241,7 @@ def term_scores(
         cross[problem.layout.record_columns(index)] += own.T @ rows
         along -= rows.T @ white
         full += np.sum(rows**2, axis=0)
+        # Thousands of terms: single precision serves to tell which of them are alike.
         kept_rows.append(rows.astype(np.float32))
     # Known unknowns are projected out in an orthonormal basis of what the records see of them.
     size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), np.inf))
@@ -250,6 +252,7 @@ def term_scores(
     left = np.sqrt(np.maximum(full - np.sum(shadow**2, axis=0), 0.0))
     usable = np.flatnonzero((left > ABSORBED * np.sqrt(full)) & (full > 0))
     root = np.zeros(n_terms)
+    # Signed root of the score statistic: its square is chi-squared of one degree of freedom.
     root[usable] = (along - shadow.T @ step)[usable] / left[usable]
     order = usable[np.argsort(-(root[usable] ** 2))]
     first = order[:60]  # likeness of the strongest is looked at
@@ -276,6 +279,8 @@ def _driven(
     place = {name: index for index, name in enumerate(problem.levels.noise.places)}
     drive = np.empty((*path.drive.shape[:2], len(dictionary)))
     for index, term in enumerate(dictionary):
+        # A term is a force on its equation: it acts as the disturbance there does, times its
+        # value.
         force = path.drive[:, :, place[f"force {term.equation}"]]
         drive[:, :, index] = force * values[term.expression][:, None]
     return drive

@@ -176,7 +176,9 @@ def scores(
     plain = (e for e in candidates if not e.shape_names and two_sided(e))
     smooth = [name for effect in plain for name in effect.amplitude_names]
     rows = _rows(fit, smooth)
+    # Columns that move nothing cannot be scaled, and explain nothing.
     known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
+    # Frisch-Waugh: what is left of residual and signature once the unknowns are refitted.
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
 
     def projected(columns: np.ndarray) -> np.ndarray:
@@ -245,6 +247,7 @@ def _score(
         return Score(effect, 0.0, freedom, nothing, endless, distinct, 0 * projected)
     matrix = projected.T @ projected
     right = projected.T @ residual
+    # Rao's score statistic: s' I^-1 s, the square of what one step would explain.
     inverse = np.linalg.pinv(matrix, rcond=1e-12, hermitian=True)
     amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
     statistic = float(right @ amplitude)
@@ -255,6 +258,7 @@ def _score(
         errors = np.sum(errors.reshape(count, -1) ** -2.0, axis=1) ** -0.5
     sizes = [_parameter(effect, name) for name in variant.amplitudes]
     lower, upper = [one.lower for one in sizes], [one.upper for one in sizes]
+    # An effect whose sign physics gives is no evidence with the other one.
     if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):
         statistic, amplitude = 0.0, np.zeros(1)
     estimate = dict(zip(variant.amplitudes, np.clip(amplitude, lower, upper), strict=True))

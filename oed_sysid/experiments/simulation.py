@@ -111,6 +111,7 @@ def simulate(
         raise SimulationError(f"Expected a model and an experiment, in this order; got {found}.")
     experiment.check_model(model)
     times = experiment.times
+    # Drawn before the run: a manoeuvre that reacts sees the noise that is logged.
     noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
     if experiment.reacts:
         inputs = closed_loop(model, experiment, noise_values)
@@ -196,6 +197,7 @@ class _Loop:
         z, _ = self.runner.start(self.own, self.rest, self.values, times[0])
         first = self.runner.run(times[:2], np.stack([self.rest, self.rest]), self.values, z)
         inputs[0, self.columns] = self._decide(0, first, 0)
+        # What remembers begins at the first command, once that is decided.
         z, _ = self.runner.start(self.own, inputs[0], self.values, times[0])
         k, ahead, slope = 1, _FIRST_AHEAD, np.zeros(len(self.columns))
         while k < len(times):
@@ -220,6 +222,7 @@ class _Loop:
                 ):
                     break
             k += row
+            # A rudder that moves at its rate goes on so for many samples.
             slope = inputs[k - 1, self.columns] - inputs[k - 2, self.columns]
             z = window.states[row]
             if moved and self.linear:
@@ -255,6 +258,7 @@ def _seen(
         starts = np.arange(first, len(times) - 1, 2)
         stop = starts[-1] + 2
         held = commands[first:stop].copy()
+        # The measurement of a sample is taken while the command of the one before still acts.
         held[1::2] = held[::2]
         part = runner.run(
             times[first:stop], held, values, window.states[starts], starts=starts - first

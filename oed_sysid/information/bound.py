@@ -202,6 +202,7 @@ def unknowns(model: Model, start: str | Mapping[str, float]) -> tuple[np.ndarray
     states = np.flatnonzero(np.isfinite(by_state))
     own = np.array([parameter.per_record for parameter in model.free_parameters], dtype=bool)
     spreads = [p.prior_spread or np.inf for p in model.free_parameters if p.per_record]
+    # A stable sort keeps the model's order within own and within shared parameters.
     order = len(by_state) + np.argsort(~own, kind="stable")
     return np.append(states, order), np.append(by_state[states], 1.0 / np.array(spreads))
 
@@ -228,8 +229,10 @@ def eliminated(
     more = range(len(model.states) + len(model.free_parameters), white.shape[1])
     rows = np.take(white, [*columns, *more], axis=1)
     if weights.any():
+        # What is known of a start or of a run's own value is one more observation of it.
         known = weights[:, None] * np.eye(len(weights), rows.shape[1])
         rows = np.vstack([rows, known[weights > 0]])
+    # R_pp: the unknowns in front are those eliminated.
     return triangle(rows)[len(weights) :, len(weights) :]
 
 
@@ -392,6 +395,7 @@ def confirm_bound(
     if n_runs < 3:
         raise DesignError(f"{n_runs} runs cannot confirm anything. Give at least 20.")
     for parameter in model.free_parameters:
+        # A prior at the truth would pull every estimate there and flatter the bound.
         model = model.with_parameter(replace(parameter, prior_mean=None, prior_std=None))
     worker = MultipleShooting(disturbances="none", noise="given", coloured="never")
     information = information_of(model, planned)

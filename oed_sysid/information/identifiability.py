@@ -252,7 +252,9 @@ def identifiable_subset(
     """
     names = information.names
     sizes = np.array([abs(values.get(n, 0.0)) for n in names])
+    # A relative error of a value of zero means nothing: its scale stands for it.
     sizes = np.where(sizes > 0, sizes, information.scales)
+    # R of a QR factorization serves as S: norms and angles of its columns are those of S.
     relative = information.factor / information.scales * sizes
     norms = np.linalg.norm(relative, axis=0)
     wrong = np.array([(assumed or {}).get(name, np.nan) for name in names]) / sizes
@@ -277,6 +279,8 @@ class _Search:
     ) -> None:
         self.gram = unit.T @ unit
         self.norms = norms
+        # gamma = 1 / sqrt(smallest eigenvalue of the Gram matrix of unit columns), so that a limit
+        # on gamma is a floor under that eigenvalue.
         self.least = limit**-2.0
         self.errors = errors
         self.candidates = [i for i in range(len(norms)) if norms[i] > 0 and self._of([[i]])[0] > 0]
@@ -289,10 +293,12 @@ class _Search:
     def _of(self, sets: Sequence[Sequence[int]]) -> np.ndarray:
         """Smallest eigenvalue of every set of one size, 0 where it may not be estimated."""
         smallest = self._smallest(sets)
+        # A share of rounding, so that a set at the limit does not come and go.
         fine = smallest >= self.least * (1.0 - 1e-9)
         if fine.any():
             index = np.asarray(sets, dtype=int)[fine]
             inverse = np.linalg.inv(self.gram[index[:, :, None], index[:, None, :]])
+            # Of relative values: unit columns carry no size, the norms bring it back.
             variances = np.diagonal(inverse, axis1=1, axis2=2) / self.norms[index] ** 2
             fine[fine] = np.all(variances <= self.errors[index] ** 2, axis=1)
         return np.where(fine, smallest, 0.0)
@@ -302,6 +308,7 @@ class _Search:
         found = self.exchanged()
         if len(self.candidates) > ENUMERATED:
             return found
+        # From the largest size down, so that the first size with a set is the answer.
         for size in range(len(self.candidates), max(len(found), 1) - 1, -1):
             sets = list(combinations(self.candidates, size))
             values = self._of(sets)
@@ -351,9 +358,11 @@ def _place(
     """What one parameter costs, free and fixed."""
     others = [i for i in chosen if i != index]
     own = relative[:, index]
+    # With this parameter last, its standard error is that beside the set, everything else fixed.
     bound = Information.from_jacobian(
         [names[i] for i in (*others, index)], relative[:, [*others, index]]
     )
+    # b of the docstring for a unit error: what the others do to imitate this parameter.
     change = np.linalg.lstsq(relative[:, others], own, rcond=None)[0] if others else np.zeros(0)
     rest = own - relative[:, others] @ change
     size = float(own @ own)
@@ -541,6 +550,7 @@ def structural_identifiability(
             play = _random_play(drawn, inputs, rng, times, initial or {})
             with suppress(SimulationError):
                 spans = np.ptp(respond(drawn, play).outputs, axis=0)
+                # Noise in proportion to what each output does: rank must not depend on units.
                 told = RunInformation(drawn, np.where(spans > 0, spans, 1.0), start)
                 factors.append(told.factor(play))
         return told.joint(factors, None) if factors else None
@@ -551,6 +561,7 @@ def structural_identifiability(
             f"No random run of model {model.name!r} stays finite. Make the ranges of the inputs "
             "smaller, the runs shorter, or give initial={...} in the operating range."
         )
+    # Rank may drop at special values; the largest one met is that of almost all values.
     best = max(found, key=lambda information: information.rank)
     _, values, _ = best._svd
     margin = values[best.rank - 1] / values[0] if best.rank else 0.0
@@ -582,6 +593,7 @@ def _random_play(
 ) -> Play:
     commands = np.empty((len(times), len(model.inputs)))
     for column, name in enumerate(model.input_names):
+        # Steps of random length hold both fast and slow motion.
         hold = max(1, int(rng.uniform(0.02, 0.15) * len(times)))
         levels = rng.uniform(*inputs[name], size=len(times) // hold + 1)
         commands[:, column] = np.repeat(levels, hold)[: len(times)]

@@ -87,6 +87,7 @@ def straight_line_stability(
     """
     matrix, _ = subsystem(model, point, states)
     poles = np.linalg.eigvals(matrix)
+    # The least stable mode decides, so it comes first.
     poles = poles[np.argsort(-poles.real)]
     return Stability(
         tuple(states), poles, float(np.linalg.det(matrix)), bool(np.all(poles.real < 0))
@@ -199,6 +200,7 @@ def nomoto_of(matrix: np.ndarray, column: np.ndarray) -> Nomoto:
             "The sway-yaw matrix is singular: the course is neither stable nor unstable, and the "
             "gain is not finite. Change the speed or a derivative slightly."
         )
+    # K by Cramer's rule: the yaw rate of the steady turn at unit rudder, times the determinant.
     rate = matrix[1, 0] * column[0] - matrix[0, 0] * column[1]
     # (1 + T1 s)(1 + T2 s) = 1 - trace/det s + 1/det s^2
     roots = np.roots([1.0, trace / determinant, 1.0 / determinant])

@@ -263,12 +263,14 @@ def natural_forces(
     motion = np.zeros(len(found))
     for play in plays(model, runs):
         run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
+        # The run that moves a velocity most is what a sea has to compete with.
         motion = np.maximum(motion, [np.std(run.signal(name)) for name in states])
     names = [disturbance(place).parameters[0].name for place in found]
     wide = disturbed_model(model, names)
     step = np.array([0.0, model.step])
     first = plays(model, runs[0])[0]
     commands = np.repeat(first.inputs[:1], 2, axis=0)
+    # One short step with and without a unit force: d x'/d w without asking for the masses.
     still = simulate_inputs(wide, step, inputs=commands, initial=first.initial)
     answers = []
     for name, state in zip(names, states, strict=True):

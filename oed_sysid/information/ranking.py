@@ -235,6 +235,7 @@ def _sensitivities(
     """Each parameter in both views, best determined first."""
     base = [_signals(model, play, wanted) for play in played]
     with np.errstate(divide="ignore"):
+        # The norm of a column of R is the root of the information on that parameter alone.
         alone = 1.0 / np.linalg.norm(information.factor / information.scales, axis=0)
     rows = []
     for name, *errors in zip(information.names, alone, information.std_errors, strict=True):
@@ -263,6 +264,7 @@ def _indices(base: list[np.ndarray], new: list[np.ndarray]) -> tuple[float, floa
     size = np.abs(whole).sum(axis=0)
     peaks = np.mean(
         [
+            # Peaks of either sign: a zigzag overshoots to both sides.
             np.abs(np.abs(b).max(axis=0) / np.maximum(np.abs(a).max(axis=0), 1e-300) - 1)
             for a, b in zip(base, new, strict=True)
         ]

@@ -149,6 +149,7 @@ def respond(model: Model, play: Play) -> Response:
 
 
 def _played(model: Model, experiment: Experiment) -> Play:
+    # Resolved once: for whoever gets the log, commands are given numbers.
     record = simulate(model, experiment, noise=False)
     return Play(
         name=experiment.name,
@@ -263,6 +264,7 @@ class Innovations:
         random = replace(noise, white=white).disturbed()
         held = noise.longest_step(play.times)
         kernel = filter_kernel(wide)
+        # A disturbance is random, and no parameter to be estimated.
         free = tuple(name for name in model.free_names if name not in self.disturbances)
         values = wide.value_vector
         nominal = kernel.simulate(play.times, play.inputs, values, play.initial)
@@ -271,6 +273,8 @@ class Innovations:
                 f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
                 "shorter."
             )
+        # Fed with what the model says, innovations vanish and their derivatives are those at the
+        # truth.
         measured = np.where(play.present, nominal.outputs, np.nan)
         if outputs is not None:
             measured[:, [name not in outputs for name in model.output_names]] = np.nan

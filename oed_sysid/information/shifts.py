@@ -192,6 +192,7 @@ def _of_effect(nominal: Model, wide: Model, runner: Kernel, effect: Effect, size
     if effect.name in nominal.effect_names:
         base = nominal.without(effect.name) + effect.absent()
         runner = kernel(base)
+    # An effect that the nominal model has already is taken out: the shift is its whole change.
     smooth = two_sided(effect) and base is wide
     parts = [{name: value} for name, value in sizes.items()] if smooth else [sizes]
     share = TANGENT if smooth else 1.0
@@ -207,6 +208,8 @@ def _of_effect(nominal: Model, wide: Model, runner: Kernel, effect: Effect, size
 def _weight(effect: Effect, n: int) -> np.ndarray:
     """Products of amplitudes that are known, else the mean over directions, ``(n, n)``."""
     amplitudes = [p for p in effect.parameters if p.name in effect.amplitude_names]
+    # Amplitudes that are stated count with their signs together; unknown ones by the mean over
+    # directions, which is the trace over their number.
     given = np.array([float(p.value != 0) for p in amplitudes])
     return np.outer(given, given) if given.any() and n > 1 else np.eye(n) / n
 

@@ -137,6 +137,8 @@ class RecordScatter:
         found = np.diag(self.covariance)
         usable = np.isfinite(found) & np.isfinite(stated) & np.isfinite(white)
         usable &= (stated > 0) & (white > 0) & (self.expected > 0)
+        # What noise alone would give, as much larger as the stated errors are larger than white
+        # ones.
         due = self.expected[usable] * stated[usable] / white[usable]
         ratio = found[usable] / due
         freedom = self.freedom[usable]
@@ -240,6 +242,7 @@ class Sources:
         alone = scale == 0
         onto, _ = coordinates(whole)
         inverse = onto @ onto.T
+        # One Newton step to the joint optimum of the approximate scores.
         step = inverse @ self.scores.sum(axis=0)
         moved, shares = np.empty((n, size)), np.empty((n, size))
         for index, (matrix, score) in enumerate(
@@ -249,6 +252,7 @@ class Sources:
             without, alone = onto @ onto.T, alone | blind
             moved[index] = without @ (score - matrix @ step)
             shares[index] = np.diag(without @ matrix @ inverse)
+        # Jackknife: scatter about the mean of the estimates that each leave one record out.
         moved -= moved.mean(axis=0)
         assumed = inverse @ prior @ inverse
         covariance = (n - 1) / n * moved.T @ moved + assumed
@@ -257,6 +261,7 @@ class Sources:
         shares = np.maximum(shares, 0.0)
         total = shares.sum(axis=0)
         squares = np.where(total > 0, (shares**2).sum(axis=0), 1.0)
+        # Satterthwaite (1946): degrees of freedom of a sum of unequal parts.
         freedom = np.clip(total**2 / squares - 1.0, 1.0, n - 1.0)
         return RecordScatter(covariance, (n - 1) / n * total + np.diag(assumed), freedom, n)
 
@@ -293,11 +298,14 @@ class Sources:
             # Priors and tests do not share what swings in the records.
             matrices[1:], scores[1:] = self._grown(stated)
         if allowance is not None and size:
+            # (I + H T)^-1 of the head of this module, T being diagonal.
             shrink = np.linalg.inv(np.eye(size) + matrices * np.square(allowance))
             matrices = shrink @ matrices
             matrices = 0.5 * (matrices + matrices.transpose(0, 2, 1))
             scores = (shrink @ scores[..., None])[..., 0]
         onto, _ = coordinates(matrices.sum(axis=0))
+        # In coordinates in which all sources together are the identity, shares lie between 0 and
+        # 1.
         shares = onto.T @ matrices @ onto
         slopes = scores @ onto
         slopes = slopes - (shares @ slopes.sum(axis=0)[:, None])[..., 0]
@@ -308,6 +316,7 @@ class Sources:
             squares = (axes.T @ slope) ** 2
             seen = told > TOLD
             total, freedom = total + float(np.sum(squares[seen] / told[seen])), freedom + seen.sum()
+            # Where one source tells everything, there is nobody to differ from.
             both = seen & (told < 1.0 - TOLD)
             each.append(float(np.sum(squares[both] / (told[both] * (1.0 - told[both])))))
             each_freedom.append(int(both.sum()))
@@ -336,6 +345,7 @@ class Sources:
         told = (coordinates(one)[0] for one in (whole - self.matrices[index], whole))
         left, joint = (onto @ onto.T for onto in told)
         moved = left @ self.scores[index]
+        # Of the difference of an estimate and one that contains it: their variances subtract.
         variance = np.diag(left) - np.diag(joint)
         usable = variance > TOLD * np.diag(joint)
         return np.where(usable, moved / np.sqrt(np.where(usable, variance, 1.0)), 0.0)

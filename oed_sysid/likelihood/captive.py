@@ -159,6 +159,7 @@ class CaptiveTests:
         moved = {state: _OWN.format(state) for state in model.axes.values()}
         own = {s.name: moved.get(s.name, s.name) for s in model.states}
         signals = {
+            # A switch in the equations: forces see the given motion where towed, else their own.
             state: f"{free} + {TOWED}*({_HELD.format(state)} - {free})"
             for state, free in moved.items()
         }
@@ -240,6 +241,7 @@ class CaptiveTests:
         outputs = np.column_stack([measured.get(name, nothing) for name in towed.output_names])
         if not _remembers(model):
             return (self._record(self.name, towed, inputs, outputs),)
+        # What has a memory must not remember the test before: each is a record of its own.
         seen = np.flatnonzero(np.isfinite(outputs).any(axis=1))
         return tuple(
             self._record(f"{self.name} {i + 1}", towed, inputs[[i]], outputs[[i]]) for i in seen
@@ -247,6 +249,7 @@ class CaptiveTests:
 
     def _record(self, name: str, towed: Model, inputs: np.ndarray, outputs: np.ndarray) -> Record:
         n = len(inputs)
+        # The last test again, without its forces, until a record has its least length.
         rows = np.minimum(np.arange(max(n, MINIMUM_SAMPLES)), n - 1)
         outputs = np.where((np.arange(len(rows)) < n)[:, None], outputs[rows], np.nan)
         empty = np.isnan(outputs).all(axis=0)
@@ -320,6 +323,7 @@ class CaptiveTests:
             raise DataError(
                 f"Captive tests {self.name!r} have no measured force. Give at least one."
             )
+        # Own states of a towed model move nothing; held at zero they are no unknowns.
         still = {state.name: 0.0 for state in towed.states}
         records = [self._free(model, towed, record) for record in dataset or ()]
         whole = Dataset((*records, *tests))

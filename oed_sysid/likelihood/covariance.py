@@ -171,6 +171,7 @@ class Scores:
             return False
         freedom, squares, _ = self._leverage(white)
         told = freedom > 0.5
+        # Chance of as large a chi-squared sum, times the outputs that are asked.
         chances = gammaincc(0.5 * freedom[told], 0.5 * squares[told])
         return bool((chances * np.sum(told) < RARE).any())
 
@@ -186,6 +187,7 @@ class Scores:
             return np.asarray(flat.T @ flat)
         freedom, squares, taken = self._leverage(white)
         each = np.einsum("tip,ti->tp", rows, np.nan_to_num(errors))
+        # Never below the declared noise: few tests may scatter little by chance.
         lost = np.sqrt(np.maximum(1.0, squares / np.maximum(freedom, 1.0)))  # S
         rows = rows * lost[:, None]
         return np.asarray(each.T @ each + np.einsum("tip,tij,tjq->pq", rows, taken, rows))
@@ -205,6 +207,7 @@ class Scores:
         middle = np.zeros((n_shared, n_shared))
         for group in sampled_alike([self.records[i] for i in self.series]):
             own = [self.series[i] for i in group]
+            # Lags are counted in samples, so that records of one sample time stand together.
             step = self.records[own[0]].sample_time
             middle += coloured_score_covariance(
                 [self.jacobians[i] for i in own],
@@ -260,6 +263,7 @@ class ReducedProblem:
             # What is held explains nothing away.
             drop = layout.own[~shooting.limits.held[columns[layout.own]]]
             prior = np.sqrt(shooting.limits.prior_weight[columns[drop]])
+            # Priors are rows like measurements; the shared parameters do not enter them.
             inner = np.vstack([flat[:, drop], np.diag(prior)])
             outer = np.vstack([flat[:, keep] / self._slopes, np.zeros((len(drop), n_shared))])
             reduced = project_out(inner, outer)
@@ -325,6 +329,7 @@ class ReducedProblem:
     def _lost_freedom(self) -> float:
         """How much the fit has shrunk the residuals' variance, by independent samples."""
         count = sum(effective_sample_size(c) for s in self._series for c in s.T if _counts(c))
+        # n / (n - p) of least squares, with independent samples for n.
         return min(count / max(count - self.shooting.n_unknowns, 1.0), MOST_LOST)
 
     def sandwich(self, white: np.ndarray, *, coloured: bool, scattered: bool = False) -> np.ndarray:
@@ -348,6 +353,7 @@ class ReducedProblem:
             return white
         told, robust = self.told, self.shooting.loss is not None
         if coloured:
+            # Long-run variance of the scores (Newey & West 1987).
             middle = told.coloured() * self._lost_freedom
         elif robust:
             size = np.sqrt(np.nanmean(np.vstack(told.errors) ** 2, axis=0))
@@ -449,6 +455,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
     """
     best = Peak(output, np.inf, 1.0, 1.0)
     usable = [one for one in series if np.mean(np.isfinite(one)) > 0.5]
+    # One length of block for all records, so that their spectra add up.
     length = min([4096, *map(len, usable)])
     if not usable or length < 2 * FEWEST * FEWEST:
         return best
@@ -464,6 +471,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
     widths = [width for width in (1, 3, 9) if 2 * width + 1 <= (last - first) // 2]
     tries = max((last - first) * len(widths), 1)
     for width in widths:
+        # Of white series each sum is chi-squared with two degrees of freedom a line and block.
         sums = np.convolve(power[first : last + 1], np.ones(2 * width + 1), "valid")
         freedom = count * (2 * width + 1)
         chances = chi2.sf(2.0 * sums, 2 * freedom)
@@ -545,6 +553,7 @@ def onto_shared(
     matrix[own, own] += limits.prior_weight[columns[own]]
     onto = np.zeros((len(shared), len(matrix)))
     onto[:, shared] = np.eye(len(shared))
+    # What the own unknowns take of a score of the shared ones.
     onto[:, own] = -share_of(matrix, shared, own)
     return onto / layout.shared_values(unknowns)[1][:, None], own
 
@@ -615,6 +624,7 @@ class ReducedFilter:
             assert part.rows is not None
             size = layout.record_slopes(self.unknowns, index)
             jacobian = part.rows[..., : len(columns)] @ (size[:, None] * onto[columns])
+            # A gap says nothing: its row is one of zeros.
             jacobian[~np.isfinite(part.innovations)] = 0.0
             jacobians.append(jacobian)
             scores.append(part.innovations / np.sqrt(part.variances))

@@ -153,6 +153,7 @@ def _scores(
         information = np.diag(part.products)[n:-1] - taken
         score = part.products[n:-1, -1] - cross.T @ (inverse @ total.products[:n, -1])
         for column in np.flatnonzero(information > 1e-9 * np.maximum(part.raw, 1e-300)):
+            # One Gauss-Newton step from zero; what it explains is step times score.
             size = float(score[column] / information[column])
             gain, std = size * float(score[column]), float(np.sqrt(misfit / information[column]))
             share = min(gain / excess, 1.0)
@@ -191,12 +192,15 @@ def _later(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
     record, n_outputs = fit.dataset[index], len(fit.model.outputs)
     late = np.zeros((*run.outputs.shape, n_outputs + len(fit.model.inputs)))
     each = np.arange(n_outputs)
+    # y(t - d) = y(t) - d y'(t): an output that is late shows what was.
     late[:, each, each] = -np.gradient(run.outputs, record.times, axis=0)
     shift = record.sample_time
     for column in range(len(fit.model.inputs)):
         moved = record.inputs.copy()
         moved[:, column] = np.interp(record.times - shift, record.times, record.inputs[:, column])
         if not np.array_equal(moved, record.inputs):
+            # Commands are steps, without derivatives: the difference of two runs takes their
+            # place.
             after = outputs_of(fit, index, moved, runner=runner)
             late[:, :, n_outputs + column] = (after - run.outputs) / shift
     return late

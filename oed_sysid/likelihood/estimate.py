@@ -293,6 +293,7 @@ class Estimate:
             present = np.isfinite(errors)
             scaled = np.where(present, errors, 0.0) / std
             total -= 0.5 * float(np.sum(scaled**2))
+            # By the innovations: their product is the density of the record.
             total -= float(np.sum(np.where(present, np.log(std * np.sqrt(2 * np.pi)), 0.0)))
         return total
 
@@ -329,7 +330,9 @@ class Estimate:
         """Number of estimated values: parameters, initial states, noise levels."""
         local = sum(len(values) for values in self.local_values)
         states = sum(len(own) for own in self.initial_states)
+        # Held start states are known, not estimated.
         states -= sum(std == 0.0 for known in self.start_states for _, std in known.values())
+        # With process noise the levels of the sensors are counted among noise_std already.
         levels = int(np.sum(self.sigma_estimated)) if self.innovations is None else 0
         return len(self.names) + states + local + levels + len(self.noise_std)
 
@@ -386,6 +389,7 @@ class Estimate:
     def _about(self, name: str, half: float) -> tuple[float, float]:
         """Values at either side of an estimate."""
         if self.model.parameter(name).log:
+            # The standard error of a logarithm is the relative one.
             factor = np.exp(half / self.values[name])
             return float(self.values[name] / factor), float(self.values[name] * factor)
         return float(self.values[name] - half), float(self.values[name] + half)

@@ -171,6 +171,7 @@ class Filtered(Posed):
         block = self.layout.levels
         here = unknowns[block]
         variance = self.levels.are_variances
+        # Clear of zero: by more than a standard error, which the matrix states.
         clear = variance & (here * np.sqrt(np.diag(matrix)[block]) > 1.0)
         lower, upper = lower.copy(), upper.copy()
         least = np.where(clear, (1.0 / FARTHEST - 1.0) * here, -np.inf)
@@ -190,6 +191,7 @@ class Filtered(Posed):
 
     def _add_knowledge(self, unknowns: np.ndarray, matrix: np.ndarray, right: np.ndarray) -> None:
         n = len(self.layout.shared)
+        # Knowledge of earlier data: a prior with correlations, of the shared parameters alone.
         matrix[:n, :n] += self.knowledge.information
         right[:n] += self.knowledge.information @ (self.knowledge.mean - unknowns[:n])
 
@@ -212,6 +214,7 @@ class Filtered(Posed):
     def open_unknowns(self, first: int) -> np.ndarray:
         """Positions from ``first`` on of what is estimated; levels count as such."""
         held = self.limits.held.copy()
+        # A level at zero is held for a step, and may leave zero at the next.
         held[self.layout.levels] = False
         return first + np.flatnonzero(~held[first:])
 
@@ -396,6 +399,8 @@ class Filtered(Posed):
             where = np.concatenate([columns, tail])
             seen = np.isfinite(part.innovations)
             root = np.sqrt(part.variances[seen])
+            # Of a scalar innovation: -ln L = (e^2/S + ln S) / 2, whose expected information is
+            # that of the mean, slope' slope, and of the variance, spread' spread / 2.
             white = part.innovations[seen] / root
             assert part.rows is not None
             rows = part.rows[seen]
@@ -408,6 +413,8 @@ class Filtered(Posed):
                 slope[:, position] = (other.innovations[seen] - part.innovations[seen]) / (
                     root * length
                 )
+                # Parameters move the variances of the innovations too, where the vehicle is
+                # unstable much.
                 spread[:, position] = np.log(other.variances[seen] / part.variances[seen]) / length
             matrix[np.ix_(where, where)] += slope.T @ slope + 0.5 * spread.T @ spread
             right[where] -= slope.T @ white + 0.5 * spread.T @ (1.0 - white**2)
@@ -445,6 +452,7 @@ def _white_alone(part: FilterPass, entries: Sequence[tuple[int, int]]) -> Filter
     absent = np.array([kind != WHITE_VARIANCE for kind, _ in entries[:n_levels]], dtype=bool)
     if not absent.any():
         return part
+    # The last row of the Gram matrix is that of the innovations themselves.
     gone = len(part.gram) - 1 - n_levels + np.flatnonzero(absent)
     gram, rows = part.gram.copy(), part.rows
     gram[gone] = gram[:, gone] = 0.0

@@ -226,6 +226,7 @@ def _condensed(
         wide[:, :-1] = maps
         wide[:, :-1, -1] *= -1.0
         wide[:, -1, -1] = 1.0
+        # Products of rows by segments have been summed in C; here they are only combined.
         found = (wide.transpose(0, 2, 1) @ (blocks.gram @ wide)).sum(axis=0)
     if not (np.isfinite(found).all() and np.isfinite(maps).all()):
         return None
@@ -281,6 +282,7 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
     frozen, right = problem.gathered(unknowns, base)
     size = np.diag(frozen) + problem.limits.prior_weight
     scale = problem.limits.scale
+    # Differences of one standard deviation, others known; of what nothing tells, its scale.
     std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
     step = np.minimum(std, scale)
     whole = problem.differentiated(unknowns, base, step)
@@ -482,6 +484,7 @@ class Descent:
         """Go along a step as far as it is good; return whether it is anywhere."""
         now = self.now
         if now.defect > 0 and self.decrease < 0.5 * self._penalty * now.defect:
+            # Exact penalty: large enough that closing the defects pays for the cost it may raise.
             self._penalty = max(self._penalty, -2.0 * self.decrease / now.defect)
         expected = self.decrease + self._penalty * now.defect
         # Where only short steps were good, the next begins a little longer than the last.

@@ -70,6 +70,7 @@ class Information:
         size = np.sqrt(np.maximum(np.diag(scaled), 0.0))
         size = np.where(size > 0, size, 1.0)
         values, vectors = np.linalg.eigh(0.5 * (scaled + scaled.T) / size[:, None] / size)
+        # Root of each eigenvalue times its vector: a factor where a Cholesky one would fail.
         factor = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T * size
         return cls(tuple(names), factor, scales)
 
@@ -104,6 +105,7 @@ class Information:
         covariance = inner @ inner.T
         scale = self.scales / norms
         covariance = covariance * scale[:, None] * scale
+        # Whatever has a part in a direction that nothing sees is not known at all.
         blind = np.abs(vectors[~seen]).max(axis=0, initial=0.0) > 1e-6
         covariance[blind, :] = covariance[:, blind] = 0.0
         covariance[blind, blind] = np.inf
@@ -124,6 +126,7 @@ class Information:
         """Information of two independent experiments on the same unknowns."""
         if other.names != self.names:
             raise ValueError("Only information on the same unknowns can be added.")
+        # Stacked factors: their products, the information, add up.
         rows = np.vstack([self.factor, other.factor * (self.scales / other.scales)])
         return Information.from_jacobian(self.names, rows / self.scales, self.scales)
 
@@ -158,6 +161,7 @@ def autocorrelation(series: np.ndarray, n_lags: int) -> np.ndarray:
     """
     present = np.isfinite(series)
     centred = np.where(present, series - np.nanmean(series), 0.0)
+    # Products of the mask with itself count the pairs, which gaps make fewer.
     pairs = np.maximum(np.round(lagged_products(present.astype(float), n_lags)), 1.0)
     covariance = lagged_products(centred, n_lags) / pairs
     return covariance / covariance[0] if covariance[0] > 0 else np.eye(1, n_lags + 1)[0]
@@ -165,6 +169,7 @@ def autocorrelation(series: np.ndarray, n_lags: int) -> np.ndarray:
 
 def lagged_products(series: np.ndarray, n_lags: int) -> np.ndarray:
     """Sums of products of a series with itself at lags ``0..n_lags``, ``(n_lags + 1,)``."""
+    # Twice the length, or the end would meet the beginning.
     size = 1 << int(np.ceil(np.log2(2 * len(series))))
     spectrum = np.fft.rfft(series, size)
     return np.fft.irfft(spectrum * spectrum.conj(), size)[: n_lags + 1]
@@ -319,11 +324,13 @@ class _Colour:
             whiter = list(residuals)
         longest = max(2, min(len(residual) for residual in whiter) // 4)
         lags = _taper_length(whiter) if lags is None else min(lags, longest)
+        # Flat over half the lags, then a straight line to zero.
         taper = np.minimum(1.0, 2.0 * (1.0 - np.arange(lags + 1) / (lags + 1.0)))
         # Through the covariances of the residuals themselves, so that no sample is lost to a gap.
         own = _lagged_covariance(residuals, lags + 1)
         before = np.concatenate([own[1:2].transpose(0, 2, 1), own[:lags]])
         a = self.recursion
+        # Covariance of r(t) - A r(t - 1), from those of r.
         left = own[:-1] - before @ a.T - a @ own[1:] + a @ own[:-1] @ a.T
         self.covariance = left * taper[:, None, None]
 

@@ -180,6 +180,7 @@ class Levels:
         sizes, values = self._sizes(self.noise if noise is None else noise), []
         for (kind, index), scale in zip(self.entries, self.scale, strict=True):
             own = sizes[kind]
+            # A time that all share begins at the geometric mean of theirs.
             size = own[index] if index >= 0 else _middle(own[own > 0])
             values.append(np.log(size) if kind in LOGARITHMS else size**2 / scale)
         return np.clip(np.array(values, dtype=float), self.lower, self.upper)
@@ -230,6 +231,7 @@ class Levels:
             of = [i for i, its in times.items() if its == j and vector[i] > 0]
             among, beside = information[np.ix_(of, of)], information[of, j]
             if of and np.all(np.diag(among) > 0):
+                # Levels of forces and moments differ by powers of ten.
                 size = 1.0 / np.sqrt(np.diag(among))
                 change = -size * np.linalg.lstsq(size[:, None] * among * size, size * beside)[0]
                 # No curve is steeper: a variance that goes with the square of its time.

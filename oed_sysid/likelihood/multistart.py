@@ -271,6 +271,8 @@ def profile(
         known_starts=KnownStarts.of(fit.model, fit.dataset, fit.start_states or None),
     )
     walker = _Walker(shooting, fit, name)
+    # Quantile of chi-squared of one degree of freedom (Wilks), times what colour adds to
+    # variances.
     threshold = 2.0 * float(gammaincinv(0.5, level)) * walker.inflation
     lower, lower_end = walker.find_end(-1.0, threshold)
     upper, upper_end = walker.find_end(1.0, threshold)
@@ -349,6 +351,7 @@ class _Walker:
         """Find the crossing between two values, secant steps on the root of the rise."""
         root, value = np.sqrt(threshold), outer[0]
         for _ in range(12):
+            # The rise is nearly a parabola, so that its root is nearly straight.
             low, high = np.sqrt(max(inner[1], 0.0)), np.sqrt(outer[1])
             share = np.clip((root - low) / max(high - low, 1e-12), 0.05, 0.95)
             value = inner[0] + share * (outer[0] - inner[0])

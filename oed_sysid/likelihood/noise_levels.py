@@ -101,6 +101,7 @@ def _difference_level(measured: Sequence[np.ndarray], order: int) -> float:
     pooled = np.concatenate([np.zeros(0), *(np.diff(values, order) ** 2 for values in measured)])
     if not len(pooled):
         return np.nan
+    # Of coarse digits more than half the differences may be zero; their squares still tell.
     return fast_level(measured, order) or float(np.sqrt(np.mean(pooled) / comb(2 * order, order)))
 
 
@@ -257,6 +258,7 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
     """Root mean square of residuals, corrected for the unknowns fitted, by output."""
     stacked = np.vstack(residuals)
     count = np.isfinite(stacked).sum(axis=0)
+    # Unknowns take degrees of freedom from all outputs in proportion to their samples.
     share = count * (1.0 - min(n_unknowns / max(int(count.sum()), 1), 0.9))
     return np.sqrt(np.nansum(stacked**2, axis=0) / np.maximum(share, 1e-9))
 
@@ -495,6 +497,7 @@ def input_steps(record: Record) -> np.ndarray:
         return np.ones(record.n_samples, dtype=bool)
     usual = NORMAL * np.nanmedian(moves, axis=0)
     stepped = np.r_[False, np.any(moves > BEYOND * usual, axis=1)]
+    # A sample early and late: clocks of command and sensor need not agree to one.
     return stepped | np.r_[False, stepped[:-1]] | np.r_[stepped[1:], False]
 
 
@@ -582,8 +585,10 @@ def _beside(values: np.ndarray) -> np.ndarray:
     n = len(values)
     if n < 5:
         return np.zeros(n)
+    # Reflected at the ends, so that every sample has four neighbours.
     padded = np.concatenate([values[2:0:-1], values, values[-2:-4:-1]])
     neighbours = np.stack([padded[shift : shift + n] for shift in (0, 1, 3, 4)])
+    # The median of four is the mean of the middle two: the sum less both extremes.
     middle = neighbours.sum(axis=0) - neighbours.max(axis=0) - neighbours.min(axis=0)
     away = values - 0.5 * middle
     least = np.min((values - neighbours[1:3]) * np.sign(away), axis=0)
@@ -596,6 +601,7 @@ def _off_cubic(values: np.ndarray) -> np.ndarray:
     off = np.zeros(len(values))
     if len(values) >= 5:
         near, far = values[1:-3] + values[3:-1], values[:-4] + values[4:]
+        # Lagrange: the cubic through the samples at -2, -1, 1, 2 has the value (4 near - far) / 6.
         off[2:-2] = values[2:-2] - (4.0 * near - far) / 6.0
     return off
 

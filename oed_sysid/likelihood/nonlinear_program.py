@@ -77,6 +77,8 @@ class NonlinearProgram:
         )
         scaled = ca.MX.sym("unknowns", len(self._scale))
         unknowns = scaled * self._scale
+        # A parameter of the program, so that noise levels can be estimated without building it
+        # again.
         inverse_sigma = ca.MX.sym("inverse_sigma", len(shooting.sigma))
         residuals, jumps, extra = [], [], []
         user = self._user = UserConstraints(shooting.model, constraints)
@@ -104,6 +106,7 @@ class NonlinearProgram:
         if shooting.loss is not None:
             loss, weight = shooting.loss(residual, functions=ca)
         weighted = np.flatnonzero(shooting.limits.prior_weight).tolist()
+        # As further residuals, which a Gauss-Newton Hessian then counts like the others.
         prior = (unknowns[weighted] - shooting.limits.prior_mean[weighted]) * np.sqrt(
             shooting.limits.prior_weight[weighted]
         )
@@ -120,6 +123,7 @@ class NonlinearProgram:
         if hessian == "gauss-newton":
             jacobian = ca.jacobian(ca.vertcat(residual, prior), scaled)
             root = ca.vertcat(ca.sqrt(weight), ca.MX.ones(prior.shape))
+            # Constraints are left out of it: linear ones have no curvature, defects are near zero.
             rows = ca.mtimes(ca.diag(root), jacobian) if shooting.loss else jacobian
             factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", limits.shape)
             self._options["hess_lag"] = ca.Function(
@@ -157,6 +161,7 @@ class NonlinearProgram:
             ca.horzcat(z0, nodes), ca.repmat(values, 1, n), ca.DM(data)
         )
         scale = ca.repmat(ca.DM(shooting.state_scale), 1, n_nodes)
+        # In units of the states, so that one tolerance holds for metres and radians.
         jumps = ca.vec((after[:, :n_nodes] - nodes) / scale)
         return ca.vec(residuals) * ca.repmat(inverse_sigma, n, 1), jumps, outputs
 
@@ -314,6 +319,7 @@ class UserConstraints:
             of_outputs = i in self.of_outputs
             rows = outputs if of_outputs else np.zeros((1, outputs.shape[1]))
             level = np.array([float(function(row, values)) for row in rows])
+            # Brought to one sign: above zero breaks the constraint.
             level = level if self.lower[i] == -np.inf else -level
             sample = int(np.nanargmax(level)) if place is None else place % len(rows)
             sign = 1.0 if self.lower[i] == -np.inf else -1.0

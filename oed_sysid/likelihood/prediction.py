@@ -76,6 +76,7 @@ class Spread:
         found = np.tile(self.unknowns, (n_draws, 1))
         found[:, self.shared] += steps
         alone = rng.normal(size=(n_draws, len(own))) @ own.T
+        # A start that is estimated with other parameters follows them, and scatters besides.
         found[:, self.others] += alone - steps @ self.gain.T
         return np.clip(found, *self.bounds)
 
@@ -306,6 +307,7 @@ def _variance(
     assert jacobian is not None
     spread, answer = _spread(run, covariance, way, known)
     by_other = jacobian[:, :, run.others]
+    # Total derivative: shared parameters move the outputs, and the start that is fitted to them.
     by_shared = jacobian[:, :, run.shared] - by_other @ spread.gain
     of_start = _carry(by_other, spread.other_covariance)
     variance = of_start + _carry_uncertain(by_shared, spread.covariance)
@@ -323,6 +325,8 @@ def _variance(
         if answer is not None:
             away = away + run.sensors(noise, len(runs), rng, white=False)
             whitened = (away * run.weights()).reshape(len(away), -1)
+            # The start of a real run would be fitted to the disturbed record, and takes a part of
+            # it away.
             away = away - np.einsum("tij,kj->kti", by_other, whitened @ answer.T)
         return run.outputs + away
 

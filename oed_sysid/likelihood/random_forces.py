@@ -489,6 +489,7 @@ def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         if not asks.any():
             break
         noise = found.noise
+        # Away from zero, where a level would have no slope in its time.
         noise = replace(noise, colour=np.where(asks, 0.5 * noise.white, noise.colour))
         again = _worth(found, moved(found, posed(found, setting, noise, has | asks), most))
         if again is found:
@@ -575,6 +576,7 @@ def correlated(problem: Filtered, unknowns: np.ndarray) -> np.ndarray:
             if seen > 20:
                 lag_one[column] += seen * float(autocorrelation(white[:, column], 1)[1])
                 count[column] += seen
+    # Of white innovations it is normal, of variance one over their number (Bartlett 1946).
     share = lag_one / np.maximum(count, 1.0)
     return np.abs(share) > BEYOND / np.sqrt(np.maximum(count, 1.0))
 
@@ -679,6 +681,7 @@ def periods(found: FilteredSolution) -> list[float]:
     if longest < shortest:
         return []
     count = int(np.floor(np.log(longest / shortest) / np.log(NEXT_PERIOD))) + 1
+    # Apart by a factor: a resonator sees its neighbours within its width, which is relative.
     return [float(one) for one in shortest * NEXT_PERIOD ** np.arange(count)]
 
 
@@ -738,6 +741,7 @@ def _at_sea(
         None where the filter diverges.
     """
     first = found.noise
+    # A force of first order and a sea in one place would share its variance: one at a time.
     alone = first.only([p not in sea.places or p in setting.known for p in first.places])
     if known.levels is None:
         sea = _likeliest_sea(found, setting, alone, sea)

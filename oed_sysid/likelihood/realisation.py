@@ -92,9 +92,11 @@ def narrow_band_force(
     assert sea.period is not None
     assert sea.bandwidth is not None
     assert sea.shape is not None
+    # Transitions by length of step: regular sampling has one.
     lengths, which = np.unique(np.diff(times).round(12), return_inverse=True)
     moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])[:, 0]
     unit = np.eye(moves.shape[1])
+    # In units of the stationary covariance, which is one: Q = I - Phi Phi'.
     roots = [np.linalg.cholesky(unit - phi @ phi.T) for phi in moves]
     draws = rng.standard_normal((len(times), len(unit)))
     state = draws[0]
@@ -139,6 +141,7 @@ def at_sea(
     held = noise.longest_step(times)
     if held is not None:
         count = int(np.ceil(float(np.max(np.diff(times))) / held - 1e-6))
+        # Between two samples as many further points as a wave needs.
         times = np.interp(np.arange((len(times) - 1) * count + 1) / count, range(len(times)), times)
     drawn = drawn_disturbances(noise, times, rng)
     places = chosen_places(model, list(drawn))

@@ -179,6 +179,7 @@ class Shooting(Posed):
         self.loss = loss
         self.starts = tuple(cut(record, interval) for record in self.records)
         self._told = [one for one in (initial_states, known_starts) if one is not None]
+        # States of effects and memories of actuators start in equilibrium and have no unknowns.
         extra = self.kernel.n_full - self.kernel.n_own
         self.state_scale = np.array([*(state.scale for state in model.states), *np.ones(extra)])
         self._guess_states()
@@ -208,6 +209,7 @@ class Shooting(Posed):
     def full_start(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
         """Full state at a record's first sample, and its derivatives by the unknowns."""
         data = self.records[record]
+        # By the chain rule: what remembers starts where the own states and the parameters put it.
         own, values = self.initial_state(unknowns, record), self.values(unknowns, record)
         z0, dz0 = self.kernel.start(own, data.inputs[0], values, data.times[0])
         if not self.layout.is_plain:
@@ -291,6 +293,7 @@ class Shooting(Posed):
 
     def continuous(self, unknowns: np.ndarray) -> Point:
         """Return the point whose nodes lie on the simulated trajectory."""
+        # Defects vanish: multiple shooting at such a point is single shooting.
         runs = (self.run(unknowns, index).states for index in range(len(self.records)))
         cuts = zip(runs, self.starts, strict=True)
         return Point(unknowns, tuple(states[starts[1:]] for states, starts in cuts))
@@ -302,6 +305,7 @@ class Shooting(Posed):
         """
         nodes = []
         for columns, own, (map_, offset) in zip(self._columns, point.nodes, follows, strict=True):
+            # The step of the unknowns moves the nodes with it; the offset closes their defects.
             nodes.append(own + length * (map_ @ step[columns] + offset))
         unknowns = point.unknowns + length * step
         return Point(np.clip(unknowns, self.limits.lower, self.limits.upper), tuple(nodes))
@@ -333,6 +337,8 @@ class Shooting(Posed):
             condensed = np.empty((*run.outputs.shape, maps.shape[2]))
             flat = condensed.reshape(-1, maps.shape[2])
             rows = dy.reshape(-1, dy.shape[2])
+            # One product for each interval: its sensitivities by the state at its node, times what
+            # that node is by the unknowns.
             edges = np.append(starts, len(record.times)) * dy.shape[1]
             for i, (first, stop) in enumerate(pairwise(edges)):
                 np.matmul(rows[first:stop], maps[i], out=flat[first:stop])
@@ -360,6 +366,7 @@ class Shooting(Posed):
             scaled, weights = self.scaled(lin.residuals[index])
             root = np.sqrt(weights)
             # Residuals once the defects are closed, to first order.
+            # Weights of a robust loss as of iteratively reweighted least squares.
             target = root * (scaled - lin.offsets[index] / self.sigma)
             jacobian = lin.jacobians[index] * (root / self.sigma)[:, :, None]
             flat = jacobian.reshape(-1, jacobian.shape[2])

@@ -77,8 +77,11 @@ class Path:
         n_random = part.moves.shape[1] - size
         first = size - n_second - n_coloured - n_random
         random = slice(first, first + n_random)
+        # A narrow-band force has two states; both are random, and only they remember.
         wide = np.r_[first : first + n_random, size - n_second : size]
         transition, spread = part.moves[:, :size], part.moves[:, size:]
+        # Scalar measurements one after the other: what an output sees has been through all before
+        # it.
         through = np.broadcast_to(np.eye(size), transition.shape).copy()
         seen = np.empty((len(part.gains), n_outputs, size))
         for output in range(n_outputs):
@@ -86,6 +89,7 @@ class Path:
             seen[:, output] = np.einsum("ki,kij->kj", row, through)
             through -= gain[:, :, None] * seen[:, output, None, :]
         drive = transition[:, :, random].copy()
+        # What is added is held over the step; it does not enter the disturbance itself.
         drive[:, wide] = 0.0
         memory = transition[:, wide[:, None], wide]
         gain = part.gains[:, :, 1, wide]
@@ -125,6 +129,7 @@ class Path:
         """
         known = np.any(self.seen != 0, axis=2, keepdims=True)
         columns = np.where(known, innovations, 0.0)
+        # Forwards: the filtered mean. Backwards below: what later innovations add to it.
         pushes = np.swapaxes(self.gain, 1, 2) @ columns
         told = np.swapaxes(self.seen, 1, 2) @ (columns / self.variances[:, :, None])
         n, size = self.seen.shape[0], self.seen.shape[2]
@@ -148,8 +153,11 @@ class Path:
         later, removed = np.zeros((size, size)), np.empty((n, n_random))
         for k in range(n - 1, -1, -1):
             closed, rows = self.closed[k], self.spread[k]
+            # N_k of the heading; only its part in the rows of the disturbances is wanted.
             later = told[k] + closed.T @ later @ closed
             removed[k] = np.sum((rows @ later) * rows, axis=1)
         own = np.arange(n_random)
         variance = self.spread[:, own, self.first + own] - removed
+        # Where the record tells everything, the difference of two equal numbers may round below
+        # zero.
         return np.sqrt(np.maximum(variance, 0.0))

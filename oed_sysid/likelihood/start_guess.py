@@ -94,6 +94,7 @@ def slope(times: np.ndarray, series: np.ndarray) -> tuple[np.ndarray, float]:
 
     n = len(series)
     step = np.gradient(times)
+    # Third differences of white noise have 20 times its variance; 0.6745 is the normal median.
     noise = np.median(np.abs(np.diff(series, 3))) / 0.6745 / np.sqrt(20.0) if n > 8 else 0.0
     best, least = np.gradient(series, times), np.inf
     before = None
@@ -139,6 +140,7 @@ def _solve(
             right = right - values / vague**2
             if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
                 return {}
+            # A Gauss-Newton step for every sample at once, each with its own few unknowns.
             values = values + np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
     variances = np.linalg.inv(matrix).diagonal(axis1=1, axis2=2)
     std, rms = np.sqrt(np.median(variances, axis=0)), np.sqrt(np.mean(variances, axis=0))
@@ -339,6 +341,7 @@ def smooth(series: np.ndarray) -> np.ndarray:
     padded = np.concatenate(
         [2 * series[0] - series[2:0:-1], series, 2 * series[-1] - series[-2:-4:-1]]
     )
+    # Point reflection at the ends keeps a straight line straight.
     return np.convolve(padded, np.full(5, 0.2), mode="valid")
 
 

@@ -88,6 +88,7 @@ class Layout:
     def record_columns(self, index: int) -> np.ndarray:
         """Positions of ``[own states, free parameters]`` of one record among the unknowns."""
         width = self.n_own + len(self.local)
+        # Shared parameters stand first, so that each record is one block behind them.
         begin = len(self.shared) + index * width
         columns = np.empty(self.n_own + len(self.free_names), dtype=int)
         columns[: self.n_own] = begin + np.arange(self.n_own)
@@ -150,6 +151,7 @@ class Layout:
 
     def means(self, model: Model, unknowns: np.ndarray) -> dict[str, float]:
         """Values of the free parameters, within bounds; those of each record at their mean."""
+        # Shared ones are equal in all records, so that their mean is their value.
         free = np.array([self.parameters(unknowns, i) for i in range(self.n_records)])
         lower = [p.lower for p in model.free_parameters]
         upper = [p.upper for p in model.free_parameters]
@@ -295,6 +297,7 @@ class Limits:
         scales = [*(s.scale for s in model.states), *table[4]]
         for index in range(layout.n_records):
             columns = layout.record_columns(index)
+            # Shared parameters are written once for every record, each time the same.
             own, free = columns[: layout.n_own], columns[layout.n_own :]
             scale[columns] = scales
             lower[free], upper[free] = bounds
@@ -303,6 +306,8 @@ class Limits:
                 continue
             value, std = starts.mean[index], starts.std[index]
             exact, stated = std == 0.0, np.isfinite(std) & (std > 0)
+            # Held by equal bounds: the unknown stays in its place, and one layout serves all
+            # cases.
             lower[own[exact]] = upper[own[exact]] = value[exact]
             mean[own[stated]], weight[own[stated]] = value[stated], std[stated] ** -2.0
         return cls(lower, upper, mean, weight, scale)
@@ -320,6 +325,7 @@ class Limits:
         self, matrix: np.ndarray, right: np.ndarray, unknowns: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Newton matrix and right-hand side with what the priors add to them."""
+        # The prior is a sum of squares, so that its Gauss-Newton terms are exact.
         away = self.prior_weight * (self.prior_mean - unknowns)
         return matrix + np.diag(self.prior_weight), right + away
 

@@ -122,6 +122,8 @@ class WholeRun:
         begin = point.unknowns.copy()
         if start is not None:
             shooting.fill(begin, 0, *start)
+        # From the measured states and from the fit: whole runs of unstable vehicles have many
+        # optima.
         ends = [solve(held, held.start_point(begin))]
         if start is not None:
             ends.append(solve(held, held.continuous(begin)))
@@ -184,6 +186,7 @@ class WholeRun:
         own = self.jacobian[:, :, self.others] * self.weights()[:, :, None]
         prior = np.sqrt(self.shooting.limits.prior_weight[self.others])
         rows = np.vstack([own.reshape(-1, len(self.others)), np.diag(prior)])
+        # Least squares with priors as rows: what a fit of the start makes of a departure.
         inverse = np.linalg.pinv(rows, rcond=BLIND)
         return inverse[:, : len(rows) - len(prior)], inverse @ inverse.T
 
@@ -212,6 +215,7 @@ class WholeRun:
         model = shooting.model
         forces = [drawn_disturbances(noise, record.times, rng) for _ in unknowns]
         vehicle = with_disturbance_inputs(model, chosen_places(model, list(forces[0])))
+        # The same commands under every draw; forces stand beside them as further inputs.
         calm = np.broadcast_to(record.inputs, (len(unknowns), *record.inputs.shape))
         shape = (len(unknowns), len(forces[0]), len(record.times))
         drawn = np.reshape([list(one.values()) for one in forces], shape).swapaxes(1, 2)
@@ -512,6 +516,7 @@ def _near(own: Sequence[WholeRun], runs: Sequence[WholeRun]) -> bool:
         away = (other.outputs - one.outputs) * one.weights()
         step = other.unknowns - one.unknowns
         linear = np.einsum("tij,j->ti", one.jacobian, step) * one.weights()
+        # The step is of first order where the tangent leaves less than it takes.
         moved += float(np.sum(away**2))
         missed += float(np.sum((away - linear) ** 2))
     return missed < moved

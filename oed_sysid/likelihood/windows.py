@@ -175,6 +175,7 @@ class Windows:
     def n_unknowns(self) -> int:
         """Number of shared parameters and start states that the outputs can tell."""
         layout = self.shooting.layout
+        # A window of few samples tells no more start states than it has outputs.
         own = min(layout.n_own, len(self.shooting.sigma))
         return len(layout.shared) + self.n_windows * own
 
@@ -231,6 +232,8 @@ class Windows:
             assert gram is not None
             found = self._eliminated(part, gram, away, 0.0)
             first = gram.shape[1] - n_free - 1
+            # Score of the parameters less what the start states, estimated along, have taken of
+            # it.
             cross = gram[:, :first, first:-1]
             moved = found.solved[:, :first, -1]
             scores = gram[:, first:-1, -1] - np.einsum("wij,wi->wj", cross, moved)
@@ -255,6 +258,7 @@ class Windows:
         if not shooting.layout.is_plain:
             slopes = shooting.slopes(unknowns, part.record)
             scale = np.concatenate([np.ones(n_full), slopes, [1.0]])
+            # Parameters that are unknown as logarithms: the chain rule, on both sides.
             gram = gram * scale[:, None] * scale
         if record.independent:
             wide = self.from_start(by_unknowns)

@@ -94,6 +94,7 @@ class SpeedPolar:
         seen = np.where(np.isfinite(self.draws), self.draws, math.nan)
         enough = np.isfinite(seen).sum(axis=0) > 1
         ends = np.full((2, len(self.angles)), math.nan)
+        # Quantiles, not a normal band: a polar has an edge where sailing ends.
         ends[:, enough] = np.nanquantile(seen[:, enough], [tail, 1.0 - tail], axis=0)
         return ends[0], ends[1]
 
@@ -268,6 +269,7 @@ class _Solver:
         point = equilibrium(
             self.model.with_values(dict(values)) if values else self.model,
             inputs=dict(zip(given, (float(sheet), self.wind_speed, 0.0), strict=True)),
+            # With the wind from north, wind from starboard means a heading to port of it.
             fixed={names.heading: -float(angle)},
             free=(names.helm,),
             guess={key: value for key, value in guess.items() if key != names.heading},

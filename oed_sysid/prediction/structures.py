@@ -235,6 +235,7 @@ def ladder(
     DataError
         If there are no two records that are weaker than another.
     """
+    # Predicting stronger manoeuvres from weaker ones asks what a structure says beyond its data.
     ordered = sorted(dataset, key=strength)
     sizes = [strength(record) for record in ordered]
     edges = [
@@ -386,6 +387,7 @@ def _averaged(
         values[name] = float(share @ table)
         between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
         within[name] = float(np.sqrt(known @ part**2 / known.sum()))
+        # Variances of structures, records, and what no record tells, as if independent.
         total[name] = math.hypot(between[name], within[name], floor * values[name])
     heaviest = tuple(sorted(done, key=lambda one: -one.weight))
     weaker = tuple(fitted for fitted, _ in rungs)
@@ -447,6 +449,7 @@ class _Judge:
         step = math.sqrt(squares[0] / max(squares[1], 1))
         moved = _changes(candidate.name, values, early, self.scored)
         drift = float(np.sqrt(np.mean(np.square(moved))))
+        # A product: a structure has to do well in all three, in whatever units.
         score = step * forces * math.hypot(drift, self.floor)
         found = replace(nothing, step=step, forces=forces, drift=drift)
         if not all(map(math.isfinite, (score, *values.values()))):

@@ -252,6 +252,8 @@ def turning_circle(
     _check(wanted, approach, speed, rudder, length, rate, n_draws)
     tracked = _with_track(model, speed)
     steered = _rudder_input(model, input)
+    # The track adds states, no parameters: draws are those of the model, in the order of the
+    # other.
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
     table = np.array(parameter_sets(fit, model, n_draws, rng))[:, kept]
     start = dict.fromkeys({"u"} & set(model.state_names), speed)
@@ -412,6 +414,7 @@ class _Turner:
         turns: dict[str, list[dict[str, float] | None]] = {}
         for order in orders:
             times, paths = self.turned(order)
+            # Signs of rudders differ from log to log; the heading says to which side it turned.
             reached = "starboard" if paths[0, -1, 2] > paths[0, 0, 2] else "port"
             if reached not in wanted or reached in turns:
                 continue
