@@ -81,8 +81,8 @@ def test_limits_in_words_of_the_trade_and_files_for_those_on_board(
     arguments += ["--overrides", str(pulses), "--servo", "rudder=2"]
     assert main([*arguments, "--controller", f"ardupilot={script}"]) == DONE
     said = capsys.readouterr().out
-    assert "+-8 deg, at most 3 deg/s" in said
-    assert "limits kept on" in said
+    for words in ("rudder upper limit 8 deg", "rudder rate limit 3 deg/s", "limits kept on"):
+        assert words in said
     assert picture.stat().st_size > 10_000
     table = np.genfromtxt(commands, delimiter=",", names=True)
     assert np.abs(table["rudder_rad"]).max() == pytest.approx(np.radians(8), rel=1e-3)

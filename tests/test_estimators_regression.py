@@ -113,7 +113,7 @@ def test_dual_and_primal_agree_where_the_dual_is_well_conditioned() -> None:
         primal, dual = SCRIPT.forms(RECORD, scale)
         gaps[label] = SCRIPT.apart(primal, dual)
         assert dual.extras["condition"]["w"] > primal.extras["condition"]["w"]
-    assert gaps["dimensionless"] < 1e-9
+    assert gaps["dimensionless"] < 1e-8  # rounding times a condition number of some 1e7
     assert gaps["newton"] > 1e-2
 
 

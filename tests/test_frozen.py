@@ -122,6 +122,8 @@ def test_design() -> None:
 
 
 QUICK = ("cascaded_tanks/torricelli", "esso_osaka", "kvlcc2", "remus_diving_plane")
+# The torpedo's likelihood is flat: its last steps follow the rounding of the compiler's flags.
+LATER = ("sailboat", "torpedo")
 
 
 @pytest.mark.parametrize("name", [*QUICK, *slow(*(one for one in SHIPPED if one not in QUICK))])
@@ -130,9 +132,7 @@ def test_shipped_records(name: str) -> None:
     check("process_noise", name, facts(fit_of(name, disturbances="auto")), FILTERED)
 
 
-@pytest.mark.parametrize(
-    "name", [*(one for one in SIMULATED if one != "sailboat"), *slow("sailboat")]
-)
+@pytest.mark.parametrize("name", [*(one for one in SIMULATED if one not in LATER), *slow(*LATER)])
 def test_disturbed_records(name: str) -> None:
     """Process noise is found where it acts."""
     found = facts(fit_of(name, disturbed=True, disturbances="auto"))
