@@ -193,7 +193,7 @@ def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
     """Another integrator is other code, for both solvers; unknown names are refused."""
     explicit = replace(DRIVE, integrator="explicit")
     assert explicit.structure_key() != DRIVE.structure_key()
-    with pytest.raises(ModelError, match="explicit, or implicit"):
+    with pytest.raises(ModelError, match="explicit, implicit"):
         replace(DRIVE, integrator="magic")
     times = np.arange(0.0, 5.0, 0.1)
     inputs = drive_inputs(times)
