@@ -380,8 +380,8 @@ class Cell:
         if self.world == IDEAL:  # as runs were named before there were worlds
             del fields["world"]
         else:
-            fields["world"] = (world_by_name(self.world), 3)
-        # Numbers (1 here, 3 of worlds) are raised whenever the same cell would give another result.
+            fields["world"] = (world_by_name(self.world), 4)
+        # Numbers (1 here, 4 of worlds) are raised whenever the same cell would give another result.
         content = f"1 {fields} {load_scenario(self.problem).digest} {settings!r}"
         digest = hashlib.sha256(content.encode()).hexdigest()[:12]
         world = "" if self.world == IDEAL else f"{self.world} "
