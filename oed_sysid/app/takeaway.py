@@ -37,8 +37,9 @@ KINDS = {
 }
 # Endings of a problem folder's files that belong to it, and the largest of them, bytes.
 _OF_A_PROBLEM, _LARGEST = (".py", ".md", ".toml", ".txt"), 5_000_000
-# Reports in the order of the work.
-_ORDER = {file: place for place, file in enumerate([*list(TASKS)[:5], "kept", *list(TASKS)[5:]])}
+# Reports in the order of the work; effects are kept of those that a search has found.
+_FILES = [file for task in TASKS for file in ((task, "kept") if task == "improve" else (task,))]
+_ORDER = {file: place for place, file in enumerate(_FILES)}
 
 Finished = Iterable[tuple[Asked, Outcome]]
 
