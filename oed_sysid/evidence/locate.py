@@ -38,7 +38,7 @@ from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.random_forces import FEW_STEPS
+from oed_sysid.likelihood.random_forces import FEW_STEPS, Begun
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 
@@ -373,21 +373,6 @@ def _kernel(fit: FilteredSolution) -> FilterKernel:
 
 
 @dataclass(frozen=True, eq=False)
-class _Begun:
-    """Where the estimate of the disturbance of a place begins."""
-
-    problem: Filtered
-    point: Point
-    objective: float
-
-    def solved(self, most: int) -> FilteredSolution | None:
-        """The end of at most so many steps."""
-        return solve_filtered(
-            self.problem, self.point, max_iterations=most, tolerance=NEAR, polish=0
-        )
-
-
-@dataclass(frozen=True, eq=False)
 class _Bench:
     """What every place is judged by.
 
@@ -430,18 +415,18 @@ class _Bench:
         All take a few steps; of those whose gain is no chance, the likeliest and those that their
         equations promise to bring near it go on to the end.
         """
-        looked = ((place, self._begun(place).solved(FEW_STEPS)) for place in where)
+        looked = ((place, self._begun(place).solved(FEW_STEPS, tolerance=NEAR)) for place in where)
         found = [Evidence(place, self.quiet, fit or self.quiet) for place, fit in looked]
         found.sort(key=lambda part: -part.reach)
         least = CLEAR
         for index, part in enumerate(found):
             if part.fit.reason == "iterations" and part.reach > least:
-                further = _Begun(part.fit.problem, part.fit.point, part.fit.objective)
-                found[index] = replace(part, fit=further.solved(MOST_STEPS) or part.fit)
+                end = Begun.after(part.fit).solved(MOST_STEPS, tolerance=NEAR)
+                found[index] = replace(part, fit=end or part.fit)
             least = max(least, found[index].gain - GROUP_WIDTH)
         return sorted(found, key=lambda part: -part.gain)
 
-    def _begun(self, place: Place) -> _Begun:
+    def _begun(self, place: Place) -> Begun:
         """The likeliest level at values of the fit with disturbance forces, or of the quiet one.
 
         The latter is asked where the former explains less than white noise alone does.
@@ -451,7 +436,7 @@ class _Bench:
             return best
         return min(best, self._likeliest(place, self.starts[1]), key=lambda one: one.objective)
 
-    def _likeliest(self, place: Place, others: np.ndarray) -> _Begun:
+    def _likeliest(self, place: Place, others: np.ndarray) -> Begun:
         """The likeliest of some decades of a level, from where the records begin to tell of it."""
         # At variance zero its information says of which variance the records begin to tell.
         first = self.quiet.problem.with_levels(self._levels(place, 1.0))
@@ -464,11 +449,11 @@ class _Bench:
         )
         # The standard error of a variance is told^-1/2; its root is the level.
         size = told**-0.25 if told > 0 else 1.0
-        best: _Begun | None = None
+        best: Begun | None = None
         while True:
             problem = self.quiet.problem.with_levels(self._levels(place, size))
             unknowns = np.concatenate([others, problem.levels.vector(problem.levels.noise)])
-            now = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
+            now = Begun.at(problem, unknowns)
             if best is not None and not now.objective < best.objective:
                 return best
             best, size = now, 10.0 * size

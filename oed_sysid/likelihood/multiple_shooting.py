@@ -400,8 +400,9 @@ class MultipleShooting:
             test = _score(fit, task, setting, starts[0], kernel, carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
-        at = fit.model, setting, fit.initial_states, fit.local_values, kernel
-        excluded = excluded_inputs(*at) if setting.inputs and test.gain < np.inf else ()
+        excluded: tuple[str, ...] = ()
+        if setting.inputs and test.gain < np.inf:
+            excluded = excluded_inputs(task.model, setting, starts[0], kernel)
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain, inputs=excluded))
         if tests and test.gain < CLEAR:
             return fit, None

@@ -72,19 +72,38 @@ FALSE_SEA = 0.005
 
 
 @dataclass(frozen=True, eq=False)
-class _Begun:
+class Begun:
     """A problem and where it begins."""
 
     problem: Filtered
     point: Point
     objective: float
 
+    @classmethod
+    def at(cls, problem: Filtered, unknowns: np.ndarray) -> Begun:
+        """A problem begun at some unknowns."""
+        return cls(problem, Point(unknowns, ()), problem.objective(unknowns))
+
+    @classmethod
+    def after(cls, found: FilteredSolution) -> Begun:
+        """A problem begun where a solution of it ended."""
+        return cls(found.problem, found.point, found.objective)
+
     def solved(
-        self, most: int, progress: Callable[[Progress], None] | None = None
+        self,
+        most: int,
+        progress: Callable[[Progress], None] | None = None,
+        *,
+        tolerance: float = FROZEN_TOLERANCE,
     ) -> FilteredSolution | None:
         """The end of at most so many steps."""
         return solve_filtered(
-            self.problem, self.point, max_iterations=most, polish=0, callback=progress
+            self.problem,
+            self.point,
+            max_iterations=most,
+            tolerance=tolerance,
+            polish=0,
+            callback=progress,
         )
 
 
@@ -156,14 +175,14 @@ def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
 
 
 def _raced_to_sea(
-    begun: Sequence[_Begun], setting: Setting, progress: Callable[[Progress], None] | None
+    begun: Sequence[Begun], setting: Setting, progress: Callable[[Progress], None] | None
 ) -> FilteredSolution | None:
     """The likeliest end with forces of first order, or with a sea where there is one."""
     best = _raced(begun, min(setting.max_iterations, FIRST_STEPS), progress)
     best = None if best is None else with_sea(best, setting)
     left = setting.max_iterations - FIRST_STEPS
     if best is not None and best.reason == "iterations" and left > 0:
-        again = _Begun(best.problem, best.point, best.objective).solved(left, progress)
+        again = Begun.after(best).solved(left, progress)
         if again is not None:
             return replace(again, iterations=best.iterations + again.iterations)
     return best
@@ -192,7 +211,7 @@ def _begun(
     begin: NoiseModel,
     unit: NoiseModel,
     kernel: FilterKernel | None,
-) -> _Begun:
+) -> Begun:
     """The likeliest levels, again after some steps of everything else; or those of an earlier fit.
 
     Levels and time would otherwise first follow the misfit of wrong values, and then come back.
@@ -207,11 +226,12 @@ def _begun(
     )
     point = problem.point(start.initial, start.local, own)
     if start.noise is not None:
-        return _Begun(problem, point, problem.objective(point.unknowns))
+        return Begun.at(problem, point.unknowns)
     others = point.unknowns[: problem.layout.levels.start]
     first, decades = _likeliest_level(problem, others, setting, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
-    found = _Begun(problem.with_levels(levels), Point(others, ()), np.inf).solved(2)
+    held = problem.with_levels(levels)
+    found = solve_filtered(held, Point(others, ()), max_iterations=2, polish=0)
     if found is None:
         return first
     later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decades)
@@ -224,7 +244,7 @@ def _likeliest_level(
     setting: Setting,
     begin: NoiseModel,
     near: tuple[int, ...] | None = None,
-) -> tuple[_Begun, tuple[int, ...]]:
+) -> tuple[Begun, tuple[int, ...]]:
     """Point with the likeliest decade of each level at given other unknowns, and the decades.
 
     The objective is flat where the levels do nothing yet, falls, and rises where they are too
@@ -233,7 +253,7 @@ def _likeliest_level(
     ``near`` are decades where they are known.
     """
     free = np.flatnonzero(~np.isin(begin.places, setting.known))
-    tried: dict[tuple[int, ...], _Begun] = {}
+    tried: dict[tuple[int, ...], Begun] = {}
 
     def attempt(decades: tuple[int, ...]) -> float:
         if decades not in tried:
@@ -241,7 +261,7 @@ def _likeliest_level(
             force[free] *= 10.0 ** np.array(decades)
             levels = problem.levels.vector(replace(begin, force=force))
             unknowns = np.concatenate([others, levels])
-            tried[decades] = _Begun(problem, Point(unknowns, ()), problem.objective(unknowns))
+            tried[decades] = Begun.at(problem, unknowns)
         return tried[decades].objective
 
     best = _together(attempt, len(free)) if near is None else near
@@ -293,7 +313,7 @@ def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseM
     return found.only(np.isin(begin.places, (*earlier.places, *setting.known)))
 
 
-def _stayed(begun: Sequence[_Begun], starts: Sequence[Start]) -> FilteredSolution | None:
+def _stayed(begun: Sequence[Begun], starts: Sequence[Start]) -> FilteredSolution | None:
     """The beginning itself, where an earlier fit ended and steps promise next to nothing."""
     if len(begun) > 1 or starts[0].noise is None:
         return None
@@ -303,13 +323,13 @@ def _stayed(begun: Sequence[_Begun], starts: Sequence[Start]) -> FilteredSolutio
 
 
 def _raced(
-    begun: Sequence[_Begun], most: int, progress: Callable[[Progress], None] | None
+    begun: Sequence[Begun], most: int, progress: Callable[[Progress], None] | None
 ) -> FilteredSolution | None:
     """The likeliest end from several beginnings, the leader after a first look first.
 
     Where a beginning arrives at the same likelihood as another, they are one.
     """
-    apart: list[_Begun] = []
+    apart: list[Begun] = []
     for one in sorted(begun, key=lambda one: one.objective):
         if not apart or one.objective - apart[-1].objective > WORTH:
             apart.append(one)
@@ -317,7 +337,7 @@ def _raced(
         return apart[0].solved(most, progress)
     return _first_home(
         (one.solved(min(FEW_STEPS, most), progress) for one in apart),
-        lambda one: _Begun(one.problem, one.point, one.objective).solved(most, progress),
+        lambda one: Begun.after(one).solved(most, progress),
     )
 
 

@@ -401,11 +401,7 @@ def _score_at(
 
 
 def excluded_inputs(
-    model: Model,
-    setting: Setting,
-    initial: Sequence[np.ndarray],
-    local: Sequence[Mapping[str, float]],
-    kernel: FilterKernel | None = None,
+    model: Model, setting: Setting, start: Start, kernel: FilterKernel | None = None
 ) -> tuple[str, ...]:
     """Inputs whose log is as white as noise would be, and whose noise the records exclude.
 
@@ -414,12 +410,10 @@ def excluded_inputs(
 
     Parameters
     ----------
-    model : Model
-        At the fitted values.
-    setting : Setting
-    initial, local, kernel
+    model, setting, start, kernel
         As of :func:`score_test`.
     """
+    model = model.with_values(dict(start.values))
     quiet = NoiseModel.white_only(setting.white, model.output_names)
     nothing, found = np.zeros(len(setting.white), dtype=bool), []
     for place in setting.inputs:
@@ -428,13 +422,13 @@ def excluded_inputs(
         levels = Levels.of(
             none,
             shown,
-            [disturbance(place).name],
+            disturbance_names([place.name]),
             white=nothing,
             colour=nothing,
             force=np.ones(1, dtype=bool),
         )
         problem = Filtered(model, setting.dataset, levels, kernel=kernel)
-        begin = problem.point(initial, local).unknowns[:-1]
+        begin = problem.point(start.initial, start.local).unknowns[:-1]
         costs = [problem.objective(np.append(begin, part**2)) for part in (0.0, 0.5, 1.0)]
         # Each unknown has taken a square from the residuals, as it would from those of more noise.
         if min(costs[1:]) > costs[0] + CLEAR + len(begin):
