@@ -324,6 +324,8 @@ def test_impossible_samples_are_refused() -> None:
         stream.update(2.0, {"psi": 0.0})
     with pytest.raises(ModelError, match="not later"):
         stream.update(1.0, {"delta": 0.1, "psi": 0.0})
+    with pytest.raises(ModelError, match=r"whole records.*needs numbers"):
+        KalmanStream(AWAY, JointKalmanFilter(process_std="likeliest"))
 
 
 DECAY = Model(

@@ -241,7 +241,11 @@ class JointFilter:
         self.columns = [model.parameter_names.index(name) for name in model.free_names]
         self.lower = np.array([p.lower for p in free])
         self.upper = np.array([p.upper for p in free])
-        noise = {} if isinstance(settings.process_std, str) else settings.process_std
+        if isinstance(noise := settings.process_std, str):
+            raise ModelError(
+                f"process_std is {noise!r}, which is looked for over whole records. A filter that "
+                "takes one sample at a time needs numbers: give {state: intensity}."
+            )
         rates = [noise.get(s.name, 0.0) for s in model.states]
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
