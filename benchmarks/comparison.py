@@ -10,7 +10,6 @@ be stopped, resumed and enlarged; docs/comparison.md and its picture are written
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable, Hashable, Iterable, Iterator, Sequence
 from functools import partial
@@ -18,8 +17,18 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import RESULTS, ROOT, Row, Store, command, markdown, run_cases, write_page
-from oed_sysid.baselines.benchmark import DETERMINED
+from benchmarks.harness import (
+    RESULTS,
+    ROOT,
+    Row,
+    Store,
+    command,
+    known,
+    markdown,
+    run_cases,
+    write_page,
+)
+from oed_sysid.baselines.benchmark import DETERMINED, logarithms_of_ratios
 from oed_sysid.baselines.contest import BELIEVERS, Cell, Outcome, run_cell
 from oed_sysid.baselines.world import WORLDS
 from oed_sysid.results.estimator_plots import plot_comparison
@@ -83,26 +92,26 @@ def run_case(problem: str, world: str, seed: int, estimators: Sequence[str]) -> 
     runs: Row = {}
     for name in estimators:
         outcome = run_cell(Cell(problem, name, NOISE, seed=seed, world=world))
-        known = [key for key, bound in outcome.bounds.items() if bound < DETERMINED]
-        bounds = np.array([outcome.bounds[key] for key in known])
-        runs[name] = _brief(outcome, known)
+        determined = [key for key, bound in outcome.bounds.items() if bound < DETERMINED]
+        bounds = np.array([outcome.bounds[key] for key in determined])
+        runs[name] = _brief(outcome, determined)
     return {
         "problem": problem,
         "world": world,
         "seed": seed,
-        "determined": [len(known), len(outcome.bounds)],
+        "determined": [len(determined), len(outcome.bounds)],
         "bound": _short(np.sqrt(np.mean(bounds**2))),
         "runs": runs,
     }
 
 
-def _brief(outcome: Outcome, known: Sequence[str]) -> list[object] | str:
+def _brief(outcome: Outcome, determined: Sequence[str]) -> list[object] | str:
     """Error of determined parameters, intervals that hold, of how many, failed, s; or why not."""
     if outcome.status == "refused":
         return outcome.message
     # A run without estimates is as wrong as knowing nothing.
-    errors = np.array([outcome.errors.get(key, -1.0) for key in known])
-    held = [outcome.covered[key] for key in known if key in outcome.covered]
+    errors = np.array([outcome.errors.get(key, -1.0) for key in determined])
+    held = [outcome.covered[key] for key in determined if key in outcome.covered]
     error = _short(np.sqrt(np.mean(errors**2)))
     return [error, sum(held), len(held), int(outcome.failed), _short(outcome.seconds)]
 
@@ -116,8 +125,8 @@ def merged(rows: Iterable[Row]) -> dict[tuple[str, str, int], Row]:
     found: dict[tuple[str, str, int], Row] = {}
     for row in rows:
         key = row["problem"], row["world"], row["seed"]
-        known = found.get(key)
-        found[key] = {**row, "runs": {**known["runs"], **row["runs"]}} if known else row
+        before = found[key]["runs"] if key in found else {}
+        found[key] = {**row, "runs": {**before, **row["runs"]}}
     return found
 
 
@@ -129,8 +138,8 @@ def missing(
     for seed in range(seeds):
         for problem in problems:
             for world in worlds:
-                known = done.get((problem, world, seed), {"runs": {}})["runs"]
-                if left := sorted(set(estimators) - set(known)):
+                run = done.get((problem, world, seed), {"runs": {}})["runs"]
+                if left := sorted(set(estimators) - set(run)):
                     yield problem, world, seed, *left
 
 
@@ -151,8 +160,8 @@ def cells(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[list[float]] |
             key = row["problem"], row["world"], name
             if isinstance(run, str):
                 found.setdefault(key, run)
-            elif isinstance(known := found.setdefault(key, []), list):
-                known.append(run)
+            elif isinstance(runs := found.setdefault(key, []), list):
+                runs.append(run)
     return found
 
 
@@ -163,12 +172,15 @@ def ratios(rows: Sequence[Row], world: str, name: str) -> dict[str, float]:
     same records, so that what these have in common cancels.
     """
     ours = OURS[name in BELIEVING]
-    pairs: dict[str, list[float]] = {}
+    pairs: dict[str, list[tuple[float, float]]] = {}
     for row in rows:
-        one, other = row["runs"].get(ours), row["runs"].get(name)
-        if row["world"] == world and isinstance(one, list) and isinstance(other, list):
-            pairs.setdefault(row["problem"], []).append(np.log(other[0] / one[0]))
-    return {problem: float(np.exp(np.median(logs))) for problem, logs in pairs.items()}
+        own, other = row["runs"].get(ours), row["runs"].get(name)
+        if row["world"] == world and isinstance(own, list) and isinstance(other, list):
+            pairs.setdefault(row["problem"], []).append((other[0], own[0]))
+    return {
+        problem: float(np.exp(np.median(logarithms_of_ratios(*np.transpose(errors)))))
+        for problem, errors in pairs.items()
+    }
 
 
 def summary(rows: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str]) -> np.ndarray:
@@ -186,22 +198,16 @@ def summary(rows: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str
 
 def headline(rows: Sequence[Row]) -> list[str]:
     """Where our default is first, within the scatter or behind, cell by cell."""
-    first = near = behind = 0
-    for problem in SYSTEMS:
-        for world in ACTING:
-            for believing in (False, True):
-                rivals = [
-                    found[problem]
-                    for name in ESTIMATORS
-                    if (name in BELIEVING) == believing and name not in OURS
-                    if problem in (found := ratios(rows, world, name))
-                ]
-                if rivals:
-                    least = min(rivals)
-                    first += least >= 1.0
-                    near += 1 / 1.1 <= least < 1.0
-                    behind += least < 1 / 1.1
-    total = first + near + behind
+    least: list[float] = []
+    for world in ACTING:
+        for believing in (False, True):
+            names = [name for name in ESTIMATORS if (name in BELIEVING) == believing]
+            rivals = [ratios(rows, world, name) for name in names if name not in OURS]
+            for problem in SYSTEMS:
+                if errors := [found[problem] for found in rivals if problem in found]:
+                    least.append(min(errors))
+    first, behind = sum(x >= 1.0 for x in least), sum(x < 1 / 1.1 for x in least)
+    total, near = len(least), len(least) - first - behind
     seeds = len({row["seed"] for row in rows})
     return [
         f"{len(rows)} records, up to {seeds} seeds. In {first} of {total} comparisons (a system in "
@@ -267,11 +273,13 @@ def tables(rows: Sequence[Row]) -> str:
     lines = [*headline(rows), "", *per_world(rows), ""]
     for problem, title in SYSTEMS.items():
         seeds = [row["seed"] for row in rows if row["problem"] == problem]
-        known = next((row["determined"] for row in rows if row["problem"] == problem), [0, 0])
+        n_known, n_all = next(
+            (row["determined"] for row in rows if row["problem"] == problem), (0, 0)
+        )
         lines += [
             f"### {title}",
             "",
-            f"`{problem}`: {len(set(seeds))} seeds; the data determine {known[0]} of {known[1]} "
+            f"`{problem}`: {len(set(seeds))} seeds; the data determine {n_known} of {n_all} "
             "parameters.",
             "",
             *per_system(rows, problem),
@@ -312,7 +320,7 @@ def main(
         time after which the rest is left for the next run; 0 only writes the page
     """
     for world in worlds:
-        assert world in WORLDS, f"there is no world {world}"
+        known(world, WORLDS, "world")
     if minutes:
         keys = list(missing(problems, worlds, seeds, estimators))
         run_cases(
@@ -327,5 +335,4 @@ def main(
 
 
 if __name__ == "__main__":
-    os.environ.setdefault("OMP_NUM_THREADS", "1")
     command(main)

@@ -166,6 +166,14 @@ def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
     )
 
 
+def logarithms_of_ratios(others: Sequence[float], own: Sequence[float]) -> np.ndarray:
+    """Logarithms of ratios of errors, run by run, ``(n_runs,)``; less than a millionth is none.
+
+    Pairs of runs are on the same records: what these have in common cancels.
+    """
+    return np.log(np.maximum(others, EXACT) / np.maximum(own, EXACT))
+
+
 def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
     """Compare one estimator with all others that can treat the problem."""
     mine = {row.setting: row for row in rows if row.estimator == ours and not row.refused}
@@ -175,9 +183,7 @@ def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
             continue
         own = mine[row.setting]
         ratio = max(row.rmse_determined, EXACT) / max(own.rmse_determined, EXACT)
-        # Pairs of runs on the same records: what these have in common cancels.
-        logs = np.log(np.maximum(row.by_seed, EXACT) / np.maximum(own.by_seed, EXACT))
-        outcome = _outcome(ratio, logs)
+        outcome = _outcome(ratio, logarithms_of_ratios(row.by_seed, own.by_seed))
         where = row.problem, row.noise, row.sampling
         found.append(Verdict(*where, ours, row.estimator, outcome, ratio, row.world))
     return tuple(found)

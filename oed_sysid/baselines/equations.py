@@ -305,7 +305,8 @@ class Rows:
         """Positions of the equations, those together that share a parameter with each other."""
         found: list[tuple[set[str], tuple[int, ...]]] = []
         for index in range(len(self.form.equations)):
-            names, group = set(self.equation(index)[2]), tuple([index])
+            names: set[str] = set(self.equation(index)[2])
+            group: tuple[int, ...] = (index,)
             for one in [one for one in found if one[0] & names]:
                 found.remove(one)
                 names, group = names | one[0], one[1] + group

@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from oed_sysid.baselines.benchmark import Benchmark, Row
+from oed_sysid.baselines.benchmark import Benchmark, Row, logarithms_of_ratios
 from oed_sysid.baselines.contest import OURS, OURS_DISTURBED, UNITS
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
@@ -413,8 +413,8 @@ def _against(rows: Sequence[Row], names: Sequence[str], worlds: Sequence[str]) -
     logs: dict[tuple[str, str], list[float]] = {}
     for (setting, name), row in runs.items():
         if own := runs.get((setting, first)):
-            ratio = np.divide(np.maximum(row.by_seed, 1e-9), np.maximum(own.by_seed, 1e-9))
-            logs.setdefault((name, row.world), []).append(float(np.median(np.log(ratio))))
+            of_setting = np.median(logarithms_of_ratios(row.by_seed, own.by_seed))
+            logs.setdefault((name, row.world), []).append(float(of_setting))
     return np.array(
         [[np.exp(np.mean(logs.get((name, world), [np.nan]))) for world in worlds] for name in names]
     )
