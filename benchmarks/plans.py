@@ -43,7 +43,7 @@ from benchmarks.harness import (
 from benchmarks.missing_physics.simulator import Case, Truth, integrate
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
 from benchmarks.random_forces.simulator import simulate as data_sets
-from benchmarks.random_forces.trial import JONSWAP_WIDTH, _model, dataset
+from benchmarks.random_forces.trial import JONSWAP_WIDTH, dataset, nominal_model
 from benchmarks.ship_hours import LEAST, MOST, PITCH
 from oed_sysid import Experiment, Model, load_problem
 from oed_sysid.baselines.fourier import FourierRegression
@@ -234,7 +234,7 @@ def flights(
 def start_of(key: str, number: int) -> Row:
     """Relative errors of start values, root mean square over the parameters of one data set."""
     scenario = SCENARIOS["ship_swell"]
-    model = _model(scenario.vehicle)
+    model = nominal_model(scenario.vehicle)
     (one,) = data_sets(scenario, 0, [number])
     data = dataset(scenario, model, one.runs)
     levels = dict(zip(VEHICLES[scenario.vehicle].forces, scenario.force, strict=True))

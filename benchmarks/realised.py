@@ -3,10 +3,9 @@ r"""Realised over stated errors of planned runs under disturbance forces.
     OMP_NUM_THREADS=1 python -m benchmarks.realised [--repetitions 20] [--forces 1.0]
                                                     [--plans designed] [--swell 8]
 
-The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N, 0.06 N
-m
-and 2 s (times ``--forces``) and white sensors, or in a swell of these levels with ``--swell``, the
-peak period of its JONSWAP spectrum. Each repetition is integrated by the NumPy
+The REMUS-like vehicle plays *plan* again and again under disturbance forces of 0.1 N, 0.3 N,
+0.06 N m and 2 s (times ``--forces``) and white sensors, or in a swell of these levels with
+``--swell``, the peak period of its JONSWAP spectrum. Each repetition is integrated by the NumPy
 equations of `benchmarks.missing_physics` (no code of the package) and estimated by
 ``MultipleShooting(disturbances="auto")``, levels, times and period unknown, no priors. Stated are
 the errors of ``information_of`` before the trial, for these forces and for white noise alone.

@@ -439,13 +439,13 @@ def likelihood() -> None:
     """Times of passes, a fit and an improvement."""
     from benchmarks.random_forces.scenarios import SCENARIOS
     from benchmarks.random_forces.simulator import simulate
-    from benchmarks.random_forces.trial import _model, believed, dataset
+    from benchmarks.random_forces.trial import believed, dataset, nominal_model
 
     problem, (train, test) = load_problem("remus_diving_plane"), split()
     passes(problem.model, train, list(problem.effects))
     scenario = SCENARIOS["medium"]
     (drawn,) = simulate(scenario, 0, range(1))
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     data = dataset(scenario, model, drawn.runs)
     earlier = MultipleShooting().fit(model, data)
     samples = sum(record.n_samples for record in data)

@@ -40,7 +40,7 @@ import numpy as np
 from benchmarks.harness import RESULTS, Row, Store, command, known, markdown, run_cases
 from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
 from benchmarks.random_forces.simulator import Set, believed, simulate, stream
-from benchmarks.random_forces.trial import _model, dataset
+from benchmarks.random_forces.trial import dataset, nominal_model
 from benchmarks.rates import TWO_SIDED_95
 from oed_sysid import MultipleShooting
 
@@ -104,7 +104,7 @@ def fitted(world: str, data: Set, spoil: Spoil | None, seed: int, loss: str = "a
     """Errors, stated errors and what else a fit to one set says."""
     scenario = SCENARIOS[world]
     vehicle = VEHICLES[scenario.vehicle]
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     runs, spoilt = [], 0
     for run in data.runs:
         outputs = run.outputs

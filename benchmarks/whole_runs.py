@@ -26,7 +26,7 @@ from benchmarks.missing_physics.cases import draws, simulate_draws
 from benchmarks.missing_physics.judge import _problem, datasets, nominal_runs
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import Set, believed, simulate
-from benchmarks.random_forces.trial import _model, dataset
+from benchmarks.random_forces.trial import dataset, nominal_model
 from oed_sysid import MultipleShooting
 
 KINDS = (
@@ -53,7 +53,7 @@ def hidden(kind: str, number: int) -> Row:
 def disturbed(world: str, number: int, seed: int, first: int, last: int) -> Row:
     """One data set whose disturbances are true."""
     scenario, data = SCENARIOS[world], _sets(world, seed, first, last)[number]
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     fit = MultipleShooting().fit(model, dataset(scenario, model, data.runs))
     runs = fit.whole_runs
     return {

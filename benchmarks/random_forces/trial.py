@@ -84,7 +84,7 @@ JONSWAP_WIDTH = 0.2
 
 
 @lru_cache(maxsize=4)
-def _model(vehicle: str) -> Model:
+def nominal_model(vehicle: str) -> Model:
     """The nominal model without priors."""
     if vehicle == "remus":
         return ignorant(load_problem("remus_diving_plane").model)
@@ -180,7 +180,7 @@ def estimator(scenario: Scenario, settings: Mapping[str, Any]) -> MultipleShooti
 
 def outcome(scenario: Scenario, data: Set, settings: Mapping[str, Any]) -> Outcome:
     """Fit a data set, predict its fresh record, and keep what matters."""
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     if scenario.hidden:
         model = model.fix(*VEHICLES[scenario.vehicle].local)
     names = tuple(VEHICLES[scenario.vehicle].believed)
