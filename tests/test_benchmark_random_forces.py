@@ -32,11 +32,11 @@ from benchmarks.random_forces.scenarios import (
 from benchmarks.random_forces.simulator import Set, simulate
 from benchmarks.random_forces.trial import (
     Outcome,
-    _model,
     believed,
     concerns,
     dataset,
     forces,
+    nominal_model,
     outcome,
 )
 from oed_sysid import MultipleShooting, load_problem
@@ -339,7 +339,7 @@ def test_errors_of_an_unstable_vehicle_are_not_those_of_rounding() -> None:
     """
     scenario = SCENARIOS["unstable"]
     (drawn,) = simulate(scenario, 0, [42])
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     data = dataset(scenario, model, drawn.runs)
     truth = drawn.truth
     fits = [

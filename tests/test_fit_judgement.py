@@ -16,7 +16,7 @@ from yaw_vehicle import NOISE, TRUE, simulate_yaw, yaw_data, yaw_model
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import believed
 from benchmarks.random_forces.simulator import simulate as simulate_worlds
-from benchmarks.random_forces.trial import _model, dataset
+from benchmarks.random_forces.trial import dataset, nominal_model
 from oed_sysid.baselines import JointKalmanFilter
 from oed_sysid.cli import SUSPECT, main
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
@@ -376,7 +376,7 @@ def test_noise_of_a_logged_input_is_named() -> None:
 def test_a_helmsmans_white_rudder_is_no_noise_of_the_log() -> None:
     """What he answers to a noisy heading moves the ship: the records exclude noise of the log."""
     scenario = SCENARIOS["ship_helm_white"]
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     for drawn in simulate_worlds(scenario, 6, range(2)):
         data = dataset(scenario, model, drawn.runs)
         fit = MultipleShooting().fit(model, data)

@@ -14,7 +14,7 @@ from scipy.signal import lfilter
 
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate, true_values
-from benchmarks.random_forces.trial import _model, believed, dataset
+from benchmarks.random_forces.trial import believed, dataset, nominal_model
 from oed_sysid import Force, Sea, improve
 from oed_sysid.compiled.filtering import narrow_band
 from oed_sysid.data.dataset import Dataset, Record
@@ -302,7 +302,7 @@ def narrow(rng: np.random.Generator, n: int, period: float) -> np.ndarray:
 def fits(name: str, numbers: range) -> Iterator[tuple[Fit, np.ndarray]]:
     """Fits of data sets of the benchmark, and their true parameters."""
     scenario = SCENARIOS[name]
-    model = _model(scenario.vehicle).with_values(believed(scenario))
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
     for drawn in simulate(scenario, 0, numbers):
         fit = MultipleShooting().fit(model, dataset(scenario, model, drawn.runs))
         truth = true_values(scenario, 0, drawn.number)
