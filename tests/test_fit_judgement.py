@@ -285,14 +285,15 @@ def test_colour_counts_independent_samples() -> None:
     assert "noise_level" not in kinds(fit)
 
 
-def test_visible_integration_errors_are_not_converged() -> None:
-    """A lag of 9 1/s fitted from 500 ends at the edge of stability, and does not pass."""
+def test_a_fit_leaves_the_edge_of_stability_by_finer_steps() -> None:
+    """A lag of 9 1/s fitted from 500 first ends where its steps are hardly stable, at 21.7."""
     model = lag(500.0)
     estimator = MultipleShooting(disturbances="none")
     fit = estimator.fit(model, lag_data(model))
-    assert fit.values["a"] == pytest.approx(21.7, rel=0.01)
-    assert fit.status.code == "integration"
-    assert not fit.status.ok
+    assert fit.status.ok
+    assert fit.model.step < model.step
+    assert [c.kind for c in fit.concerns if c.kind == "finer_step"]
+    assert fit.values["a"] == pytest.approx(9.0, abs=4 * fit.std_errors["a"])
     right = estimator.fit(lag(8.0, step=0.02), lag_data(model))
     assert right.status.ok
     assert right.values["a"] == pytest.approx(9.0, abs=4 * right.std_errors["a"])

@@ -12,11 +12,12 @@ from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimator import Solver
-from oed_sysid.likelihood.judgement import step_change
+from oed_sysid.likelihood.integration import BIAS, step_change
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.physics import Parameter, actuator_lag, sensor_lag
+from oed_sysid.physics import Parameter, actuator_delay, actuator_lag, sensor_lag
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Robertson's kinetics: rates apart by nine decades.
 ROBERTSON = Model(
@@ -247,11 +248,11 @@ def test_a_jumping_force_is_noticed(force: str, hangs: bool) -> None:
     model = relay(force)
     data = shaken(model)
     fit = MultipleShooting(disturbances="none", solver=Solver(max_iterations=5)).fit(model, data)
-    size, output, record = step_change(fit)
-    assert (size > 0.5) == hangs
+    change = step_change(fit)
+    assert (change.size > 0.5) == hangs
     if hangs:
-        assert output in model.output_names
-        assert record == "shaken"
+        assert change.output in model.output_names
+        assert change.record == "shaken"
 
 
 def test_the_status_says_so() -> None:
@@ -263,3 +264,67 @@ def test_the_status_says_so() -> None:
     assert not fit.status.ok
     assert "integration step" in fit.status.advice
     assert "'shaken'" in fit.status.advice
+
+
+FRICTION = {"gain": 1.0, "damping": 0.3, "friction": 0.2}
+
+
+def rubbing(step: float = 0.2) -> Model:
+    """A slide with dry friction, whose slope at rest is far steeper than the step resolves."""
+    return Model(
+        "slide",
+        (State("u", "m/s"),),
+        (Input("push", "m/s^2"),),
+        (Output("u", "m/s", noise_std=0.005),),
+        {"u": "gain*push - damping*u - friction*tanh(u/0.01)"},
+        parameters=tuple(
+            Parameter(name, value, unit, lower=0.0)
+            for (name, value), unit in zip(FRICTION.items(), ("1", "1/s", "m/s^2"), strict=True)
+        ),
+        step=step,
+    )
+
+
+def slid(seed: int, n: int = 400) -> Dataset:
+    """Pushes in steps, integrated by SciPy with error control, and noise."""
+    rng, times = np.random.default_rng(seed), 0.2 * np.arange(n)
+    pushes, speeds = np.repeat(rng.uniform(-1.0, 1.0, n // 8), 8), np.zeros(n)
+    for k in range(n - 1):
+        speeds[k + 1] = solve_ivp(
+            lambda _, u, push: push - 0.3 * u - 0.2 * np.tanh(u / 0.01),
+            (0.0, 0.2), speeds[k : k + 1], args=(pushes[k],), method="LSODA", rtol=1e-8, atol=1e-10,
+        ).y[0, -1]  # fmt: skip
+    outputs = (speeds + 0.005 * rng.standard_normal(n))[:, None]
+    return Dataset((Record("slide", times, pushes[:, None], outputs, rubbing().channels),))
+
+
+def test_estimates_do_not_hang_on_the_step() -> None:
+    """Intervals hold although the model's step resolves no friction; one that does is kept."""
+    errors, estimator = [], MultipleShooting(disturbances="none")
+    for seed in range(12):
+        fit = estimator.fit(rubbing(), slid(seed))
+        errors.append([(fit.values[k] - v) / fit.std_errors[k] for k, v in FRICTION.items()])
+        assert fit.model.step < 0.2
+        assert fit.integration is not None
+        assert fit.integration.step == 0.2
+        assert fit.integration.shift > BIAS
+    scaled = np.array(errors)
+    # Means of twelve scatter by 0.29; with the step as given one is at three.
+    assert np.abs(scaled.mean(axis=0)).max() < 1.0
+    assert np.mean(np.abs(scaled) < TWO_SIDED_95) > 0.8
+    fine = estimator.fit(rubbing(0.2 / 64), slid(0))
+    again = estimator.fit(rubbing(), slid(0))
+    assert fine.integration is None
+    for name, error in fine.std_errors.items():
+        assert abs(again.values[name] - fine.values[name]) < BIAS * error
+    # From the values of a fit by finer steps others go on by those.
+    assert estimator.fit(rubbing(), slid(1), warm=again).model.step == again.model.step
+
+
+def test_delays_keep_the_steps_that_they_were_made_for() -> None:
+    """By steps that are half as long a register would hold half the delay: nothing is asked."""
+    late = rubbing() + actuator_delay("late", "push", max_delay=1.0, step=0.2, value=0.7)
+    assert late.shortest_step == 0.2
+    fit = MultipleShooting(disturbances="none").fit(late, slid(0))
+    assert fit.model.step == 0.2
+    assert step_change(fit, 2).total == 0.0

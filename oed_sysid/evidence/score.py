@@ -329,7 +329,7 @@ def _secant(
             model.with_values(fit.values | shape | sizes),
             problem.dataset,
             problem.levels.starting(fit.noise).held(),
-            kernel=study.kernel,
+            kernel=study.kernel_by(model.step),
         )
         local = [dict(own) for own in fit.local]
         point = trial.point(fit.initial, local)

@@ -245,7 +245,7 @@ def with_refit(
     """Add what was claimed, and estimate once more."""
     study = state.study
     decided = next(one for one in claims if one.name == refit.name)
-    fit = not_astray(study, study.settle(refit.fit))
+    fit = study.resolved(not_astray(study, study.settle(refit.fit)))
     if rises(study, refit.fit, fit):
         fit = refit.fit  # a better likelihood elsewhere, which the validation records refuse
     names = [effect.name for effect in refit.effects]

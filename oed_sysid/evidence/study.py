@@ -34,10 +34,12 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, SimulationError
 from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
 from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimate import Integration
 from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
+from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
@@ -220,16 +222,41 @@ class Study:
         levels: Levels,
         dataset: Dataset,
         knowledge: Knowledge | None = None,
+        *,
+        step: float = np.inf,
     ) -> Filtered:
-        """Likelihood of the nominal model with some effects."""
-        model = self.model(effects, values)
-        return Filtered(model, dataset, levels, kernel=self.kernel, knowledge=knowledge)
+        """Likelihood of the nominal model with some effects, by steps of its own or finer ones."""
+        model = self.model(effects, values, step)
+        kernel = self.kernel_by(model.step)
+        return Filtered(model, dataset, levels, kernel=kernel, knowledge=knowledge)
 
-    def model(self, effects: Sequence[Effect], values: Mapping[str, float]) -> Model:
+    def kernel_by(self, step: float) -> FilterKernel:
+        """The compiled filter by some integration step, s."""
+        wide = self.kernel.model
+        return self.kernel if wide.step == step else filter_kernel(replace(wide, step=step))
+
+    def as_in(
+        self,
+        found: FilteredSolution,
+        levels: Levels,
+        dataset: Dataset,
+        knowledge: Knowledge | None = None,
+    ) -> Filtered:
+        """Likelihood of a model that was found, at its values and by its steps."""
+        effects, step = self.effects_of(found), found.problem.model.step
+        return self.problem(effects, found.values, levels, dataset, knowledge, step=step)
+
+    def model(
+        self, effects: Sequence[Effect], values: Mapping[str, float], step: float = np.inf
+    ) -> Model:
         """The nominal model with some effects, at those of the values that it knows."""
         order = {effect.name: i for i, effect in enumerate(self.candidates)}
         # In the order of the filter's full state.
         model = self.base + sorted(effects, key=lambda e: order.get(e.name, len(order)))
+        # Delays of actuators reach as far as they were made for with no shorter steps.
+        step = max(step, model.shortest_step)
+        if step < model.step:
+            model = replace(model, step=step)
         # A logarithm that ends at a bound misses it by rounding.
         limits = {p.name: (p.lower, p.upper) for p in model.all_parameters}
         return model.with_values(
@@ -246,7 +273,7 @@ class Study:
 
     def with_levels(self, found: FilteredSolution, levels: Levels) -> FilteredSolution | None:
         """A fit to the training records again, with other levels unknown."""
-        problem = self.problem(self.effects_of(found), found.values, levels, self.train)
+        problem = self.as_in(found, levels, self.train)
         point = problem.point(found.initial, found.local)
         return solve_filtered(problem, point, max_iterations=8, tolerance=0.01, polish=0)
 
@@ -259,6 +286,7 @@ class Study:
         update_noise: bool = True,
         noise: NoiseModel | None = None,
         max_iterations: int = 12,
+        step: float = np.inf,
     ) -> FilteredSolution | None:
         """Estimate the nominal model with some effects on the training records.
 
@@ -275,19 +303,20 @@ class Study:
             In place of the start's; needed where that has none.
         max_iterations : int
             See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
+        step : float
+            Longest integration step, s; that of a fit that is begun from is no longer either.
 
         Returns
         -------
         FilteredSolution or None
             None where the filter diverges at the start.
         """
-        if noise is None:
-            assert isinstance(start, FilteredSolution)
-            noise = start.noise
+        if isinstance(start, FilteredSolution):
+            noise, step = noise or start.noise, min(step, start.problem.model.step)
+        assert noise is not None
         levels = self.levels(noise, self.train)
-        problem = self.problem(
-            effects, values, levels if update_noise else levels.held(), self.train
-        )
+        levels = levels if update_noise else levels.held()
+        problem = self.problem(effects, values, levels, self.train, step=step)
         point = problem.point(start.initial, start.local)
         return solve_filtered(
             problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
@@ -305,6 +334,20 @@ class Study:
         again = found if again is None or again.objective > found.objective else again
         again = with_input_noise(with_colour(again, self.setting), self.setting)
         return with_own_times(again, self.setting)
+
+    def resolved(self, found: FilteredSolution) -> FilteredSolution:
+        """The same by steps that no estimate hangs on; see :mod:`.likelihood.integration`."""
+        ends = {found.problem.model.step: found}
+
+        def again(step: float, fit: Fit) -> Fit:
+            before = ends[fit.model.step]
+            after = self.estimate(
+                self.effects_of(before), before.values, before, max_iterations=25, step=step
+            )
+            ends[step] = before if after is None else after
+            return self.result(ends[step], "")
+
+        return ends[resolved(self.result(found, ""), again).model.step]
 
     def loosened(self, noise: NoiseModel) -> NoiseModel:
         """Noise levels from which a vanished disturbance can come back."""
@@ -330,7 +373,8 @@ class Study:
         """The fit of a model that was found and polished."""
         how = Procedure(label, self.estimated, found.iterations, perf_counter())
         fit = summarise_filtered(found, how)
-        return replace(fit, seconds=0.0)
+        finer = fit.model.step < self.base.step
+        return replace(fit, seconds=0.0, integration=Integration(self.base.step) if finer else None)
 
     # -- validation ------------------------------------------------------------------
 
@@ -359,13 +403,8 @@ class Study:
         known = eliminate(matrix, shared, np.arange(len(shared), layout.n_unknowns))
         known = known + np.diag(VAGUE / scale**2)
         levels = self.levels(self.loosened(found.noise), self.validation)
-        problem = self.problem(
-            self.effects_of(found),
-            found.values,
-            levels,
-            self.validation,
-            Knowledge(found.point.unknowns[shared].copy(), known),
-        )
+        knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
+        problem = self.as_in(found, levels, self.validation, knowledge)
         alone = self.alone(found, self.validation)
         if alone is None:
             return None
@@ -420,7 +459,7 @@ class Study:
         tolerance: float = FROZEN_TOLERANCE,
     ) -> FilteredSolution | None:
         """Start states, values of each record and open levels, all shared parameters held."""
-        problem = self.problem(self.effects_of(found), found.values, levels, dataset)
+        problem = self.as_in(found, levels, dataset)
         shared = np.arange(len(problem.layout.shared))
         point = problem.point(initial, local)
         held = problem.holding(shared, point.unknowns[shared])
@@ -428,9 +467,9 @@ class Study:
 
     def runs(self, found: FilteredSolution, dataset: Dataset) -> tuple[WholeRun, ...]:
         """Whole runs of the model on its own, start states and values of each record fitted."""
-        model = self.model(self.effects_of(found), found.values)
         sigma = found.noise.sensors
-        runner = self.kernel.part(model, found.problem.own)
+        model = self.model(self.effects_of(found), found.values, found.problem.model.step)
+        runner = self.kernel_by(model.step).part(model, found.problem.own)
         work = partial(whole_runs, model, dataset, sigma, runner=runner)
         return _once("runs", self, found, dataset, work)
 

@@ -112,6 +112,25 @@ class Binding:
 
 
 @dataclass(frozen=True)
+class Integration:
+    """Why a fit was made by finer steps than those of the model that was given.
+
+    Attributes
+    ----------
+    step : float
+        Integration step of the model that was given, s.
+    parameter : str
+        Whose estimate moved most with the finer step; empty where a search went on from there.
+    shift : float
+        By how many of its standard errors; NaN there.
+    """
+
+    step: float
+    parameter: str = ""
+    shift: float = np.nan
+
+
+@dataclass(frozen=True)
 class ProcessNoiseTest:
     """What the fit to white noise said of process noise, and of what that would absorb.
 
@@ -235,6 +254,7 @@ class Estimate:
     posterior: Posterior | None = None
     purpose: str = "derivatives"
     binding: tuple[Binding, ...] = ()
+    integration: Integration | None = None
 
     def __post_init__(self) -> None:
         if self.noise is None:

@@ -126,6 +126,8 @@ class Fit(estimate.Estimate):
         physics.
     binding : tuple of Binding
         Bounds and constraints at which it ends, the farthest exceeded first.
+    integration : Integration, or None
+        Why ``model.step`` is finer than that of the model that was given; None where it is not.
     extras : mapping
         What else an estimator tells of its way, such as the course of a recursion. Nothing in the
         package is decided by it.

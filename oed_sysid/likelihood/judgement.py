@@ -52,7 +52,6 @@ from typing import Any, TypeVar
 import numpy as np
 from scipy.special import ndtr, stdtr
 
-from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.likelihood.between_records import FEWEST_RECORDS, WORTH_TELLING
 from oed_sysid.likelihood.covariance import Peak, clear_peaks
 from oed_sysid.likelihood.departures import (
@@ -65,10 +64,10 @@ from oed_sysid.likelihood.departures import (
     estimate_delays,
     other_way,
     outputs_of,
-    values_of,
 )
 from oed_sysid.likelihood.estimate import ActuatorStart, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
+from oed_sysid.likelihood.integration import BIAS, step_change
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     NORMAL,
@@ -116,8 +115,8 @@ class Concern:
     kind : str
         ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
         ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
-        ``process_noise``, ``constraint``, ``integration``, ``runaway``, ``degenerate`` or
-        ``few_samples``.
+        ``process_noise``, ``constraint``, ``integration``, ``finer_step``, ``runaway``,
+        ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -129,7 +128,7 @@ class Concern:
         standard error (``records_differ``), the true input over the logged one (``other_way``),
         noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
         the signal (``degenerate``), samples per unknown (``few_samples``), standard errors
-        (``constraint``), the score test's 2 delta ln L (``process_noise``).
+        (``constraint``, ``finer_step``), the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
     """
@@ -557,72 +556,28 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
         yield Found(sizes[column], output.name, facts=facts)
 
 
-def _shown_noise(fit: Estimate) -> np.ndarray:
-    """Noise levels ``(n_outputs,)``, estimated ones no larger than what the records show."""
-    if not fit.sigma_estimated.any():
-        return fit.sigma
-    sigma = np.minimum(fit.sigma, white_levels(fit.dataset)[0])
-    # Filtered or exact records: a thousandth of the signal is no visible error.
-    least = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset))
-    return np.where(fit.sigma_estimated, least, fit.sigma)
-
-
-def step_change(fit: Estimate, finer: int = FINER) -> tuple[float, str, str]:
-    """Change of the outputs with a finer step in noise levels: the worst, its output and record.
-
-    With disturbance forces, or where windows are predicted, the model alone may drift away; there
-    pieces of twenty samples begin at the states of the simulation.
-    """
-    coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=fit.model.step / finer))
-    sigma = _shown_noise(fit)
-    worst = (0.0, "", "")
-    for index, record in enumerate(fit.dataset):
-        before, after = _both_steps(fit, index, coarse, fine)
-        measured = np.isfinite(record.outputs).any(axis=0)
-        known = np.isfinite(before).all(axis=1)
-        if not known.any():
-            continue
-        with np.errstate(invalid="ignore", over="ignore"):
-            change = np.sqrt(np.mean(((after - before)[known] / sigma) ** 2, axis=0))
-        change = np.where(measured, np.nan_to_num(change, nan=np.inf, posinf=np.inf), 0.0)
-        column = int(np.argmax(change))
-        if change[column] > worst[0]:
-            worst = (float(change[column]), fit.model.output_names[column], record.name)
-    return worst
-
-
-def _both_steps(
-    fit: Estimate, index: int, coarse: Kernel, fine: Kernel
-) -> tuple[np.ndarray, np.ndarray]:
-    """Outputs of one record with both steps, whole or in pieces."""
-    record, states = fit.dataset[index], fit.states[index]
-    whole = fit.innovations is None and fit.horizon is None
-    if whole or states.shape[1] != coarse.n_full:
-        return fit.predictions[index], outputs_of(fit, index, record.inputs, runner=fine)
-    values = values_of(fit, index)
-    last = int(np.isfinite(states).all(axis=1).cumprod().sum())
-    starts = np.arange(0, record.n_samples, 20)
-    starts = starts[starts < last] if last else starts[:1]
-    runs = (
-        one.run(record.times, record.inputs, values, states[starts], starts=starts)
-        for one in (coarse, fine)
-    )
-    before, after = (run.outputs for run in runs)
-    return before, after
-
-
 def _integration(fit: Estimate) -> Iterator[Found]:
     """Trajectories that hang on the integration step."""
     # Half the step shows nearly as much, and costs half.
-    if not _has_numbers(fit) or step_change(fit, 2)[0] < 0.5 * STEP_CHANGE:
+    if not _has_numbers(fit) or step_change(fit, 2).size < 0.5 * STEP_CHANGE:
         return
-    size, output, record = step_change(fit)
-    if size >= STEP_CHANGE:
+    change = step_change(fit, FINER)
+    if change.size >= STEP_CHANGE:
         stiff = ""
         if fit.model.integrator != "implicit":
             stiff = ", or take Model(integrator='implicit') if some motions die out within a step"
         step = fit.model.step
-        yield Found(size, output, record, {"finer": step / FINER, "step": step, "stiff": stiff})
+        facts = {"finer": step / FINER, "step": step, "stiff": stiff}
+        yield Found(change.size, change.output, change.record, facts)
+
+
+def _finer(fit: Estimate) -> Iterator[Found]:
+    """A fit by finer steps than those of its model."""
+    told = fit.integration
+    if told is not None:
+        by = f": {told.parameter} by {told.shift:.2g} standard errors" if told.parameter else ""
+        facts = {"step": fit.model.step, "own": told.step, "by": by}
+        yield Found(told.shift, told.parameter, facts=facts)
 
 
 @dataclass(frozen=True, eq=False)
@@ -824,6 +779,11 @@ CHECKS = (
         "differs from record to record. Use the errors between records (fit.record_errors, "
         "fit.with_record_errors(); jackknife() refits), and look for what is missing with "
         "improve().",
+    ),
+    Check(
+        "finer_step", _finer, f"{BIAS:g} standard errors; see integration.resolved",
+        "The fit was made by steps of {step:.3g} s, since its values hang on those of {own:.3g} s "
+        "that the model had{by}. Give the model the finer step.",
     ),
     Check(
         "spikes", _excluded, "any",

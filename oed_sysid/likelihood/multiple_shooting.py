@@ -26,6 +26,7 @@ from oed_sysid.likelihood.estimator import (
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
+from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
 from oed_sysid.likelihood.noise_levels import (
     EXACT,
@@ -233,7 +234,13 @@ class MultipleShooting:
         with one_thread():
             known = KnownStarts.of(model, dataset, start_states)
             guessed = KnownStarts.of(model, dataset, initial_states, "initial_states")
-            return self._fit(model, dataset, warm, guessed, known)
+            if warm is not None and warm.integration is not None:
+                model = replace(model, step=min(model.step, warm.model.step))
+            found = self._fit(model, dataset, warm, guessed, known)
+            return resolved(
+                found,
+                lambda step, at: self._fit(replace(model, step=step), dataset, at, None, known),
+            )
 
     def _fit(
         self,

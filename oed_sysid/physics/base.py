@@ -66,11 +66,14 @@ class Memory:
         Value after the step, as an expression.
     initial : str
         Value before the first step.
+    shortest : float
+        Shortest step, s, for which an actuator's memory is long enough; zero where any is.
     """
 
     name: str
     update: str
     initial: str
+    shortest: float = 0.0
 
 
 @dataclass(frozen=True)

@@ -300,6 +300,12 @@ class Model(Structure):
             if effect.stage == stage and signal in effect.terms
         ]
 
+    @property
+    def shortest_step(self) -> float:
+        """Shortest integration step that the delays of actuators were made for, s; often zero."""
+        kept = (m for effect in self.effects if effect.stage == "actuator" for m in effect.memory)
+        return max((memory.shortest for memory in kept), default=0.0)
+
     # -- identity ------------------------------------------------------------------
 
     def structure_key(self) -> str:

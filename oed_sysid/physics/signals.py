@@ -217,5 +217,7 @@ def _delay_register(
         fall = f"where({delay} < {i + 1}*h, {i + 1} - {delay}/h, 0)" if i < len(past) else "1"
         pieces.append(f"where({delay} < {i}*h, {rise}, {fall})*{name}")
     newer = [signal, *past[:-1]]
-    memory = tuple(Memory(own, update, signal) for own, update in zip(past, newer, strict=True))
+    memory = tuple(
+        Memory(own, update, signal, step) for own, update in zip(past, newer, strict=True)
+    )
     return " + ".join(pieces), memory

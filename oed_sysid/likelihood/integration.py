@@ -1,0 +1,151 @@
+r"""Integration steps so short that no estimate hangs on them.
+
+With :math:`y_h` the outputs of a fitted model by steps of ``h``, ``J`` their derivatives by all
+unknowns and :math:`\sigma` the noise, half the step moves the estimates by
+
+.. math:: \delta\hat\theta = (J'J)^{+} J'\, \frac{y_h - y_{h/2}}{\sigma}, \qquad
+    \frac{|\delta\hat\theta_j|}{\operatorname{std}\hat\theta_j}
+    \le \Big\| \frac{y_h - y_{h/2}}{\sigma} \Big\|_2
+
+to first order; the bound is Cauchy's. An error of a hundredth of the noise in each of ten thousand
+samples may be a standard error, so that samples one by one say nothing of it. Where the bound
+leaves a shift possible that intervals would show, the fit goes on by half the step, and the finer
+one is kept where an estimate did move. Dry friction and other steep forces need it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.likelihood.departures import outputs_of, values_of
+from oed_sysid.likelihood.estimate import Estimate, Integration
+from oed_sysid.likelihood.noise_levels import signal_spread, white_levels
+
+if TYPE_CHECKING:
+    from oed_sysid.likelihood.fit import Fit
+
+# Standard errors by which half the step may move an estimate: of a hundred intervals of 95 % that
+# are off by so much 94 hold.
+BIAS = 0.25
+# Ends of a fit that a finer step may better.
+ENDED = ("converged", "integration")
+# Times that a step is halved.
+HALVINGS = 4
+
+
+@dataclass(frozen=True)
+class StepChange:
+    """Change of the outputs with a finer step, in noise levels.
+
+    Attributes
+    ----------
+    size : float
+        Root mean square of the output and record that change most.
+    output, record : str
+        These; empty where nothing changes, or nothing can be said.
+    total : float
+        Root sum of squares over all measured samples: no estimate moves by more standard errors.
+    """
+
+    size: float = 0.0
+    output: str = ""
+    record: str = ""
+    total: float = 0.0
+
+
+def shown_noise(fit: Estimate) -> np.ndarray:
+    """Noise levels ``(n_outputs,)``, estimated ones no larger than what the records show."""
+    if not fit.sigma_estimated.any():
+        return fit.sigma
+    sigma = np.minimum(fit.sigma, white_levels(fit.dataset)[0])
+    # Filtered or exact records: a thousandth of the signal is no visible error.
+    least = np.maximum(sigma, 1e-3 * signal_spread(fit.dataset))
+    return np.where(fit.sigma_estimated, least, fit.sigma)
+
+
+def step_change(fit: Estimate, finer: int = 4) -> StepChange:
+    """Change of the outputs with a step that is ``finer`` times as fine.
+
+    With disturbance forces, or where windows are predicted, the model alone may drift away; there
+    pieces of twenty samples begin at the states of the simulation. Of a model that remembers
+    commands for steps of one length nothing can be said.
+    """
+    step = fit.model.step / finer
+    if step < (1.0 - 1e-9) * fit.model.shortest_step:
+        return StepChange()
+    coarse, fine = kernel(fit.model), kernel(replace(fit.model, step=step))
+    sigma = shown_noise(fit)
+    worst, squares = StepChange(), 0.0
+    for index, record in enumerate(fit.dataset):
+        before, after = _both_steps(fit, index, coarse, fine)
+        known = np.isfinite(before).all(axis=1)
+        if not known.any():
+            continue
+        measured = np.isfinite(record.outputs)
+        with np.errstate(invalid="ignore", over="ignore"):
+            parts = np.nan_to_num(((after - before) / sigma) ** 2, nan=np.inf, posinf=np.inf)
+        squares += float(parts[known[:, None] & measured].sum())
+        change = np.where(measured.any(axis=0), np.sqrt(parts[known].mean(axis=0)), 0.0)
+        column = int(np.argmax(change))
+        if change[column] > worst.size:
+            output = fit.model.output_names[column]
+            worst = StepChange(float(change[column]), output, record.name)
+    return replace(worst, total=float(np.sqrt(squares)))
+
+
+def _both_steps(
+    fit: Estimate, index: int, coarse: Kernel, fine: Kernel
+) -> tuple[np.ndarray, np.ndarray]:
+    """Outputs of one record with both steps, whole or in pieces."""
+    record, states = fit.dataset[index], fit.states[index]
+    whole = not fit.noise.has_forces and fit.horizon is None
+    if whole or states.shape[1] != coarse.n_full:
+        return fit.predictions[index], outputs_of(fit, index, record.inputs, runner=fine)
+    values = values_of(fit, index)
+    last = int(np.isfinite(states).all(axis=1).cumprod().sum())
+    starts = np.arange(0, record.n_samples, 20)
+    starts = starts[starts < last] if last else starts[:1]
+    runs = (
+        one.run(record.times, record.inputs, values, states[starts], starts=starts)
+        for one in (coarse, fine)
+    )
+    before, after = (run.outputs for run in runs)
+    return before, after
+
+
+def resolved(fit: Fit, again: Callable[[float, Fit], Fit]) -> Fit:
+    """The same fit by steps that no estimate hangs on.
+
+    Parameters
+    ----------
+    fit : Fit
+    again : callable
+        The fit by another step in s, from where an earlier one ended.
+    """
+    first = fit
+    for _ in range(HALVINGS):
+        if fit.status.code not in ENDED or step_change(fit, 2).total < BIAS:
+            break
+        finer = again(0.5 * fit.model.step, fit)
+        if finer.status.code not in ENDED or moved(fit, finer)[0] < BIAS:
+            break
+        size, name = moved(first, finer)
+        told = Integration(first.model.step, name, size)
+        fit = replace(finer, integration=told, iterations=fit.iterations + finer.iterations)
+    return fit
+
+
+def moved(before: Estimate, after: Estimate) -> tuple[float, str]:
+    """By how many of its standard errors an estimate moved: the largest such shift, and which."""
+    names = [name for name in before.names if name in after.names]
+    shifts = {
+        name: abs(after.values[name] - before.values[name]) / after.std_errors[name]
+        for name in names
+        if 0.0 < after.std_errors[name] < np.inf
+    }
+    return max(((size, name) for name, size in shifts.items()), default=(0.0, ""))
