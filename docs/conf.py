@@ -8,8 +8,10 @@ public names, and one for each name, from its docstring. Warnings are errors.
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
+import textwrap
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -25,9 +27,10 @@ from oed_sysid.runtime.version import __version__  # noqa: E402
 
 project = "oed_sysid"
 author = "the authors of oed_sysid"
+copyright = author
 release = version = __version__
 extensions = [
-    "myst_parser",
+    "myst_nb",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
     "sphinx.ext.mathjax",
@@ -38,8 +41,8 @@ extensions = [
 myst_enable_extensions = ["dollarmath", "amsmath", "colon_fence"]
 myst_heading_anchors = 4
 # Links into the source tree are checked by tests/test_docs.py; the site has no page for them.
-suppress_warnings = ["myst.xref_missing", "myst.header"]
-exclude_patterns = ["_build", "README.md"]
+suppress_warnings = ["myst.xref_missing", "myst.header", "ref.python"]
+exclude_patterns = ["_build", "README.md", "gallery/*.txt"]
 templates_path = ["_templates"]
 autosummary_generate = True
 autosummary_ignore_module_all = False
@@ -51,7 +54,12 @@ napoleon_use_ivar = True
 # MathJax and its fonts from an installed package: formulas are drawn without a network.
 mathjax_path = "mathjax/tex-chtml.js"
 html_static_path = [str(Path(find_spec("sphinx-mathjax-offline").origin).parent / "static")]
+html_static_path.append("_static")
+html_css_files = ["site.css"]
 html_theme = "furo"
+# Notebooks are executed below, where the package or a notebook has changed.
+nb_execution_mode = "off"
+nb_merge_streams = True
 html_title = f"oed_sysid {release}"
 html_show_sphinx = False
 
@@ -189,12 +197,71 @@ def _find_new_pages(app: Any) -> None:
     app.project.discover(app.config.exclude_patterns, app.config.include_patterns)
 
 
+def drawn() -> dict[str, tuple[str, str]]:
+    """For each drawing function the picture of the gallery that shows it, and its lines."""
+    found: dict[str, tuple[str, str]] = {}
+    text = (HERE / "gallery.py").read_text(encoding="utf-8")
+    for part in ast.parse(text).body:
+        if isinstance(part, ast.FunctionDef):
+            lines = "\n".join(text.splitlines()[part.body[0].lineno : part.end_lineno])
+            for node in ast.walk(part):
+                if isinstance(node, ast.Attribute) and node.attr.startswith(("plot_", "figure_")):
+                    shown = textwrap.dedent(lines).replace("report.", "").replace("return ", "")
+                    found.setdefault(node.attr, (part.name, shown))
+    return found
+
+
+DRAWN = drawn()
+LIBRARY = import_module("oed_sysid.physics").LIBRARY
+
+
+def _picture(name: str) -> list[str]:
+    """Picture of a drawing function and the lines that draw it."""
+    picture, code = DRAWN[name]
+    code = textwrap.indent(code, "   ").splitlines()
+    return [
+        "", ".. rubric:: Example", "", f".. image:: /gallery/{picture}.png",
+        f"   :alt: {picture.replace('_', ' ')}", "",
+        "Drawn by these lines of the :doc:`gallery </gallery/index>`:", "",
+        ".. code-block:: python", "", *code, "",
+    ]  # fmt: skip
+
+
+def _effect(name: str, has_example: bool) -> list[str]:
+    """What the row of the library says of an effect, and its example at work."""
+    row = LIBRARY[name].row
+    effect = eval(row.example, vars(import_module("oed_sysid.physics")))
+    sizes = [f"``{one.name}`` [{one.unit or '-'}]" for one in effect.parameters]
+    terms = textwrap.shorten(str(effect.terms), 200, placeholder=" ...")
+    example = ("", ".. rubric:: Example", "", f">>> {row.example}.terms", terms)
+    return [
+        "", f"Shows in: {effect.needs}. Source: {row.source}", "",
+        ":returns: What acts at this stage, absent at zero. Parameters of the example: "
+        f"{', '.join(sizes)}.",
+        f":rtype: {row.kind.__name__}",
+        ":raises ModelError: If a name or a unit is none, or there is no such derivative.",
+        *(() if has_example else example), "",
+    ]  # fmt: skip
+
+
+def _complete(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
+    """Add to a docstring what pictures and the table of effects know."""
+    last = name.rpartition(".")[2]
+    if last in DRAWN and ".results." in f"{name}.":
+        lines += _picture(last)
+    elif last in LIBRARY and thing is LIBRARY[last].constructor:
+        lines += _effect(last, any(">>>" in line for line in lines))
+
+
 def setup(app: Any) -> None:
     """Change the sidebar before the theme makes it, and find pages before names are collected."""
+    app.connect("autodoc-process-docstring", _complete)
     app.connect("builder-inited", _find_new_pages, priority=100)
     app.connect("html-page-context", _open_branch_only, priority=400)
 
 
-# Before Sphinx looks for pages. The gallery in a process of its own, whose pictures leave no trace.
+# Before Sphinx looks for pages; in processes of their own, whose pictures leave no trace.
 write_reference()
-subprocess.run([sys.executable, str(HERE / "gallery.py")], check=True)
+_makers = [subprocess.Popen([sys.executable, str(HERE / f)]) for f in ("gallery.py", "execute.py")]
+if any([maker.wait() for maker in _makers]):
+    raise RuntimeError("Pictures or notebooks of the site could not be made; see above.")

@@ -211,6 +211,15 @@ def test_own_vehicle_commands_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         assert main(command[1:]) == DONE, command
 
 
+def test_every_drawing_function_has_a_picture() -> None:
+    """The gallery draws each public picture of the package; its page of the reference shows it."""
+    from oed_sysid import results
+
+    drawn = set(re.findall(r"report\.(\w+)\(", (ROOT / "docs" / "gallery.py").read_text("utf-8")))
+    public = {name for name in results.__all__ if name.startswith(("plot_", "figure_"))}
+    assert not public - drawn
+
+
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))
 MOST_CELLS = 16
 

@@ -679,6 +679,21 @@ def test_every_row_of_the_library_is_complete(name: str) -> None:
     assert entry.constructor.__doc__
 
 
+@pytest.mark.parametrize("name", sorted(effects.LIBRARY))
+def test_the_example_of_every_row_makes_its_effect(name: str) -> None:
+    """The example acts at the row's stage, and one of its parameters makes it absent at zero."""
+    row = effects.LIBRARY[name].row
+    assert row.example.startswith(f"{name}(")
+    effect = eval(row.example, vars(effects))
+    assert type(effect) is row.kind
+    for size in effect.amplitude_names:
+        assert size in {one.name for one in effect.parameters}
+        assert any(
+            size in text for text in (*effect.terms.values(), *effect.definitions.values(),
+                                      *(part.update for part in effect.memory))
+        )  # fmt: skip
+
+
 def test_a_row_repeats_its_texts_for_signals_alike() -> None:
     """Several signals share the parameter; each has a memory of its own name."""
     lag = effects.actuator_lag("lag", ("port", "starboard"))

@@ -235,7 +235,7 @@ def test_shadow_of_an_ellipse_is_the_interval(fit: Fit) -> None:
         error = errors[fit.information.names.index(name)]
         assert np.ptp(values) == pytest.approx(2 * 1.96 * error, rel=1e-3)
         assert np.mean((values.min(), values.max())) == pytest.approx(middle)
-    with pytest.raises(DataError, match="no 'Q'"):
+    with pytest.raises(DataError, match="no parameter 'Q'"):
         report.plot_ellipses([fit.information], ("K", "Q"))
 
 

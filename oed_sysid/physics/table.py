@@ -83,6 +83,8 @@ class Row(Generic[Kind]):
         Everything else follows from it.
     symbols : mapping or None
         Signals for factors, as of :func:`derivative`; None for velocities through the water.
+    example : str
+        A call of the constructor.
     """
 
     kind: type[Kind]
@@ -98,6 +100,7 @@ class Row(Generic[Kind]):
     states: Sequence[Sequence[str]] = ()
     derivative: str = ""
     symbols: Mapping[str, str] | None = None
+    example: str = ""
 
     def effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
         """The effect for the arguments of a constructor and what follows from them."""

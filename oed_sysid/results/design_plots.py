@@ -41,6 +41,11 @@ def plot_sensitivity(ranking: SensitivityRanking, *, ax: Axes | None = None) -> 
         From :func:`~oed_sysid.information.rank_parameters`.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     rows = ranking.rows
     ax, places = draw.row_axes(
@@ -80,6 +85,11 @@ def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes
         :func:`~oed_sysid.design.design_programme`.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     cases, before = _accuracies(design)
     spread = design.spread if isinstance(design, Programme) else None
@@ -165,6 +175,11 @@ def figure_design(design: Design) -> Figure:
     ----------
     design : Design
         The design.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
     model, run = design.model, design.trajectory
     limits = design.experiment.limits
@@ -200,6 +215,11 @@ def figure_programme(programme: Programme) -> Figure:
     ----------
     programme : Programme
         From :func:`~oed_sysid.design.design_programme`.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
     runs = {run.name: run for run in programme.runs}
     figure, grid = draw.new_figure(len(runs), 3, size=(13.0, 1.9 * max(len(runs), 2)))
@@ -241,6 +261,11 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
         Of :attr:`oed_sysid.design.Assurance.tracks`.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(5.4, 4.6))
     # Tracks over ground: north up, starboard to the right; in depth: along to the right, down down.
@@ -261,7 +286,10 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
         words = ("to starboard [m]", "ahead [m]")
         ax.set_aspect("equal", adjustable="datalim")
     draw.legend_above(ax, 2, fontsize=6.5)
-    return draw.done(ax, xlabel=words[0], ylabel=words[1])
+    wide, long = np.ptp(room[right]), np.ptp(room[up])
+    many = len(tracks.plausible)
+    said = f"95 % of {many} vehicles stay in a sea room of {wide:.0f} by {long:.0f} m."
+    return draw.done(ax, said, xlabel=words[0], ylabel=words[1])
 
 
 def plot_orders(design: Design | TrialCard, *, ax: Axes | None = None) -> Axes:
@@ -272,6 +300,11 @@ def plot_orders(design: Design | TrialCard, *, ax: Axes | None = None) -> Axes:
     design : Design or TrialCard
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(5.4, 2.2))
     moved = [n for n in design.model.inputs if n.name not in design.experiment.constants]
@@ -282,7 +315,10 @@ def plot_orders(design: Design | TrialCard, *, ax: Axes | None = None) -> Axes:
         ax.plot(design.trajectory.times, values, color=colour, lw=1.2, drawstyle="steps-post",
                 label=words)  # fmt: skip
     draw.legend_above(ax, len(moved), fontsize=6.5)
-    return draw.done(ax, xlabel="time $t$ [s]", ylabel="orders")
+    said = " ".join(
+        draw.between(one, draw.shown(one, design.trajectory.signal(one.name))) for one in moved
+    )
+    return draw.done(ax, said, xlabel="time $t$ [s]", ylabel="orders")
 
 
 def _folded(lines: list[str], most: int = 14) -> list[str]:
@@ -307,6 +343,11 @@ def figure_card(card: TrialCard) -> Figure:
     """Compose the sea-trial card on one page of A4; danger in red above everything.
 
     Without tracks the orders take the whole width.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
     figure = Figure(figsize=(8.27, 11.69))  # A4, inches
     FigureCanvasAgg(figure)

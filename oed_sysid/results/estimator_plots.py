@@ -30,7 +30,7 @@ from oed_sysid.errors import DataError
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multistart import SAME_OPTIMUM
 from oed_sysid.results import style as draw
-from oed_sysid.runtime.display import TWO_SIDED_95
+from oed_sysid.runtime.display import TWO_SIDED_95, interval
 from oed_sysid.runtime.files import whole_file
 
 
@@ -58,6 +58,11 @@ def plot_history(
         A known or published value, drawn in black.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(6.4, 2.6))
     look = draw.model_style(0)
@@ -71,8 +76,10 @@ def plot_history(
     # The later half with its band is shown; early estimates may leave the picture.
     late, half = values[len(values) // 2 :], np.nan_to_num(band, posinf=0.0)[len(values) // 2 :]
     known = [] if reference is None else [reference]
+    last = interval(float(values[-1]), float(band[-1]))
     return draw.done(
         ax,
+        f"{name or 'estimate'} at {times[-1]:.4g} s: {last} {unit}".rstrip() + ".",
         ylim=draw.span([*(late - half), *(late + half), *known], 0.4),
         ylabel=f"{draw.symbol_of(name)} [{unit or '-'}]" if name else "",
     )
@@ -336,6 +343,11 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
         Of one problem and sampling.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax)
     levels: dict[float, list[Row]] = {}
@@ -357,7 +369,8 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
     draw.decades(ax.xaxis)
     ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     words = "error of determined parameters [%]"
-    return draw.done(ax, ylim=(len(names) - 0.4, -0.6), xlabel=words)
+    said = f"{names[0].replace('_', ' ')} errs least." if names else "No estimator ran."
+    return draw.done(ax, said, ylim=(len(names) - 0.4, -0.6), xlabel=words)
 
 
 def _draw_level(
@@ -390,6 +403,11 @@ def plot_comparison(
         Their names.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(2.6 + 0.95 * len(worlds), 0.8 + 0.3 * len(estimators)))
     powers = np.log10(np.ma.masked_invalid(ratios))
@@ -424,6 +442,11 @@ def figure_benchmark(result: Benchmark) -> Figure:
     """All problems of a benchmark, one panel each; see :func:`plot_errors`.
 
     Where there are several worlds, one comparison of them; see :func:`plot_comparison`.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
     if len(worlds := list(dict.fromkeys(row.world for row in result.rows))) > 1:
         names = list(dict.fromkeys(row.estimator for row in result.rows if not row.refused))

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from oed_sysid.data.record import Record
-from oed_sysid.errors import DataError
+from oed_sysid.errors import DataError, located
 from oed_sysid.evidence.compare import Comparison
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information, autocorrelation, effective_sample_size
@@ -98,7 +98,8 @@ def said_of(
 
 
 def _column(said: Said, output: str) -> tuple[int, Output]:
-    column = said.record.channels.output_names.index(output)
+    names = said.record.channels.output_names
+    (column,) = located(DataError, f"Record {said.record.name!r} has no output", [output], names)
     return column, said.record.channels.outputs[column]
 
 
@@ -130,7 +131,8 @@ def draw_error(ax: Axes, models: Sequence[Said], output: str, *, scaled: bool) -
         mark = draw.joined(one.record) if scaled else {"ls": "", "marker": ".", "ms": 2.5}
         ax.plot(along, off, color=one.look.colour, lw=0.9, label=one.name, rasterized=True, **mark)
     unit = "noise" if scaled else draw.label(channel).rpartition("[")[2].rstrip("]")
-    return draw.done(ax, xlabel=words, ylabel=f"{'error' if scaled else 'residual'} [{unit}]")
+    label = f"{'error' if scaled else 'residual'} [{unit}]"
+    return draw.done(ax, xlabel=words, ylabel=label)
 
 
 def _fitted(fit: Fit, record: str | int, style: int, name: str) -> Said:
@@ -165,6 +167,11 @@ def plot_prediction(
         See :func:`said_of`.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     said = said_of(models, record, labels, styles)
     draw_output(ax := draw.new_axes(ax), said, output)
@@ -183,9 +190,15 @@ def plot_prediction_error(
     """Plot measured minus said of one output in units of the noise.
 
     The grey band holds 95 % of the noise. Parameters as in :func:`plot_prediction`.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     said = said_of(models, record, labels, styles)
-    return draw_error(draw.new_axes(ax), said, output, scaled=True)
+    draw_error(ax := draw.new_axes(ax), said, output, scaled=True)
+    return draw.say(ax, " ".join(_errors(said, output)))
 
 
 def _errors(models: Sequence[Said], output: str) -> Iterator[str]:
@@ -207,7 +220,13 @@ def draw_input(ax: Axes, record: Record, channel: Input) -> Axes:
 
 
 def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
-    """Data and model on the left, residuals on the right, commands below, of one record."""
+    """Data and model on the left, residuals on the right, commands below, of one record.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
+    """
     titles = ("measured and model", "measured − model")
     return _side_by_side([_fitted(fit, record, style, "model")], titles, scaled=False)
 
@@ -219,7 +238,13 @@ def figure_predictions(
     labels: Sequence[str] | None = None,
     styles: Sequence[int] | None = None,
 ) -> Figure:
-    """All outputs of one record: predictions on the left, errors on the right."""
+    """All outputs of one record: predictions on the left, errors on the right.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
+    """
     models = said_of(predictions, record, labels, styles)
     titles = ("measured and predicted", "measured − predicted, in units of the noise")
     return _side_by_side(models, titles, scaled=True)
@@ -271,6 +296,11 @@ def plot_comparison(comparison: Comparison, *, ax: Axes | None = None) -> Axes:
         Of one or several models.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(7.2, 3.4))
     models = comparison.models
@@ -318,6 +348,11 @@ def plot_polar(
     ax : Axes, optional
         Polar axes (``projection="polar"``) to draw on.
 
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
+
     Raises
     ------
     DataError
@@ -345,7 +380,12 @@ def plot_polar(
     ax.tick_params(colors="0.25", labelsize=9)
     ax.set_title("speed [m/s] over angle to the true wind", fontsize=11)
     draw.spread_legend(ax, loc="center left", bbox_to_anchor=(-0.28, 0.5))
-    return ax
+    said = []
+    for name, polar in zip(names, several, strict=True):
+        best = int(np.argmax(polar.speeds))
+        angle = np.degrees(polar.angles[best])
+        said.append(f"{name}: {polar.speeds[best]:.3g} m/s at most, at {angle:.0f} deg.")
+    return draw.say(ax, " ".join(said))
 
 
 # -- estimates and residuals ----------------------------------------------------------------
@@ -371,9 +411,15 @@ def plot_autocorrelation(
         Position of the model in a comparison.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax)
-    column = fit.model.output_names.index(output)
+    lacking = f"Model {fit.model.name!r} has no output"
+    (column,) = located(DataError, lacking, [output], fit.model.output_names)
     samples, effective, total = 0, 0.0, 0
     for record, residual in zip(fit.dataset, fit.residuals, strict=True):
         series = residual[:, column]
@@ -419,6 +465,11 @@ def plot_intervals(
         True values, where they are known.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
 
     Notes
     -----
@@ -475,7 +526,13 @@ def _draw_priors(
 
 
 def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
-    """Plot the correlation matrix of the estimates; numbers where it exceeds 0.5."""
+    """Plot the correlation matrix of the estimates; numbers where it exceeds 0.5.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
+    """
     size = 1.6 + 0.42 * len(fit.names)
     ax = draw.new_axes(ax, size=(size + 1.6, size + 0.3))
     matrix = fit.correlation
@@ -503,7 +560,13 @@ def plot_correlation(fit: Fit, *, ax: Axes | None = None) -> Axes:
 
 
 def figure_whiteness(fit: Fit, *, style: int = 0) -> Figure:
-    """Autocorrelation of the residuals of all outputs."""
+    """Autocorrelation of the residuals of all outputs.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
+    """
     outputs = fit.model.output_names
     figure, axes = draw.panels(len(outputs), 3, (3.7, 2.7), sharey=True)
     for place, (ax, name) in enumerate(zip(axes, outputs, strict=True)):
@@ -540,6 +603,11 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
         From :func:`~oed_sysid.likelihood.multistart`.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(5.6, 3.6))
     look = draw.model_style(1)
@@ -568,10 +636,7 @@ _BARE = str.maketrans("", "", "[]")  # a unit without its brackets
 
 def _covariance(information: Information, pair: tuple[str, str]) -> np.ndarray:
     """Covariance of two parameters, shape ``(2, 2)``."""
-    absent = [name for name in pair if name not in information.names]
-    if absent:
-        raise DataError(f"There is no {absent[0]!r}; there are {', '.join(information.names)}.")
-    rows = [information.names.index(name) for name in pair]
+    rows = located(DataError, "The information has no parameter", pair, information.names)
     covariance: np.ndarray = information.covariance[np.ix_(rows, rows)]
     if not np.isfinite(covariance).all():
         raise DataError(f"{pair[0]} and {pair[1]} are not both determined, so there is no ellipse.")
@@ -609,6 +674,11 @@ def plot_ellipses(
         True values, where they are known.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
 
     Raises
     ------

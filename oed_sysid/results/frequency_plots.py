@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from oed_sysid.errors import DataError, located
 from oed_sysid.evidence.frequency import TOLD, FrequencyComparison
 from oed_sysid.results import style as draw
 from oed_sysid.runtime.display import TWO_SIDED_95
@@ -19,8 +20,14 @@ def figure_frequency(found: FrequencyComparison, output: str) -> Figure:
         Of :func:`oed_sysid.evidence.frequency.compare_frequency`.
     output : str
         Which output.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
-    record, j = found.record, found.record.outputs.index(output)
+    record = found.record
+    (j,) = located(DataError, "The comparison has no output", [output], record.outputs)
     figure, axes = draw.new_figure(
         3, len(record.inputs), size=(0.8 + 4.8 * len(record.inputs), 7.2), sharex=True
     )

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError
+from oed_sysid.errors import located as located_names
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.rank import Ranking
@@ -45,6 +46,11 @@ def plot_ranking(ranking: Ranking, *, n_shown: int = 12, ax: Axes | None = None)
         How many candidates.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     names = ranking.order[:n_shown]
     ax, rows = draw.row_axes(ax, [name.replace("_", " ") for name in names], 7.2)
@@ -86,6 +92,11 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
         The search.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(6.4, 3.6))
     steps = improvement.steps
@@ -132,6 +143,11 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
         How many places.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     top = max([*located.gains.values(), 0.0])
     places = [(place.name, top - located.gains[place.name]) for place in located.places]
@@ -154,7 +170,13 @@ def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None)
 
 
 def figure_diagnosis(located: Located, ranking: Ranking) -> Figure:
-    """Where a model fails, above which candidates would explain it."""
+    """Where a model fails, above which candidates would explain it.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
+    """
     n_places, n_names = min(len(located.places), 14), min(len(ranking.order), 12)
     heights = (1.4 + 0.28 * n_places, 2.0 + 0.3 * n_names)
     figure, axes = draw.new_figure(2, 1, size=(7.4, sum(heights)), height_ratios=heights)
@@ -190,6 +212,11 @@ def plot_residual_force(
         Which record.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     column = _column(located, equation)
     ax = draw.new_axes(ax, size=(7.6, 3.0))
@@ -233,6 +260,11 @@ def plot_force_against(
         Output or input.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(4.4, 3.2))
     channel = next(one for one in dataset.channels.all if one.name == signal)
@@ -274,7 +306,13 @@ def force_against(
 
 
 def figure_force(located: Located, equation: str, dataset: Dataset) -> Figure:
-    """Residual force of one equation in every record over time, and against every signal."""
+    """Residual force of one equation in every record over time, and against every signal.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
+    """
     signals = [
         name
         for name in (*dataset.channels.output_names, *dataset.channels.input_names)
@@ -340,11 +378,12 @@ def slice_means(x: np.ndarray, y: np.ndarray, share: float, n_slices: int = 12) 
 
 
 def _column(located: Located, equation: str) -> int:
-    if equation not in located.force_names:
-        raise DataError(
-            f"There is no residual force {equation!r}. There are {', '.join(located.force_names)}."
-        )
-    return located.force_names.index(equation)
+    return located_names(
+        DataError,
+        "The finding has no residual force of the equation",
+        [equation],
+        located.force_names,
+    )[0]
 
 
 def _unit(located: Located, equation: str) -> str:

@@ -32,6 +32,11 @@ def figure_record(record: Record) -> Figure:
     ----------
     record : Record
         The record.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
     along, words = draw.abscissa(record)
     channels = [one for one in record.channels.all if one.name not in record.missing_outputs]
@@ -64,6 +69,11 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
         A check with equations.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax, rows = draw.row_axes(ax, [one.relation for one in found.balances], 6.4, tall=0.5)
     both = 100.0 * np.array([(one.before, one.after) for one in found.balances])
@@ -74,7 +84,12 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     ax.set(xscale="log", xlim=(both.min() / 2.0, 2.0 * max(both.max(), 100.0)))
     ax.xaxis.set_major_formatter("{x:g}")
     words = "unexplained share of the left side's changes [%]"
-    return draw.done(ax, grid="x", legend=2, xlabel=words)
+    rest = "{:.3g} % of {} is unexplained as logged, {:.3g} % with the findings undone.".format
+    said = " ".join(
+        rest(before, one.relation, after)
+        for one, (before, after) in zip(found.balances, both, strict=True)
+    )
+    return draw.done(ax, said, grid="x", legend=2, xlabel=words)
 
 
 def plot_balance(
@@ -92,6 +107,11 @@ def plot_balance(
         Where to draw.
     tall : float
         Residuals beyond this many of the corrected ones are cut off, or the corrected ones vanish.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
 
     Notes
     -----
@@ -118,7 +138,11 @@ def plot_balance(
         ax.set_ylim(*draw.span([-most, most]))
     draw.zero(ax)
     words = f"{draw.symbol_of(balance.target)} left [{unit}]"
-    return draw.done(ax, xlabel="time from the start [s]", ylabel=words)
+    said = (
+        f"{balance.relation} in {record}: up to {most:.3g} {unit} is left as logged, "
+        f"{reach:.3g} {unit} with the findings undone."
+    )
+    return draw.done(ax, said, xlabel="time from the start [s]", ylabel=words)
 
 
 def figure_check(found: LogCheck, *, n_shown: int = 3) -> Figure:
@@ -130,6 +154,11 @@ def figure_check(found: LogCheck, *, n_shown: int = 3) -> Figure:
         A check with equations.
     n_shown : int
         How many records; more beside each other are not read.
+
+    Returns
+    -------
+    Figure
+        What was drawn on; the labels of its axes are what they show, in words.
     """
     names = found.records[:n_shown]
     n = len(found.balances)
@@ -177,6 +206,11 @@ def plot_track(
         Names of the models.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     units = {one.unit for one in record.channels.outputs if one.name in (along, across)}
     ax = draw.new_axes(ax, size=(5.4, 5.4 if len(units) == 1 else 4.4))
@@ -245,6 +279,11 @@ def plot_zigzag(
         Names of the models.
     ax : Axes, optional
         Where to draw.
+
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
     """
     ax = draw.new_axes(ax, size=(7.6, 4.2))
     channel = next(one for one in record.channels.all if one.name == rudder)
