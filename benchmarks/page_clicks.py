@@ -28,7 +28,14 @@ from benchmarks.harness import command, machine
 TARGET = 0.5  # s
 PROBLEM, OTHER = "remus_diving_plane", "catamaran"
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
-PAGES = ("Check the log", "Fit", "Compare and diagnose", "Improve", "Plan the next trial", "Report")
+PAGES = (
+    "Check the log",
+    "Fit",
+    "Where it fails",
+    "What is missing",
+    "Plan the next trial",
+    "Report",
+)
 # What tells that a click is being answered: the bar over the page, which begins to show `_BAR`
 # seconds after this state, or the line of a job.
 _RUNNING = ".stApp:is([data-test-script-state=running], [data-test-script-state=rerunRequested])"
@@ -111,7 +118,7 @@ def walk(page: Any) -> Iterator[tuple[str, float, float]]:
     handle.focus()
     moved = f"{lower}:not([aria-valuetext='{before}'])"
     yield ("slider, by keyboard", *clicked(page, lambda: handle.press("ArrowRight"), moved))
-    page.get_by_role("link", name="Problem", exact=True).click()
+    page.get_by_role("link", name="Data", exact=True).click()
     box = page.get_by_role("combobox", name=re.compile("Problem$")).first
     box.wait_for()
     box.click()

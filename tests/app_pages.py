@@ -39,15 +39,23 @@ def fine(app):
 
 
 def following(app):
-    """The next page."""
+    """The next page, as the evidence asks for it."""
     return fine(app.button(key="next").click().run())
+
+
+def went(app, title: str):
+    """A page, by the rail."""
+    app.session_state["going"] = title
+    app = app.run()
+    assert app.header[0].value == title
+    return app
 
 
 def at_fit(app):
     """The page Fit, the check of the log behind it."""
     app = fine(checked(app))
     assert app.header[0].value == "Check the log"
-    return following(app)
+    return went(app, "Fit")
 
 
 def records_for(app, use: str):
@@ -67,7 +75,7 @@ def checked(app):
     """The page Check with its result."""
     from oed_sysid.app.visit import desk
 
-    app = following(app)
+    app = went(app, "Check the log")
     desk().wait()
     app = app.run()
     assert not app.exception

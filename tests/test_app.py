@@ -31,6 +31,7 @@ from app_pages import (  # noqa: F401
     text_of,
     typed,
     uploaded,
+    went,
 )
 
 from oed_sysid import Fit, OedSysidError, load_problem, read_csv, write_csv
@@ -56,7 +57,8 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     assert app.header[0].value == problem.title
     app = done(at_fit(app), "fit")
     assert "parameters estimated" in text_of(app)
-    app = done(following(app), "compare")
+    assert "What is missing" in app.button(key="next").label
+    app = done(went(app, "Where it fails"), "compare")
     assert "more than noise is left" in text_of(app)
     app = done(following(app), "improve")
     assert "error on the validation records" in text_of(app)
@@ -64,13 +66,17 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     keep = next(w for w in app.multiselect if w.label == "Effects to keep")
     app = done(fine(keep.set_value([effect]).run()), "kept")
     assert f"with {effect}" in text_of(app)
-    app = done(following(app), "rank")
+    app = went(app, "Plan the next trial")
+    planned = next(box for box in app.selectbox if box.label == "Planned for the")
+    assert planned.value == "improved model"
+    app = done(fine(app.button_group[0].set_value("Rank").run()), "rank")
     assert "estimated together" in text_of(app)
     app = following(app)
-    assert app.header[0].value == "Report"
+    assert app.header[0].value == "Export"
+    app = went(app, "Report")
     offered = {button.label for button in app.get("download_button")}
     assert {"Records (ZIP)", "Everything (ZIP)", "Report (HTML)"} <= offered
-    lines = app.code[0].value.splitlines()
+    lines = app.code[1].value.splitlines()
     verbs = [line.split()[1] for line in lines]
     assert verbs == ["check", "fit", "compare", "improve", "compare", "rank"]
 
@@ -96,13 +102,14 @@ def test_shipped_problem_with_other_records() -> None:
     for use, names in (("Validation", []), ("Training", ["fast_rudder"])):
         records_for(app, use).set_value(names).run()
     app = done(at_fit(app), "fit")
-    assert app.caption[0].value == "Fitted by multiple shooting to fast_rudder"
-    while app.header[0].value != "Report":
-        app = app.button(key="next").click().run()
-    fine(app)
+    subtitle = "Fitted by multiple shooting to fast_rudder"
+    assert subtitle in [caption.value for caption in app.caption]
+    app = fine(went(app, "Export"))
     offered = {button.label for button in app.get("download_button")}
-    assert {"Fit (nominal.json)", "Problem folder (ZIP)", "Script (study.py)"} <= offered
-    assert "estimator.fit(problem.model, train)" in app.code[-1].value
+    assert {"Fit (nominal.json)", "Problem folder (ZIP)"} <= offered
+    app = fine(went(app, "Report"))
+    assert "Script (study.py)" in {button.label for button in app.get("download_button")}
+    assert "estimator.fit(problem.model, train)" in app.code[0].value
 
 
 def test_files_of_the_user(ship: Path) -> None:
@@ -112,8 +119,8 @@ def test_files_of_the_user(ship: Path) -> None:
     assert not app.exception
     assert [error.value for error in app.error if "**bad.csv** was refused" in error.value]
     assert list(records_for(app, "Training").options) == ["circle"]
-    app = app.button(key="next").click().run()
-    app.button(key="next").click().run()
+    app = went(app, "Check the log")
+    app = went(app, "Fit")
     assert [button.key for button in app.button if button.key == "ask:fit"]
     assert any("circle" in caption.value for caption in app.caption)
 
@@ -351,9 +358,9 @@ def test_a_strangers_problem_is_run_only_after_consent(ship: Path, tmp_path: Pat
     assert not mark.exists()
     assert "is run with your rights" in app.warning[0].value
     assert any("open(" in one.value for one in app.code)
-    app.button(key="next").click().run()
+    app = went(app, "Check the log")
     assert not mark.exists()
-    assert "Agree to that on the page Problem" in app.error[0].value
+    assert "Agree to that on the page Data" in app.error[0].value
     app = typed(folder)
     app.button(key="agree").click().run()
     assert mark.exists()

@@ -183,7 +183,7 @@ def test_whole_loop_on_a_shipped_record(page: Any, ship: Path, tmp_path: Path) -
     press(page, "Fit")
     finished(page)
     no_error(page)
-    go(page, "Improve")
+    go(page, "What is missing")
     press(page, "Find what is missing")
     assert "error on the validation records" in finished(page)
     page.get_by_role("tab", name="Signal chain").click()
@@ -294,7 +294,7 @@ def test_two_tabs_at_once(page: Any, browser: Any, server: tuple[str, int]) -> N
 def test_stopped_job_ends_at_once(page: Any, server: tuple[str, int]) -> None:
     """Stop ends the process, and the page offers to begin anew."""
     with_problem(page, "remus_diving_plane")
-    go(page, "Improve")
+    go(page, "What is missing")
     before = children(server[1])
     press(page, "Find what is missing")
     page.locator(".oed-busy").wait_for()

@@ -6,27 +6,40 @@ import io
 import shlex
 import subprocess
 import sys
+import time
 import zipfile
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from oed_sysid import Channels, Dataset, Fit, Input, Output, Record, load_problem, read_csv
+from oed_sysid import (
+    Channels,
+    Dataset,
+    Fit,
+    Input,
+    Output,
+    Record,
+    load_problem,
+    rank_parameters,
+    read_csv,
+)
 
 pytest.importorskip("streamlit", reason="needs the extra 'app'")
 pytest.importorskip("plotly", reason="needs the extra 'app'")
 
-from oed_sysid.app import charts, mapping, pages, takeaway
+from oed_sysid.app import advice, charts, mapping, pages, takeaway
 from oed_sysid.app.choices import at_hand, measured_sets
+from oed_sysid.app.jobs import Job
 from oed_sysid.app.visit import Asked
 from oed_sysid.cli import BAD_INPUT, main
 from oed_sysid.cli.limit_words import with_limits
 from oed_sysid.cli.options import line_of
 from oed_sysid.cli.script import part_of, whole
 from oed_sysid.cli.study import Outcome, Study, Task, grouped, options_of
-from oed_sysid.cli.tasks import TASKS
+from oed_sysid.cli.tasks import TASKS, known
 from oed_sysid.cli.terminal import Shown
 from oed_sysid.data.logs import LogMapping, Source
 from oed_sysid.design.assurance import Assurance
@@ -36,6 +49,9 @@ from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.export import KINDS
 from oed_sysid.likelihood.disturbances import Place
+from oed_sysid.results.chart import Chart, Mark
+from oed_sysid.results.improvement_plots import clearest
+from oed_sysid.results.style import COLOURS
 
 CHANNELS = Channels(
     (Input("rudder", "rad"),), (Output("psi", "rad", "heading"), Output("r", "rad/s"))
@@ -276,6 +292,83 @@ def test_script_of_every_task_runs(tmp_path: Path) -> None:
     assert table[-1, 0] >= 29.0
 
 
+def test_next_step_follows_the_evidence(study: Study) -> None:
+    """A misfit leads to a search, a right model to a trial, rivals to the trial that tells."""
+
+    def after(**results: object) -> str:
+        return advice.following(study, {n: SimpleNamespace(result=r, comparison=c)
+                                        for n, (r, c) in results.items()}).page  # fmt: skip
+
+    def predicted(relative: float) -> SimpleNamespace:
+        best = SimpleNamespace(relative=relative, is_noise=relative < 1.1)
+        return SimpleNamespace(best=best)
+
+    def search(verdict: str, kind: str, *groups: tuple[str, ...]) -> SimpleNamespace:
+        steps = [SimpleNamespace(group=group) for group in groups]
+        return SimpleNamespace(verdict=verdict, remains=SimpleNamespace(kind=kind), steps=steps)
+
+    fine, wrong = SimpleNamespace(suspect=False), SimpleNamespace(suspect=True)
+    checked = {"check": (fine, None)}
+    assert advice.following(replace(study, train=None), {}).page == advice.DATA
+    assert after() == advice.CHECK
+    assert after(check=(wrong, None)) == advice.DATA
+    assert after(**checked) == advice.FIT
+    assert after(**checked, fit=(None, predicted(134.0))) == advice.MISSING
+    assert after(**checked, fit=(None, predicted(1.0))) == advice.PLAN
+    found = search("missing", "adequate", ("drag",))
+    assert after(**checked, improve=(found, None)) == advice.EXPORT
+    alike = search("missing", "adequate", ("drag", "lag"))
+    assert after(**checked, improve=(alike, None)) == advice.PLAN
+    assert after(**checked, improve=(alike, None), design=(None, None)) == advice.EXPORT
+    left = search("unexplained", "structure missing")
+    assert after(**checked, improve=(left, None)) == advice.PLAN
+
+
+def test_a_chart_is_the_same_in_print_and_on_screen() -> None:
+    """One description: marks, errors and the line across have the same numbers in both."""
+    texts = ["134", "1.07"]
+    marks = (Mark([0, 1], [134.0, 1.07], "validation", COLOURS[1], "-", "o", texts=texts),
+             Mark([0.0, 0.5], [2.0, 3.0], "mean", COLOURS[0], "", "o", [0.5, 0.25]))  # fmt: skip
+    made = Chart(marks, "", "error", "It falls.", level=1.0, band=0.05, logarithmic=True,
+                 names=["nominal", "+ drag"])  # fmt: skip
+    ax, figure = made.on(), charts.drawn(made)
+    printed = [line.get_xydata() for line in ax.lines if len(line.get_xdata()) == 2]
+    for trace in figure.data:
+        shown = np.column_stack([trace.x, trace.y])
+        assert any(np.array_equal(shown, drawn) for drawn in printed)
+    bars = ax.containers[0][2][0].get_segments()
+    np.testing.assert_allclose(
+        [0.5 * (end[1] - start[1]) for start, end in bars], figure.data[1].error_y.array
+    )
+    assert [tick.get_text() for tick in ax.get_xticklabels()] == list(figure.layout.xaxis.ticktext)
+    assert ax.get_yscale() == figure.layout.yaxis.type == "log"
+
+
+def test_what_was_found_is_carried_on(study: Study, outcome: Outcome) -> None:
+    """A trial is planned for the fit at hand; without one, for a fit of the training records."""
+    fit = next(iter(outcome.fits.values()))
+    held = replace(study, saved={"improved.json": fit})
+    assert known(held, Path("improved.json"), Shown()) is fit
+    assert known(held, None, Shown()) is study.problem.model
+    again = known(held, Path("fit.json"), Shown())
+    assert isinstance(again, Fit)
+    np.testing.assert_allclose(again.estimates, fit.estimates, rtol=1e-6)
+    asked = {"experiment": ("fast_rudder",), "after": Path("improved.json")}
+    ranking = TASKS["rank"](held.without_records(), Shown(), asked).result
+    run = study.problem.experiment("fast_rudder")
+    expected = rank_parameters(fit.model, [run])
+    assert ranking.to_dict() == expected.to_dict()
+    assert ranking.to_dict() != rank_parameters(study.problem.model, [run]).to_dict()
+
+
+def test_a_job_tells_its_share() -> None:
+    """Of a job that told that 30 s are left, after 10 s a quarter is over."""
+    job = Job(began=time.monotonic() - 10.0)
+    assert job.share is None
+    job.end_expected = job.began + 40.0
+    assert job.share == pytest.approx(0.25, abs=0.01)
+
+
 def test_measured_sets_are_known_where_they_are(tmp_path: Path, monkeypatch) -> None:
     """A problem names its measured files; they are at hand when all of them are there."""
     folder = catalogue_folder() / "roll_decay"
@@ -300,8 +393,8 @@ def test_residual_force_is_first_shown_against_the_signal_that_explains_it() -> 
     series = Series(times, force, np.full_like(force, 0.05))
     places = (Place("force", "Z", "N"),)
     located = Located(places, {"force Z": 90.0}, {"force Z": 0.1}, ("Z",), (series,), {}, {}, {})
-    assert charts.clearest(located, "Z", {"other": other, "speed": speed}) == 1
-    assert charts.clearest(located, "Z", {"speed": speed, "other": other}) == 0
+    assert clearest(located, "Z", {"other": other, "speed": speed}) == "speed"
+    assert clearest(located, "Z", {"speed": speed, "other": other}) == "speed"
 
 
 @pytest.mark.parametrize(

@@ -302,15 +302,18 @@ def test_progress_in_a_pipe_is_plain_lines(monkeypatch, capsys) -> None:
 
 
 def test_rounds_bound_the_time_of_a_search() -> None:
-    """After a round of 7 s a search of at most four has at most three such rounds left."""
+    """A fit of 7 s is one of six parts of a search of at most four rounds; so is each round."""
     from oed_sysid.cli.tasks import _round
 
-    now = [10.0]
-    show = Shown("Ranking", clock=lambda: now[0])
-    _round(show, 4, "ranking, round 1")
-    assert show.remaining == ""
-    now[0] = 17.0
-    _round(show, 4, "ranking, round 2")
+    now, left = [10.0], []
+    show = Shown("Ranking", clock=lambda: now[0], told=lambda _, seconds: left.append(seconds))
+    _round(show, 4, "fitting the nominal model")
+    assert left[-1] is None
+    for words, seconds in (("locating where it fails", 35.0), ("ranking, round 1", 28.0)):
+        now[0] += 7.0
+        _round(show, 4, words)
+        assert left[-1] == pytest.approx(seconds)
+    now[0] += 7.0
     assert show.remaining == "at most 21 s left"
 
 

@@ -23,6 +23,7 @@ An angle that a record does not hold is drawn as zero and left out of the words.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -44,8 +45,9 @@ from oed_sysid.evidence.locate import CLEAR, Located
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.results.improvement_plots import force_against
-from oed_sysid.results.style import model_style, shown, signal_of
+from oed_sysid.results.chart import Chart, Mark
+from oed_sysid.results.improvement_plots import chart_residual, clearest
+from oed_sysid.results.style import DATA, NEUTRAL, TRUTH, model_style, shown, signal_of
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
@@ -156,63 +158,55 @@ def _traces(
     yield go.Scatter(x=times, y=mean, mode="lines", name=name, legendgroup=name, line=line)
 
 
-def against(
-    located: Located, equation: str, where: np.ndarray, words: str, *, turn: float = 1.0
-) -> go.Figure:
-    """Draw the residual force of an equation against a signal: dots, and means with 95 %.
-
-    Parameters
-    ----------
-    located : Located
-        Where the nominal model fails.
-    equation : str
-        Which of its ``force_names``.
-    where : ndarray (n_samples,)
-        The signal at all times of all records.
-    words : str
-        Its name with unit, as shown.
-    turn : float
-        What turns the signal into that unit.
-    """
-    units = {place.name: place.unit for place in located.places}
-    x, y, (centres, means, half) = force_against(located, equation, turn * where)
+def drawn(chart: Chart, height: int = 340) -> go.Figure:
+    """Draw what :class:`~oed_sysid.results.chart.Chart` describes, to zoom and point into."""
     figure = go.Figure()
-    thin = slice(None, None, max(x.size // _MOST, 1))
-    figure.add_scatter(
-        x=x[thin], y=y[thin], mode="markers", name="every sample", hoverinfo="skip",
-        marker={"size": 3, "color": MEASURED, "opacity": 0.35},
+    if chart.level is not None:
+        low, high = chart.level - chart.band, chart.level + chart.band
+        figure.add_hrect(y0=low, y1=high, fillcolor=MEASURED, opacity=0.3, line_width=0)
+        figure.add_hline(y=chart.level, line_width=1, line_color=MEASURED)
+    for mark in chart.marks:
+        figure.add_trace(_trace(mark))
+    if chart.logarithmic:
+        values = [digit * 10.0**power for power in range(-3, 7) for digit in (1, 2, 5)]
+        texts = [f"{value:g}" for value in values]
+        every = np.concatenate([np.asarray(mark.y, float) for mark in chart.marks])
+        span = np.log10([0.8 * np.nanmin(every), 1.7 * np.nanmax(every)])
+        figure.update_yaxes(type="log", tickvals=values, ticktext=texts, range=span.tolist())
+    if chart.names:
+        ends = [-0.4, len(chart.names) - 0.4]
+        figure.update_xaxes(
+            tickvals=list(range(len(chart.names))), ticktext=chart.names, range=ends
+        )
+    figure.update_xaxes(title_text=plain(chart.x_label))
+    figure.update_yaxes(title_text=plain(chart.y_label))
+    return laid_out(figure, height)
+
+
+def _trace(mark: Mark) -> go.Scatter:
+    """Points of a chart."""
+    cloud = mark.marker == "."
+    colour = MEASURED if mark.colour in (DATA, NEUTRAL, TRUTH) else mark.colour
+    parts = {"lines": mark.dashes, "markers": mark.marker, "text": any(mark.texts)}
+    symbol = {"s": "square-open"}.get(mark.marker, "circle")
+    return go.Scatter(
+        x=np.asarray(mark.x), y=np.asarray(mark.y), name=mark.label, showlegend=bool(mark.label),
+        mode="+".join(name for name, there in parts.items() if there),
+        marker={"size": 3 if cloud else 9, "color": colour, "symbol": symbol,
+                "opacity": 0.35 if cloud else 1.0},
+        line={"color": colour, "width": 1.8, "dash": DASHES.get(mark.dashes, "solid")},
+        error_y=None if mark.half is None else {"array": np.asarray(mark.half)},
+        text=list(mark.texts), textposition="top right", hoverinfo="skip" if cloud else None,
     )  # fmt: skip
-    figure.add_scatter(
-        x=centres, y=means, mode="markers", name="mean, 95 %",
-        marker={"size": 8, "color": model_style(1).colour}, error_y={"array": half},
-    )  # fmt: skip
-    figure.add_hline(y=0.0, line_width=1, line_color=MEASURED)
-    figure.update_xaxes(title_text=words)
-    figure.update_yaxes(title_text=f"residual {equation} [{units.get(f'force {equation}') or '-'}]")
-    return laid_out(figure, 380)
 
 
-def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray]) -> int:
-    """Position of the signal against which a residual force shows the clearest curve.
+def plain(label: str) -> str:
+    r"""A label of matplotlib without its mathematics.
 
-    That whose slice means are furthest from zero, in halves of their 95 % intervals.
-
-    Parameters
-    ----------
-    located : Located
-    equation : str
-        Which of its ``force_names``; of another one the first signal is the clearest.
-    signals : mapping of str to ndarray (n_samples,)
-        At all times of all records.
+    >>> plain(r"yaw rate $r$ [deg/s]"), plain(r"residual $\dot{r}$")
+    ('yaw rate r [deg/s]', 'residual r')
     """
-    if equation not in located.force_names:
-        return 0
-    distances = []
-    for where in signals.values():
-        _, means, half = force_against(located, equation, where)[2]
-        clear = (means / np.maximum(half, 1e-300)) ** 2
-        distances.append(float(clear.mean()) if clear.size else 0.0)
-    return int(np.argmax(distances)) if distances else 0
+    return re.sub(r"\$[^$]*\$", lambda m: re.sub(r"\\(dot|mathrm)?|[{}$_]", "", m[0]), label)
 
 
 def chain(located: Located) -> str:
@@ -613,12 +607,14 @@ def _force(located: Located, dataset: Dataset, fit: Fit | None, key: str) -> Non
     )
     axes = _axes(dataset, fit)
     best = clearest(located, str(equation), {name: where for name, (_, where) in axes.items()})
-    signal = right.selectbox("Against", list(axes), index=best, key=f"against:{key}")
+    first = list(axes).index(best)
+    signal = right.selectbox("Against", list(axes), index=first, key=f"against:{key}")
     if equation not in located.force_names or signal not in axes:
         return
     channel, where = axes[signal]
-    turn = shown_unit(channel.unit)[0]
-    chart(against(located, equation, where, name_of(channel), turn=turn), f"force:{key}")
+    where = shown(channel, where)
+    made = chart_residual(located, equation, where, name_of(channel), channel.name)
+    chart(drawn(made), f"force:{key}")
     st.caption(
         "The smoothed residual force is what the free parameters could not absorb of the missing "
         "force, not the missing force itself."

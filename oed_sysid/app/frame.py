@@ -8,12 +8,13 @@ from __future__ import annotations
 import sys
 import traceback
 from collections.abc import Callable
-from functools import partial
+from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 
 import streamlit as st
 
-from oed_sysid.app import choices, page_problem, takeaway, visit
+from oed_sysid.app import advice, choices, page_problem, takeaway, visit
 from oed_sysid.app import pages as tasks
 from oed_sysid.app.jobs import said_of
 from oed_sysid.app.panels import message, style
@@ -25,27 +26,86 @@ from oed_sysid.errors import OedSysidError
 _ICON = str(Path(__file__).with_name("icon.svg"))
 
 
-def _of_study(title: str, page: Callable[[Study], None]) -> None:
-    """Draw a page on the study."""
-    st.header(title)
-    page(choices.study())
+@dataclass(frozen=True)
+class Step:
+    """One step of the work, with a page of its own.
+
+    Parameters
+    ----------
+    title, address, symbol : str
+    purpose : str
+        What it is for, in one sentence.
+    draw : callable
+        Draws the page on the study.
+    reports : tuple of str
+        Reports of which one ticks it off.
+    """
+
+    title: str
+    address: str
+    symbol: str
+    purpose: str
+    draw: Callable[[Study], None]
+    reports: tuple[str, ...] = ()
+
+    def show(self) -> None:
+        """Draw title, purpose, the next step and the page."""
+        st.header(self.title)
+        st.caption(self.purpose)
+        study = choices.study()
+        _point(self.title, study)
+        self.draw(study)
 
 
-# Title, address and symbol of each page, in the order of the work.
-PAGES: tuple[tuple[str, str, str, Callable[[], None]], ...] = (
-    (visit.FIRST, "problem", "directions_boat", page_problem.show),
-    *(
-        (title, address, symbol, partial(_of_study, title, draw))
-        for title, address, symbol, draw in (
-            ("Check the log", "check", "fact_check", tasks.check),
-            ("Fit", "fit", "tune", tasks.fit),
-            ("Compare and diagnose", "compare", "compare_arrows", tasks.compare),
-            ("Improve", "improve", "add_circle", tasks.improve),
-            ("Plan the next trial", "plan", "route", tasks.plan),
-            ("Report", "report", "description", takeaway.show),
-        )
-    ),
-)
+# In the order of the work.
+STEPS = (
+    Step(advice.CHECK, "check", "fact_check",
+         "Whether the signals agree with each other, before any model of forces.",
+         tasks.check, ("check",)),
+    Step(advice.FIT, "fit", "tune",
+         "The parameters of the model that you believe in, and how well it predicts.",
+         tasks.fit, ("fit",)),
+    Step(advice.FAILS, "fails", "compare_arrows",
+         "In which signal, when and where in the chain of command, forces and sensors it fails.",
+         tasks.compare, ("compare", "diagnose")),
+    Step(advice.MISSING, "missing", "add_circle",
+         "The effects that the model lacks, each tested on records that no choice has seen.",
+         tasks.improve, ("improve",)),
+    Step(advice.PLAN, "plan", "route",
+         "The trial that tells most about what is still uncertain, within the limits.",
+         tasks.plan, ("rank", *advice.PLANNED)),
+    Step(advice.REPORT, "report", "description",
+         "What was done and found, as pages, commands and a script that repeat it.",
+         takeaway.show),
+    Step(advice.EXPORT, "export", "ios_share",
+         "The model for other programs, and the records and the folder with it.",
+         takeaway.give),
+)  # fmt: skip
+
+
+def _point(here: str, study: Study) -> None:
+    """Lead to the one next step that the evidence asks for, where that is another page."""
+    told = advice.following(study, takeaway.results(study))
+    if told.page == here:
+        return
+    with st.container(horizontal=True, vertical_alignment="center", key="pointer"):
+        words = f"Next: {told.page}"
+        if st.button(words, icon=":material/arrow_forward:", key="next", type="primary"):
+            st.session_state["going"] = told.page  # once this page is drawn, and its choices kept
+        st.markdown(told.why, width="content")
+
+
+def _ticks() -> set[str]:
+    """Titles of the steps that are done for these records."""
+    try:
+        study = choices.study()
+    except OedSysidError:
+        return set()
+    done = takeaway.results(study)
+    found = {step.title for step in STEPS if any(one in done for one in step.reports)}
+    found |= {visit.FIRST} if study.train is not None else set()
+    found |= {advice.EXPORT} if st.session_state.get("exports") else set()
+    return found | ({advice.REPORT} if st.session_state.get("read") and done else set())
 
 
 def show(initial: str | None = None) -> None:
@@ -72,22 +132,32 @@ def show(initial: str | None = None) -> None:
     visit.begin()
     choices.begin(initial)
     style()
+    ticks = _ticks()
+    rail = [(visit.FIRST, "data", "directions_boat", _first)]
+    rail += [(step.title, step.address, step.symbol, step.show) for step in STEPS]
     pages = [
-        st.Page(_guarded(draw), title=title, url_path=address, icon=f":material/{symbol}:",
-                default=title == visit.FIRST)
-        for title, address, symbol, draw in PAGES
+        st.Page(_guarded(draw), title=title, url_path=address, default=title == visit.FIRST,
+                icon=f":material/{'check_circle' if title in ticks else symbol}:")
+        for title, address, symbol, draw in rail
     ]  # fmt: skip
     st.session_state["pages"] = {page.title: page for page in pages}
     page = st.navigation(pages)
     st.session_state["drawn"] = page.title
     page.run()
-    if page in pages[:-1]:
-        following = pages[pages.index(page) + 1]
-        if st.button(f"Next: {following.title}", icon=":material/arrow_forward:", key="next"):
-            st.switch_page(following)
     with st.sidebar:
         _guarded(_aside)()
     _guarded(_keep)()
+    if (title := st.session_state.pop("going", None)) is not None:
+        st.switch_page(st.session_state["pages"][title])
+
+
+def _first() -> None:
+    """Draw the page of data: it chooses what the others are about."""
+    st.caption("The vehicle, and the records of it: which to learn from, and which to judge by.")
+    above = st.container()
+    page_problem.show()
+    with suppress(OedSysidError), above:  # what is wrong is said where the records are
+        _point(visit.FIRST, choices.study())
 
 
 def _aside() -> None:

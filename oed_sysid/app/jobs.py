@@ -80,6 +80,8 @@ class Job:
         ``"running"``, ``"done"``, ``"failed"`` or ``"stopped"``.
     doing : str
         What it told last.
+    end_expected : float or None
+        When it ends, as it told last, on the clock of ``began``.
     result : object
         What it returned, once done.
     failure : str
@@ -93,6 +95,7 @@ class Job:
     result: Any = None
     failure: str = ""
     began: float = field(default_factory=time.monotonic)
+    end_expected: float | None = None
     ended: threading.Event = field(default_factory=threading.Event)
     _process: subprocess.Popen[bytes] | None = None
 
@@ -105,6 +108,13 @@ class Job:
     def seconds(self) -> float:
         """How long it has been asked for, s."""
         return time.monotonic() - self.began
+
+    @property
+    def share(self) -> float | None:
+        """Share of its time that is over; None where it does not tell."""
+        if self.end_expected is None:
+            return None
+        return min(self.seconds / max(self.end_expected - self.began, 1e-9), 1.0)
 
     def stop(self) -> None:
         """End it now, with every process that it started."""
@@ -122,25 +132,28 @@ class Job:
     def follow(self, process: subprocess.Popen[bytes], fetch: Callable[[], Any]) -> None:
         """Listen to what a process tells until it ends; ``fetch`` reads its result.
 
-        Its last words are a tuple: of what went wrong, or empty where the result is in the store.
+        While it works it tells pairs: what it is doing, and the seconds that are left or None. Its
+        last words are what went wrong, or empty where the result is in the store.
         """
         assert process.stdout is not None
         said: Any = None
         with suppress(EOFError, OSError, pickle.UnpicklingError):
             while True:
                 said = pickle.load(process.stdout)
-                if isinstance(said, str):
-                    self.doing = said[:1].upper() + said[1:]
+                if isinstance(said, tuple) and len(said) == 2:
+                    words, left = said
+                    self.doing = words[:1].upper() + words[1:]
+                    self.end_expected = None if left is None else time.monotonic() + left
         code = process.wait()
         if self.state == "stopped":
             return
-        if not isinstance(said, tuple):
+        if not isinstance(said, str):
             self.fail(
                 f"The work ended without a result (exit code {code}). It was ended from outside, "
                 "or the memory did not suffice: take fewer or shorter records, or try again."
             )
         elif said or (result := fetch()) is None:
-            self.fail(*said or ("The result could not be read back. Try again.",))
+            self.fail(said or "The result could not be read back. Try again.")
         else:
             self.result = result
             self.end("done")
@@ -226,7 +239,8 @@ class Desk:
             job.take(process)
             # The pipe stays open: its end tells the process that the page is gone.
             with suppress(BrokenPipeError):  # it was stopped, or ended: `follow` says so
-                pickle.dump((str(self._store.folder), _name(key), request), process.stdin)
+                work = str(self._store.folder), _name(key), request
+                cloudpickle.dump(work, process.stdin)
                 process.stdin.flush()
             job.follow(process, lambda: self._read(key))
             _prune(self._store.folder)
@@ -320,14 +334,16 @@ def main() -> None:
     folder, name, request = pickle.load(sys.stdin.buffer)
     threading.Thread(target=_leave_with_the_page, daemon=True).start()
     try:
-        outcome = request.task(request.study(), Shown(told=say), request.options)
-        say("drawing")
+        say((getattr(request.task, "doing", "") or "Starting", None))
+        shown = Shown(told=lambda words, left: say((words, left)))
+        outcome = request.task(request.study(), shown, request.options)
+        say(("drawing", None))
         CellStore(Path(folder)).write(name, cloudpickle.dumps(outcome.drawn()))
-        say(())
+        say("")
     except Exception as error:
         if not isinstance(error, OedSysidError):
             traceback.print_exc()  # for the terminal; the page says it in words
-        say((said_of(error),))
+        say(said_of(error))
     voice.close()
     sys.stderr.flush()
     os._exit(0)  # everything is said and written; what libraries left open is of no concern

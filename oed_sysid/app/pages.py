@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
 from itertools import cycle
 from pathlib import Path
@@ -13,7 +14,17 @@ import numpy as np
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.panels import ask, download, message, result_of, written, zipped
+from oed_sysid.app.panels import (
+    FITTED,
+    IMPROVED,
+    ask,
+    download,
+    message,
+    result_of,
+    written,
+    zipped,
+)
+from oed_sysid.app.takeaway import finished, fits_of
 from oed_sysid.cli.study import Outcome, Study
 from oed_sysid.cli.tasks import Corrected, Played, Tables
 from oed_sysid.cli.terminal import Shown
@@ -54,7 +65,7 @@ def fit(study: Study) -> None:
 
 def compare(study: Study) -> None:
     """Where the model fails, on validation records and in the training records."""
-    if _view("view", "Validation records", "Where it fails") == "Where it fails":
+    if _view("view", "Validation records", "Signal chain") == "Signal chain":
         study.training()
         result_of(study, "diagnose", {}, "Diagnose")
         return
@@ -69,22 +80,54 @@ def improve(study: Study) -> None:
     if study.test is None:
         none = (
             "There is no validation record, so what is found cannot be tested. Choose one on "
-            "the page Problem."
+            "the page Data."
         )
         st.warning([*prepared(study.training(), None, enough=sys.maxsize).notes, none][0])
-    most = int(ask("improve", study, "max_effects", place=st.columns(3)[0], max_value=6))
-    options = {"max_effects": most}
-    outcome = result_of(study, "improve", options, "Find what is missing", lead=2)
-    if outcome is not None:
-        _tell_apart(study, outcome.result)
-        if study.test is not None:
+    found, below = st.container(), st.container()
+    with below.expander("How the search is done"):
+        most = int(ask("improve", study, "max_effects", place=st.columns(3)[0], max_value=6))
+    with found:
+        options = {"max_effects": most}
+        outcome = result_of(study, "improve", options, "Find what is missing", glance=True)
+        if outcome is not None:
+            _tell_apart(study, outcome.result)
+    if outcome is not None and study.test is not None:
+        with below.expander("Take a step back: keep other effects, and compare the choices"):
             _step_back(study, outcome.result)
 
 
 def plan(study: Study) -> None:
     """What a manoeuvre tells, and the manoeuvre or the programme that tells most."""
-    views = {"Rank": _rank, "Design": _design, "Programme": _programme}
-    views[_view("plan", *views)](study)
+    views = {"Design": _design, "Programme": _programme, "Rank": _rank}
+    left, right = st.columns(2, vertical_alignment="bottom")
+    with left:
+        view = views[_view("plan", *views)]
+    with right:
+        study, after = _known(study)
+    view(study, {} if after is None else {"after": after})
+
+
+# Models that a trial is planned for.
+_IMPROVED, _FITTED, _NOMINAL = "improved model", "nominal model, as fitted", "nominal model"
+
+
+def _models(study: Study) -> tuple[str, dict[str, str]]:
+    """Key of the choice of a model, and files of the fits that there are; the best comes first."""
+    files = {_IMPROVED: IMPROVED} if "improved" in fits_of(finished(study)) else {}
+    files |= {_FITTED: FITTED} if study.train is not None else {}
+    return visit.kept(study.source, study.variant, "planned for", *files.values()), files
+
+
+def _known(study: Study) -> tuple[Study, Path | None]:
+    """Ask which model a trial is planned for; what was found is carried on unless told so."""
+    key, files = _models(study)
+    offered = [*files, _NOMINAL]
+    chosen = st.selectbox("Planned for the", offered, key=visit.preset(key, offered[0]))
+    fits = fits_of(finished(study))
+    saved = {file: fits[name] for file, name in ((IMPROVED, "improved"), (FITTED, "nominal"))
+             if name in fits}  # fmt: skip
+    file = files.get(str(chosen))
+    return replace(study, saved=saved), None if file is None else Path(file)
 
 
 def _view(name: str, *options: str) -> str:
@@ -107,13 +150,14 @@ def _tell_apart(study: Study, found: Improvement) -> None:
         group = [name for name in step.group if name in known]
         words = f"Design the trial that tells {' and '.join(group)} apart"
         if len(group) > 1 and st.button(words, key=f"apart:{step.added}"):
-            st.session_state.update({key: group, visit.kept("plan"): "Design"})
+            # The rivals are told apart from the model that has none of them.
+            planned = {visit.kept("plan"): "Design", _models(study)[0]: _FITTED}
+            st.session_state.update({key: group, **planned})
             st.switch_page(st.session_state["pages"]["Plan the next trial"])
 
 
 def _step_back(study: Study, found: Improvement) -> None:
     """Choose which effects to keep, and judge several such choices side by side."""
-    st.subheader("Take a step back")
     groups = _chosen_groups(study, found)
     if not groups:
         st.caption("Without an effect this is the nominal model.")
@@ -166,7 +210,7 @@ def side_by_side(found: Comparison) -> list[dict[str, str]]:
 # -- plan --------------------------------------------------------------------------------
 
 
-def _rank(study: Study) -> None:
+def _rank(study: Study, known: dict[str, Any]) -> None:
     names = tuple(study.problem.experiments)
     offered = (*names, *([_RECORDS] if study.train is not None else ()))
     picked = ask("rank", study, "experiment", offered, first=names or offered)
@@ -174,12 +218,13 @@ def _rank(study: Study) -> None:
         st.caption("Choose a planned experiment, or the training records.")
         return
     runs = tuple(name for name in names if name in picked)
+    known = {name: file for name, file in known.items() if file.name in study.saved}
     if _RECORDS not in picked:
-        result_of(study.without_records(), "rank", {"experiment": runs}, "Rank")
+        result_of(study.without_records(), "rank", {"experiment": runs, **known}, "Rank")
     elif runs:
         raise ProblemError(f"Choose either planned experiments or {_RECORDS.lower()}, not both.")
     else:
-        result_of(study, "rank", {}, "Rank")
+        result_of(study, "rank", known, "Rank")
 
 
 def _ask_all(task: str, study: Study, names: str, offers: dict[str, Any]) -> dict[str, Any]:
@@ -204,20 +249,11 @@ def _of_trials(study: Study) -> dict[str, Any]:
     return {"like": runs, "patterns": runs, "discriminate": effects, "reveal": effects}
 
 
-def _planned(study: Study, task: str, options: dict[str, Any], button: str) -> Outcome | None:
-    """Plan from the model alone, or from what the training records tell as well."""
-    words = "Complete what the training records tell"
-    key = visit.kept(study.source, study.variant, task, "after")
-    if st.toggle(words, key=key, disabled=study.train is None):
-        options = {**options, "after": Path("fit.json")}
-    return result_of(study, task, options, button)
-
-
-def _design(study: Study) -> None:
+def _design(study: Study, known: dict[str, Any]) -> None:
     names = "like duration effort family discriminate reveal criterion sea certainty"
     options = _ask_all("design", study, names, _of_trials(study))
     limits = tuple(_limits(study, options["like"]))
-    outcome = _planned(study, "design", {**options, "limit": limits}, "Design")
+    outcome = result_of(study, "design", {**options, **known, "limit": limits}, "Design")
     if outcome is None:
         return
     if danger := risk(outcome.result):
@@ -234,13 +270,13 @@ def commands_csv(outcome: Outcome, study: Study) -> bytes:
     return written("design.csv", lambda path: [*Played(path).write(outcome, study, Shown())])
 
 
-def _programme(study: Study) -> None:
+def _programme(study: Study, known: dict[str, Any]) -> None:
     """Plan several runs together."""
     offers = _of_trials(study)
     names = "runs hours turnaround criterion patterns discriminate reveal sea"
     options = _ask_all("programme", study, names, offers)
     options["runs"] = options["runs"] or 4
-    outcome = _planned(study, "programme", options, "Plan the runs")
+    outcome = result_of(study, "programme", {**options, **known}, "Plan the runs")
     if outcome is not None:
         _files("Commands of all runs (ZIP)", Tables, outcome, study, "runs.zip")
 
@@ -302,8 +338,8 @@ def _range(
     lower, upper = turn * limits[0], turn * limits[1]
     more = 0.5 * (upper - lower)
     words = channel.label or channel.name
-    # A list, where it was kept.
-    st.session_state[visit.preset(key, (lower, upper))] = tuple(st.session_state[key])
+    visit.preset(key, (lower, upper))
+    st.session_state[key] = tuple(st.session_state[key])  # a list, where it was kept
     least, most = place.slider(
         f"{words} {channel.name} [{unit or '-'}]", min_value=lower - more, max_value=upper + more,
         step=float(f"{(upper - lower) / 100.0:.1g}"), format="%.4g", key=key,

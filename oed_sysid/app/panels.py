@@ -16,7 +16,7 @@ from typing import Any
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.charts import tabs_of
+from oed_sysid.app.charts import chart, drawn, tabs_of
 from oed_sysid.app.jobs import Job, Request
 from oed_sysid.app.visit import Asked
 from oed_sysid.cli.options import line_of, row_of
@@ -27,6 +27,8 @@ from oed_sysid.results import style_sheet
 from oed_sysid.runtime.display import Report, Section
 
 Pictures = Mapping[str, Callable[[], None]]
+# Files of the fits that commands keep.
+FITTED, IMPROVED = "fit.json", "improved.json"
 
 
 # -- options -----------------------------------------------------------------------------
@@ -95,7 +97,7 @@ def result_of(
     *,
     title: str = "",
     file: str = "",
-    lead: int = 0,
+    glance: bool = False,
     unasked: bool = False,
 ) -> Outcome | None:
     """Offer a task; show its progress, its result, the page to take home and its command.
@@ -112,8 +114,8 @@ def result_of(
         What to press.
     title, file : str
         On the page Report, and the name of the report; by default the task's.
-    lead : int
-        How many sections stand before the pictures.
+    glance : bool
+        Whether the first section says it all, so that the others are folded away.
     unasked : bool
         Whether to begin without a press: for what is quick and always wanted.
 
@@ -125,12 +127,12 @@ def result_of(
     row = TASKS[task]
     file = file or task
     line = line_of(row, study, options, file)
-    if options.get("after") is not None:
+    if getattr(options.get("after"), "name", "") == FITTED:
         line = f"{line_of(TASKS['fit'], study, {})}\n{line}"
     about = Asked(title or row.title, file, line, part_of(row, study, options), digest(*study.key))
     outcome = _work(button, about, Request.of(study, row, options), study, unasked=unasked)
     if outcome is not None and outcome.page is not None:
-        show(outcome.page, tabs_of(outcome, study.train, file), lead=lead)
+        show(outcome.page, tabs_of(outcome, study.train, file), glance=glance)
         html_download(outcome.page, file)
     with st.expander("The same on the command line"):
         st.code(line, language="bash", wrap_lines=True)
@@ -142,7 +144,9 @@ def _work(
 ) -> Outcome | None:
     """Offer work, show its progress, and return its outcome once there is one."""
     name, desk = visit.study_id(), visit.desk()
-    key = f"{getattr(request.task, 'name', '')} {digest(repr(request.options), *study.key)}"
+    known = (f"{file} {fit.model.content} {fit.values}" for file, fit in study.saved.items())
+    content = digest(repr(request.options), *study.key, *known)
+    key = f"{getattr(request.task, 'name', '')} {content}"
     job = desk.find(name, key) or (desk.ask(name, key, request) if unasked else None)
     asked = visit.asked()
     if unasked:
@@ -179,9 +183,12 @@ def _progress(job: Job) -> None:
     if not job.at_work:
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="center")
+    # Without a share the bar wanders.
+    bar = "" if job.share is None else f' style="width: {100 * job.share:.0f}%"'
+    share = "" if job.share is None else f"{100 * job.share:.0f} % · "
     left.html(
-        f'<div class="oed-busy" role="status"><i></i>{escape(job.doing)} · '
-        f"{job.seconds:.0f} s</div>"
+        f'<div class="oed-busy" role="status">{escape(job.doing)} · {share}{job.seconds:.0f} s'
+        f'<div class="bar"><i{bar}></i></div></div>'
     )
     if right.button("Stop", key="stop"):
         job.stop()
@@ -191,7 +198,7 @@ def _progress(job: Job) -> None:
 # -- results -----------------------------------------------------------------------------
 
 
-def show(page: Report, pictures: Pictures, *, lead: int = 0) -> None:
+def show(page: Report, pictures: Pictures, *, glance: bool = False) -> None:
     """Show what a report says: outcome and numbers, then one tab per section.
 
     Parameters
@@ -200,17 +207,23 @@ def show(page: Report, pictures: Pictures, *, lead: int = 0) -> None:
         The report.
     pictures : mapping of str to callable
         Titles of further tabs, and what draws them.
-    lead : int
-        How many sections stand before these.
+    glance : bool
+        Whether the first section says it all: it is drawn at once, the others when asked for.
     """
-    st.caption(page.subtitle)
-    st.html(f'<div class="oed">{page.summary_html()}</div>')
+    # What stands at a glance has the numbers beside their pictures.
+    summary = replace(page, numbers=()) if glance else page
+    st.html(f'<div class="oed">{summary.summary_html()}</div>')
     parts: list[tuple[str, Callable[[], None]]] = []
     for section in page.sections:  # what stands above the tabs need not be said again
         words = tuple(text for text in section.paragraphs if text not in page.first)
         parts.append((section.title, partial(part, replace(section, paragraphs=words))))
-    parts[lead:lead] = pictures.items()
-    tabs(parts)
+    if not glance:
+        st.caption(page.subtitle)
+        tabs([*pictures.items(), *parts])
+        return
+    parts.pop(0)[1]()
+    with st.expander("Signals, candidates, decisions, estimates, equations"):
+        tabs([*pictures.items(), *parts])
 
 
 def tabs(parts: Sequence[tuple[str, Callable[[], object]]]) -> None:
@@ -222,8 +235,16 @@ def tabs(parts: Sequence[tuple[str, Callable[[], object]]]) -> None:
 
 
 def part(section: Section) -> None:
-    """Show words, tables and pictures of one section."""
-    st.html(f'<div class="oed">{section.html()}</div>')
+    """Show words, tables and pictures of one section; pictures to point into where they can be."""
+    live = [one for one in section.figures if getattr(one, "chart", None) is not None]
+    still = [one for one in section.figures if one not in live]
+    columns = st.columns(len(live) if section.beside else 1) * len(live) if live else []
+    for column, picture in zip(columns, live, strict=False):
+        with column:
+            key = f"{section.title}:{picture.finding}:{len(section.figures)}"
+            chart(drawn(picture.chart), key)
+            st.caption(picture.caption)
+    st.html(f'<div class="oed">{replace(section, figures=still).html()}</div>')
 
 
 def download(

@@ -1,4 +1,4 @@
-"""The page Report: everything to take home, and the commands and the script that repeat it."""
+"""The pages Report and Export: everything to take home, and what repeats it."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ from oed_sysid.runtime.files import make_folder
 
 # Kinds of oed_sysid.export, in words.
 KINDS = {
+    "fmu3": "FMU (FMI 3.0)",
+    "fmu": "FMU (FMI 2.0)",
     "c": "C (C99, no dependency)",
     "python": "Python (NumPy only)",
     "casadi": "CasADi functions",
-    "fmu": "FMU (FMI 2.0)",
-    "fmu3": "FMU (FMI 3.0)",
     "matlab": "MATLAB / Octave",
     "control": "linear, python-control",
     "sympy": "SymPy and LaTeX",
@@ -45,7 +45,8 @@ Finished = Iterable[tuple[Asked, Outcome]]
 
 
 def show(study: Study) -> None:
-    """Draw the page."""
+    """Draw the page Report: what was done, in the order of the work, and what repeats it."""
+    st.session_state["read"] = True
     done = finished(study)
     if not done:
         st.write("Nothing has been computed for these records yet.")
@@ -53,19 +54,39 @@ def show(study: Study) -> None:
         left, right = st.columns([5, 1], vertical_alignment="center")
         if outcome.page is not None:
             with left:
-                st.markdown(about.title)
+                st.markdown(f"**{about.title}**")
                 st.caption("".join(outcome.page.first[:1]))
             with right:
                 html_download(outcome.page, about.file, wide=True)
+    st.subheader("The same in Python")
+    code = whole(study, [about.code for about, _ in done])
+    download("Script (study.py)", lambda: code, "study.py")
+    with st.expander("Show it"):
+        st.code(code, language="python", wrap_lines=True)
+    st.subheader("The same on the command line")
+    st.caption("In the folder where the records were unpacked.")
+    st.code(commands(done) or "# nothing yet", language="bash", wrap_lines=True)
+    _everything(study, done)
+
+
+def give(study: Study) -> None:
+    """Draw the page Export: the fitted models, and all that belongs to them."""
+    done = finished(study)
     if fits := fits_of(done):
-        st.subheader("Fitted models")
         _models(fits)
+    else:
+        st.info("There is no fitted model of these records yet.")
+    _everything(study, done)
+
+
+def _everything(study: Study, done: list[tuple[Asked, Outcome]]) -> None:
+    """Offer the records, the folder of the problem, and all of the study."""
     st.subheader("Records, folder, everything")
     st.caption(
         "The folder is the problem with these records and fits. Everything is the records, "
         "reports, fits, commands and script of this study."
     )
-    folder = f"{study.problem.name}.zip"
+    folder, fits = f"{study.problem.name}.zip", fits_of(done)
     offers = (
         ("Records (ZIP)", partial(zipped, partial(write_records, study)), "records.zip"),
         ("Problem folder (ZIP)", partial(problem_archive, study, fits), folder),
@@ -74,14 +95,11 @@ def show(study: Study) -> None:
     for column, (label, content, file) in zip(st.columns(3), offers, strict=True):
         with column:
             download(label, content, file, wide=True)
-    st.subheader("The same on the command line")
-    st.caption("In the folder where the records were unpacked.")
-    st.code(commands(done) or "# nothing yet", language="bash", wrap_lines=True)
-    st.subheader("The same in Python")
-    code = whole(study, [about.code for about, _ in done])
-    download("Script (study.py)", lambda: code, "study.py")
-    with st.expander("Show it"):
-        st.code(code, language="python", wrap_lines=True)
+
+
+def results(study: Study) -> dict[str, Outcome]:
+    """Outcomes of what was done on these records, by the names of their reports."""
+    return {about.file: outcome for about, outcome in finished(study)}
 
 
 def finished(study: Study) -> list[tuple[Asked, Outcome]]:

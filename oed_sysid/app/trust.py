@@ -79,7 +79,7 @@ def check_trusted(source: str, agreed: Mapping[str, bool]) -> None:
     if code_of(source) and not agreed.get(consent(source)):
         raise NotTrustedError(
             f"{source} holds a program, problem.py, which is run when the problem is opened. Agree "
-            "to that on the page Problem, if you know where it comes from."
+            "to that on the page Data, if you know where it comes from."
         )
 
 

@@ -177,7 +177,7 @@ class Shelf:
 
     def _place(self, name: str) -> Path:
         if not is_id(name):
-            raise OedSysidError(f"{name!r:.40} is no study. Open the page Problem and begin one.")
+            raise OedSysidError(f"{name!r:.40} is no study. Open the page Data and begin one.")
         return self.folder / name
 
 
@@ -246,7 +246,7 @@ def _plain(value: Any) -> bool:
 KEEP, SEEN, FILES = "keep:", "seen:", "files:"
 _ADDRESS = "study"
 # Title of the first page, and the choices that are made there only.
-FIRST = "Problem"
+FIRST = "Data"
 _CHOICES = ("source", "variant", "origin", "known_noise", "train", "test", "look", "map")
 _OF_FIRST = tuple(f"{KEEP}{name}" for name in _CHOICES)
 

@@ -49,6 +49,8 @@ class Study:
         Whether the declared noise levels are trusted.
     disturbances : str
         Where disturbance forces may act: ``"auto"``, ``"none"``, ``"all"`` or names of equations.
+    saved : mapping of str to Fit
+        Fits at hand, by the names of the files that the commands keep them in.
     """
 
     source: str
@@ -58,6 +60,7 @@ class Study:
     test: Dataset | None = None
     known_noise: bool = False
     disturbances: str = "auto"
+    saved: Mapping[str, Fit] = field(default_factory=dict)
 
     @classmethod
     def named(cls, source: str, model: str | None = None) -> Study:
@@ -144,7 +147,7 @@ class Study:
 
 def _chosen(dataset: Dataset | None, kind: str) -> Dataset:
     if dataset is None:
-        raise DataError(f"There is no {kind} record. Choose one on the page Problem.")
+        raise DataError(f"There is no {kind} record. Choose one on the page Data.")
     return dataset
 
 

@@ -121,20 +121,24 @@ class Weather:
 
 @dataclass(frozen=True)
 class Expected(Weather):
-    """What is known before a trial.
-
-    ``after`` names a saved fit; where training records are at hand, these are fitted instead.
-    """
+    """What is known before a trial: ``after`` names a saved fit; see :func:`known`."""
 
     after: Path | None = None
 
     def nominal(self, study: Study, show: Shown) -> Fit | Model:
         """Return the nominal model, or the fit that is to be completed."""
-        if self.after is None:
-            return study.problem.model
-        if study.train is None:
-            return oed_sysid.Fit.load(self.after)
+        return known(study, self.after, show)
+
+
+def known(study: Study, after: Path | None, show: Shown) -> Fit | Model:
+    """Return the nominal model, or a fit: at hand, of the training records, or from a file."""
+    if after is None:
+        return study.problem.model
+    if (fit := study.saved.get(after.name)) is not None:
+        return fit
+    if study.train is not None:
         return fits_of(study, {"": study.problem.model}, show)[""]
+    return oed_sysid.Fit.load(after)
 
 
 @dataclass(frozen=True)
@@ -461,6 +465,7 @@ class Assumed:
     noise: tuple[str, ...] = ()
     sea: str | None = None
     priors: str | None = None
+    after: Path | None = None
 
     def measured(self, model: Model) -> Model:
         """The model with these standard deviations of its outputs."""
@@ -489,7 +494,8 @@ def rank(
 
     [bold]Example[/bold]: oed-sysid rank remus_diving_plane --experiment zigzag_5_5 steps
     """
-    problem, model = study.problem, assumed.measured(study.problem.model)
+    problem, found = study.problem, known(study, assumed.after, show)
+    model = assumed.measured(found if isinstance(found, oed_sysid.Model) else found.model)
     if study.train is not None and experiment:
         raise ProblemError("Give either --experiment or records, not both.")
     runs: Any = study.train
@@ -653,10 +659,15 @@ def _status(fits: Sequence[Fit], *, suspect: bool) -> int:
 
 
 def _round(show: Shown, n_most: int, what: str) -> None:
-    """Tell what is being done, and how long a search of so many rounds takes at most."""
+    """Tell what is being done, and how long a search of so many rounds takes at most.
+
+    The fit of the nominal model and the search for the place where it fails take about as long
+    as a round.
+    """
     show.say(what)
-    if named := re.search(r"round (\d+)", what):
-        show.share((int(named[1]) - 1) / n_most, at_most=True)
+    named = re.search(r"round (\d+)", what)
+    done = 1 + int(named[1]) if named else int(what.startswith("locating"))
+    show.share(done / (2 + n_most), at_most=True)
 
 
 def _searching(show: Shown, n_starts: int, n_steps: int, now: Any) -> None:

@@ -151,7 +151,8 @@ class Shown:
     journal : Journal, optional
         Where finished steps are kept.
     told : callable, optional
-        Called with words when something else is being done, or more is known.
+        Called with words, and the seconds that are left or None, when something else is being
+        done, or more is known.
     """
 
     def __init__(
@@ -160,7 +161,7 @@ class Shown:
         clock: Callable[[], float] = time.monotonic,
         *,
         journal: Journal | None = None,
-        told: Callable[[str], None] | None = None,
+        told: Callable[[str, float | None], None] | None = None,
     ) -> None:
         from oed_sysid.runtime.journal import Journal
 
@@ -220,7 +221,7 @@ class Shown:
 
     def _tell(self) -> None:
         if self._told is not None:
-            self._told(", ".join(filter(None, (self.doing, self.remaining))))
+            self._told(", ".join(filter(None, (self.doing, self.remaining))), self._seconds)
 
     @property
     def doing(self) -> str:
@@ -228,11 +229,18 @@ class Shown:
         return f"{self._what}: {self._detail}" if self._detail else self._what
 
     @property
+    def _seconds(self) -> float | None:
+        """How many seconds are left; None where that is not known."""
+        if self._left is None:
+            return None
+        return max(0.0, self._left[1] - (self._clock() - self._left[0]))
+
+    @property
     def remaining(self) -> str:
         """How much longer it takes; empty where that is not known."""
-        if self._left is None:
+        left = self._seconds
+        if left is None:
             return ""
-        left = max(0.0, self._left[1] - (self._clock() - self._left[0]))
         return f"{'at most' if self._most else 'about'} {_duration(left)} left"
 
     @property

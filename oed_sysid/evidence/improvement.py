@@ -23,8 +23,11 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics.words import in_words
 from oed_sysid.runtime import display
 
+# Size of one of two pictures beside each other, inches.
+_HALF = (5.6, 3.6)
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
 UNTOLD = 100.0
 
@@ -144,6 +147,10 @@ class Step:
     def added(self) -> str:
         """Identifier of the effect."""
         return self.effect.name
+
+    def error(self, records: str) -> float:
+        """Prediction error after the step on training or ``"validation"`` records."""
+        return self.test_error if records == "validation" else self.train_error
 
 
 # Verdicts of whole runs that are as noise and disturbances would leave them.
@@ -308,10 +315,6 @@ class Improvement:
         which, records = self._judged
         tested = f", on the validation records {before['test']:.2f}"
         errors = self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None)
-        fall = display.Figure(
-            "plot_error_fall", self,
-            "Prediction error over whole records, in units of the noise. A right model has one.",
-        )  # fmt: skip
         return display.Report(
             title=title or self.base.name,
             subtitle="What the model lacks, and what it predicts with it",
@@ -326,11 +329,11 @@ class Improvement:
                 ("candidates", str(len(self.ranking.scores))),
             ),
             sections=(
+                self._glance(train),
                 *self.location.document(train).sections,
                 *self.ranking.document(hidden=self.last is None).sections,
                 self._story(),
-                display.Section("Effects added", self._meanings(), only="page"),
-                display.Section("Errors", self.yardstick.notes(), (errors,), (fall,)),
+                display.Section("Errors", self.yardstick.notes(), (errors,)),
                 display.Section("What to believe, and what to do next at sea", self.advice),
                 *([] if comparison is None else comparison.document().sections),
                 self._estimates(),
@@ -362,11 +365,15 @@ class Improvement:
                 f"Nothing is missing from {self.base.name} that these records could show: error on "
                 f"the {records} records {before:.3g} × noise{self._sizes()}."
             )
-        names = " and ".join(step.added for step in self.steps)
+        names = " and ".join(
+            f"{in_words(step.effect, self.base)} ({step.added})" for step in self.steps
+        )
         goes = "falls" if after < before else "does not fall: it goes"
+        them = "it" if len(self.steps) == 1 else "them"
         return (
-            f"{self.base.name} lacks {names}: with it the error on the {records} records {goes} "
-            f"from {before:.3g} to {after:.3g} × noise{self._sizes()}; {self.remains.kind}."
+            f"Missing from {self.base.name}: {names}. With {them} the error on the {records} "
+            f"records {goes} from {before:.3g} to {after:.3g} × noise{self._sizes()}; "
+            f"{self.remains.kind}."
         )
 
     def _sizes(self) -> str:
@@ -434,10 +441,43 @@ class Improvement:
         ]
         return (display.Table(headers, rows, words=(7,)),)
 
+    def _glance(self, train: Dataset | None) -> display.Section:
+        """What was found, in two pictures and the numbers of the decision; on a page."""
+        figures = [
+            display.Figure(
+                "plot_error_fall", self,
+                "Prediction error over whole records, in units of the noise. A right model has "
+                "one.", size=_HALF,
+            )
+        ]  # fmt: skip
+        if train is not None and self.location.forces:
+            words = "The force that the nominal model lacks against the motion that shows it best"
+            if self.steps:
+                words += ", and what the effect that was found would leave there"
+            figures.append(
+                display.Figure("plot_force_found", self, f"{words}.", (train,), size=_HALF)
+            )
+        headers = ("effect", "training", "validation", "T", "threshold", "error after")
+        _, records = self._judged
+        rows = [
+            (step.added, *_terms(step.claim), *_cells(".3g", step.error(records)))
+            for step in self.steps
+        ]
+        note = "T, on training and validation records together, has to pass the threshold."
+        tables = (display.Table(headers, rows, note),) if rows else ()
+        return display.Section(
+            "At a glance", self._meanings(), tables, figures, only="page", beside=True
+        )
+
     def _meanings(self) -> list[str]:
-        """What the effects added are, in words."""
-        words = {step.added: self.model.effect(step.added).description for step in self.steps}
-        return [f"{name}: {meaning}." for name, meaning in words.items() if meaning]
+        """What the effects added are, in words with their formulas, and how large."""
+        sizes = {row["name"]: row for row in self.parameters}
+        lines = []
+        for step in self.steps:
+            own = (_size(sizes[p.name], p) for p in step.effect.parameters if p.name in sizes)
+            words = in_words(step.effect, self.base)
+            lines.append(f"{step.added}: {'; '.join((words, *own, *_sizes(step)))}.")
+        return lines
 
     def _estimates(self) -> display.Section:
         """Estimates after the last step, beside those without the effects; on a page."""

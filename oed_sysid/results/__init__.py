@@ -41,6 +41,7 @@ from oed_sysid.results.improvement_plots import (
     figure_force,
     plot_error_fall,
     plot_force_against,
+    plot_force_found,
     plot_located,
     plot_ranking,
     plot_residual_force,

@@ -21,8 +21,11 @@ from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.rank import Ranking
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.information import effective_sample_size
+from oed_sysid.physics.base import Effect
 from oed_sysid.results import style as draw
+from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.runtime.display import TWO_SIDED_95
+from oed_sysid.text.units import scaled
 
 # Colour, hatch and words for a candidate that was refitted.
 _BEST = draw.COLOURS[1], "", "best after refit"
@@ -98,34 +101,119 @@ def plot_error_fall(improvement: Improvement, *, ax: Axes | None = None) -> Axes
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    ax = draw.new_axes(ax, size=(6.4, 3.6))
+    return chart_error_fall(improvement).on(ax)
+
+
+def chart_error_fall(improvement: Improvement) -> Chart:
+    """Describe :func:`plot_error_fall`."""
     steps = improvement.steps
-    places = np.arange(len(steps) + 1)
-    words = ["nominal", *(f"+ {step.added.replace('_', ' ')}" for step in steps)]
-    train = [improvement.base_error["train"], *(step.train_error for step in steps)]
-    test = [improvement.base_error["test"], *(step.test_error for step in steps)]
-    ax.axhspan(0.95, 1.05, color=draw.NEUTRAL, alpha=0.3, lw=0)
-    ax.axhline(1.0, color=draw.TRUTH, lw=0.9)
-    ax.plot(places, train, "s--", color=draw.NEUTRAL, mfc="white", lw=1.2, ms=7,
-            label="training records")  # fmt: skip
-    kind, shown = "training", train
-    if np.isfinite(test).any():
-        kind, shown = "validation", test
-        ax.plot(places, test, "o-", color=draw.COLOURS[1], lw=1.8, ms=7, label="validation records")
-    for place in np.flatnonzero(np.isfinite(shown)):
-        ax.annotate(f"{shown[place]:.3g}", (place, shown[place]), xytext=(7, 7),
-                    textcoords="offset points", fontsize=9)  # fmt: skip
-    largest = max(filter(np.isfinite, (*train, *test)), default=1.0)
-    if not draw.errors_axis(ax, largest):
-        ax.set_ylim(0.0, 1.15 * max(largest, 1.2))
-    ax.set_xticks(places, words, rotation=0 if len(places) < 4 else 20)
-    return draw.done(
-        ax,
-        f"The error on the {kind} records goes from {shown[0]:.3g} to {shown[-1]:.3g} times the "
-        f"noise with {', '.join(step.added for step in steps) or 'nothing added'}.",
-        grid="y", legend={"loc": "upper right"}, ylabel="prediction error [noise]",
-        xlim=(-0.4, len(steps) + 0.5),
+    places = list(range(len(steps) + 1))
+    errors = {
+        "training": [improvement.base_error["train"], *(step.train_error for step in steps)],
+        "validation": [improvement.base_error["test"], *(step.test_error for step in steps)],
+    }
+    looks = {"training": (draw.NEUTRAL, "--", "s"), "validation": (draw.COLOURS[1], "-", "o")}
+    told = [kind for kind, values in errors.items() if np.isfinite(values).any()]
+    shown = errors[told[-1]] if told else errors["training"]
+    marks = (
+        Mark(places, errors[kind], f"{kind} records", *looks[kind],
+             texts=[f"{one:.3g}" for one in errors[kind]] if kind == told[-1] else ())
+        for kind in told
     )  # fmt: skip
+    finite = [one for kind in told for one in errors[kind] if np.isfinite(one)]
+    added = ", ".join(step.added for step in steps) or "nothing added"
+    return Chart(
+        tuple(marks), "", "prediction error [noise]",
+        f"The error on the {told[-1] if told else 'training'} records goes from {shown[0]:.3g} to "
+        f"{shown[-1]:.3g} times the noise with {added}.",
+        level=1.0, band=0.05, logarithmic=max(finite, default=1.0) > 8.0,
+        names=["nominal", *(f"+ {step.added.replace('_', ' ')}" for step in steps)],
+    )  # fmt: skip
+
+
+def plot_force_found(improvement: Improvement, dataset: Dataset, *, ax: Axes | None = None) -> Axes:
+    """Plot the force that the nominal model lacks against motion, with the effect that was found.
+
+    Dots are the residual force at all samples of the training records, points with whiskers its
+    means over slices of the motion (95 %). The line is what would be seen if the effect were all
+    that is missing: its signature, through the same projection as the residual force, so that
+    both may be compared.
+
+    Parameters
+    ----------
+    improvement : Improvement
+        With at least one residual force.
+    dataset : Dataset
+        The training records, as the search has read them.
+    ax : Axes, optional
+        Where to draw.
+
+    Raises
+    ------
+    DataError
+        If the records show no residual force.
+    """
+    return chart_force_found(improvement, dataset).on(ax)
+
+
+def chart_force_found(improvement: Improvement, dataset: Dataset) -> Chart:
+    """Describe :func:`plot_force_found`."""
+    located, step = improvement.location, next(iter(improvement.steps), None)
+    equation = force_equation(improvement)
+    signals = {
+        one.name: np.concatenate([draw.signal_of(record, one) for record in dataset])
+        for one in dataset.channels.all
+    }
+    used = [name for name in signals if step is not None and _moves(step.effect, name)]
+    name = clearest(located, equation, {n: signals[n] for n in used or signals})
+    channel = next(one for one in dataset.channels.all if one.name == name)
+    found = "" if step is None else step.added
+    return chart_residual(located, equation, signals[name], draw.label(channel), name, found)
+
+
+def force_equation(improvement: Improvement) -> str:
+    """Equation whose residual force shows what was found: that of the first effect, or the best.
+
+    Raises
+    ------
+    DataError
+        If the records show no residual force.
+    """
+    located = improvement.location
+    wished = [str(key) for step in improvement.steps[:1] for key in step.effect.terms]
+    wished.append((located.best or "").removeprefix("force "))
+    for name in (*wished, *located.force_names):
+        if name in located.force_names:
+            return name
+    raise DataError("There is no residual force in this finding.")
+
+
+def _moves(effect: Effect, name: str) -> bool:
+    """Whether a signal, or its velocity through the water, is in the formula of an effect."""
+    return bool({name, f"{name}_r"} & effect.uses())
+
+
+def clearest(located: Located, equation: str, signals: Mapping[str, np.ndarray]) -> str:
+    """Name of the signal against which a residual force shows the clearest curve.
+
+    That whose slice means are furthest from zero, in halves of their 95 % intervals.
+
+    Parameters
+    ----------
+    located : Located
+    equation : str
+        Which of its ``force_names``; of another one the first signal is the clearest.
+    signals : mapping of str to ndarray (n_samples,)
+        At all times of all records.
+    """
+    if equation not in located.force_names:
+        return next(iter(signals))
+
+    def clear(name: str) -> float:
+        _, means, half = force_against(located, equation, signals[name])[2]
+        return float(np.mean((means / np.maximum(half, 1e-300)) ** 2)) if means.size else 0.0
+
+    return max(signals, key=clear)
 
 
 def plot_located(located: Located, *, n_shown: int = 14, ax: Axes | None = None) -> Axes:
@@ -266,17 +354,49 @@ def plot_force_against(
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    ax = draw.new_axes(ax, size=(4.4, 3.2))
     channel = next(one for one in dataset.channels.all if one.name == signal)
     where = np.concatenate([draw.signal_of(record, channel) for record in dataset])
+    chart = chart_residual(located, equation, where, draw.label(channel), signal)
+    return chart.on(ax, size=(4.4, 3.2))
+
+
+def chart_residual(
+    located: Located, equation: str, where: np.ndarray, words: str, name: str, found: str = ""
+) -> Chart:
+    """Describe the residual force of an equation against a signal: dots, and means with 95 %.
+
+    Parameters
+    ----------
+    located : Located
+        Where the nominal model fails.
+    equation : str
+        Which of its ``force_names``.
+    where : ndarray (n_samples,)
+        The signal at all times of all records, in the unit that ``words`` names.
+    words, name : str
+        Label of the axis; name of the signal.
+    found : str
+        An effect whose signature is drawn beside, where the finding holds it.
+    """
     x, y, (centres, means, half) = force_against(located, equation, where)
-    draw.zero(ax)
-    ax.plot(x, y, ".", color=draw.DATA, ms=1.5, alpha=0.35, rasterized=True)
-    ax.errorbar(centres, means, yerr=half, fmt="o", ms=5, color=draw.COLOURS[1], capsize=3, lw=1.4)
+    factor, unit = scaled(_unit(located, equation), float(np.abs(y).max(initial=0.0)))
+    thin = slice(None, None, max(x.size // 4000, 1))  # what a browser draws without stutter
+    marks = [
+        Mark(x[thin], factor * y[thin], "every sample", dashes="", marker="."),
+        Mark(centres, factor * means, "mean, 95 %", draw.COLOURS[0], "", "o", factor * half),
+    ]
+    if found in located.signatures:
+        column = _column(located, equation)
+        parts = np.concatenate([one[:, column] for one in located.signatures[found]])
+        seen = np.isfinite(where) & np.isfinite(parts)
+        at, expected, _ = slice_means(where[seen], parts[seen], 1.0, 40)
+        words_of = f"expected of {found.replace('_', ' ')}"
+        marks.append(Mark(at, factor * expected, words_of, draw.COLOURS[1]))
     clear = int(np.sum(np.abs(means) > half))
-    return draw.done(
-        ax, f"Residual {equation} over {signal}: {clear} of {len(means)} means differ from zero.",
-        xlabel=draw.label(channel), ylabel=f"residual {_name(located, equation)}",
+    return Chart(
+        tuple(marks), words, f"residual {draw.symbol_of(equation)} [{unit}]",
+        f"Residual {equation} over {name}: {clear} of {len(means)} means differ from zero.",
+        level=0.0,
     )  # fmt: skip
 
 

@@ -25,6 +25,8 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.physics.model import Model
+from oed_sysid.results import improvement_plots
+from oed_sysid.results.chart import Chart
 from oed_sysid.results.style import finding, new_figure, signal_of
 from oed_sysid.runtime import files
 from oed_sysid.runtime.display import TWO_SIDED_95, Figure, Report, Section, Table, interval
@@ -47,32 +49,47 @@ class Picture:
         What it shows and how to read it.
     finding : str
         What is to be seen, in words, for those who cannot see it.
+    chart : Chart, optional
+        The same to be pointed at, where a screen can.
     """
 
     source: str
     caption: str
     finding: str = ""
+    chart: Chart | None = None
 
     @classmethod
-    def of(cls, drawing: Drawing, caption: str) -> Picture:
+    def of(cls, drawing: Drawing, caption: str, chart: Chart | None = None) -> Picture:
         """Embed a figure as SVG; dense point clouds in it may be rasterised."""
         target = io.BytesIO()
         # A fixed salt and no date: the same result gives the same bytes.
         with mpl.rc_context({"svg.hashsalt": "oed_sysid"}):
             drawing.savefig(target, format="svg", metadata={"Date": None})
         coded = base64.b64encode(target.getvalue()).decode("ascii")
-        return cls(f"data:image/svg+xml;base64,{coded}", caption, finding(drawing))
+        return cls(f"data:image/svg+xml;base64,{coded}", caption, finding(drawing), chart)
 
 
 def draw(figure: Figure) -> Drawing:
     """Draw a figure of a document."""
+    if (described := chart(figure)) is not None:
+        drawing, axes = new_figure(1, 1, size=figure.size or (6.4, 3.6))
+        described.on(axes[0, 0])
+        return drawing
     function = getattr(import_module("oed_sysid.results"), figure.name)
     options = dict(figure.options)
     if figure.size is not None and not figure.name.startswith("figure_"):
         options["ax"] = new_figure(1, 1, size=figure.size)[1][0, 0]
-    made = function(figure.subject, *figure.arguments, **options)
-    drawing: Drawing = made if isinstance(made, Drawing) else made.figure
-    return drawing
+    made: Any = function(figure.subject, *figure.arguments, **options)
+    return made if isinstance(made, Drawing) else made.figure
+
+
+def chart(figure: Figure) -> Chart | None:
+    """Describe a figure of a document, where there is one description for print and screen."""
+    describe = getattr(improvement_plots, figure.name.replace("plot_", "chart_", 1), None)
+    if describe is None or not figure.name.startswith("plot_"):
+        return None
+    made: Chart = describe(figure.subject, *figure.arguments)
+    return made
 
 
 def drawn(part: Any) -> Any:
@@ -82,7 +99,7 @@ def drawn(part: Any) -> Any:
         return replace(part, sections=tuple(map(drawn, told)))
     if isinstance(part, Section):
         return replace(part, figures=tuple(map(drawn, part.figures)))
-    return Picture.of(draw(part), part.caption) if isinstance(part, Figure) else part
+    return Picture.of(draw(part), part.caption, chart(part)) if isinstance(part, Figure) else part
 
 
 def html(part: Report | Section, template: str) -> str:

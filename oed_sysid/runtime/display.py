@@ -325,6 +325,8 @@ class Section:
         Of lines in text.
     only : str
         ``"text"`` or ``"page"`` where only one of them has it.
+    beside : bool
+        Whether figures stand beside each other where the page is wide enough.
     """
 
     title: str = ""
@@ -335,6 +337,7 @@ class Section:
     heading: bool = False
     indent: int = 0
     only: str = ""
+    beside: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "paragraphs", tuple(map(told, self.paragraphs)))

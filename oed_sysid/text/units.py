@@ -21,7 +21,7 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from functools import cached_property, lru_cache
 from itertools import accumulate
-from math import pi
+from math import floor, inf, log10, pi
 from pathlib import Path
 from typing import Any
 
@@ -440,6 +440,36 @@ def shown_unit(unit: str) -> tuple[float, str]:
     if unit == "rad" or unit.startswith(("rad/", "rad ")):
         return 180.0 / pi, f"deg{unit[3:]}"
     return 1.0, unit
+
+
+# Engineering prefixes of what people read in thousands: forces, moments, powers, pressures.
+_PREFIXES = {6: "M", 3: "k", 0: "", -3: "m"}
+
+
+def scaled(unit: str, largest: float) -> tuple[float, str]:
+    """Return the factor and the unit in which a quantity of such a size is read.
+
+    Angles are in degrees; a unit that begins with N, W or Pa has the prefix that leaves numbers
+    of one to three digits.
+
+    Parameters
+    ----------
+    unit : str
+        SI unit.
+    largest : float
+        Largest size, in that unit.
+
+    Examples
+    --------
+    >>> scaled("N m", 2.5e6), scaled("N", 0.02), scaled("rad", 1.0)[1], scaled("m/s", 2e4)
+    ((1e-06, 'MN m'), (1000.0, 'mN'), 'deg', (1.0, 'm/s'))
+    """
+    factor, shown = shown_unit(unit)
+    if not re.match(r"(N|W|Pa)(?![A-Za-z])", shown) or not 0.0 < largest < inf:
+        return factor, shown
+    power = 3 * floor(log10(largest) / 3)
+    power = min(max(power, min(_PREFIXES)), max(_PREFIXES))
+    return 10.0**-power, f"{_PREFIXES[power]}{shown}"
 
 
 def parse_header(text: str) -> tuple[str, str | None]:

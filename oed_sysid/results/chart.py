@@ -1,0 +1,111 @@
+"""One description of a picture: a vector where it is printed, to be pointed at on a screen.
+
+A :class:`Chart` is marks on a pair of axes. :meth:`Chart.on` draws it with matplotlib, for
+reports, notebooks and files; :func:`oed_sysid.app.charts.drawn` with plotly, for the page. Both
+take colours, dashes and words from here, so that a picture is described once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from oed_sysid.results import style as draw
+
+
+@dataclass(frozen=True, eq=False)
+class Mark:
+    """Points of a chart, joined or not.
+
+    Parameters
+    ----------
+    x, y : array_like (n_points,)
+    label : str
+        In the legend; empty where it has no place there.
+    colour : str
+        ``draw.DATA`` (what was measured), ``draw.TRUTH``, or one of ``draw.COLOURS``.
+    dashes : str
+        As matplotlib has them; empty leaves points unjoined.
+    marker : str
+        As matplotlib has them; empty for a line alone, ``"."`` for the dots of all samples.
+    half : array_like (n_points,), optional
+        Half of the 95 % interval of each point.
+    texts : sequence of str
+        What is written beside the points.
+    """
+
+    x: Any
+    y: Any
+    label: str = ""
+    colour: str = draw.DATA
+    dashes: str = "-"
+    marker: str = ""
+    half: Any = None
+    texts: Sequence[str] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class Chart:
+    """Marks on a pair of axes.
+
+    Parameters
+    ----------
+    marks : tuple of Mark
+    x_label, y_label : str
+        With units.
+    finding : str
+        What is to be seen, for those who cannot see it.
+    level : float, optional
+        A line across, and half of a grey band around it.
+    band : float
+    logarithmic : bool
+        Whether the upward axis is.
+    names : sequence of str
+        What is written at 0, 1, 2, ... along the axis, in the place of numbers.
+    """
+
+    marks: tuple[Mark, ...]
+    x_label: str
+    y_label: str
+    finding: str
+    level: float | None = None
+    band: float = 0.0
+    logarithmic: bool = False
+    names: Sequence[str] = ()
+
+    def on(self, ax: Axes | None = None, *, size: tuple[float, float] = (6.4, 3.6)) -> Axes:
+        """Draw on the given axes, or on those of a new figure (inches)."""
+        ax = draw.new_axes(ax, size=size)
+        if self.level is not None:
+            low, high = self.level - self.band, self.level + self.band
+            ax.axhspan(low, high, color=draw.NEUTRAL, alpha=0.3, lw=0)
+            ax.axhline(self.level, color=draw.TRUTH, lw=0.9)
+        for mark in self.marks:
+            self._mark(ax, mark)
+        if self.logarithmic:
+            ax.set_yscale("log")
+            draw.decades(ax.yaxis, (1.0, 2.0, 5.0))
+        if self.names:
+            ax.set_xticks(range(len(self.names)), self.names)
+            ax.set_xlim(-0.4, len(self.names) - 0.4)
+        labels = {"xlabel": self.x_label, "ylabel": self.y_label}
+        grid = "y" if self.names else "both"
+        return draw.done(ax, self.finding, grid=grid, legend=2, **labels)
+
+    @staticmethod
+    def _mark(ax: Axes, mark: Mark) -> None:
+        cloud = mark.marker == "."
+        look: dict[str, Any] = {"color": mark.colour, "label": mark.label or None}
+        look |= {"ls": mark.dashes or "", "marker": mark.marker, "lw": 1.6}
+        look |= {"ms": 1.5, "alpha": 0.35, "rasterized": True} if cloud else {"ms": 6}
+        if mark.half is not None:
+            ax.errorbar(mark.x, mark.y, yerr=mark.half, capsize=3, **look)
+        else:
+            ax.plot(mark.x, mark.y, **look)
+        for x, y, text in zip(mark.x, mark.y, mark.texts, strict=False):
+            if np.isfinite(y):
+                ax.annotate(text, (x, y), (7, 7), textcoords="offset points", fontsize=9)
