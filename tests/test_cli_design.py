@@ -284,4 +284,4 @@ def test_diagnose_locates_and_ranks_without_adding(ship: Path, tmp_path: Path, c
     assert main(["diagnose", str(ship), *given[: given.index("--validate")], *files]) == DONE
     assert json.loads(stored.read_text())["best"] == HIDDEN
     assert HIDDEN in capsys.readouterr().out
-    assert f"({HIDDEN})" in page.read_text(encoding="utf-8")
+    assert f"lacks {HIDDEN}" in page.read_text(encoding="utf-8")
