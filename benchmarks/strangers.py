@@ -25,7 +25,7 @@ from pathlib import Path
 
 import numpy as np
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, orth
 
 from benchmarks.harness import RESULTS, Row, command, grouped, tabulate
 from benchmarks.other_vehicles.judge import DETECTABLE
@@ -117,6 +117,7 @@ class Stranger:
         values: Mapping[str, float],
         *,
         exact: bool = True,
+        start: Sequence[float] = (),
     ) -> tuple[np.ndarray, np.ndarray]:
         """Commands ``(n_times, n_inputs)`` and what sensors without noise show."""
         rng, n, times = np.random.default_rng(seed), len(self.gain), self.times
@@ -131,6 +132,7 @@ class Stranger:
             sea = self.sea * gauss_markov(rng.standard_normal((SAMPLES, n)), self.memory)
         size = lambda kind, at: hidden.get((kind, at), 0.0)  # noqa: E731
         state = np.zeros(2 * n + m)  # speeds, displacements, actuators
+        state[: len(start)] = start
         commands, states = np.zeros((SAMPLES, m)), np.zeros((SAMPLES, 2 * n))
 
         def rates(_: float, z: np.ndarray, command: np.ndarray, push: np.ndarray) -> np.ndarray:
@@ -256,9 +258,11 @@ def nominal(truth: Stranger, values: Mapping[str, float], noise: np.ndarray) -> 
 def shown(
     truth: Stranger, plan: Sequence[tuple[str, int]], hidden: Sizes, level: np.ndarray
 ) -> float:
-    """Least statistic of leaving one effect out, parameters re-estimated to first order.
+    """Least statistic of leaving one effect out, all else re-estimated to first order.
 
-    Rows are in standard deviations of what sensors, and where there is one the sea, make of them.
+    All else is parameters, and the speeds and displacements at which each record starts: without a
+    spring the bias of a displacement's sensor is nothing else. Rows are in standard deviations of
+    what sensors, and where there is one the sea, make of them.
     """
     values = truth.estimated()
 
@@ -268,12 +272,20 @@ def shown(
     whole = rows(hidden, values)
     slopes = [(rows(hidden, values | {k: v * 1.001}) - whole) / 1e-3 for k, v in values.items()]
     lost = [whole - rows({k: v for k, v in hidden.items() if k != one}, values) for one in hidden]
-    columns = np.stack([*slopes, *lost], axis=-1)
+    starts = []
+    for record, one in enumerate(plan):
+        for moved in 1e-3 * np.eye(2 * len(truth.gain)):
+            by_start = np.zeros_like(whole)
+            run = truth.run(*one, hidden, values, exact=False, start=moved)[1]
+            by_start[record] = (run - whole[record]) / 1e-3
+            starts.append(by_start)
+    columns = np.stack([*slopes, *starts, *lost], axis=-1)
     seas = [excitation == "sea" for excitation, _ in plan]
     white = np.concatenate(
         [whitened(truth, own, level, sea=sea) for own, sea in zip(columns, seas, strict=True)]
     ).reshape(-1, columns.shape[-1])
-    basis, effects = np.linalg.qr(white[:, : len(slopes)])[0], white[:, len(slopes) :]
+    known, effects = np.split(white, [len(slopes) + len(starts)], axis=1)
+    basis = orth(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300), rcond=1e-9)
     left = effects - basis @ (basis.T @ effects)
     return float(np.min(np.sum(left**2, axis=0), initial=np.inf))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -11,8 +12,10 @@ from marks import slow
 from scipy.integrate import solve_ivp
 from scipy.stats import chi2
 from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, improved, rates
+from yaw_vehicle import NOISE as NOISE_YAW
+from yaw_vehicle import yaw_data, yaw_model
 
-from oed_sysid import Force, NoiseModel, Parameter, improve
+from oed_sysid import Dataset, Force, NoiseModel, Parameter, Record, improve
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.chance import FALSE_CLAIMS, threshold
 from oed_sysid.evidence.claim import (
@@ -30,9 +33,11 @@ from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.smoother import Path
-from oed_sysid.physics import sensor_bias
+from oed_sysid.physics import sensor_bias, sensor_lag, sensor_scale
 from oed_sysid.physics.table import POLYNOMIAL
 
+# Knots in a metre per second.
+KNOTS = 3600.0 / 1852.0
 BIASED = Force("push", {"r": "E_push"}, (Parameter("E_push", 0.0, "rad/s^2", scale=0.01),))
 
 
@@ -139,6 +144,39 @@ def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound
     assert [step.added for step in freed.steps] == ["cubic_damping"]
     value, error = freed.fit.values[narrow], freed.fit.std_errors[narrow]
     assert abs(value + 15.0) < 3.0 * error
+
+
+def test_a_sensor_that_stands_still_has_no_size_of_lag_and_one_in_knots_has_one_of_scale() -> None:
+    """A lag without end is no claim; a scale goes as far as the records say, to 1.944."""
+    train, test = yaw_data(3), yaw_data(4)
+    rng = np.random.default_rng(5)
+
+    def dead(record: Record) -> np.ndarray:
+        still = 0.02 + NOISE_YAW[1] * rng.standard_normal(record.n_samples)
+        return np.column_stack([record.outputs[:, 0], still])
+
+    def knots(record: Record) -> np.ndarray:
+        return record.outputs * [1.0, KNOTS]
+
+    def spoilt(data: Dataset, how: Callable[[Record], np.ndarray]) -> Dataset:
+        return Dataset(tuple(record.with_outputs(how(record)) for record in data))
+
+    lag = sensor_lag("late", "r", scale=1.0)
+    study, fit = Study.begin(yaw_model(), spoilt(train, dead), None, (lag,), known_noise=False)
+    ended = study.estimate((lag.widened(),), {**fit.values, "E_late": 1e7}, fit)
+    assert ended is not None
+    asked = claim(study, fit, ended, (lag,), 10.0)
+    assert asked.statistic > asked.needed
+    assert not asked.stands
+    assert np.isinf(asked.beyond)
+    found = improve(
+        yaw_model(), spoilt(train, knots), spoilt(test, knots),
+        candidates=(sensor_scale("scale", "r"), sensor_bias("bias", "r", "rad/s", scale=0.01)),
+    )  # fmt: skip
+    assert [step.added for step in found.steps] == ["scale"]
+    error = found.fit.std_errors["E_scale"]
+    assert found.fit.values["E_scale"] == pytest.approx(KNOTS - 1.0, abs=3.5 * error)
+    assert error < 0.05
 
 
 def test_whole_runs_may_wander_under_process_noise_only() -> None:

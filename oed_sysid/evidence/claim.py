@@ -25,7 +25,7 @@ costs less than its threshold to leave out goes.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -35,6 +35,7 @@ from oed_sysid.evidence.misfit import WHITE_LEVEL
 from oed_sysid.evidence.study import Prediction, Study, total_error
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import whiteness
+from oed_sysid.likelihood.judgement import UNSEEN
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter, with_parameters
 from oed_sysid.runtime.display import as_dict
@@ -121,6 +122,8 @@ class Claim:
         if not self.excess > 0.0:
             return "T below threshold"
         at = f"at its bound ({', '.join(self.bounds)})"
+        if np.isinf(self.beyond):
+            return f"grows without end ({', '.join(self.bounds)})"
         if self.held:
             return f"{at}, {self.beyond:.1f} likelier beyond"
         if self.rises:
@@ -167,7 +170,12 @@ def claim(
         found = Claim(
             name, training, validation, needed, old, new, allowed, independent=share, models=models
         )
-    bounds = at_bounds(after, effects) if found.excess > 0.0 else ()
+    if not found.excess > 0.0:
+        return found
+    # An optimum at infinity, such as the lag of a sensor that stands still, is no size.
+    if endless := _amplitudes(after, effects, _runs_away):
+        return replace(found, bounds=endless, beyond=np.inf)
+    bounds = at_bounds(after, effects)
     return replace(found, bounds=bounds, beyond=_beyond(study, after, bounds)) if bounds else found
 
 
@@ -209,13 +217,25 @@ def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float
 
 def at_bounds(fit: FilteredSolution, effects: Sequence[Effect]) -> tuple[str, ...]:
     """Amplitudes that end at a bound other than nothing."""
+    return _amplitudes(fit, effects, rests)
+
+
+def _runs_away(parameter: Parameter, value: float) -> bool:
+    """Whether a value is beyond any that a size of this kind may have."""
+    return abs(value) > UNSEEN * parameter.magnitude
+
+
+def _amplitudes(
+    fit: FilteredSolution, effects: Sequence[Effect], asked: Callable[[Parameter, float], bool]
+) -> tuple[str, ...]:
+    """Amplitudes of which something holds, in any record."""
     own = {name for effect in effects for name in effect.amplitude_names}
     return tuple(
         parameter.name
         for parameter in fit.problem.model.free_parameters
         if parameter.name in own
         and any(
-            rests(parameter, part[parameter.name])
+            asked(parameter, part[parameter.name])
             for part in (fit.values, *fit.local)
             if parameter.name in part
         )

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TypeVar
 
 import numpy as np
 
@@ -26,9 +26,8 @@ from oed_sysid.likelihood.departures import outputs_of, values_of
 from oed_sysid.likelihood.estimate import Estimate, Integration
 from oed_sysid.likelihood.noise_levels import signal_spread, white_levels
 
-if TYPE_CHECKING:
-    from oed_sysid.likelihood.fit import Fit
-
+# A fit goes on as what it is.
+Ended = TypeVar("Ended", bound=Estimate)
 # Standard errors by which half the step may move an estimate: of a hundred intervals of 95 % that
 # are off by so much 94 hold.
 BIAS = 0.25
@@ -118,7 +117,7 @@ def _both_steps(
     return before, after
 
 
-def resolved(fit: Fit, again: Callable[[float, Fit], Fit]) -> Fit:
+def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
     """The same fit by steps that no estimate hangs on.
 
     Parameters

@@ -722,7 +722,7 @@ def _is_white(fit: Fit) -> bool:
     """Whether white noise of its levels may have left a fit's residuals; see :func:`_bent`."""
     errors = np.concatenate([part.ravel() for part in fit.series])
     with np.errstate(over="ignore"):  # of a run that diverges
-        return bool(np.nanmean(errors**2) <= CLEARLY**2)
+        return bool(np.isfinite(errors).any() and np.nanmean(errors**2) <= CLEARLY**2)
 
 
 def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:

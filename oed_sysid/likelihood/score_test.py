@@ -416,7 +416,8 @@ def excluded_inputs(
     model = model.with_values(dict(start.values))
     quiet = NoiseModel.white_only(setting.white, model.output_names)
     nothing, found = np.zeros(len(setting.white), dtype=bool), []
-    for place in setting.inputs:
+    # A log that shows no noise of its own says nothing against it.
+    for place in (one for one in setting.inputs if np.isfinite(setting.most_input[one.name])):
         none = quiet.with_places([place.name], 0.0)
         shown = replace(none, force=np.array([setting.most_input[place.name] / TWOFOLD]))
         levels = Levels.of(
