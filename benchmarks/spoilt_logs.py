@@ -176,6 +176,14 @@ def _late(s: Signals, t: np.ndarray, size: float, k: int, *names: str, clock: bo
 
 
 @fault
+def _scattered(s: Signals, t: np.ndarray, size: float, k: int, *names: str) -> None:
+    rng = np.random.default_rng((k, int(1e6 * abs(s["u"][7]))))
+    taken = t + size * rng.standard_normal(t.size)
+    for name in names:
+        s[name] = np.interp(taken, t, s[name])
+
+
+@fault
 def _lag(s: Signals, t: np.ndarray, size: float, k: int, name: str) -> None:
     y, h = s[name].copy(), t[1] - t[0]
     for i in range(1, y.size):
@@ -279,6 +287,8 @@ def faults_of(craft: Craft) -> list[Spoil]:
         Spoil("delay", (rate,), (2.0, 4.0, 8.0), _lag(rate), also=(angle,)),
         Spoil("clock", pos, (0.003, 0.01, 0.03), _late(*pos, clock=True)),
         Spoil("clock", (angle,), (0.003, 0.01, 0.03), _late(angle, clock=True), also=(rate,)),
+        Spoil("jitter", (*n,), (0.1, 0.3, 1.0), _scattered(*n)),
+        Spoil("jitter", (angle, *pos), (0.1, 0.3, 1.0), _scattered(angle, *pos)),
         Spoil("lever", (v2,), (0.3, 0.6, 1.5), _add(v2, lambda s, t: arm * s[rate])),
         Spoil("misalignment", ("u", v2), (0.02, 0.05, 0.1), _tilt("u", v2)),
         Spoil("drift", (rate,), some(rate, 1.0, 3.0, 8.0), _add(rate, ramp)),
@@ -330,7 +340,7 @@ def written(
         signals = dict(run)
         fine = np.arange(signals["u"].size) * craft.step / FINER
         if spoil is not None and spoil.where == "true":
-            steps = size * craft.step if spoil.kind == "delay" else size
+            steps = size * craft.step if spoil.kind in ("delay", "jitter") else size
             spoil.make(signals, fine, steps, k)
         log = {}
         for i, name in enumerate(craft.units):

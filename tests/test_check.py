@@ -30,7 +30,7 @@ from oed_sysid.evidence.check import (
 )
 from oed_sysid.evidence.contrasts import fitted_law, laws
 from oed_sysid.evidence.corrections import as_measured
-from oed_sysid.evidence.inputs import between_runs
+from oed_sysid.evidence.inputs import between_runs, scaled_inputs
 from oed_sysid.evidence.relations import integral, relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
@@ -725,6 +725,27 @@ def test_a_command_in_place_of_the_feedback_is_a_lag(kind: str, act) -> None:  #
     found = check(replayed(problem, act), problem)
     assert found.ok  # good to know: a model that lacks physics shows the like
     assert [one.kind for one in found.findings if "fin_command" in one.signals] == [kind]
+
+
+def test_noise_of_the_states_is_no_fault_of_an_input() -> None:
+    """Coefficients of a noisy sway velocity come out too small: rudders are no stronger for it."""
+    problem = load_problem("remus_6dof")
+    rng = np.random.default_rng(0)
+    runs = (simulate(problem.model, e, rng=rng, name=n) for n, e in problem.experiments.items())
+    assert check(Dataset(tuple(runs)), problem).findings == ()
+
+
+@pytest.mark.parametrize("logged", [0.5, 1.0, 2.0])
+def test_an_input_of_another_scale_shows_in_the_coefficients(dives_inputs, logged: float) -> None:  # type: ignore[no-untyped-def]
+    """Both coefficients of the fin are off by one factor, which its log is off by."""
+    problem, data = dives_inputs
+    factors = np.where(np.array(problem.model.input_names) == "fin_command", logged, 1.0)
+    some = Dataset(tuple(replace(r, inputs=r.inputs * factors) for r in data))
+    found = scaled_inputs(MultipleShooting(disturbances="none").fit(problem.model, some))
+    assert [one.signals for one in found] == [("fin_command",)] * (logged != 1.0)
+    for one in found:
+        assert not one.suspect
+        assert one.interval[0] < 1.0 - 1.0 / logged < one.interval[1]
 
 
 def test_a_parameter_that_is_another_one_in_one_run_is_named(dives_inputs) -> None:  # type: ignore[no-untyped-def]

@@ -14,6 +14,7 @@ from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
+from oed_sysid.evidence.jitter import jitter
 from oed_sysid.evidence.relations import relations
 from oed_sysid.evidence.screens import bursts, deviations, screen, screened, steps, weights
 from oed_sysid.evidence.traces import Trace
@@ -602,3 +603,42 @@ def test_motion_that_is_faster_than_the_samples_is_no_noise() -> None:
     said = check(Dataset(tuple(loud)), problem.model, inputs=False).named("noise", "psi")
     assert said is not None
     assert said.size == pytest.approx(np.sqrt(10.0), rel=0.05)
+
+
+# -- times that scatter ----------------------------------------------------------------------
+
+
+def scattered(size: float, noise: float, seed: int) -> list[Trace]:
+    """A heading and its rate as logged: taken beside the times that are written."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(900) * 0.2
+    taken = t + size * rng.standard_normal(t.size)
+    louder = 1.0 + 4.0 * np.cos(0.3 * t) ** 2  # in faster turns, which is no jitter
+    values = {
+        "psi": np.sin(0.3 * taken) + noise * louder * rng.standard_normal(t.size),
+        "r": 0.3 * np.cos(0.3 * taken) + 0.5 * noise * rng.standard_normal(t.size),
+    }
+    return [Trace("run", t, values, {"psi": "rad", "r": "rad/s"})]
+
+
+def test_standard_deviation_of_scattering_times() -> None:
+    """Two signals that share a clock tell how far it scatters, within the errors stated."""
+    off = [(j.size - 0.06) / j.std for j in (jitter(scattered(0.06, 5e-3, k)) for k in range(20))]
+    assert abs(np.mean(off)) < 1.0
+    assert np.max(np.abs(off)) < 4.0
+
+
+def test_noise_that_follows_the_rate_is_no_jitter() -> None:
+    """Only products of signals are asked, whose signs are those of the rates by chance."""
+    assert all(jitter(scattered(0.0, 5e-3, seed)).signals == () for seed in range(40))
+
+
+def test_uneven_times_that_are_right_are_no_jitter() -> None:
+    """Cubics go through the times that are written, even or not."""
+    rng = np.random.default_rng(2)
+    t = np.arange(900) * 0.2 + 0.05 * rng.uniform(-1.0, 1.0, 900)
+    values = {
+        "psi": np.sin(0.3 * t) + 2e-3 * rng.standard_normal(t.size),
+        "r": 0.3 * np.cos(0.3 * t) + 1e-3 * rng.standard_normal(t.size),
+    }
+    assert jitter([Trace("run", t, values, {"psi": "rad", "r": "rad/s"})]).signals == ()

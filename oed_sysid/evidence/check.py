@@ -12,7 +12,8 @@ right. The check goes from what is obvious to what is subtle, and each step undo
 before the next one looks:
 
 1. single signals: exact coincidences (dead, held, frozen, cut off, lost, interpolated, coarse
-   samples, copies) and samples that stand out (:mod:`~oed_sysid.evidence.screens`);
+   samples, copies) and samples that stand out (:mod:`~oed_sysid.evidence.screens`); and times that
+   scatter (:mod:`~oed_sysid.evidence.jitter`);
 2. what no motion can explain: other readings of the numbers (sign, unit, columns, axes), faults
    with a size (bias, scale, delay, rate of a clock, lever arm, misalignment, drift, step), in all
    records or in one, and equations that fail although all of this is undone
@@ -40,7 +41,8 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Reading, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
-from oed_sysid.evidence.inputs import between_runs, input_findings
+from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
+from oed_sysid.evidence.jitter import jitter
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
 from oed_sysid.evidence.result import (
     Balance,
@@ -56,6 +58,8 @@ from oed_sysid.evidence.words import (
     READ,
     Log,
     clock_findings,
+    jitter_finding,
+    jitter_rows,
     judged_row,
     misfit_finding,
     said,
@@ -135,10 +139,14 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     faults, traces = screened(traces)
     equations = _told_of(equations, faults)
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
+    bad = kinds_that_are("bad samples")
+    clean = [t.blank(marked(faults, t.name, bad)) for t in traces]
     if equations:
-        faults, related, balances, ended = _related(dataset, model, traces, equations, faults)
-    findings = [*screen_findings(dataset, traces, faults), *related]
+        faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
+    late = jitter(clean)
+    findings = [*screen_findings(dataset, traces, faults), *related, *jitter_finding(late, dataset)]
     asked, unchecked = _asked(model, traces, equations, ended), _shared(equations, traces)
+    asked += jitter_rows(late, model.output_names)
     if inputs:
         known = [f.correction for f in findings if f.correction is not None]
         ranges = problem.limits.inputs if isinstance(problem, Problem) else None
@@ -174,13 +182,11 @@ def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[
 def _related(
     dataset: Dataset,
     model: Model,
-    traces: Sequence[Trace],
+    clean: Sequence[Trace],
     equations: tuple[Relation, ...],
     faults: Sequence[Fault],
 ) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
-    bad = kinds_that_are("bad samples")
-    clean = [t.blank(marked(faults, t.name, bad)) for t in traces]
     steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
     known = [fix for fixes in steps.values() for fix in fixes or ()]
     found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), known)
@@ -323,7 +329,7 @@ def with_estimates(
     for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
         findings.append(said("other_way", (one.channel.name,), log.records, row))
-    findings += [*_far(fit, log.records), *between_runs(fit)]
+    findings += [*_far(fit, log.records), *scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
 

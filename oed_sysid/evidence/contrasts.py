@@ -56,7 +56,7 @@ from scipy.fft import dct, idct
 from scipy.special import stdtrit
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
-from oed_sysid.evidence.corrections import ADDED, level_axis, logged, pivot, undo
+from oed_sysid.evidence.corrections import ADDED, lagged, level_axis, logged, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
 from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, units_of
@@ -112,6 +112,8 @@ class Candidate:
         For a scale: the unit of the signal.
     rare : float
         Twice the logarithm of the odds by which it is rarer than its rivals.
+    positive : bool
+        Whether it cannot be less than nothing: no lag is.
     """
 
     kind: str
@@ -124,6 +126,7 @@ class Candidate:
     span: tuple[float, float] = (0.0, 1.0)
     unit_of: str = ""
     rare: float = 0.0
+    positive: bool = False
 
     @property
     def placed(self) -> bool:
@@ -161,7 +164,7 @@ class Motion:
                 left = _line(trace.times, self.raw[one.target] - predicted)
                 self.values[one.target], self.rates[one.target] = predicted + left, right
         for name in self.raw.keys() - self.rates.keys():
-            self.rates[name] = np.gradient(_slow(self.raw[name], 9), trace.times)
+            self.rates[name] = np.gradient(hann(self.raw[name], 9), trace.times)
         self.elapsed = trace.times - trace.times[0]
 
     def has(self, one: Candidate) -> bool:
@@ -175,7 +178,7 @@ def _line(times: np.ndarray, series: np.ndarray) -> np.ndarray:
     return np.polyval(np.polyfit(times - times[0], series, 1), times - times[0])
 
 
-def _slow(series: np.ndarray, width: int) -> np.ndarray:
+def hann(series: np.ndarray, width: int) -> np.ndarray:
     """Series smoothed by a window of Hann."""
     width = max(3, min(width, series.size // 2))
     window = np.hanning(width + 2)[1:-1]
@@ -197,12 +200,19 @@ def _scaled(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
     return {n: m.values[n] - pivot(trace.values[n], trace.units[n]) for n in one.signals}
 
 
+def _lagging(one: Candidate, m: Motion) -> dict[str, np.ndarray]:
+    # A secant: from the command on, a lag of no time is a delay, and far from one of a usual time.
+    usual, times = 0.5 * one.plausible, m.trace.times
+    return {n: (m.values[n] - lagged(times, m.values[n], usual)) / usual for n in one.signals}
+
+
 # What a unit of each fault adds to the logged signals of a record.
 SHAPES = dict.fromkeys(ADDED, _added) | {
     "scale": _scaled,
     "delay": lambda one, m: {n: -m.rates[n] for n in one.signals},
     "rate": lambda one, m: {n: -m.elapsed * m.rates[n] for n in one.signals},
     "misalignment": _turned,
+    "lag": _lagging,
 }
 
 
@@ -757,7 +767,7 @@ class System:
     def strained(self, now: Sequence[int]) -> bool:
         """Whether a fault that matters is so far beyond its limit that linear scores mislead."""
         gain, size, _ = self.beside(now)
-        far = (gain > LOUDER * self.limits) & (np.abs(size) > self.of("material"))
+        far = (gain > LOUDER * self.limits) & (self._own(size) > self.of("material"))
         return bool(np.any(far))
 
     def of(self, what: str) -> np.ndarray:
@@ -782,9 +792,14 @@ class System:
     def able(self, chosen: Sequence[int], size: np.ndarray, std: np.ndarray) -> np.ndarray:
         """Which candidates are of a size that matters and that such faults have."""
         least = self.of("material") + 1.5 * std**2 * self.doubt
-        result = (np.abs(size) >= least) & (np.abs(size) <= LARGEST * self.of("plausible"))
+        own = self._own(size)
+        result = (own >= least) & (own <= LARGEST * self.of("plausible"))
         result[list(chosen)] = False
         return result
+
+    def _own(self, size: np.ndarray, chosen: Sequence[int] | slice = slice(None)) -> np.ndarray:
+        """Sizes of candidates without their signs, where these may be either."""
+        return np.where(self.of("positive")[chosen], size, np.abs(size))
 
     def sizes(self, chosen: Sequence[int]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Size, covariance diagonal and own statistic of each chosen candidate."""
@@ -842,14 +857,12 @@ class System:
         return now
 
     def _dropped(self, now: list[int]) -> list[int]:
+        least, most = self.of("material"), 1.5 * LARGEST * self.of("plausible")
         while now:
-            size, _, own = self.sizes(now)
-            short = own - self.price(now)[now]
-            small = [
-                short[i] < 0.0 or not f.material <= abs(size[i]) <= 1.5 * LARGEST * f.plausible
-                for i, f in enumerate(self.faults[k] for k in now)
-            ]
-            if not any(small):
+            size, _, gain = self.sizes(now)
+            short, own = gain - self.price(now)[now], self._own(size, now)
+            small = (short < 0.0) | (own < least[now]) | (own > most[now])
+            if not small.any():
                 return now
             now = [k for k in now if k != now[int(np.argmin(np.where(small, short, np.inf)))]]
         return now
@@ -896,7 +909,7 @@ class Reading:
     @property
     def delays(self) -> bool:
         """Whether it is a large delay, which competes with readings and has a size."""
-        return self.correction.kind == "delay"
+        return self.correction.kind in ("delay", "lag")
 
 
 @dataclass(frozen=True)
@@ -1002,17 +1015,10 @@ def diagnosed(
     ends = [search(right, question, known=known) if found else plain]
     ends += [search(right, question, start=start, known=known)] if start else []
     best = max(ends, key=lambda end: _worth(end, right, question))
-    if named := [*_named(best, right, question)]:
+    if named := [reading for one in best.found for reading in _as_units(one)]:
         found = [*found, *named]
         best = search(mended(found), question, known=known)
     return found, best
-
-
-def _named(end: Result, traces: Sequence[Trace], question: Question) -> Iterator[Reading]:
-    """Faults with a size that are a sign, a unit or a lag."""
-    for one in end.found:
-        yield from _as_units(one)
-        yield from _as_lag(one, end, traces, question)
 
 
 def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
@@ -1036,20 +1042,6 @@ def _as_units(one: Found) -> list[Reading]:
         if abs(by - factor) < max(RELATIVE * abs(by), 3.0 * error)
     ]
     return near[:1]
-
-
-def _as_lag(
-    one: Found, end: Result, traces: Sequence[Trace], question: Question
-) -> Iterator[Reading]:
-    """A late answer to an input, where a lag of first order tells more: its rate is the same."""
-    fault = one.candidate
-    driven = {name for relation in question.relations for name in relation.driven}
-    if fault.kind == "delay" and driven.issuperset(fault.signals) and one.size < 0.0:
-        reading = Reading(Correction("lag", fault.signals, -one.size), gain=one.gain)
-        other = [reading.correction if f is one else f.correction for f in end.found]
-        left = [undo(trace, other, question.relations) for trace in traces]
-        if evidence(left, question).sum() > _worth(end, traces, question) + CLOSE * len(end.found):
-            yield reading
 
 
 def readings(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> Iterator[Reading]:
@@ -1151,10 +1143,12 @@ def _nearer(traces: Sequence[Trace], question: Question) -> bool:
 
 def _late(question: Question) -> Iterator[Reading]:
     """Large delays, as rivals of readings: the linearised score does not reach so far."""
-    for fault, k in product((f for f in question.common if f.kind == "delay"), range(-1, 3)):
+    late = (f for f in question.common if f.kind in ("delay", "lag"))
+    for fault, k in product(late, range(-1, 3)):
         delay = fault.plausible * 2.0**k
         if delay > 2.0 * fault.material:
-            yield from (Reading(Correction("delay", fault.signals, d)) for d in (delay, -delay))
+            for size in (delay, -delay)[: 1 if fault.positive else 2]:
+                yield Reading(Correction(fault.kind, fault.signals, size))
 
 
 def _scored(

@@ -50,6 +50,7 @@ from oed_sysid.evidence.contrasts import (
     System,
     contrasts,
     diagnosed,
+    hann,
     plain_readings,
 )
 from oed_sysid.evidence.corrections import ORDER, corrected
@@ -275,6 +276,13 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
     own = {k: record.outputs[:, columns[k]] for k in measured if k in columns}
     values = {model.state_names[k]: series for k, series in (whole | own).items()}
     noise = {name: fast_noise(series) for name, series in values.items()}
+    for k, guess in whole.items():
+        name = model.state_names[k]
+        present = np.isfinite(values[name])
+        filled = np.where(present, values[name], guess)
+        means = hann(filled, 5) if noise[name] else filled
+        values[smooth(name)] = np.where(present, means, np.nan)
+    noise |= {smooth(name): level for name, level in noise.items()}
     values |= dict(zip(model.input_names, record.inputs.T, strict=True))
     for p in model.free_parameters:
         mean = p.value if p.prior_mean is None else p.prior_mean
@@ -282,7 +290,18 @@ def _trace(record: Record, model: Model) -> Iterator[Trace]:
     channels: tuple[State | Input | Parameter, ...]
     channels = (*model.states, *model.inputs, *model.free_parameters)
     units = {channel.name: channel.unit for channel in channels}
+    units |= {smooth(state.name): state.unit for state in model.states}
     yield Trace(record.name, record.times, values, units, dict.fromkeys(units, 0.0) | noise)
+
+
+def smooth(name: str) -> str:
+    """Name of a state as the nominal model takes it: means over some samples.
+
+    Noise in what a model is evaluated at stands in the contrast and in its regressors, which makes
+    coefficients too small (errors in variables; Fuller 1987). Means leave less of it, and leave
+    the integral of an equation as it is.
+    """
+    return f"{name} smoothed"
 
 
 def _question(traces: Sequence[Trace], model: Model) -> Question:
@@ -296,6 +315,7 @@ def _question(traces: Sequence[Trace], model: Model) -> Question:
         lost = Candidate("lost", (name,), "1", 1.0, 0.5, rare=RARER)
         common.append(replace(lost, material=RELATIVE, rare=0.0, unit_of=unit))
         common.append(Candidate("delay", (name,), "s", late, traces[0].step))
+        common.append(Candidate("lag", (name,), "s", late, traces[0].step, positive=True))
         single += [replace(lost, record=t.name) for t in traces]
         local.append(lost)
     for name in (one.target for one in equations):
@@ -312,7 +332,7 @@ def _nominal(model: Model) -> tuple[Nominal, ...]:
     own = set(model.axes.values()) or {
         state for state, text in model.kinematics.items() if names_in(text) & free
     }
-    every = (*model.state_names, *model.input_names, *model.free_names)
+    every = (*map(smooth, model.state_names), *model.input_names, *model.free_names)
     targets = (state for state in model.state_names if state in own)
     return tuple(
         Nominal(target, every, "the nominal model", True, (), {}, run=run) for target in targets
@@ -350,6 +370,60 @@ def _readings(moving: Mapping[str, str]) -> Iterator[Reading]:
     for pair in combinations(moving, 2):
         if moving[pair[0]] == moving[pair[1]]:
             yield Reading(Correction("swap", pair))
+
+
+def scaled_inputs(fit: Fit) -> tuple[Finding, ...]:
+    r"""Inputs whose coefficients all differ from their declared priors by one factor.
+
+    With relative departures :math:`d` of the estimates from the prior means of the parameters that
+    act through one input alone, and their covariance :math:`C`, prior less posterior, a factor
+    :math:`1 + s` of the input has :math:`\hat s = 1'C^{-1}d / 1'C^{-1}1`, and its statistic is
+    :math:`(1'C^{-1}d)^2 / 1'C^{-1}1`. One coefficient tells nothing that ``far`` would not.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of a model whose parameters have declared priors.
+
+    Returns
+    -------
+    tuple of Finding
+        Of kind ``scale``, no fault of the log: priors may be wrong by as much.
+    """
+    traces = _traces(fit.dataset, fit.model, ())
+    told = {p.name: p for p in fit.model.free_parameters if p.prior_std and p.prior_mean}
+    if isinstance(traces, str) or not fit.status.ok:
+        return ()
+    log = Log(fit.dataset.channels, (), fit.dataset.names)
+    result = list[Finding]()
+    for name in (one for one in fit.model.input_names if _moves(traces, one)):
+        own = [p for n, p in told.items() if _acts_through(traces[0], fit.model, n, name)]
+        if len(own) > 1:
+            result += map(log.sized, _common_factor(fit, name, own).found())
+    return tuple(result)
+
+
+def _common_factor(fit: Fit, name: str, own: Sequence[Parameter]) -> System:
+    """Normal equations of the share of an input that is missing, as some parameters have it."""
+    rows = [fit.names.index(p.name) for p in own]
+    mean = np.array([p.prior_mean for p in own], dtype=float)
+    prior = np.diag([float(p.prior_std or np.inf) ** 2 for p in own])
+    known = (prior - fit.covariance[np.ix_(rows, rows)]) / np.outer(mean, mean)
+    away = np.array([fit.values[p.name] for p in own]) / mean - 1.0
+    weights = np.linalg.pinv(known, hermitian=True).sum(axis=0)
+    one = Candidate("lost", (name,), "1", 1.0, RELATIVE)
+    return System.plain([one], weights.sum().reshape(1, 1), np.array([-weights @ away]))
+
+
+def _acts_through(trace: Trace, model: Model, parameter: str, name: str) -> bool:
+    """Whether a parameter changes no motion where one input is nothing, and some where it is."""
+    off = trace.values | {name: np.zeros(trace.times.size)}
+
+    def moves(values: Mapping[str, np.ndarray]) -> float:
+        slopes = (r.slope(values, trace.times, parameter) for r in _nominal(model))
+        return max(float(np.abs(one).max()) for one in slopes)
+
+    return moves(off) < RELATIVE * moves(trace.values)
 
 
 def between_runs(fit: Fit) -> tuple[Finding, ...]:

@@ -16,6 +16,7 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, overlap
 from oed_sysid.data.record import GAP
 from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Reading, Result
+from oed_sysid.evidence.jitter import Jitter
 from oed_sysid.evidence.relations import Relation
 from oed_sysid.evidence.result import (
     KINDS,
@@ -179,7 +180,7 @@ class Log:
         have, are = ("has", "is") if len(names) == 1 else ("have", "are")
         words = {key: " and ".join(each) for key, each in lists.items()} | {
             "have": have, "are": are, "meaning": one.meaning, "declared": unit,
-            "times": f"{1.0 / fix.value:.3g}", "factor": fix.value, "lag": fix.value,
+            "times": f"{1.0 / fix.value:.3g}", "factor": fix.value,
             "frames": self._frame(names),
             "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
         }  # fmt: skip
@@ -188,7 +189,7 @@ class Log:
             row, others = f"input {row}", (*others, NOMINAL)
         return said(
             fix.kind, names, self.records, words, row=row, gain=one.gain, alternatives=others,
-            correction=None if row in ("input swap", "input lag") else fix,
+            correction=None if row == "input swap" else fix,
         )  # fmt: skip
 
     def sized(self, one: Found) -> Finding:
@@ -381,6 +382,24 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
 
 # Over a gap of the times each equation predicts a change. If the signals change as if only one
 # usual step had passed, the clock was set and no time is missing.
+
+
+def jitter_finding(found: Jitter, dataset: Dataset) -> Iterator[Finding]:
+    """Times that scatter; suspect where they make more noise than a sensor does."""
+    if found.signals:
+        bounds = interval(found.size, found.std)
+        words = {"shown": amount(found.size, bounds, "s"), "share": f"{100.0 * found.share:.0f}"}
+        suspect = found.share > 0.5
+        yield said("jitter", found.signals, dataset.names, words, suspect=suspect,
+                   size=found.size, interval=bounds, unit="s")  # fmt: skip
+
+
+def jitter_rows(found: Jitter, names: Sequence[str]) -> list[Judged]:
+    """From which size on scattering times would show in each signal, or why they would not."""
+    why = "no other signal changes fast enough beside it"
+    seen = {n: _size(v, "s", ".1g") for n, v in found.visible.items()}
+    return [Judged("jitter", n, "tested" if n in seen else "not tested", seen.get(n, why))
+            for n in names]  # fmt: skip
 
 
 def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list[Finding]:
