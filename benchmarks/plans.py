@@ -1,14 +1,17 @@
 r"""What is promised of plans, beside what was measured: one table in docs/programme.md.
 
-    OMP_NUM_THREADS=1 python -m benchmarks.plans [sets flown starts] [--write]
+    OMP_NUM_THREADS=1 python -m benchmarks.plans [sets bias flown priors ...] [--write]
 
 *sets*: of vehicles with at most 17 free parameters, the set that can be estimated together against
 all :math:`2^n` sets, tried by code of this file, and the errors of its parameters, the others
-fixed, against central differences of simulated outputs. *flown*: a designed run that reacts is
-written as a ROS 2 node; the law in that file flies vehicles drawn from what is known, integrated by
-the NumPy equations of `benchmarks.missing_physics`, in forces of their own; the share that keeps
-the limits is put beside what was stated. *starts*: start values by Fourier regression of a ship's
-zigzags in swell (`benchmarks.random_forces`), with and without the band of the waves.
+fixed, against central differences of simulated outputs. *bias*: what fixing a parameter at a wrong
+value does to the estimate that suffers most, against fits of noise-free records. *flown*: a
+designed run that reacts is written as a ROS 2 node; the law in that file flies vehicles drawn from
+what is known, integrated by the NumPy equations of `benchmarks.missing_physics`, in forces of their
+own; the share that keeps the limits is put beside what was stated. *priors*: the same where priors
+believe in 8 % and 25 % is true. *gaps*: how far the weights of a programme may be from the best.
+*starts*: start values by Fourier regression of records in swell (`benchmarks.random_forces`).
+*watch*: processor time of a sample.
 
 The other lines are those of `benchmarks.realised` and `benchmarks.stopping`, as kept. ``--write``
 writes the table; without it the table is printed.
@@ -18,7 +21,9 @@ from __future__ import annotations
 
 import runpy
 import tempfile
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import partial
 from itertools import combinations
 from pathlib import Path
@@ -41,29 +46,31 @@ from benchmarks.harness import (
     write_page,
 )
 from benchmarks.missing_physics.simulator import Case, Truth, integrate
-from benchmarks.random_forces.scenarios import SCENARIOS, VEHICLES
+from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import simulate as data_sets
-from benchmarks.random_forces.trial import JONSWAP_WIDTH, dataset, nominal_model
+from benchmarks.random_forces.trial import dataset, nominal_model
 from benchmarks.ship_hours import LEAST, MOST, PITCH
-from oed_sysid import Experiment, Model, load_problem
-from oed_sysid.baselines.fourier import FourierRegression
+from oed_sysid import Dataset, Experiment, Model, MultipleShooting, load_problem
+from oed_sysid.baselines.fourier import FourierRegression, FourierStream
 from oed_sysid.design import (
+    Budget,
     Caution,
     Knowledge,
+    ProgrammeSearch,
     Search,
     Trial,
     ZigZags,
     assess_limits,
     design_experiment,
+    design_programme,
     played,
     write_controller,
 )
 from oed_sysid.design.vehicles import at_least, draw_models
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import identifiable_subset, information_of
 from oed_sysid.information.identifiability import ASSUMED, COLLINEARITY_LIMIT
 from oed_sysid.information.response import plays
-from oed_sysid.likelihood.noise_model import Sea
 from oed_sysid.likelihood.realisation import drawn_disturbances
 
 STORE = Store(RESULTS / "plans.jsonl")
@@ -80,7 +87,14 @@ SETS: tuple[tuple[str, str | None, str | None], ...] = (
     ("remus_6dof", None, None),
     ("remus_6dof", None, "slow"),
 )
-FLIGHTS, SETS_OF_SHIP = 200, 12
+FLIGHTS, SETS_IN_SWELL = 200, 12
+# How wrong a fixed parameter is, as a share of its value.
+WRONG = 0.1
+# Records in swell: vehicles whose sensors see every state of their equations.
+STARTS = ("ship_swell", "ship_designed", "remus_swell")
+# Shipped problems with experiments and limits or inputs that a programme can be made of.
+PROGRAMMES = ("remus_diving_plane", "online_ship", "torpedo", "catamaran")
+WATCHED = ("remus_diving_plane", "online_ship", "torpedo", "catamaran", "remus_6dof")
 
 
 # -- sets ------------------------------------------------------------------------------
@@ -170,6 +184,40 @@ def set_of(key: str, name: str, variant: str | None, run: str | None) -> Row:
     }  # fmt: skip
 
 
+# -- bias ------------------------------------------------------------------------------
+
+
+def bias_of(key: str, name: str, variant: str | None, run: str | None) -> Row:
+    """Biases that are stated if single parameters are fixed wrong, and those of fits."""
+    model, runs = described(name, variant, run)
+    values = {n: model.values[n] for n in model.free_names}
+    sizes = {n: abs(value) or model.parameter(n).magnitude for n, value in values.items()}
+    found = identifiable_subset(
+        information_of(model, runs, priors=None), values,
+        assumed={n: WRONG * size for n, size in sizes.items()},
+        largest_error=ASSUMED,
+    )  # fmt: skip
+    data = Dataset(tuple(simulate(model, one, noise=False) for one in runs))
+    stated, fitted = [], []
+    for place in found.places:
+        # What nobody would notice is not compared.
+        if not place.bias > 0.01:
+            continue
+        moved = []
+        for way in (1.0, -1.0):
+            wrong = model.with_values(
+                {place.name: values[place.name] + way * WRONG * sizes[place.name]}
+            )
+            others = [n for n in found.names if n != place.name]
+            reduced = wrong.fix(*(n for n in values if n not in others))
+            fit = MultipleShooting(disturbances="none").fit(reduced, data)
+            moved.append((fit.values[place.biased] - values[place.biased]) / sizes[place.biased])
+        stated.append(place.bias)
+        # The part that is odd in the error is what a first derivative states.
+        fitted.append(0.5 * abs(moved[0] - moved[1]))
+    return {"key": key, "stated": stated, "fitted": fitted}
+
+
 # -- flown -----------------------------------------------------------------------------
 
 
@@ -196,6 +244,37 @@ def flown(key: str, spread: float, forces: float, seed: int) -> Row:
         row[f"stated {name}"] = stated.n_kept
         row[f"flown {name}"] = int(np.sum(flights(model, one, vehicles, sea, rng)))
     return row
+
+
+def doubted(key: str, seed: int) -> Row:
+    """Limits stated by priors of 8 %, and kept on vehicles that are 25 % off."""
+    problem, rng = load_problem("remus_diving_plane"), np.random.default_rng(seed)
+    model = realised.believed()
+    believing = model
+    for one in model.free_parameters:
+        believing = believing.with_parameter(
+            replace(one, prior_mean=one.value, prior_std=0.08 * abs(one.value))
+        )
+    sea = realised.sea(model, 1.0)
+    pattern = problem.experiment("zigzag_10_10")
+    trial = Trial(
+        limits=problem.limits, duration=60.0, sample_time=0.1, constants=pattern.constants,
+        initial={**pattern.initial, "z": 25.0},
+    )  # fmt: skip
+    run = design_experiment(
+        believing, trial, rng=rng, search=Search(family=ZigZags()),
+        knowledge=Knowledge(noise=sea), caution=Caution(0.95, None, 80, FLIGHTS),
+    ).experiment  # fmt: skip
+    stated = assess_limits(
+        believing, run, rng=rng, limits=problem.limits, spread=None, vehicles=FLIGHTS, sea=sea
+    )
+    true = [
+        model.with_values({n: model.values[n] * (1.0 + 0.25 * rng.standard_normal())
+                           for n in model.free_names})
+        for _ in range(FLIGHTS)
+    ]  # fmt: skip
+    kept = int(np.sum(flights(model, run, true, sea, rng)))
+    return {"key": key, "run": run.name, "stated": stated.n_kept, "kept": kept}
 
 
 def flights(
@@ -231,20 +310,52 @@ def flights(
 # -- starts ----------------------------------------------------------------------------
 
 
-def start_of(key: str, number: int) -> Row:
+def start_of(key: str, scenario_name: str, number: int) -> Row:
     """Relative errors of start values, root mean square over the parameters of one data set."""
-    scenario = SCENARIOS["ship_swell"]
+    scenario = SCENARIOS[scenario_name]
     model = nominal_model(scenario.vehicle)
     (one,) = data_sets(scenario, 0, [number])
-    data = dataset(scenario, model, one.runs)
-    levels = dict(zip(VEHICLES[scenario.vehicle].forces, scenario.force, strict=True))
-    sea = Sea(period=scenario.swell, bandwidth=JONSWAP_WIDTH, levels=levels)
-    row: Row = {"key": key}
-    for name, bands in (("all", ()), ("without", (sea.band,))):
-        found = FourierRegression(without=bands).fit(model, data).values
-        shares = [found[n] / value - 1.0 for n, value in one.truth.items() if n in found]
-        row[name] = float(np.sqrt(np.mean(np.square(shares))))
-    return row
+    found = FourierRegression().fit(model, dataset(scenario, model, one.runs)).values
+    shares = [found[n] / value - 1.0 for n, value in one.truth.items() if n in found]
+    return {"key": key, "error": float(np.sqrt(np.mean(np.square(shares))))}
+
+
+# -- gaps and watching -----------------------------------------------------------------
+
+
+def gap_of(key: str, name: str) -> Row:
+    """The gap of a programme's weights, in units of its criterion."""
+    problem = load_problem(name)
+    patterns = list(problem.experiments.values())[:1]
+    found = design_programme(
+        problem.model, patterns, limits=problem.limits, rng=np.random.default_rng(1),
+        budget=Budget(hours=2.0, n_runs=4),
+        search=ProgrammeSearch(n_draws=2, n_vehicles=4, n_rounds=0),
+    )  # fmt: skip
+    return {"key": key, "gap": found.gap, "candidates": len(found.candidates)}
+
+
+def watched(key: str, name: str) -> Row:
+    """Processor time of a sample of a run, its share of what is said on the way included."""
+    problem = load_problem(name)
+    model, run = problem.model, next(iter(problem.experiments.values()))
+    record = simulate(model, run, rng=np.random.default_rng(0))
+    stream = FourierStream(model, duration=run.duration, period=run.sample_time)
+    signals = (*model.input_names, *model.output_names)
+    table = np.hstack([record.inputs, record.outputs]).tolist()
+    pushes, said = [], 0.0
+    # As often as `watch` says something; the first time compiles.
+    stride = max(len(record.times) // 20, 1)
+    for k, (now, row) in enumerate(zip(record.times.tolist(), table, strict=True)):
+        began = time.process_time()
+        stream.push(now, dict(zip(signals, row, strict=True)))
+        pushes.append(time.process_time() - began)
+        if k and k % stride == 0:
+            began = time.process_time()
+            stream.advice()
+            said += time.process_time() - began if k > stride else 0.0
+    n = len(pushes)
+    return {"key": key, "push": 1e3 * float(np.mean(pushes)), "all": 1e3 * (sum(pushes) + said) / n}
 
 
 # -- the table --------------------------------------------------------------------------
@@ -255,8 +366,19 @@ def cases() -> dict[str, dict[str, Callable[[], Row]]]:
     sets = {f"set {n} {v or ''} {r or 'all'}": partial(set_of, name=n, variant=v, run=r)
             for n, v, r in SETS}  # fmt: skip
     closed = {f"flown {s:g} off": partial(flown, spread=s, forces=1.0, seed=1) for s in (0.12, 0.2)}
-    starts = {f"start {i}": partial(start_of, number=i) for i in range(SETS_OF_SHIP)}
-    sections = {"sets": sets, "flown": closed, "starts": starts}
+    bias = {f"bias{key.removeprefix('set')}": partial(bias_of, **one.keywords)
+            for key, one in sets.items() if one.keywords["run"]}  # fmt: skip
+    priors = {f"priors seed {seed}": partial(doubted, seed=seed) for seed in (1, 2)}
+    gaps = {f"gap {name}": partial(gap_of, name=name) for name in PROGRAMMES}
+    starts = {
+        f"start {name} {i}": partial(start_of, scenario_name=name, number=i)
+        for name in STARTS for i in range(SETS_IN_SWELL)
+    }  # fmt: skip
+    watch = {f"watch {name}": partial(watched, name=name) for name in WATCHED}
+    sections = {
+        "sets": sets, "bias": bias, "flown": closed, "priors": priors, "gaps": gaps,
+        "starts": starts, "watch": watch,
+    }  # fmt: skip
     return {
         section: {key: partial(work, key) for key, work in own.items()}
         for section, own in sections.items()
@@ -292,14 +414,51 @@ def lines() -> list[tuple[str, str, str, str]]:
                     f"stated {stated / FLIGHTS:.1%} (at least {low:.1%}), flown "
                     f"{kept / FLIGHTS:.1%}",
                 ))  # fmt: skip
-    starts = [row for row in rows if row["key"].startswith("start ")]
-    if starts:
-        for name, words in (("all", "with"), ("without", "without")):
-            found.append((
-                f"start values in swell of 8 s, {words} the band of the waves", "`plans starts`",
-                f"{len(starts)} data sets", spread_of([row[name] for row in starts]),
-            ))  # fmt: skip
-    return [*found, *_realised(), *_stopped()]
+    return [*found, *_others(rows), *_realised(), *_stopped()]
+
+
+def _others(rows: Sequence[Row]) -> list[tuple[str, str, str, str]]:
+    """Lines of the sections that are one line each."""
+    found = []
+
+    def of(section: str) -> list[Row]:
+        return [row for row in rows if row["key"].startswith(f"{section} ")]
+
+    if bias := of("bias"):
+        ratio = np.concatenate([np.divide(row["stated"], row["fitted"]) for row in bias])
+        near = int(np.sum(np.abs(ratio - 1.0) <= 0.2))
+        found.append((
+            f"largest bias if one parameter is fixed {WRONG:.0%} off, stated over fitted",
+            "`plans bias`", f"{len(ratio)} parameters of {len(bias)} runs",
+            f"{near} within 20 %; {min(ratio):.2f} to {max(ratio):.2f}",
+        ))  # fmt: skip
+    for row in of("priors"):
+        low = at_least(row["stated"], FLIGHTS)
+        found.append((
+            "limits kept, believed 8 % off, 25 % off in truth", "`plans priors`",
+            f"{FLIGHTS} vehicles each, {row['key'].removeprefix('priors ')}",
+            f"stated {row['stated'] / FLIGHTS:.1%} (at least {low:.1%}), flown "
+            f"{row['kept'] / FLIGHTS:.1%}",
+        ))  # fmt: skip
+    if gaps := of("gap"):
+        found.append((
+            "gap of a programme's weights to their bound", "`plans gaps`",
+            f"{len(gaps)} vehicles", f"at most {max(row['gap'] for row in gaps):.1g}",
+        ))  # fmt: skip
+    kinds = grouped(of("start"), lambda row: SCENARIOS[row["key"].split()[1]].title)
+    for title, group in kinds.items():
+        found.append((
+            f"start values, {title}", "`plans starts`", f"{len(group)} data sets",
+            spread_of([row["error"] for row in group]),
+        ))  # fmt: skip
+    if watch := of("watch"):
+        found.append((
+            "processor time of a sample, alone and with advice every 5 % of a run",
+            "`plans watch`", f"{len(watch)} vehicles",
+            f"at most {max(row['push'] for row in watch):.1f} and "
+            f"{max(row['all'] for row in watch):.1f} ms",
+        ))  # fmt: skip
+    return found
 
 
 def _realised() -> list[tuple[str, str, str, str]]:

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import math
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from test_watch import lines, zigzag
 
 from benchmarks.truth import MASSES, TRUE, rates
 from oed_sysid import Experiment, Fit, Input, Model, Output, Parameter, State, load_problem
@@ -185,23 +183,3 @@ def test_the_direction_stands_on_the_card_and_in_the_levels(tmp_path: Path) -> N
     assert "begin with the swell from 30 deg to port of the bow" in card.read_text()
     assert main(["rank", "catamaran", "--sea", "swell=0.3m,8s,030deg", "--quiet"]) == 0
     assert main(["rank", "sailboat", "--sea", "swell=0.3m,8s,030deg", "--quiet"]) == BAD_INPUT
-
-
-def test_watching_leaves_the_band_of_the_swell_out(tmp_path: Path) -> None:
-    """The estimates are those with that band named by hand."""
-    log = tmp_path / "run.csv"
-    log.write_text("\n".join(lines(zigzag())) + "\n")
-    ship = load_problem("online_ship")
-    sea = "swell=2m,60s,090deg,draught=18"
-    band = sea_noise(ship.model, sea, ship.experiments.values()).seas[0].band
-    assert band[0] < 1 / 60 < band[1]
-    found = {}
-    for name, more in {
-        "sea": ["--sea", sea], "band": ["--waves", f"{band[0]}:{band[1]}"], "none": []
-    }.items():  # fmt: skip
-        told = tmp_path / f"{name}.json"
-        words = ["watch", "online_ship", "--source", str(log), "--silence", "0.1"]
-        assert main([*words, *more, "--json", str(told), "--quiet"]) == 0
-        found[name] = json.loads(told.read_text())["values"]
-    assert found["sea"] == found["band"]
-    assert found["sea"] != found["none"]

@@ -7,16 +7,28 @@ Rows of an equation of motion over the interval from :math:`t_k` to :math:`t_{k+
           X(\omega) = \sum_k h_k\, \Phi_k\, e^{-j \omega t_{k+1/2}},
 
 at frequencies of a band. The difference :math:`(x_{k+1} - x_k)/h_k` in a row is a rate within that
-band, so that nothing has to be differentiated: noise and waves outside of it do not count, and a
-band of waves within it is left out. Then
+band, so that nothing has to be differentiated. Two things keep the estimates unbiased in waves and
+noise, without anybody saying where these are:
 
-.. math:: \hat\theta = A^{-1} b, \quad A = \sum_i \frac{\Re(X_i^* X_i)}{\sigma_i^2}, \quad
-          b = \sum_i \frac{\Re(X_i^* Y_i)}{\sigma_i^2}, \quad
-          \mathrm{cov}\,\hat\theta = \max\left(1, \frac{T_0}{T}\right) A^{-1}
+- *Weights.* A frequency counts by one over the spectrum :math:`S(\omega)` of the error of its
+  equation, what is left of :math:`|Y - X\theta|^2` in a Daniell window of :math:`\sqrt n` of
+  :math:`n` frequencies (Brillinger 1981, chapter 5), estimated in turn with :math:`\theta`:
+  frequencies of waves, or those at which differences are noise, hardly count.
+- *Instruments.* Waves and noise are in the regressors, too, and bias least squares. What the
+  measured inputs make of the model at the present estimates, :math:`Z(\omega)`, the same sums of
+  the model's own run, holds neither (refined instrumental variables; Young 2011, chapter 7). The
+  rows are projected onto it:
 
-with the error :math:`\sigma_i^2` of each equation from what is left of it. Frequencies are
-multiples of :math:`1/T_0`; before :math:`T_0` has passed they are not independent. Memory and time
-per sample do not grow.
+.. math:: \hat\theta = (\tilde X^T P \tilde X)^{-1} \tilde X^T P\, \tilde y, \quad
+          P = \tilde Z (\tilde Z^T \tilde Z)^{-1} \tilde Z^T, \quad
+          \mathrm{cov}\,\hat\theta = \max\left(1, \frac{T_0}{T}\right)
+          (\tilde X^T P \tilde X)^{-1}
+
+with real and imaginary parts as rows, divided by :math:`\sqrt{S/2}`. The first estimates, and those
+of a model that diverges on these inputs, are those of :math:`P = 1`. Where a helmsman answers the
+waves, inputs hold some of them, and a bias of that size stays. Frequencies are multiples of
+:math:`1/T_0`; before :math:`T_0` has passed they are not independent. Memory does not grow beyond
+:math:`T_0`, and neither does time per sample.
 
 The coherence of a response with an input is that of their differences from sample to sample,
 summed over neighbouring frequencies,
@@ -26,13 +38,15 @@ summed over neighbouring frequencies,
 References
 ----------
 E. A. Morelli, Real-time parameter estimation in the frequency domain, AIAA 99-4043 (1999);
-*Journal of Guidance, Control, and Dynamics* 23 (2000) 812-818.
+*Journal of Guidance, Control, and Dynamics* 23 (2000) 812-818. P. C. Young, *Recursive estimation
+and time-series analysis*, 2nd ed., Springer (2011). D. R. Brillinger, *Time series: data analysis
+and theory* (1981).
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -44,10 +58,19 @@ from oed_sysid.baselines.equations import (
     states_of,
 )
 from oed_sysid.baselines.online import EquationStream, Stream
-from oed_sysid.baselines.regression import Baseline, Regression, solve_rows
-from oed_sysid.data.dataset import Dataset
+from oed_sysid.baselines.regression import (
+    Baseline,
+    Regression,
+    bounded_least_squares,
+    column_norms,
+    prior_rows,
+)
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.record import MINIMUM_SAMPLES
 from oed_sysid.errors import DataError, ModelError
-from oed_sysid.likelihood.start_guess import check_channels
+from oed_sysid.likelihood.information import Information
+from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
@@ -60,6 +83,8 @@ from oed_sysid.runtime.display import (
     share,
 )
 
+# Passes with instruments, at most: the second has those of consistent estimates.
+PASSES = 2
 # Neighbouring frequencies of one value of the coherence; its bias is one over them.
 NEIGHBOURS = 5
 
@@ -71,15 +96,15 @@ class FourierRegression(Baseline):
     """Equation error in a band of frequencies.
 
     Linear in the free parameters, every state of the equations measured. It needs no start values
-    and gives good ones: waves beyond the band of the motion do not reach it.
+    and gives good ones, also in waves.
 
     Parameters
     ----------
     band : (float, float) or None
-        Lowest and highest frequency, Hz. By default from the inverse of the record's length to
-        twice the fastest motion of the nominal model; zero is in it where a parameter is constant.
+        Lowest and highest frequency, Hz. By default from the inverse of the record's length to a
+        fifth of the sampling rate; zero is in it where a parameter is constant.
     without : sequence of (float, float)
-        Bands left out, Hz, such as that of the waves.
+        Bands left out, Hz, such as that of an engine.
 
     Examples
     --------
@@ -103,19 +128,153 @@ class FourierRegression(Baseline):
 
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
-        form, runs, count = regression_form(model), [], 0
+        form, runs = regression_form(model), []
         for record in dataset:
             length = float(record.times[-1] - record.times[0])
             period = float(np.median(np.diff(record.times)))
             frequencies = frequencies_of(form, length, period, self.band, self.without)
-            states = states_of(form, record.outputs)
-            rows = rows_from(form, record.times, states, record.inputs, "trapezoid")
+            rows = rows_from(
+                form, record.times, states_of(form, record.outputs), record.inputs, "trapezoid"
+            )
             sums = summed(frequencies, record.times - record.times[0], *rows)
-            runs.append(real_rows(frequencies, *sums))
-            count += len(frequencies)
-        # Fourier sums at multiples of 1 / length are independent, whatever colour the noise has.
-        found = solve_rows(form, *zip(*runs, strict=True), coloured="never")
-        return replace(found, facts={"n_frequencies": count})
+            runs.append(Sums(record, frequencies, *sums, length))
+        return solved(form, runs)
+
+
+@dataclass(frozen=True, eq=False)
+class Sums:
+    """Rows of one run at its frequencies.
+
+    Attributes
+    ----------
+    record : Record
+        Inputs for instruments, and outputs for where these begin.
+    frequencies : ndarray (n_frequencies,)
+        Hz.
+    targets : ndarray of complex (n_frequencies, n_equations)
+    regressors : ndarray of complex (n_frequencies, n_equations, n_free)
+    length : float
+        Of what has been summed, s.
+    share : float
+        Of the run that is over: of a part of it sums at its frequencies depend on each other.
+    """
+
+    record: Record
+    frequencies: np.ndarray
+    targets: np.ndarray
+    regressors: np.ndarray
+    length: float
+    share: float = 1.0
+
+    def instruments(self, form: RegressionForm, values: np.ndarray) -> np.ndarray | None:
+        """Regressors of the model's own run at some values; None where it diverges."""
+        model = form.model.with_values(dict(zip(form.names, map(float, values), strict=True)))
+        begin = first_state(model, self.record, None)
+        times, inputs = self.record.times, self.record.inputs
+        run = kernel(model).simulate(times, inputs, model.value_vector, begin)
+        if not run.ok:
+            return None
+        rows = rows_from(form, times, run.states, inputs, "trapezoid")
+        return summed(self.frequencies, times - times[0], *rows)[1]
+
+
+def solved(form: RegressionForm, runs: Sequence[Sums]) -> Regression:
+    """Estimates from the sums of all runs: least squares, then with instruments.
+
+    Priors enter as observations; bounds are kept.
+
+    Parameters
+    ----------
+    form : RegressionForm
+        Equations and names.
+    runs : sequence of Sums
+    """
+    found, told = _weighted(form, runs, [run.regressors for run in runs]), -np.inf
+    for _ in range(PASSES):
+        instruments = [run.instruments(form, found.estimates) for run in runs]
+        if any(one is None or not np.isfinite(one).all() for one in instruments):
+            break
+        other = _weighted(form, runs, [one for one in instruments if one is not None])
+        # All are consistent; the best instruments are those that leave most information.
+        before, told = told, _size(other.information)
+        if not told > before:
+            break
+        found = other
+    return found
+
+
+def _size(information: Information | None) -> float:
+    """Logarithm of the determinant of an information, in units of the parameters' sizes."""
+    assert information is not None
+    matrix = information.matrix * np.outer(information.scales, information.scales)
+    return float(np.linalg.slogdet(matrix)[1])
+
+
+def _weighted(
+    form: RegressionForm, runs: Sequence[Sums], instruments: Sequence[np.ndarray]
+) -> Regression:
+    """Estimates with some instruments, weights and estimates in turn until both settle."""
+    model, n_free = form.model, len(form.names)
+    frequencies = np.concatenate([run.frequencies for run in runs])
+    order = np.argsort(frequencies, kind="stable")
+    frequencies = frequencies[order]
+    # Sums of a stationary error grow with the root of the length of a run.
+    sizes = [1.0 / np.sqrt(max(run.length, np.finfo(float).tiny)) for run in runs]
+
+    def joined(parts: Iterable[np.ndarray]) -> np.ndarray:
+        return np.concatenate([p * size for p, size in zip(parts, sizes, strict=True)])[order]
+
+    targets = joined(run.targets for run in runs)
+    regressors = joined(run.regressors for run in runs)
+    instrument = joined(instruments)
+    shares = np.concatenate([np.full(len(run.frequencies), run.share) for run in runs])[order]
+    # Real and imaginary part carry half of |e|^2 each; at zero there is a real part only.
+    parts = np.where(frequencies > 0, 2.0, 1.0)
+    numbers = float(parts @ shares)
+    lost = numbers / max(numbers - n_free / len(form.equations), 1.0)
+    known, known_targets = prior_rows(model)
+    # The first weights are sizes of the targets, as if the parameters were zero.
+    level = np.mean(np.abs(targets) ** 2, axis=0)
+    floor = 1e-20 * np.where(level > 0, level, 1.0)  # below it errors are rounding
+    spectrum = np.maximum(np.broadcast_to(level, targets.shape), floor)
+    for _ in range(20):
+        weights = np.sqrt((parts * shares)[:, None] / spectrum)
+        right = _real_rows(frequencies, targets * weights).reshape(-1, 1)
+        rows = _real_rows(frequencies, regressors * weights[:, :, None]).reshape(-1, n_free)
+        other = _real_rows(frequencies, instrument * weights[:, :, None]).reshape(-1, n_free)
+        told = _root(other) @ (other.T @ np.hstack([rows, right]))
+        matrix = np.vstack([told[:, :-1], known])
+        estimates = bounded_least_squares(
+            matrix, np.concatenate([told[:, -1], known_targets]), model
+        )
+        errors = np.abs(targets - regressors @ estimates) ** 2
+        before, spectrum = spectrum, np.maximum(lost * _smoothed(errors), floor)
+        if np.abs(np.log(spectrum / before)).max() < 1e-3:  # of weights, far below their errors
+            break
+    scales = np.array([p.magnitude for p in model.free_parameters])
+    information = Information.from_jacobian(form.names, matrix, scales)
+    return Regression(
+        estimates, information.covariance, information,
+        facts={"n_frequencies": len(frequencies)},
+    )  # fmt: skip
+
+
+def _root(rows: np.ndarray) -> np.ndarray:
+    """``A`` with ``A.T @ A`` the pseudo-inverse of ``rows.T @ rows``; ``A @ rows.T`` projects."""
+    scale = 1.0 / column_norms(rows)
+    values, vectors = np.linalg.eigh((rows.T @ rows) * np.outer(scale, scale))
+    kept = values > 1e-12 * max(values[-1], 1e-300)
+    return (vectors[:, kept] / np.sqrt(values[kept])).T * scale
+
+
+def _smoothed(power: np.ndarray) -> np.ndarray:
+    """Means over the nearest rows, as many as the root of all, shorter at the ends."""
+    n = len(power)
+    half = max(int(np.sqrt(n)) // 2, 1)
+    total = np.vstack([np.zeros(power.shape[1]), np.cumsum(power, axis=0)])
+    low = np.maximum(np.arange(n) - half, 0)
+    high = np.minimum(np.arange(n) + half + 1, n)
+    return (total[high] - total[low]) / (high - low)[:, None]
 
 
 def frequencies_of(
@@ -138,7 +297,7 @@ def frequencies_of(
         If fewer frequencies are left than there are parameters of one equation.
     """
     highest = 0.2 / period  # above it a difference is no rate any more
-    low, high = band or (0.0 if _is_constant(form) else 0.5 / length, _fastest(form, highest))
+    low, high = band or (0.0 if _is_constant(form) else 0.5 / length, highest)
     # Only multiples of one over the length are independent of each other.
     multiples = np.arange(int(min(high, highest) * length) + 1) / length
     kept = multiples[multiples >= low - 1e-12]
@@ -157,32 +316,6 @@ def _is_constant(form: RegressionForm) -> bool:
     """Whether a parameter stands in an equation without a signal, as an offset does."""
     first, second = form.anywhere(2)
     return bool(((first == second) & (first != 0)).any())
-
-
-def _fastest(form: RegressionForm, highest: float) -> float:
-    """Highest frequency of the default band, Hz: twice the fastest motion of the nominal model.
-
-    Eigenvalues at rest and at the scales of the states; of unmoving models the whole band.
-    """
-    graph, model = form.graph, form.model
-    rows = [graph.state_names.index(name) for name in form.needed]
-    scales = np.array([state.scale for state in model.states])
-    size = len(graph.state_names)
-    poles = [0.0]
-    for size_of_motion in (0.0, 1.0):
-        x = np.zeros(size)
-        x[: len(scales)] = size_of_motion * scales
-        jacobian = np.array(
-            graph.rates.jacobian()(
-                x, np.zeros(graph.actuate.size1_out(0)), model.value_vector, 0.0, np.zeros(size)
-            )[0]
-        )
-        block = jacobian[np.ix_(rows, rows)]
-        if np.isfinite(block).all() and len(rows):
-            poles.append(float(np.abs(np.linalg.eigvals(block)).max()))
-    # From rad/s to Hz, and an octave of room.
-    found = 2.0 * max(poles) / (2 * np.pi)
-    return min(found, highest) if found > 0 else highest
 
 
 def summed(
@@ -213,15 +346,12 @@ def summed(
     return turned @ left, np.tensordot(turned, right, axes=1)
 
 
-def real_rows(
-    frequencies: np.ndarray, *sums: np.ndarray, factor: float = 1.0
-) -> tuple[np.ndarray, ...]:
-    r"""Real and imaginary parts as rows, each counting by a factor, one if independent.
+def _real_rows(frequencies: np.ndarray, sums: np.ndarray) -> np.ndarray:
+    r"""Real and imaginary parts as rows; at zero there is no imaginary part.
 
-    :math:`\Re(X^* X) = \Re X^T \Re X + \Im X^T \Im X`; at zero there is no imaginary part.
+    :math:`\Re(X^* X) = \Re X^T \Re X + \Im X^T \Im X`.
     """
-    moving = frequencies > 0
-    return tuple(np.sqrt(factor) * np.concatenate([part.real, part.imag[moving]]) for part in sums)
+    return np.concatenate([sums.real, sums.imag[frequencies > 0]])
 
 
 @dataclass(eq=False)
@@ -270,7 +400,7 @@ class FourierStream(Stream):
         self.frequencies = frequencies_of(
             self._stream.form, self.duration, self.period, self.band, self.without
         )
-        self._before: list[tuple[np.ndarray, ...]] = []
+        self._before: list[Sums] = []
         self._start = 0.0
         self._begin()
 
@@ -281,6 +411,8 @@ class FourierStream(Stream):
         n_signals = len(self.model.input_names) + len(self.model.output_names)
         self._signals = np.zeros((n, n_signals), complex)
         self._solved: tuple[np.ndarray, np.ndarray] | None = None
+        # For instruments; no more than what a run of the expected length has.
+        self._samples: list[tuple[float, np.ndarray, np.ndarray]] = []
         self.length = 0.0  # of what has been summed, s
         self._stream.start()
 
@@ -316,25 +448,28 @@ class FourierStream(Stream):
             self.length += time - before
         if len(self._stream.samples) == 1:
             self._start = time
+        if time - self._start <= self.duration + 0.5 * self.period:
+            self._samples.append(self._stream.samples[-1])
         self._solved = None
 
-    def _runs(self) -> list[tuple[np.ndarray, ...]]:
-        """Rows of all runs; those of one that goes on count by how much of it is over."""
-        # Frequencies are those of the whole run: of a part of it their sums depend on each other.
-        factor = min(1.0, self.length / self.duration)
-        return [*self._before, real_rows(self.frequencies, *self._sums, factor=factor)]
+    def _runs(self) -> list[Sums]:
+        """Sums of all runs."""
+        if len(self._samples) < MINIMUM_SAMPLES:
+            return self._before
+        times, inputs, outputs = (np.array(part) for part in zip(*self._samples, strict=True))
+        record = Record("run", times, inputs, outputs, self.model.channels)
+        share = min(1.0, self.length / self.duration)
+        return [*self._before, Sums(record, self.frequencies, *self._sums, self.length, share)]
 
     def estimate(self) -> tuple[np.ndarray, np.ndarray]:
         """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
         if self._solved is None:
-            # Rows that count less are fewer, too.
-            targets, regressors = zip(*self._runs(), strict=True)
-            *whole, part = map(len, targets)
-            count = sum(whole) + min(1.0, self.length / self.duration) * part
-            found = solve_rows(
-                self._stream.form, targets, regressors, coloured="never", count=count
-            )
-            self._solved = found.estimates, found.covariance
+            if runs := self._runs():
+                found = solved(self._stream.form, runs)
+                self._solved = found.estimates, found.covariance
+            else:
+                known = np.array([p.value for p in self.model.free_parameters])
+                self._solved = known, np.diag(np.full(len(known), np.inf))
         return self._solved
 
     @property

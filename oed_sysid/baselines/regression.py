@@ -295,7 +295,6 @@ def solve_rows(
     runs_regressors: Sequence[np.ndarray],
     *,
     coloured: str = "auto",
-    count: float | None = None,
 ) -> Regression:
     """Solve all equations together, each weighted by the spread of its own errors.
 
@@ -312,8 +311,6 @@ def solve_rows(
     coloured : str
         Whether errors that are correlated in time widen the covariance: ``"auto"``, ``"always"``
         or ``"never"``.
-    count : float, optional
-        Independent numbers behind each equation; by default its rows.
     """
     model, n_free, n_equations = form.model, len(form.names), len(form.equations)
     targets, regressors = np.vstack(runs_targets), np.vstack(runs_regressors)
@@ -325,8 +322,7 @@ def solve_rows(
     spread = root_mean_square(np.where(valid, targets, np.nan))
     levels = np.where(spread > 0, spread, 1.0)
     floor = 1e-10 * levels  # below it errors of an equation are rounding
-    numbers = valid.sum(axis=0) if count is None else count
-    freedom = np.maximum(numbers - n_free / n_equations, 1.0)
+    freedom = np.maximum(valid.sum(axis=0) - n_free / n_equations, 1.0)
     known, known_targets = prior_rows(model)
 
     def whitened(levels: np.ndarray) -> np.ndarray:

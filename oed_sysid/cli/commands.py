@@ -325,29 +325,23 @@ def watch(
     places: list[str] | None = None,
     silence: float = 10.0,
     model: str | None = None,
-    sea: str | None = None,
     html_file: Path | None = None,
 ) -> None:
     """Estimate while the run goes on: what is known by now, and whether to go on.
 
-    Fourier regression of every equation of motion, in a band of frequencies. The page is written
-    anew with every line that is printed and loads itself again. What is known at the end are start
-    values of a fit.
+    Fourier regression of every equation of motion; frequencies of waves hardly count. The page is
+    written anew with every line that is printed and loads itself again. What is known at the end
+    are start values of a fit.
 
     [bold]Example[/bold]: oed-sysid watch remus_diving_plane --source dive_1.csv --silence 0.5
     """
     from oed_sysid.data.live import Place, samples
 
     study = Study.named(problem, model)
-    left_out = [band_of("--waves", waves)] if waves else []
-    with progress("Reading the sea") as show:
-        expected = Weather(sea=sea).noise(study.problem, study.problem.model, show)
-    for one in () if expected is None else expected.seas:
-        left_out.append(one.band)
-        note(f"Left out for waves: {one.band[0]:.3g} to {one.band[1]:.3g} Hz.")
     stream = _stream(
         study.problem, duration, period,
-        band=band_of("--band", band) if band else None, without=tuple(left_out),
+        band=band_of("--band", band) if band else None,
+        without=(band_of("--waves", waves),) if waves else (),
     )  # fmt: skip
     pairs = (text.partition("=") for text in places or ())
     found = {name: Place.of(place) for name, _, place in pairs}

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from itertools import combinations
+from math import sqrt
 
 import numpy as np
 
@@ -394,6 +395,12 @@ _RUNS = {
 
 def _reason(place: Place, motions: Mapping[str, np.ndarray]) -> str:
     """Which parameters share a direction, and why, as a naval architect says it."""
+    # Its error if all others were known: what they imitate is taken out.
+    if place.error * sqrt(max(1.0 - place.imitated, 0.0)) > place.assumed:
+        return (
+            f"These runs hardly depend on {place.name}: free, its error is {share(place.error)}, "
+            f"where {share(place.assumed)} is taken for known. Runs that excite it more would tell."
+        )
     partners = ", ".join(name for name, _ in place.partners)
     looks = " and ".join(f"{name} {change:+.1%}" for name, change in place.partners)
     text = (

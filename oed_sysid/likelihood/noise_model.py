@@ -24,7 +24,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FOURTH, Disturbed, rates
+from oed_sysid.compiled.filtering import FOURTH, Disturbed
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.disturbances import DISTURBANCE
 
@@ -116,24 +116,6 @@ class Sea:
     def acts(self) -> bool:
         """Whether any level is above zero."""
         return bool(np.any(self.level > 0))
-
-    @property
-    def band(self) -> tuple[float, float]:
-        """Frequencies at which its power is above a tenth of that at the peak, Hz.
-
-        Examples
-        --------
-        >>> [round(f, 3) for f in Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3}).band]
-        [0.098, 0.199]
-        """
-        found = rates(SHAPES[self.shape or "jonswap"], 0.5 * (self.bandwidth or 0.0))
-        f = np.geomspace(0.1, 10.0, 2000)
-        unit = np.eye(len(found))
-        answer = np.linalg.inv(1j * f[:, None, None] * unit - found)[:, 0]
-        power = np.einsum("fi,ij,fj->f", answer, -(found + found.T), answer.conj()).real
-        inside = f[power > 0.1 * power.max()]
-        period = float(self.period or np.nan)
-        return float(inside[0] / period), float(inside[-1] / period)
 
     def with_levels(self, level: np.ndarray) -> Sea:
         """Return the same sea with other levels in its places."""
