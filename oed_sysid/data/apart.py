@@ -14,6 +14,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +30,9 @@ MEMORY, MEMORY_PER_BYTE = 4 * 1024**3, 30
 PATIENCE = 6.0
 # Numbers of one log, 8 bytes each.
 MOST_NUMBERS = 2**28
+
+# What a log says in words.
+_WORDS = ("kind", "origin", "notes", "clock", "clock_unit")
 
 _CHILD = "import json, sys; sys.path[:] = json.loads(sys.argv[1]); from oed_sysid.data import "
 _CHILD += "formats; formats.serve(sys.argv[2], sys.argv[3])"
@@ -146,7 +150,8 @@ def _save(log: Log, target: Path) -> None:
         clock = places.setdefault(id(one.times), f"t{index}")
         arrays |= {clock: one.times, f"v{index}": one.values}
         rows.append((one.name, clock, one.unit, one.derived))
-    words = json.dumps({"kind": log.kind, "origin": log.origin, "notes": log.notes, "rows": rows})
+    told = {one.name: getattr(log, one.name) for one in fields(Log) if one.name in _WORDS}
+    words = json.dumps({**told, "rows": rows})
     np.savez(target, words=np.array(words), **arrays)  # type: ignore[arg-type]
 
 
@@ -159,4 +164,5 @@ def _loaded(place: Path, target: Path) -> Log:
             Series(name, clocks[clock], arrays[f"v{index}"], unit, derived)
             for index, (name, clock, unit, derived) in enumerate(words["rows"])
         )
-    return Log(place, words["kind"], series, words["origin"], tuple(words["notes"]))
+    told = {name: words[name] for name in _WORDS}
+    return Log(place, series=series, **told | {"notes": tuple(told["notes"])})

@@ -165,7 +165,7 @@ class Columns:
     def _check_count(self, index: int, times: np.ndarray) -> None:
         """Refuse numbers under seconds that are digits of a clock, days, or count from 1970."""
         first, where = self.table.values[0, index], self._where(index)
-        if _clock_of_digits(self.table.values[:, index]):
+        if clock_of_digits(self.table.values[:, index]):
             raise DataError(
                 f"{where} starts at {first:.14g} and goes on like a date or a clock in digits, not "
                 "like seconds. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z."
@@ -444,7 +444,7 @@ def _places(texts: Sequence[str], text: str) -> list[int]:
     return [index for index, one in enumerate(texts) if one == text]
 
 
-def _clock_of_digits(times: np.ndarray) -> bool:
+def clock_of_digits(times: np.ndarray) -> bool:
     """Whether numbers are a date or a clock in digits: 115959 is followed by 120000.
 
     Read as digits, with or without a date before them, they step evenly across a full minute

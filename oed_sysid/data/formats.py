@@ -2,7 +2,7 @@
 
 Read here are tables with a header (CSV, Excel with openpyxl, Parquet with pyarrow, objects of
 pandas and xarray), PX4 logs (ULog, with pyulog), ArduPilot DataFlash logs (.bin, with pymavlink)
-and MATLAB files (.mat up to version 7, with SciPy).
+and MATLAB files (.mat with SciPy, of version 7.3 with h5py).
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import contextlib
 import io
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import replace
 from datetime import datetime
 from importlib.util import find_spec
 from itertools import zip_longest
@@ -21,9 +22,9 @@ import numpy as np
 
 from oed_sysid.data import apart
 from oed_sysid.data.apart import guarded, read_apart
-from oed_sysid.data.csv_columns import EPOCH
+from oed_sysid.data.csv_columns import DAYS, EPOCH, clock_of_digits
 from oed_sysid.data.frames import columns_of, is_time, plain
-from oed_sysid.data.log import TABLE, Log, Rows, assemble, topics_of, until_torn
+from oed_sysid.data.log import TABLE, Log, Rows, assemble, meaning, topics_of, until_torn
 from oed_sysid.data.nmea import read_nmea
 from oed_sysid.data.ros import read_bag, read_mcap
 from oed_sysid.errors import DataError, library
@@ -42,7 +43,9 @@ def read_csv_log(path: Path) -> Log:
         for i, header in enumerate(table.headers)
         if i not in table.faults
     }
-    return _log(path, "CSV file", {path.stem: columns})
+    stamps = [table.headers[i] for i in table.stamps]
+    clock = next(filter(is_time, columns), next(iter(stamps), None))
+    return _log(path, "CSV file", {path.stem: columns}, clock, stamps)
 
 
 def read_excel(path: Path) -> Log:
@@ -88,7 +91,13 @@ def read_parquet(path: Path) -> Log:
     parquet = library("pyarrow.parquet", "Reading a Parquet file")
     table = parquet.read_table(path)
     columns = {name: plain(table[name].to_numpy()) for name in table.column_names}
-    return _log(path, "Parquet file", {path.stem: columns})
+    dates = [f.name for f in table.schema if str(f.type).startswith(("timestamp", "duration"))]
+    # The index of a frame, dates first: pandas names it in the file, or not at all.
+    index = [one for one in (table.schema.pandas_metadata or {}).get("index_columns", [])
+             if isinstance(one, str)]  # fmt: skip
+    called = next(filter(is_time, columns), None)
+    clock = called or next(iter([*(set(index) & set(dates)), *dates, *index]), None)
+    return _log(path, "Parquet file", {path.stem: columns}, clock, dates)
 
 
 def log_of(table: Any, *, name: str = "table") -> Log:
@@ -112,29 +121,93 @@ def log_of(table: Any, *, name: str = "table") -> Log:
     return _log(Path(name), type(table).__name__, {name: columns_of(table)})
 
 
-def _log(path: Path, kind: str, tables: Mapping[str, Mapping[str, np.ndarray]]) -> Log:
-    timed = {topic: _timed(columns) for topic, columns in tables.items()}
+def _log(
+    path: Path,
+    kind: str,
+    tables: Mapping[str, Mapping[str, np.ndarray]],
+    header: str | None = None,
+    in_seconds: Container[str] = (),
+) -> Log:
+    """Log of tables, whose clock is the column of a header, or the one that looks so."""
+    timed = {topic: timed_by(columns, header, in_seconds) for topic, columns in tables.items()}
     topics = {topic: found for topic, found in timed.items() if found is not None}
     if not topics:
         found = ", ".join(repr(h) for columns in tables.values() for h in list(columns)[:6])
         raise DataError(
-            f"{path.name} has no column with times. Call it 't [s]' or 'time [s]'; found were "
-            f"{found or 'no columns'}."
+            f"{path.name} has no column with times: none is called 't [s]' or 'time [s]', and none "
+            f"grows from row to row. Found were {found or 'no columns'}."
         )
-    first = min(float(np.nanmin(times)) for times, _ in topics.values())
+    clock = next(iter(topics.values()))
+    first = min(float(np.nanmin(one.times)) for one in topics.values())
     is_moment = EPOCH[0] < first < EPOCH[1]
     moment = datetime.fromtimestamp(first).astimezone().isoformat() if is_moment else None
-    return assemble(path, kind, topics, origin=moment)
+    read = {topic: (one.times, one.fields) for topic, one in topics.items()}
+    notes = [] if is_time(clock.header) else [f"Times are those of {clock.header!r}."]
+    made = assemble(path, kind, read, origin=moment, notes=notes)
+    return replace(made, clock=clock.header, clock_unit=clock.unit)
 
 
-def _timed(columns: Mapping[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]] | None:
-    """Times ``(n,)`` in s and the other columns of numbers; None without two times and a number."""
+class _Timed(NamedTuple):
+    """Times ``(n,)`` in s, the other columns, the header of the clock, and its unit if told."""
+
+    times: np.ndarray
+    fields: dict[str, np.ndarray]
+    header: str
+    unit: str | None
+
+
+def timed_by(
+    columns: Mapping[str, np.ndarray], header: str | None = None, in_seconds: Container[str] = ()
+) -> _Timed | None:
+    """Find the clock of a table and its unit; None without two times and a number.
+
+    A clock is called so, or it is the one column that grows in even steps. Its unit stands in its
+    header or follows from counting since 1970, or since 1900 in days; else seconds are taken until
+    the motion says otherwise (:mod:`~oed_sysid.data.recognise`).
+    """
     fields = {name: values for name, values in columns.items() if values.dtype.kind == "f"}
-    clock = next(filter(is_time, fields), None)
-    if clock is None:
+    header = header or clock_of(fields)
+    if header is None:
         return None
-    times = to_si(fields.pop(clock), parse_header(clock)[1] or "s")[0]
-    return (times, fields) if np.isfinite(times).sum() > 1 and fields else None
+    counts = fields.pop(header)
+    unit = parse_header(header)[1]
+    unit = unit if unit and is_unit(unit) else "s" if header in in_seconds else _counted(counts)
+    if unit == "clock":
+        hours, rest = np.divmod(np.mod(counts, 1e6), 1e4)
+        minutes, seconds = np.divmod(rest, 100.0)
+        times, unit = 3600.0 * hours + 60.0 * minutes + seconds, "s"
+    else:
+        times = to_si(counts, unit or "s")[0]
+    return _Timed(times, fields, header, unit) if np.isfinite(times).sum() > 1 and fields else None
+
+
+def clock_of(fields: Mapping[str, np.ndarray]) -> str | None:
+    """The column of times: called so, or growing evenly from row to row."""
+    if (named := next(filter(is_time, fields), None)) is not None:
+        return named
+    rows: list[tuple[float, str]] = []
+    for name, values in fields.items():
+        steps = np.diff(values[np.isfinite(values)])
+        if steps.size < 2 or np.any(steps <= 0.0):
+            continue
+        uneven = float(np.quantile(np.abs(steps / np.median(steps) - 1.0), 0.9))
+        counts = bool(np.all(steps == 1.0)) and values[0] in (0.0, 1.0)  # numbers of rows
+        rows.append((-uneven - counts + 2.0 * (meaning(name)[0] == "t"), name))
+    return max(rows)[1] if rows else None
+
+
+def _counted(counts: np.ndarray) -> str | None:
+    """Unit of a clock by where it begins; None where that does not tell."""
+    good = counts[np.isfinite(counts)]
+    if good.size < 2:
+        return None
+    for unit in ("s", "ms", "us", "ns"):
+        if EPOCH[0] < good[0] * float(to_si(1.0, unit)[0]) < EPOCH[1]:
+            return unit
+    step = float(np.median(np.diff(good)))
+    if any(low < good[0] < high and 0.0 < step < 0.01 for low, high, _ in DAYS):
+        return "day"
+    return "clock" if clock_of_digits(good) else None
 
 
 def _numeric(values: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -305,33 +378,49 @@ def read_matlab(path: Path) -> Log:
     Raises
     ------
     DataError
-        If it is of version 7.3, damaged, or without a time vector.
+        If it is damaged or without a time vector, or h5py is missing for one of version 7.3.
     """
     from scipy.io import loadmat
 
-    try:
+    if b"7.3" in read_bytes(path, 128) or read_bytes(path, 4) == b"\x89HDF":
+        content = dict(_hdf(path))
+    else:
         content = loadmat(str(path), simplify_cells=True)
-    except NotImplementedError:
-        raise DataError(
-            f"{path.name} is a MATLAB file of version 7.3. Write it again with  save('{path.name}'"
-            ", '-v7')  in MATLAB."
-        ) from None
     variables = {name: value for name, value in content.items() if not name.startswith("__")}
     topics = dict(_topics(path.stem, variables))
     if not topics:
         raise DataError(
-            f"{path.name} has no vector called t or time beside its signals: "
+            f"{path.name} has no vector of times beside its signals: "
             f"{', '.join(list(variables)[:8]) or 'it is empty'}. Timeseries objects: write "
             "s.time = ts.Time; s.y = ts.Data; save(..., 's', '-v7')."
         )
     return assemble(path, "MATLAB file", topics)
 
 
+def _hdf(path: Path) -> Iterator[tuple[str, Any]]:
+    """Variables of a MATLAB file of version 7.3, which is HDF5: matrices lie transposed there."""
+    h5py = library("h5py", "Reading a MATLAB file of version 7.3")
+
+    def value(item: Any) -> Any:
+        if isinstance(item, h5py.Group):
+            return {name: value(one) for name, one in item.items()}
+        kind = item.attrs.get("MATLAB_class", b"")
+        plain_kind = item.dtype.kind in "fiub" and kind not in (b"char", b"cell")
+        empty = "MATLAB_empty" in item.attrs
+        return np.squeeze(item[()].T) if plain_kind and not empty else None
+
+    with h5py.File(path, "r") as file:
+        yield from ((name, value(item)) for name, item in file.items() if name[:1] != "#")
+
+
 def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Structures with a time, at any depth."""
     vectors = _numeric({k: one for k, one in content.items() if isinstance(one, np.ndarray)})
-    clock = next((vectors[key] for key in vectors if key.lower() in _TIMES), np.empty(0))
-    fields = dict(_fields(vectors | dict(_simulink(content)), clock.size))
+    series = {key: one for key, one in vectors.items() if one.ndim == 1 and one.size > 1}
+    called = next((key for key in vectors if key.lower() in _TIMES), None) or clock_of(series)
+    clock = vectors[called] if called else np.empty(0)
+    beside = {key: one for key, one in vectors.items() if key != called}
+    fields = dict(_fields(beside | dict(_simulink(content)), clock.size))
     if clock.ndim == 1 and clock.size > 1 and fields:
         yield name, (clock, fields)
     for key, value in content.items():

@@ -33,8 +33,10 @@ from __future__ import annotations
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -44,7 +46,7 @@ import numpy as np
 from oed_sysid.data.record import on_circle
 from oed_sysid.errors import DataError, closest
 from oed_sysid.runtime.display import align
-from oed_sysid.text.units import is_unit, parse_header
+from oed_sysid.text.units import is_unit, parse_header, to_si
 
 # -- units and symbols of fields that logs do not spell out but their formats define ---
 
@@ -82,8 +84,15 @@ def unit_of(name: str) -> str | None:
     return unit if is_unit(unit) else None
 
 
-def symbol_of(name: str) -> str:
+def symbol_of(name: str, *, by_name: bool = True) -> str:
     """SNAME symbol of a field, empty if it has none that is known.
+
+    Parameters
+    ----------
+    name : str
+        ``topic.field``.
+    by_name : bool
+        Whether its words count, or only what its format defines.
 
     Examples
     --------
@@ -93,8 +102,56 @@ def symbol_of(name: str) -> str:
     for pattern, _, symbol in _KNOWN:
         if symbol and pattern.fullmatch(name):
             return symbol
-    field = parse_header(name.rpartition(".")[2])[0].lower()
-    return next((symbol for symbol, words in TABLE["symbols"].items() if field in words), "")
+    field = parse_header(name.rpartition(".")[2])[0]
+    if field in TABLE["roles"]:
+        return field
+    return meaning(name)[0] if by_name else ""
+
+
+@cache
+def meaning(name: str) -> tuple[str, int]:
+    """Role that the words of a name mean, in any of several languages, and how many letters say so.
+
+    Parameters
+    ----------
+    name : str
+        ``topic.field``, with or without a unit.
+
+    Examples
+    --------
+    >>> meaning("log.Gierrate [grad/s]"), meaning("run.vitesse de lacet"), meaning("ch7")
+    (('r', 8), ('r', 12), ('', 0))
+    """
+    said = groups_of(name)
+    found = ("", 0)
+    for role, forms in TABLE["meanings"].items():
+        for form in forms:
+            letters = sum(said.get(group, -99) for group in form.split())
+            found = (role, letters) if letters > found[1] else found
+    return found
+
+
+@cache
+def groups_of(name: str) -> Mapping[str, int]:
+    """Groups of words that a name holds one of, and the letters of that word."""
+    field = parse_header(name.rpartition(".")[2] if "[" not in name else name.split(".", 1)[-1])[0]
+    plain = unicodedata.normalize("NFKD", field)
+    plain = "".join(letter for letter in plain if not unicodedata.combining(letter))
+    plain = re.sub(r"([a-z])([A-Z])", r"\1 \2", plain).lower()
+    tokens = re.findall(r"[a-z]+", plain)
+    said = {}
+    for group, words in TABLE["groups"].items():
+        letters = max((_letters(word, token) for word in words for token in tokens), default=0)
+        if letters:
+            said[group] = letters
+    return said
+
+
+def _letters(word: str, token: str) -> int:
+    """Letters of a word that a token holds: as its beginning, anywhere if long, or as a whole."""
+    if word.endswith("$"):
+        return len(word) - 1 if token == word[:-1] else 0
+    return len(word) if (word in token if len(word) > 3 else token.startswith(word)) else 0
 
 
 # -- one field of a log ----------------------------------------------------------------
@@ -286,6 +343,10 @@ class Log:
         What t = 0 is, in words.
     notes : tuple of str
         What the reader has to say: a torn end, drop-outs, a choice of clock.
+    clock : str
+        Header of the times, where a table was read.
+    clock_unit : str or None
+        Unit in which it counts; None where it was taken for seconds without being told.
 
     Raises
     ------
@@ -298,6 +359,8 @@ class Log:
     series: tuple[Series, ...] = field(repr=False)
     origin: str = "the first sample of the log"
     notes: tuple[str, ...] = ()
+    clock: str = ""
+    clock_unit: str | None = "s"
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "series", tuple(self.series))
@@ -325,6 +388,43 @@ class Log:
             f"{self.path.name} has no field {name!r}.{near} All fields: oed-sysid import "
             f"{self.path.name} --list"
         )
+
+    def timed(self, field: str = "", unit: str = "") -> Log:
+        """The log with another clock.
+
+        Parameters
+        ----------
+        field : str
+            Field that holds the times of its topic and of all with as many samples; empty: the
+            present ones.
+        unit : str
+            Unit in which they count; empty: as they are said to.
+
+        Examples
+        --------
+        >>> topic = np.arange(3.0), {"ms": np.array([0.0, 500.0, 1000.0])}
+        >>> log = assemble(Path("a"), "", {"run": topic})
+        >>> log.timed("run.ms", "ms").span
+        (0.0, 1.0)
+        """
+        if not field:
+            ratio = float(to_si(1.0, unit or "s")[0]) / float(to_si(1.0, self.clock_unit or "s")[0])
+            if not unit or ratio == 1.0:
+                return self
+            series = tuple(replace(one, times=one.times * ratio) for one in self.series)
+            return replace(self, series=series, clock_unit=unit)
+        if self.clock and field.endswith(f".{self.clock}"):
+            return self.timed("", unit)
+        clock = self[field]
+        times = to_si(clock.values, unit or clock.unit or "s")[0]
+        times = times - np.nanmin(times)
+        kept = tuple(
+            replace(one, times=times[good], values=one.values[good])
+            for one in self.series
+            if one.values.size == times.size and (good := np.isfinite(times)).any()
+        )
+        name = field.rpartition(".")[2]
+        return replace(self, series=kept, clock=name, clock_unit=unit or clock.unit or "s")
 
     def rows(self, text: str = "") -> list[tuple[str, ...]]:
         """Name, samples, rate, span, unit and range of every field whose name holds a text."""

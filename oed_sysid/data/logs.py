@@ -10,13 +10,16 @@ its own time.
 
 from oed_sysid.data.formats import log_of, open_log
 from oed_sysid.data.log import Log, Series
-from oed_sysid.data.mapping import LogMapping, Source, draft, read_mapping
+from oed_sysid.data.mapping import LogMapping, Source, read_mapping
+from oed_sysid.data.recognise import Guess, Recognised, draft, recognise
 from oed_sysid.data.records import Imported, import_log
 
 __all__ = [
+    "Guess",
     "Imported",
     "Log",
     "LogMapping",
+    "Recognised",
     "Series",
     "Source",
     "draft",
@@ -24,4 +27,5 @@ __all__ = [
     "log_of",
     "open_log",
     "read_mapping",
+    "recognise",
 ]

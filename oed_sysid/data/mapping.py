@@ -3,6 +3,8 @@
 A mapping is TOML::
 
     problem = "my_auv"          # a shipped problem or a folder; its channels are written
+    time = "run.Uhr"            # field that holds the times, where the log's own are others
+    time_unit = "ms"            # where the log does not say it
     clock = "outputs"           # or the name of an output whose times the records get
     tolerance = 0.002           # s; samples this near each other share a row
     sample_time = 0.1           # s; keep one sample of each output per interval
@@ -43,11 +45,11 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.data.log import Log, Series, symbol_of
+from oed_sysid.data.log import Log, Series
 from oed_sysid.errors import DataError, OedSysidError, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.files import read_bytes, write_text
-from oed_sysid.text.units import dimension, to_si
+from oed_sysid.text.units import converts, dimension, to_si
 
 # -- cutting a log into manoeuvres -----------------------------------------------------
 
@@ -272,6 +274,10 @@ class LogMapping:
         By channel name.
     problem : str
         Problem whose channels these are; empty without one.
+    time : str
+        Field that holds the times, ``topic.field``; empty where the log knows its own.
+    time_unit : str
+        Unit in which the clock counts; empty where the log says it.
     clock : str
         ``"outputs"``: the times of all outputs; or the name of one output whose times the
         records get.
@@ -306,6 +312,8 @@ class LogMapping:
     inputs: Mapping[str, Source]
     outputs: Mapping[str, Source]
     problem: str = ""
+    time: str = ""
+    time_unit: str = ""
     clock: str = "outputs"
     tolerance: float | None = None
     sample_time: float | None = None
@@ -321,6 +329,8 @@ class LogMapping:
             if source.constant is not None:
                 raise DataError(f"{self.where}: output {name!r} is measured, not constant.")
         located(DataError, f"{self.where}: clock is", [self.clock], ("outputs", *self.outputs))
+        if self.time_unit and not converts(self.time_unit, "s"):
+            raise DataError(f"{self.where}: time_unit is {self.time_unit!r}. Give s, ms, min ...")
         for what in ("tolerance", "sample_time"):
             value = getattr(self, what)
             if value is not None and not value > 0.0:
@@ -402,7 +412,7 @@ def read_mapping(path: str | Path) -> LogMapping:
     return parse(text, where=place.name)
 
 
-_PLAIN = ("problem", "clock", "tolerance", "sample_time")
+_PLAIN = ("problem", "time", "time_unit", "clock", "tolerance", "sample_time")
 _CUTTERS = {"cut_by_commands": ("by_commands", CommandCuts), "cut_while": ("while_", WhileCuts)}
 
 
@@ -484,46 +494,3 @@ def _built(kind: type, table: Any, where: str) -> Any:
         return kind(**values)
     except OedSysidError as error:
         raise DataError(f"{where}: {error}") from None
-
-
-def draft(log: Log, channels: Channels, *, problem: str = "") -> LogMapping | None:
-    """Guess a mapping from names and units, to be read and corrected by a person.
-
-    Parameters
-    ----------
-    log : Log
-        The log.
-    channels : Channels
-        What is wanted.
-    problem : str
-        Name of the problem, to be written into the mapping.
-
-    Returns
-    -------
-    LogMapping or None
-        With the first field that has the name or symbol of each output, or None where no output
-        is found; inputs that are not found are constant zeros.
-    """
-
-    def found(name: str, unit: str) -> Source | None:
-        for one in log.series:
-            last = one.name.rpartition(".")[2].split(" ")[0]
-            same = last == name or symbol_of(one.name) == name
-            if same and one.unit and dimension(one.unit) == dimension(unit):
-                turns = unit == "rad" and name in ("psi", "phi")
-                return Source(one.name, unit=one.unit, wrap=turns)
-        return None
-
-    outputs = {one.name: found(one.name, one.unit) for one in channels.outputs}
-    inputs = {one.name: found(one.name, one.unit) for one in channels.inputs}
-    present = {name: source for name, source in outputs.items() if source is not None}
-    if not present:
-        return None
-    return LogMapping(
-        {
-            channel.name: inputs[channel.name] or Source(constant=0.0, unit=channel.unit or "1")
-            for channel in channels.inputs
-        },
-        present,
-        problem=problem,
-    )

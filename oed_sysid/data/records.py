@@ -117,6 +117,7 @@ def import_log(
     100 0.099957 0.15707963267948966
     """
     stem = name or log.path.stem or "log"
+    log = log.timed(mapping.time, mapping.time_unit)
     work = _Import(log, mapping, channels or mapping.channels(log))
     records = tuple(_Manoeuvre(work, cut).record() for cut in work.cuts(stem))
     return Imported(Dataset(records), tuple(dict.fromkeys(work.notes)))

@@ -113,7 +113,7 @@ def read_bag(path: Path) -> Log:
 
 
 def read_mcap(path: Path) -> Log:
-    """Read an MCAP file with messages of ROS 1, ROS 2 or JSON.
+    """Read an MCAP file with messages of ROS 1, ROS 2, protobuf or JSON.
 
     Parameters
     ----------
@@ -157,7 +157,47 @@ def _decoder(schema: Any, channel: Any) -> Callable[[bytes], Any]:
         )
         read = getattr(store, f"deserialize_{channel.message_encoding}")
         return lambda raw: read(raw, name)
+    if channel.message_encoding == "protobuf" and schema is not None:
+        return _protobuf(schema)
     raise DataError(
-        f"its messages are encoded as {channel.message_encoding!r}; cdr (ROS 2), ros1 and json "
-        "are read. Convert the file, or export the topic as CSV."
+        f"its messages are encoded as {channel.message_encoding!r}; protobuf, cdr (ROS 2), "
+        "ros1 and json are read. Convert the file, or export the topic as CSV."
     )
+
+
+def _protobuf(schema: Any) -> Callable[[bytes], Any]:
+    """What turns bytes into a message by the descriptors that the file holds."""
+    what = "Reading an MCAP file of protobuf messages"
+    descriptor = library("google.protobuf.descriptor_pb2", what)
+    pools = library("google.protobuf.descriptor_pool", what)
+    factory = library("google.protobuf.message_factory", what)
+    files = descriptor.FileDescriptorSet.FromString(schema.data)
+    kinds = factory.GetMessageClassesForFiles
+    pool = pools.DescriptorPool()
+    waiting = list(files.file)
+    while waiting:  # each file behind those that it needs
+        known = {one.name for one in waiting}
+        ready = [one for one in waiting if known.isdisjoint(one.dependency)]
+        for one in ready:
+            pool.Add(one)
+        if not ready:
+            raise DataError("its protobuf descriptors need each other in a circle.")
+        waiting = [one for one in waiting if one not in ready]
+    made = kinds([one.name for one in files.file], pool)[schema.name]
+    return lambda raw: _plain(made.FromString(raw))
+
+
+def _plain(message: Any) -> dict[str, Any]:
+    """Fields of a protobuf message as numbers, lists and tables; a header's stamp as of ROS."""
+    return {
+        one.name: (
+            [_plain(part) if one.message_type else part for part in value]
+            if one.is_repeated
+            else _plain(value)
+            if one.message_type
+            else value
+        )
+        for one in message.DESCRIPTOR.fields
+        if not (one.message_type and one.message_type.GetOptions().map_entry)
+        for value in (getattr(message, one.name),)
+    }

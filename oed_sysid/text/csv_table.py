@@ -44,6 +44,8 @@ MISSING = frozenset(
     | {"1.#qnan", "-1.#qnan", "1.#ind", "-1.#ind", "nan(snan)", "missing"}
 )
 _CLOCK = re.compile(r"(\d{1,3}):(\d{2}):(\d{2}(?:[.,]\d+)?)")
+# Day, month and year with points between them, in one order wherever they are written so.
+_POINTS = re.compile(r"(\d{1,2})\.(\d{1,2})\.(\d{4})[T ]+(\d{1,2}:.+)")
 _DATE = re.compile(r"\d{4}-\d{2}-\d{2}[T ]\d{2}:\d{2}")
 _KNOWN = tomllib.loads(Path(__file__).with_name("file_kinds.toml").read_text(encoding="utf-8"))
 # Patterns of cells that are no number, and what to do about them.
@@ -98,6 +100,9 @@ def time_stamp(cell: str) -> tuple[float, str] | None:
         if parts[0] > 59 or parts[1] >= 60.0:
             return None
         return 3600.0 * int(hours) + 60.0 * parts[0] + parts[1], "clock"
+    if (pointed := _POINTS.fullmatch(text)) is not None:
+        day, month, year, clock = pointed.groups()
+        text = f"{year}-{month:0>2}-{day:0>2}T{clock.replace(',', '.'):0>8}"
     if not _DATE.match(text):
         return None
     try:

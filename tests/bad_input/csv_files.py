@@ -199,7 +199,7 @@ REFUSED: tuple[tuple[str, str | bytes, tuple[str, ...]], ...] = (
     ("time NaN", cell(4, 0, "NaN"), ("Row 6", "or no number (1 such row)")),
     ("time infinite", cell(4, 0, "inf"), ("Row 6", "not a finite number")),
     ("times rounded together", column(0, lambda i, x: f"{i // 3}"), ("Row 3", "repeats")),
-    ("day before month", column(0, lambda i, x: f"31.05.2024 12:00:{i:02d}"), ("two ways", "ISO")),
+    ("day before month", column(0, lambda i, x: f"31/05/2024 12:00:{i:02d}"), ("two ways", "ISO")),
     ("American dates", column(0, lambda i, x: f"05/31/2024 12:00:{i:02d}"), ("two ways", "ISO")),
     ("dates without a time", column(0, lambda i, x: f"2024-05-{i + 1:02d}"), ("without a time",)),
     (
@@ -381,6 +381,11 @@ REFUSED: tuple[tuple[str, str | bytes, tuple[str, ...]], ...] = (
 
 NOTED: tuple[tuple[str, str | bytes, tuple[str, ...]], ...] = (
     ("ISO times", column(0, lambda i, x: ISO.format(i / 2), "time"), ("t = 0 is 2024-05-31T12",)),
+    (
+        "times with a date of day, month and year",
+        column(0, lambda i, x: f"31.05.2024 12:00:{i / 2:04.1f}", "time"),
+        ("t = 0 is 31.05.2024 12:00:00.0",),
+    ),
     (
         "ISO times with a zone",
         column(0, lambda i, x: ISO.format(i / 2) + "+02:00", "timestamp"),

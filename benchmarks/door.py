@@ -1,0 +1,353 @@
+"""Foreign logs whose columns are renamed: what of them is read right, asked, or wrong in silence.
+
+    python -m benchmarks.door --logs 120 --seed 20261127
+
+Ships, surface and underwater vehicles are simulated by SciPy with equations of motion of this file
+(nothing of the package takes part), and logged as somebody else's logger would: names in English,
+German, French, Spanish and Italian or none at all (``ch7``), angles in degrees or radians, rates
+also in degrees per minute, speeds in knots, km/h or mm/s, positions in metres, feet or kilometres,
+headings within 0 to 360 or -180 to 180 degrees or continuous, east-north-up or north-east-down
+axes, single axes reversed, decimal commas, clocks in seconds, milliseconds, times of day, ISO and
+German dates or counted since 1970, columns shuffled among others that say nothing, and noise. Some
+headers say units, most do not.
+
+Each log is read as by ``oed-sysid import``; every fact that the reader states (unit of time; unit,
+sign and wrap of each signal) is compared with the truth. What it asks to be confirmed counts as
+asked, whether the guess is right or not.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from scipy.integrate import solve_ivp
+
+from benchmarks.harness import command, markdown
+from oed_sysid.data.formats import open_log
+from oed_sysid.data.recognise import Guess, recognise
+from oed_sysid.text.units import to_si
+
+# -- vehicles ----------------------------------------------------------------------------
+
+
+def _commands(rng: np.random.Generator, t: np.ndarray, size: float, hold: float) -> np.ndarray:
+    """Steps that are held for a while, with rests between them."""
+    edges = np.cumsum(rng.uniform(0.5, 1.5, 400) * hold)
+    levels = rng.choice([-1.0, 0.0, 1.0, 0.5, -0.5], 401) * size
+    return levels[np.searchsorted(edges, t)]
+
+
+def ship(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """A ship or surface vehicle in the plane: surge, sway and yaw with a rudder and a propeller."""
+    length = float(rng.choice([2.0, 8.0, 60.0, 180.0]))
+    speed = float(rng.uniform(0.5, 0.9)) * np.sqrt(9.81 * length) * 0.35
+    unit = length / speed
+    step = float(rng.choice([0.5, 1.0, 2.0])) * unit / 20.0
+    t = step * np.arange(int(rng.integers(900, 2500)))
+    rudder = _commands(rng, t, np.radians(rng.uniform(10, 30)), 6.0 * unit)
+    share = 1.0 + 0.15 * _commands(rng, t, 1.0, 15.0 * unit)
+    current = rng.normal(scale=0.03 * speed, size=2)
+    gain, lag = rng.uniform(0.6, 1.5), rng.uniform(1.0, 3.0)
+
+    def motion(now: float, s: np.ndarray) -> list[float]:
+        k = min(int(now / step), t.size - 1)
+        u, v, r, psi = s[:4] * np.array([1, 1, 1, 1])
+        du = (share[k] * speed - u) / (4.0 * unit) - 0.4 * abs(r) * abs(v)
+        dv = -0.35 * u * r * 1.0 - 1.1 * u / length * v
+        dr = (gain * u**2 / (length * speed) * rudder[k] - r - 6.0 * unit * r * abs(r)) / (
+            lag * unit
+        )
+        x = u * np.cos(psi) - v * np.sin(psi) + current[0]
+        y = u * np.sin(psi) + v * np.cos(psi) + current[1]
+        return [du, dv, dr, r, x, y]
+
+    start = [speed, 0.0, 0.0, rng.uniform(0.0, 6.0), 0.0, 0.0]
+    s = solve_ivp(motion, (t[0], t[-1]), start, t_eval=t, max_step=step, rtol=1e-6).y
+    names = ("u", "v", "r", "psi", "x", "y")
+    signals = dict(zip(names, s, strict=True))
+    return t, signals | {"rudder": rudder, "rpm": share * rng.uniform(1.5, 20.0)}
+
+
+def diver(rng: np.random.Generator) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """An underwater vehicle in six degrees of freedom: attitude by Euler angles, depth."""
+    step = float(rng.choice([0.1, 0.2]))
+    t = step * np.arange(int(rng.integers(1200, 3000)))
+    speed = rng.uniform(1.0, 2.5)
+    fin = _commands(rng, t, np.radians(12.0), 8.0)
+    rudder = _commands(rng, t, np.radians(15.0), 12.0)
+    torque = _commands(rng, t, 0.05, 9.0)
+    thrust = 1.0 + 0.2 * _commands(rng, t, 1.0, 20.0)
+
+    def motion(now: float, s: np.ndarray) -> list[float]:
+        k = min(int(now / step), t.size - 1)
+        u, v, w, p, q, r, phi, theta, psi = s[:9]
+        du = (thrust[k] * speed - u) / 6.0 + 0.3 * (v * r - w * q)
+        dv, dw = -0.5 * u * r - 0.9 * v, 0.5 * u * q - 0.9 * w
+        dp = torque[k] - 1.5 * p - 3.0 * np.sin(phi)
+        dq = -0.4 * u * fin[k] - 1.2 * q - 0.35 * np.sin(theta)
+        dr = 0.25 * u * rudder[k] - 1.0 * r
+        turning = [
+            p + (q * np.sin(phi) + r * np.cos(phi)) * np.tan(theta),
+            q * np.cos(phi) - r * np.sin(phi),
+            (q * np.sin(phi) + r * np.cos(phi)) / np.cos(theta),
+        ]
+        a, b, c = np.array([phi, theta, psi])
+        rx = np.array([[1, 0, 0], [0, np.cos(a), -np.sin(a)], [0, np.sin(a), np.cos(a)]])
+        ry = np.array([[np.cos(b), 0, np.sin(b)], [0, 1, 0], [-np.sin(b), 0, np.cos(b)]])
+        rz = np.array([[np.cos(c), -np.sin(c), 0], [np.sin(c), np.cos(c), 0], [0, 0, 1]])
+        return [du, dv, dw, dp, dq, dr, *turning, *(rz @ ry @ rx @ [u, v, w])]
+
+    start = [speed, *[0.0] * 7, rng.uniform(-3, 3), 0.0, 0.0, 150.0]
+    s = solve_ivp(motion, (t[0], t[-1]), start, t_eval=t, max_step=step, rtol=1e-6).y
+    names = ("u", "v", "w", "p", "q", "r", "phi", "theta", "psi", "x", "y", "z")
+    signals = dict(zip(names, s, strict=True))
+    return t, signals | {"rudder": rudder, "rpm": thrust * rng.uniform(10.0, 25.0)}
+
+
+# -- loggers -----------------------------------------------------------------------------
+
+SI = {"psi": "rad", "phi": "rad", "theta": "rad", "rudder": "rad", "r": "rad/s", "p": "rad/s",
+      "q": "rad/s", "u": "m/s", "v": "m/s", "w": "m/s", "x": "m", "y": "m", "z": "m",
+      "rpm": "1/s"}  # fmt: skip
+UNITS = {
+    "rad": (("deg", 0.75), ("rad", 0.25)),
+    "rad/s": (("deg/s", 0.6), ("rad/s", 0.25), ("deg/min", 0.15)),
+    "m/s": (("m/s", 0.5), ("kn", 0.3), ("km/h", 0.12), ("mm/s", 0.08)),
+    "m": (("m", 0.85), ("ft", 0.08), ("km", 0.07)),
+    "1/s": (("rpm", 0.8), ("1/s", 0.2)),
+}
+NAMES: Mapping[str, Mapping[str, tuple[str, ...]]] = {
+    "en": {"psi": ("heading", "yaw angle", "HDG"), "r": ("yaw rate", "ROT", "turn rate"),
+           "phi": ("roll", "heel angle"), "p": ("roll rate",), "theta": ("pitch", "pitch angle"),
+           "q": ("pitch rate",), "u": ("speed", "SOG", "surge velocity"),
+           "v": ("sway velocity", "lateral speed"), "w": ("heave velocity", "vertical speed"),
+           "x": ("north", "northing"), "y": ("east", "easting"), "z": ("depth",),
+           "rudder": ("rudder", "helm", "rudder angle"), "rpm": ("RPM", "shaft speed rpm"),
+           "t": ("time", "clock", "UTC time")},
+    "de": {"psi": ("Kurs", "Gierwinkel", "Kompasskurs"), "r": ("Gierrate", "Drehrate",
+           "Wendegeschwindigkeit"), "phi": ("Rollwinkel", "Krängung"), "p": ("Rollrate",),
+           "theta": ("Nickwinkel", "Trimmlage"), "q": ("Nickrate",),
+           "u": ("Fahrt", "Geschwindigkeit voraus", "Längsgeschwindigkeit"),
+           "v": ("Quergeschwindigkeit",), "w": ("Vertikalgeschwindigkeit", "Tauchgeschwindigkeit"),
+           "x": ("Nord", "Hochwert Nord"), "y": ("Ost", "Rechtswert Ost"), "z": ("Tiefe",
+           "Tauchtiefe"), "rudder": ("Ruderlage", "Ruderwinkel", "Ruder"),
+           "rpm": ("Drehzahl", "Wellendrehzahl"), "t": ("Zeit", "Uhrzeit", "Zeitstempel")},
+    "fr": {"psi": ("cap", "angle de lacet"), "r": ("vitesse de lacet", "taux de giration"),
+           "phi": ("roulis", "gîte"), "p": ("vitesse de roulis",), "theta": ("tangage",
+           "assiette"), "q": ("vitesse de tangage",), "u": ("vitesse", "vitesse d'avance"),
+           "v": ("vitesse latérale", "vitesse transversale"), "w": ("vitesse verticale",),
+           "x": ("nord",), "y": ("est",), "z": ("profondeur", "immersion"),
+           "rudder": ("angle de barre", "safran"), "rpm": ("régime hélice", "tours"),
+           "t": ("temps", "heure")},
+    "es": {"psi": ("rumbo", "ángulo de guiñada"), "r": ("velocidad de guiñada", "tasa de giro"),
+           "phi": ("balanceo", "escora"), "p": ("velocidad de balanceo",), "theta": ("cabeceo",),
+           "q": ("velocidad de cabeceo",), "u": ("velocidad", "velocidad de avance"),
+           "v": ("velocidad lateral",), "w": ("velocidad vertical",), "x": ("norte",),
+           "y": ("este",), "z": ("profundidad",), "rudder": ("timón", "ángulo de timón"),
+           "rpm": ("revoluciones",), "t": ("tiempo", "hora")},
+    "it": {"psi": ("prua", "rotta", "angolo di imbardata"), "r": ("velocità di imbardata",
+           "rateo di virata"), "phi": ("rollio", "sbandamento"), "p": ("velocità di rollio",),
+           "theta": ("beccheggio",), "q": ("velocità di beccheggio",), "u": ("velocità",
+           "avanzamento"), "v": ("velocità laterale", "scarroccio"), "w": ("velocità verticale",),
+           "x": ("nord",), "y": ("est",), "z": ("profondità",), "rudder": ("timone",),
+           "rpm": ("giri elica",), "t": ("tempo", "ora")},
+}  # fmt: skip
+YAW = ("yaw", "Gier", "lacet", "guiñada", "imbardata")
+SPREAD = {"rad": 0.004, "rad/s": 0.002, "m/s": 0.02, "m": 0.5, "1/s": 0.02}
+CLOCKS = ("s", "ms", "clock", "iso", "german", "epoch", "epoch ms", "min")
+
+
+@dataclass(frozen=True)
+class Foreign:
+    """A log in a file, and what is true of it: times in s, signals in SI by column name."""
+
+    path: Path
+    t: np.ndarray
+    truth: dict[str, tuple[str, np.ndarray]]
+    units: dict[str, str]
+    words: str
+
+
+def stamps(t: np.ndarray, how: str, rng: np.random.Generator) -> list[str]:
+    """Times as a logger writes them."""
+    start = datetime(2025, 5, 31, 9, 12, 7) + timedelta(seconds=float(rng.uniform(0, 9000)))
+    if how in ("s", "ms", "min"):
+        first = float(rng.choice([0.0, 0.0, 37.5]))
+        return [f"{(first + one) / {'s': 1, 'ms': 1e-3, 'min': 60}[how]:.9g}" for one in t]
+    if how.startswith("epoch"):
+        digits = (1e3, "{:.0f}") if how.endswith("ms") else (1.0, "{:.3f}")
+        return [digits[1].format((1.7e9 + one) * digits[0]) for one in t]
+    moments = [start + timedelta(seconds=float(one)) for one in t]
+    form = {"clock": "%H:%M:%S.%f", "iso": "%Y-%m-%dT%H:%M:%S.%f", "german": "%d.%m.%Y %H:%M:%S.%f"}
+    return [m.strftime(form[how])[:-3] for m in moments]
+
+
+def _pick(rng: np.random.Generator, pairs: tuple[tuple[str, float], ...]) -> str:
+    return str(rng.choice([n for n, _ in pairs], p=[p for _, p in pairs]))
+
+
+def foreign(folder: Path, rng: np.random.Generator, number: int) -> Foreign:
+    """Simulate a vehicle and log it in somebody else's way."""
+    vehicle = ship if rng.random() < 0.55 else diver
+    t, truth = vehicle(rng)
+    language = str(rng.choice([*NAMES, "none"], p=[*[0.17] * 5, 0.15]))
+    unsaid = [n for n in ("x y", "v", "w", "u", "rpm", "phi p", "r", "z") if rng.random() < 0.1]
+    dropped = {one for group in unsaid for one in group.split()}
+    signals = {name: values for name, values in truth.items() if name not in dropped}
+    enu = rng.random() < 0.2
+    flipped = {n for n in ("r", "z", "theta", "v", "rudder", "p") if rng.random() < 0.08}
+    units = {n: _pick(rng, UNITS[SI[n]]) for n in signals}
+    units |= {name: units["x"] for name in ("y",) if "x" in units}
+    if rng.random() < 0.7:  # most loggers write speeds in one unit
+        units |= {name: units["u"] for name in ("v", "w") if {"u", name} <= units.keys()}
+    wrap = str(rng.choice(["0..360", "-180..180", "continuous"], p=[0.5, 0.35, 0.15]))
+    says = rng.random() < 0.4  # a logger that writes units into headers
+    columns, held, real = {}, {}, {}
+    for name, values in signals.items():
+        unit = units[name]
+        noisy = values
+        if name not in ("rudder", "rpm"):
+            size = SPREAD[SI[name]] * float(rng.uniform(0.3, 1.5))
+            size = min(size, 0.05 * float(np.std(values)))
+            noisy = values + size * rng.standard_normal(t.size)
+        shown = noisy
+        if enu:
+            flu = name in ("v", "w", "q", "r", "theta")
+            shown = 0.5 * np.pi - noisy if name == "psi" else -noisy if flu else noisy
+        shown = -shown if name in flipped else shown
+        factor = float(to_si(1.0, unit)[0])
+        logged = shown / factor
+        if name == "psi" and wrap != "continuous":
+            turn = 2 * np.pi / factor
+            logged = logged % turn if wrap == "0..360" else (logged + turn / 2) % turn - turn / 2
+        names = NAMES[language][name] if language != "none" else ()
+        if name == "psi" and enu:  # who counts from east does not call it a compass
+            names = tuple(one for one in names if any(w in one for w in YAW))
+        called = f"ch{rng.integers(100, 999)}" if language == "none" else str(
+            rng.choice(names))  # fmt: skip
+        header = f"{called} [{unit}]" if says else called
+        columns[header], held[header], real[header] = logged, name, values
+    for extra in ("temp", "batt", "status"):
+        level = {"temp": 18.0, "batt": 24.6, "status": 3.0}[extra]
+        walk = level + 0.003 * np.cumsum(rng.standard_normal(t.size))
+        columns[f"ch{rng.integers(1000, 1999)}" if language == "none" else extra] = walk
+    how = str(rng.choice(CLOCKS))
+    clock = (
+        f"ch{rng.integers(10, 99)}" if language == "none" else str(rng.choice(NAMES[language]["t"]))
+    )
+    comma = language in ("de", "fr", "es", "it") and rng.random() < 0.7
+    mark = ";" if comma else str(rng.choice([",", ";", "\t"]))
+    order = rng.permutation(list(columns)).tolist()
+    place = int(rng.integers(0, 2)) * int(rng.integers(0, len(order)))
+    times = stamps(t, how, rng)
+    table = [times, *([f"{v:.7g}" for v in columns[n]] for n in order)]
+    heads = [clock, *order]
+    table.insert(place, table.pop(0))
+    heads.insert(place, heads.pop(0))
+    lines = [mark.join(heads)]
+    for row in zip(*table, strict=True):
+        line = mark.join(row)
+        lines.append(line.replace(".", ",") if comma and how != "german" else line)
+    path = folder / f"log{number}.csv"
+    path.write_text("\n".join(lines), encoding="utf-8")
+    told = {h: (held[h], real[h]) for h in held}
+    words = (
+        f"{vehicle.__name__} {language} {how} {wrap}{' ENU' if enu else ''} "
+        f"flipped={sorted(flipped & set(signals))} units={'said' if says else 'unsaid'} "
+        f"without {sorted(dropped)}"
+    )
+    return Foreign(path, t, told, {h: units[held[h]] for h in held}, words)
+
+
+# -- the examination ---------------------------------------------------------------------
+
+
+def _in_si(guess: Guess, values: np.ndarray) -> np.ndarray:
+    return np.asarray(guess.sign * to_si(values - guess.trim, guess.unit)[0])
+
+
+def examine(log: Foreign) -> list[tuple[str, str, str]]:
+    """Fact, verdict (right, asked, wrong) and words of everything that should be known of a log."""
+    opened = open_log(log.path)
+    found = recognise(opened)
+    rows = []
+    factor = float(to_si(1.0, found.time_unit)[0]) / float(to_si(1.0, opened.clock_unit or "s")[0])
+    span = (opened.span[1] - opened.span[0]) * factor
+    good = abs(span / (log.t[-1] - log.t[0]) - 1.0) < 1e-3
+    rows.append(("time", "asked" if found.doubts else "right" if good else "wrong",
+                 f"{found.time_unit} {span:.4g} s"))  # fmt: skip
+    stem = log.path.stem
+    by_field = {guess.field: guess for guess in found.guesses}
+    for header, (role, values) in log.truth.items():
+        guess = by_field.get(f"{stem}.{header}")
+        facts = ["unit", *(["sign"] if role not in ("rudder", "rpm") else [])]
+        facts += ["wrap"] if role == "psi" else []
+        if guess is None or guess.role != role:
+            taken = guess is not None and "field" not in guess.doubts
+            what = "" if guess is None else f" taken for {guess.role}"
+            rows += [(fact, "wrong" if taken else "asked", f"{role}{what}") for fact in facts]
+            continue
+        read = _in_si(guess, opened[guess.field].values)
+        if guess.wrap:
+            read = np.unwrap(read)
+        a, b = read - read.mean(), values - values.mean()
+        slope = float(a @ b / (b @ b))
+        verdicts = {"unit": abs(abs(slope) - 1.0) < 0.15, "sign": slope > 0.0}
+        if role == "psi":
+            verdicts["wrap"] = abs(np.std(a) / np.std(b) - 1.0) < 0.15 or not verdicts["unit"]
+            off = np.angle(np.exp(1j * (read - values)).mean())
+            verdicts["sign"] &= abs(off) < 0.2
+        if role in ("u",):  # hardly varies: its level tells more
+            level = float(read.mean() / values.mean())
+            verdicts = {"unit": abs(abs(level) - 1.0) < 0.1, "sign": level > 0.0}
+        for fact in facts:
+            asked = fact in guess.doubts or "field" in guess.doubts
+            what = "asked" if asked else "right" if verdicts[fact] else "wrong"
+            rows.append((fact, what, f"{role} [{log.units[header]}] read as [{guess.unit}] "
+                         f"sign {guess.sign}: {guess.why}"))  # fmt: skip
+    return rows
+
+
+def examined(folder: Path, rng: np.random.Generator, number: int) -> list[tuple[str, str, str]]:
+    """Facts of one log, which is simulated, written and read."""
+    log = foreign(folder, rng, number)
+    return [(fact, verdict, f"{words}  ({log.words})") for fact, verdict, words in examine(log)]
+
+
+def run(*, logs: int = 30, seed: int = 20261127, verbose: bool = False, only: int = -1) -> None:
+    """Examine so many logs."""
+    counts: Counter[tuple[str, str]] = Counter()
+    named: Counter[tuple[bool, str]] = Counter()
+    perfect = 0
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(logs) if only < 0 else [only]:
+            rows = examined(Path(folder), np.random.default_rng([seed, number]), number)
+            perfect += all(verdict == "right" for _, verdict, _ in rows)
+            for fact, verdict, words in rows:
+                counts[fact, verdict] += 1
+                named[" none " in words, verdict] += 1
+                if verdict == "wrong" or verbose:
+                    print(f"log {number}: {fact} {verdict}: {words}")
+    facts = ("time", "unit", "sign", "wrap")
+    verdicts = ("right", "asked", "wrong")
+    lines = [[fact, *(counts[fact, v] for v in verdicts)] for fact in facts]
+    lines.append(["all", *(sum(counts[f, v] for f in facts) for v in verdicts)])
+    lines.append(["of these, named columns", *(named[False, v] for v in verdicts)])
+    lines.append(["of these, columns without names", *(named[True, v] for v in verdicts)])
+    whole = sum(counts.values())
+    shares = [sum(counts[f, v] for f in facts) / whole for v in verdicts]
+    print(
+        "\n".join(markdown(["fact", *verdicts], [[str(cell) for cell in line] for line in lines]))
+    )
+    print(f"{logs} logs: right {shares[0]:.1%}, asked {shares[1]:.1%}, wrong {shares[2]:.1%}; "
+          f"{perfect} logs without a question or a mistake")  # fmt: skip
+
+
+if __name__ == "__main__":
+    command(run)

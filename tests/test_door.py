@@ -1,0 +1,180 @@
+"""Logs of strangers: what fields are is read from their numbers, and asked where in doubt."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks import door
+from oed_sysid.data.formats import open_log
+from oed_sysid.data.log import assemble, meaning
+from oed_sysid.data.logs import draft, import_log
+from oed_sysid.data.mapping import parse
+from oed_sysid.data.recognise import recognise
+
+T = np.arange(0.0, 600.0, 0.5)
+
+
+def circle(sign: int = 1) -> dict[str, np.ndarray]:
+    """A vessel that turns both ways, in closed form of heading and rate; positions integrated."""
+    psi = 1.0 + 2.5 * np.sin(0.02 * T)
+    r = 0.05 * np.cos(0.02 * T)
+    u = 3.0 + 0.5 * np.sin(0.013 * T)
+    way = np.cumsum(u * np.exp(1j * psi)) * 0.5
+    return {"psi": sign * psi, "r": sign * r, "u": u, "x": way.real, "y": sign * way.imag}
+
+
+def log_of(**columns: np.ndarray):
+    """A log of columns without units."""
+    noise = np.random.default_rng(3)
+    noisy = {n: v + 1e-3 * np.std(v) * noise.standard_normal(v.size) for n, v in columns.items()}
+    return assemble(Path("a.csv"), "test", {"a": (T, noisy)})
+
+
+def test_meaningless_names_are_told_by_kinematics() -> None:
+    """Units are ratios of slopes; a compass, its rate, speed and positions are found."""
+    s = circle()
+    log = log_of(
+        c1=s["x"], c2=s["u"] / 0.514444, c3=np.degrees(s["r"]) * 60.0, c4=np.degrees(s["psi"]),
+        c5=s["y"],
+    )  # fmt: skip
+    found = recognise(log)
+    read = {one.role: (one.field, one.unit) for one in found.guesses}
+    assert read["psi"] == ("a.c4", "deg")
+    assert read["r"] == ("a.c3", "deg/min")
+    assert read["u"] == ("a.c2", "kn")
+    assert {read["x"][0], read["y"][0]} == {"a.c1", "a.c5"}
+    # North-east-down or east-north-up: the numbers do not tell, so it is asked.
+    assert "sign" in found["psi"].doubts
+
+
+@pytest.mark.parametrize("flip", [1, -1])
+def test_names_of_axes_settle_which_way_a_heading_counts(flip: int) -> None:
+    """With north and east named, a yaw angle that counts backwards is reversed unasked."""
+    s = circle()
+    log = log_of(nord=s["x"], ost=s["y"], fahrt=s["u"], gierwinkel=flip * s["psi"], gierrate=s["r"])
+    found = recognise(log)
+    assert (found["psi"].sign, found["r"].sign) == (flip, 1)
+    assert found["psi"].doubts == found["r"].doubts == ()
+    record = import_log(log, draft(log)).dataset[0]
+    np.testing.assert_allclose(record.output("psi"), s["psi"], atol=0.02)
+
+
+def test_heading_from_east_becomes_one_from_north() -> None:
+    """East-north-up: the heading is reversed and its zero moved by a right angle."""
+    s = circle()
+    log = log_of(est=s["y"], nord=s["x"], lacet=np.degrees(np.pi / 2 - s["psi"]), vitesse=s["u"])
+    record = import_log(log, draft(log)).dataset[0]
+    np.testing.assert_allclose(record.output("psi"), s["psi"], atol=0.02)
+
+
+def test_foreign_logs_are_read_or_asked(tmp_path: Path) -> None:
+    """Of ten logs of the examination with seeds of their own little is wrong, most is right."""
+    verdicts = []
+    for number in range(10):
+        verdicts += door.examined(tmp_path, np.random.default_rng([5, number]), number)
+    right, wrong = (sum(v == what for _, v, _ in verdicts) for what in ("right", "wrong"))
+    assert right > 0.75 * len(verdicts)
+    assert wrong < 0.03 * len(verdicts)
+
+
+@pytest.mark.parametrize(
+    ("name", "role"),
+    [("Gierrate", "r"), ("vitesse de lacet", "r"), ("ángulo de timón", "rudder"), ("prua", "psi"),
+     ("Quergeschwindigkeit", "v"), ("diepte", "z"), ("Drehzahl", "rpm"), ("ch7", ""),
+     ("rollRate", "p"), ("velocidad", "u")],
+)  # fmt: skip
+def test_words_of_several_languages(name: str, role: str) -> None:
+    """Compound names mean what their parts say."""
+    assert meaning(f"log.{name}")[0] == role
+
+
+@pytest.mark.parametrize("how", door.CLOCKS)
+def test_clocks_without_a_known_name(tmp_path: Path, how: str) -> None:
+    """Seconds, milliseconds, minutes, clocks and dates give the same times, whatever their name."""
+    s = circle()
+    stamps = door.stamps(T, how, np.random.default_rng(0))
+    rows = [f"{a};{b:.6f};{c:.8f}" for a, b, c in zip(stamps, s["psi"], s["r"], strict=True)]
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join(["Messpunkt;Kurs;Gierrate [rad/s]", *rows]))
+    log = open_log(path)
+    record = import_log(log, draft(log)).dataset[0]
+    np.testing.assert_allclose(record.times - record.times[0], T, atol=1e-3)
+    text = draft(log).text()
+    assert parse(text).text() == text
+
+
+def test_times_of_another_field() -> None:
+    """A mapping may name the field that holds the times, and its unit."""
+    log = assemble(Path("a"), "", {"a": (T, {"own": 2000.0 * T, "Kurs [deg]": T})})
+    mapping = parse(
+        'time = "a.own"\ntime_unit = "ms"\n[outputs.psi]\nfield = "a.Kurs [deg]"\nunit = "deg"'
+    )
+    record = import_log(log, mapping).dataset[0]
+    np.testing.assert_allclose(record.times, 2.0 * T)
+
+
+def test_parquet_with_an_index_of_dates(tmp_path: Path) -> None:
+    """The index of a frame is its clock, with a name or none."""
+    pandas = pytest.importorskip("pandas")
+    index = pandas.Timestamp("2025-01-01", tz="UTC") + pandas.to_timedelta(T, "s")
+    frame = pandas.DataFrame({"psi [deg]": T}, index=pandas.DatetimeIndex(index))
+    for name in (None, "logged"):
+        frame.index.name = name
+        frame.to_parquet(tmp_path / "run.parquet")
+        log = open_log(tmp_path / "run.parquet")
+        np.testing.assert_allclose(log["run.psi [deg]"].times, T, atol=1e-6)
+
+
+def test_matlab_73(tmp_path: Path) -> None:
+    """Structures of a file of version 7.3 are topics; its matrices are turned back."""
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "run.mat"
+    with h5py.File(path, "w", userblock_size=512) as file:
+        group = file.create_group("run")
+        for name, values in (("t", T), ("psi", np.sin(T))):
+            group.create_dataset(name, data=values[None, :]).attrs["MATLAB_class"] = b"double"
+        group.create_dataset("pq", data=np.stack([T, 2 * T])).attrs["MATLAB_class"] = b"double"
+    head = b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM"
+    path.write_bytes(head + path.read_bytes()[128:])
+    log = open_log(path)
+    np.testing.assert_array_equal(log["run.psi"].values, np.sin(T))
+    np.testing.assert_array_equal(log["run.pq[1]"].values, 2 * T)
+
+
+def test_mcap_of_protobuf(tmp_path: Path) -> None:
+    """Messages are decoded by the descriptors in the file, nested ones and lists too."""
+    proto = pytest.importorskip("google.protobuf.descriptor_pb2")
+    from google.protobuf import descriptor_pool, message_factory
+
+    writer_of = pytest.importorskip("mcap.writer").Writer
+    file = proto.FileDescriptorProto(name="a.proto", package="my", syntax="proto3")
+    vector = file.message_type.add(name="Vector")
+    for number, name in enumerate("xyz", start=1):
+        vector.field.add(name=name, number=number, type=1, label=1)
+    imu = file.message_type.add(name="Imu")
+    imu.field.add(name="rate", number=1, type=11, type_name=".my.Vector", label=1)
+    imu.field.add(name="q", number=2, type=1, label=3)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    made = message_factory.GetMessageClass(pool.FindMessageTypeByName("my.Imu"))
+    path = tmp_path / "run.mcap"
+    with path.open("wb") as stream:
+        writer = writer_of(stream)
+        writer.start()
+        data = proto.FileDescriptorSet(file=[file]).SerializeToString()
+        channel = writer.register_channel(
+            "/imu", "protobuf", writer.register_schema("my.Imu", "protobuf", data)
+        )
+        for time in T[:50]:
+            message = made()
+            message.rate.z = 0.1 * time
+            message.q.extend([1.0, 0.0, 0.0, 0.0])
+            stamp = round(1e9 * time) + 10**18
+            writer.add_message(channel, stamp, message.SerializeToString(), stamp)
+        writer.finish()
+    log = open_log(path)
+    np.testing.assert_allclose(log["imu.rate.z"].values, 0.1 * T[:50])
+    np.testing.assert_allclose(log["imu.rate.z"].times, T[:50], atol=1e-6)
