@@ -284,6 +284,8 @@ def shown(
     white = np.concatenate(
         [whitened(truth, own, level, sea=sea) for own, sea in zip(columns, seas, strict=True)]
     ).reshape(-1, columns.shape[-1])
+    if not np.isfinite(white).all():
+        return np.nan  # too stiff for the quick integration: nothing is said
     known, effects = np.split(white, [len(slopes) + len(starts)], axis=1)
     basis = orth(known / np.maximum(np.linalg.norm(known, axis=0), 1e-300), rcond=1e-9)
     left = effects - basis @ (basis.T @ effects)

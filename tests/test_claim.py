@@ -15,7 +15,18 @@ from turning_ship import CANDIDATES, CUBIC, NOISE, SAMPLE, SHIP, dataset, improv
 from yaw_vehicle import NOISE as NOISE_YAW
 from yaw_vehicle import yaw_data, yaw_model
 
-from oed_sysid import Dataset, Force, NoiseModel, Parameter, Record, improve
+from oed_sysid import (
+    Dataset,
+    Force,
+    Input,
+    Model,
+    NoiseModel,
+    Output,
+    Parameter,
+    Record,
+    State,
+    improve,
+)
 from oed_sysid.errors import DataError
 from oed_sysid.evidence.chance import FALSE_CLAIMS, threshold
 from oed_sysid.evidence.claim import (
@@ -177,6 +188,39 @@ def test_a_sensor_that_stands_still_has_no_size_of_lag_and_one_in_knots_has_one_
     error = found.fit.std_errors["E_scale"]
     assert found.fit.values["E_scale"] == pytest.approx(KNOTS - 1.0, abs=3.5 * error)
     assert error < 0.05
+
+
+def test_what_noise_hid_in_the_nominal_fit_joins_the_group_beside_the_improved_one() -> None:
+    """On a spring, the bias of a displacement and a constant force are one, however large."""
+
+    def run(name: str, seed: int) -> Record:
+        rng, times = np.random.default_rng(seed), 0.1 * np.arange(400)
+        pushes = np.repeat(rng.uniform(-1.0, 1.0, 16), 25)
+        states = np.zeros((400, 2))
+        for k in range(399):
+            states[k + 1] = solve_ivp(
+                lambda _, y, push: [y[1], push - y[1] - 0.5 * y[0]],
+                (0.0, 0.1), states[k], args=(pushes[k],), rtol=1e-8, atol=1e-10,
+            ).y[:, -1]  # fmt: skip
+        outputs = states + [8.0, 0.0] + 0.01 * rng.standard_normal(states.shape)
+        return Record(name, times, pushes[:, None], outputs, moored.channels)
+
+    moored = Model(
+        "moored",
+        states=(State("x", "m"), State("v", "m/s")),
+        inputs=(Input("push", "m/s^2"),),
+        outputs=(Output("x", "m", noise_std=0.01), Output("v", "m/s", noise_std=0.01)),
+        kinematics={"x": "v", "v": "b*push - d*v - k*x"},
+        parameters=(Parameter("b", 0.8, "1"), Parameter("d", 1.2, "1/s"),
+                    Parameter("k", 0.4, "1/s^2")),
+        step=0.1,
+    )  # fmt: skip
+    force = Force("force", {"v": "E_force"}, (Parameter("E_force", 0.0, "m/s^2", scale=0.1),))
+    found = improve(
+        moored, Dataset((run("a", 1), run("b", 2))), Dataset((run("c", 3),)),
+        candidates=(force, sensor_bias("bias", "x", "m", scale=0.1)), terms=False,
+    )  # fmt: skip
+    assert [set(step.group) for step in found.steps] == [{"force", "bias"}]
 
 
 def test_whole_runs_may_wander_under_process_noise_only() -> None:

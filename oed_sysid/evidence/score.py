@@ -25,7 +25,7 @@ has its largest maxima where it is worth to begin.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -150,7 +150,11 @@ def _row(scaled: np.ndarray) -> np.ndarray:
 
 
 def scores(
-    study: Study, fit: FilteredSolution, candidates: Sequence[Effect]
+    study: Study,
+    fit: FilteredSolution,
+    candidates: Sequence[Effect],
+    *,
+    apart: Collection[str] = (),
 ) -> tuple[list[Score], np.ndarray]:
     """Score every candidate at a fit.
 
@@ -162,6 +166,8 @@ def scores(
         Fit of the present model.
     candidates : sequence of Effect
         Absent effects.
+    apart : collection of str
+        Free parameters of the model that are not estimated along.
 
     Returns
     -------
@@ -177,7 +183,10 @@ def scores(
     smooth = [name for effect in plain for name in effect.amplitude_names]
     rows = _rows(fit, smooth)
     # Columns that move nothing cannot be scaled, and explain nothing.
-    known = rows.known[:, np.linalg.norm(rows.known, axis=0) > 0]
+    along = np.linalg.norm(rows.known, axis=0) > 0
+    shared = fit.problem.layout.shared_names
+    along[: len(shared)] &= [name not in apart for name in shared]
+    known = rows.known[:, along]
     # Frisch-Waugh: what is left of residual and signature once the unknowns are refitted.
     basis, _ = np.linalg.qr(known / np.linalg.norm(known, axis=0))
 
@@ -194,6 +203,18 @@ def scores(
         if name not in best or score.statistic > best[name].statistic:
             best[name] = replace(score, trials=_trials(variant.effect, rows))
     return sorted(best.values(), key=lambda s: -s.statistic), residual
+
+
+def imitated_by(
+    study: Study, fit: FilteredSolution, effect: Effect, absorbed: Sequence[Effect]
+) -> tuple[str, ...]:
+    """Which of the candidates that free parameters imitate this one effect of the model imitates.
+
+    Asked at a fit that has it: where noise stood in its place, signatures of what is slow were lost
+    in that.
+    """
+    told, _ = scores(study, fit, absorbed, apart=effect.amplitude_names)
+    return tuple(one.effect.name for one in told if not one.absorbed)
 
 
 def _local_names(effect: Effect) -> tuple[str, ...]:

@@ -20,6 +20,7 @@ from oed_sysid.evidence.claim import Claim, claim, own_error, rises
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
 from oed_sysid.evidence.residual_forces import repeated
+from oed_sysid.evidence.score import imitated_by
 from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution
@@ -109,6 +110,7 @@ def rounds(
     while len(state.added) < max_effects:
         tell(f"ranking candidates, round {len(state.added) + 1}")
         ranking = keep.once("ranking", partial(rank, state.study, state.fit, state.left))
+        state = keep.once("alike", partial(with_alike, state, ranking))
         yield state, ranking
         chosen, decisions = keep.once("choice", partial(choice, state, ranking))
         state = replace(state, decisions=(*state.decisions, *decisions))
@@ -131,6 +133,18 @@ def rounds(
         tell("asking again what was added")
         state = keep.once("asked again", partial(asked_again, state))
         yield state, ranking
+
+
+def with_alike(state: Standing, ranking: Ranking) -> Standing:
+    """The last effect's group with what it imitates beside the model that it made."""
+    imitated = set(ranking.imitated())
+    absorbed = [effect for effect in state.left if effect.name in imitated]
+    if not state.added or not absorbed:
+        return state
+    *others, last = state.added
+    alike = imitated_by(state.study, state.fit, last.effect, absorbed)
+    group = tuple(dict.fromkeys((*last.group, *alike)))
+    return replace(state, added=(*others, replace(last, group=group)))
 
 
 def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
