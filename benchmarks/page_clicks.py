@@ -44,15 +44,15 @@ _PATIENCE = 300_000.0  # ms
 
 
 @contextmanager
-def served() -> Iterator[str]:
+def served(problem: str | None = PROBLEM) -> Iterator[str]:
     """Address of an application with an empty cache, ended afterwards."""
     with socket.socket() as free:
         free.bind(("localhost", 0))
         port = free.getsockname()[1]
     with tempfile.TemporaryDirectory() as cache:
         run = subprocess.Popen(
-            [sys.executable, "-m", "oed_sysid.cli", "app", PROBLEM, "--no-browser", "--port",
-             str(port)],
+            [sys.executable, "-m", "oed_sysid.cli", "app", *filter(None, [problem]),
+             "--no-browser", "--port", str(port)],
             env=os.environ | {"OED_SYSID_CACHE": cache},
             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
         )  # fmt: skip

@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks import page_walk
 from oed_sysid import Fit, load_problem, new_problem, read_csv
 from oed_sysid.app.choices import at_hand
 from oed_sysid.experiments.catalogue import catalogue_folder
@@ -201,6 +202,40 @@ def test_whole_loop_on_a_shipped_record(page: Any, ship: Path, tmp_path: Path) -
         file.name for file in tmp_path.iterdir()
     }
     no_error(page)
+
+
+def test_walk_of_a_stranger_from_foreign_logs_to_a_unit(
+    browser: Any, server: tuple[str, int], tmp_path: Path
+) -> None:
+    """German headers, decimal commas, degrees a minute: to the exported unit in few clicks.
+
+    The unit turns as the ship of the logs does: K rudder = r + E T r |r| when the rate is steady.
+    """
+    fmpy = pytest.importorskip("fmpy", reason="needs fmpy")
+    page = opened(browser, server[0])
+    logs, archive = page_walk.foreign_logs(tmp_path), tmp_path / "model.zip"
+    told = {
+        step: (said, clicks)
+        for step, said, clicks in page_walk.walk(page, logs, tmp_path / "mein_schiff", archive)
+    }
+    page.close()
+    assert "agree with each other" in told["check"][0]
+    before, after = map(float, re.findall(r"from (\S+) to (\S+) × noise", told["missing"][0])[0])
+    assert before > 20.0
+    assert after < 1.3
+    assert told["export"][1] <= 20
+    with zipfile.ZipFile(archive) as packed:
+        (unit,) = (name for name in packed.namelist() if name.endswith(".fmu"))
+        packed.extract(unit, tmp_path)
+    truth = load_problem(tmp_path / "mein_schiff").truth
+    rudder, damping = np.radians(20.0), truth["E_yaw"] * truth["T"]
+    steady = (np.sqrt(1.0 + 4.0 * damping * truth["K"] * rudder) - 1.0) / (2.0 * damping)
+    held = np.array([(0.0, rudder)], dtype=[("time", float), ("rudder", float)])
+    run = fmpy.simulate_fmu(
+        str(tmp_path / unit), stop_time=240.0, output_interval=0.5, input=held, output=["r"],
+        fmi_type="CoSimulation",
+    )  # fmt: skip
+    assert run["r"][-1] == pytest.approx(steady, rel=0.01)
 
 
 def own_log(ship: Path) -> tuple[bytes, np.ndarray, np.ndarray]:

@@ -23,7 +23,17 @@ from vehicles import (
     ship,
 )
 
-from oed_sysid import Actuator, Force, Input, Model, Output, Parameter, Sensor, State
+from oed_sysid import (
+    Actuator,
+    Force,
+    Input,
+    Model,
+    Output,
+    Parameter,
+    Sensor,
+    State,
+    load_problem,
+)
 from oed_sysid import physics as effects
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.errors import DataError, ModelError
@@ -700,3 +710,31 @@ def test_a_row_repeats_its_texts_for_signals_alike() -> None:
     assert [p.name for p in lag.parameters] == ["E_lag"]
     assert [m.name for m in lag.memory] == ["actual_port", "actual_starboard"]
     assert effects.actuator_lag("lag", "port").memory[0].name == "actual"
+
+
+@pytest.mark.parametrize("name", ["remus_diving_plane", "roll_decay", "catamaran"])
+def test_what_an_effect_is_said_to_grow_with_is_what_it_grows_with(name: str) -> None:
+    """Of a force told as a product, twice a signal is two to its power times the force."""
+    from oed_sysid.physics.words import _factors, _labels, in_words
+    from oed_sysid.text.expressions import to_numpy
+
+    problem = load_problem(name)
+    labels = _labels(problem.model)
+    told = 0
+    for effect in problem.effects:
+        if (factors := _factors(effect, labels)) is None:
+            continue
+        (text,) = effect.terms.values()
+        powers: dict[str, int] = {}
+        for signal, power in factors.items():
+            powers[signal.strip("|")] = powers.get(signal.strip("|"), 0) + power
+        scope = {one: 0.7 + 0.1 * place for place, one in enumerate(sorted(effect.uses()))}
+        force = float(to_numpy(text, scope))
+        for signal in scope.keys() & labels.keys():
+            twice = float(to_numpy(text, scope | {signal: 2.0 * scope[signal]}))
+            assert twice / force == pytest.approx(2.0 ** powers.get(signal, 0))
+        assert all(labels[signal] in in_words(effect, problem.model) for signal in powers) or (
+            effect.description not in {one.description for one in effect.parameters}
+        )
+        told += 1
+    assert told > 2

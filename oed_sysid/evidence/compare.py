@@ -74,7 +74,7 @@ class ModelMisfit:
             )
         if ahead.failed:
             words.append(f"{ahead.failed} of the forecasts diverged.")
-        title = f"{self.label}: {self.relative:.3f} x noise over all outputs"
+        title = f"{self.label}: {self.relative:.3g} × noise over all outputs"
         return display.Section(title, words, (_table(self),), heading=True, indent=2)
 
     @property

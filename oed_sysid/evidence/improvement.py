@@ -313,13 +313,13 @@ class Improvement:
         """
         before, after = self.base_error, self.final_error
         which, records = self._judged
-        tested = f", on the validation records {before['test']:.2f}"
+        tested = f", on the validation records {before['test']:.3g}"
         errors = self.yardstick.table(self.base_rms, self.steps[-1].rms if self.steps else None)
         return display.Report(
             title=title or self.base.name,
             subtitle="What the model lacks, and what it predicts with it",
             headline=f"{self.base.name}\n  nominal model: error on the training records "
-            f"{before['train']:.2f} x noise" + ("" if np.isnan(before["test"]) else tested),
+            f"{before['train']:.3g} × noise" + ("" if np.isnan(before["test"]) else tested),
             answer=self._answer(),
             warnings=() if self.log is None else self.log.warning().splitlines(),
             numbers=(
@@ -487,7 +487,8 @@ class Improvement:
             name, value, error = one["name"], one["value"], one["std_error"]
             relative = f"{100 * error / abs(value):.2g} %" if value else ""
             without = f"{nominal[name]:.5g}" if name in nominal else ""
-            rows.append((name, f"{value:.5g}", f"{error:.2g}", relative, without, one["unit"]))
+            shown = display.rounded(value, display.TWO_SIDED_95 * error)
+            rows.append((name, shown, f"{error:.2g}", relative, without, one["unit"]))
         headers = ("parameter", "value", "std. error", "relative", "without the effects", "unit")
         added = {parameter.name for step in self.steps for parameter in step.effect.parameters}
         marked = tuple(i for i, row in enumerate(rows) if row[0] in added)

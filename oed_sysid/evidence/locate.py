@@ -41,6 +41,7 @@ from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.random_forces import FEW_STEPS, Begun
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
+from oed_sysid.text.units import shown_unit
 
 # Shortest and longest correlation time of the disturbances, s: passing and lasting.
 CORRELATION_TIMES = (1.0, 20.0)
@@ -156,8 +157,9 @@ class Located:
         for place in self.places[:MOST_DRAWN]:
             gain = self.gains[place.name]
             if gain > CLEAR:
-                cells = (f"{gain:.0f}", f"{top - gain:.0f}", f"{self.levels[place.name]:.2g}")
-                rows.append((place.name, *cells, place.unit))
+                factor, unit = shown_unit(place.unit)
+                size = f"{factor * self.levels[place.name]:.2g}"
+                rows.append((place.name, f"{gain:,.0f}", f"{top - gain:,.0f}", size, unit))
         tables = [Table(headers, rows)] if rows else []
         words = [self.verdict]
         if self.best is not None:

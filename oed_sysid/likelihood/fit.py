@@ -274,7 +274,7 @@ class Fit(estimate.Estimate):
         way = self.estimator.replace(", ", " with ", 1)
         effective = sum(count for count, _ in self.effective_samples().values())
         tested = "samples" if self.innovations is None else "innovations"
-        misfit = f"{self._misfit:.3f} x noise over all outputs"
+        misfit = f"{self._misfit:.3g} × noise over all outputs"
         return Report(
             title=self.model.name,
             subtitle=f"Fitted by {way} to {', '.join(self._record_words())}",

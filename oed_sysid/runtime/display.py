@@ -175,6 +175,9 @@ def interval(value: float, half: float) -> str:
 # Numbers as Python writes them and people do not: none at all, and ordinary ones with an exponent.
 _NO_NUMBER = re.compile(r"(?<![\w.])nan(?![\w.])(?: ?%)?")
 _EXPONENT = re.compile(r"(?<![\w.])-?\d(?:\.\d+)?e\+0[2-5](?!\d)")
+# Shares: a space before the sign, as SI has it; one that rounds to nothing is below its last digit.
+_SHARE, _NOTHING = re.compile(r"(?<=\d)%"), re.compile(r"(?<![\d.,])0\.(0+) %")
+_TIMES = re.compile(r"(?<=\d) x (?=noise|the |what|its )")
 
 
 def told(text: str) -> str:
@@ -185,9 +188,13 @@ def told(text: str) -> str:
     Examples
     --------
     >>> told("1.5e+02 x noise"), told("nan %"), told("2e-07 N"), told("Z_nan = 1e+09")
-    ('150 x noise', '–', '2e-07 N', 'Z_nan = 1e+09')
+    ('150 × noise', '–', '2e-07 N', 'Z_nan = 1e+09')
+    >>> told("5% of 0.00%"), told("kept on 100.0%")
+    ('5 % of below 0.01 %', 'kept on 100.0 %')
     """
-    return _EXPONENT.sub(lambda found: f"{float(found[0]):.0f}", _NO_NUMBER.sub("–", text))
+    text = _EXPONENT.sub(lambda found: f"{float(found[0]):.0f}", _NO_NUMBER.sub("–", text))
+    text = _TIMES.sub(" × ", _SHARE.sub(" %", text))
+    return _NOTHING.sub(lambda found: f"below 0.{found[1][:-1]}1 %", text)
 
 
 def counted(count: int, noun: str) -> str:
@@ -340,6 +347,7 @@ class Section:
     beside: bool = False
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "title", told(self.title))
         object.__setattr__(self, "paragraphs", tuple(map(told, self.paragraphs)))
 
     @property
@@ -386,10 +394,10 @@ class Report:
 
     Examples
     --------
-    >>> page = Report("Trial", verdict=("It fits.",), head=(("misfit", "1.01 x noise"),))
+    >>> page = Report("Trial", verdict=("It fits.",), head=(("misfit", "1.01 × noise"),))
     >>> print(page.text())
     Trial
-      misfit  1.01 x noise
+      misfit  1.01 × noise
     <BLANKLINE>
     It fits.
     """
