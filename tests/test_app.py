@@ -52,6 +52,8 @@ from oed_sysid.cli.terminal import Shown
 @pytest.mark.slow
 def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch, capsys) -> None:
     """The whole flow: fit, compare, improve, step back, rank; and the commands repeat it."""
+    from oed_sysid.app.visit import desk
+
     problem = load_problem(ship)
     app = opened(ship)
     assert app.header[0].value == problem.title
@@ -60,7 +62,9 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     assert "What is missing" in app.button(key="next").label
     app = done(went(app, "Where it fails"), "compare")
     assert "more than noise is left" in text_of(app)
-    app = done(following(app), "improve")
+    app = following(app)  # begins the search
+    desk().wait()
+    app = fine(app.run())
     assert "error on the validation records" in text_of(app)
     effect = problem.effects[0].name
     keep = next(w for w in app.multiselect if w.label == "Effects to keep")
@@ -79,8 +83,6 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     lines = app.code[1].value.splitlines()
     verbs = [line.split()[1] for line in lines]
     assert verbs == ["check", "fit", "compare", "improve", "compare", "rank"]
-
-    from oed_sysid.app.visit import desk
 
     mine = [outcome.result for outcome in desk().results()]
     fits = [result for result in mine if isinstance(result, Fit)]

@@ -187,6 +187,7 @@ def test_whole_loop_on_a_shipped_record(page: Any, ship: Path, tmp_path: Path) -
     go(page, "What is missing")
     press(page, "Find what is missing")
     assert "error on the validation records" in finished(page)
+    page.get_by_text("More: signals").click()
     page.get_by_role("tab", name="Signal chain").click()
     page.locator(".oed-chain .place").nth(2).wait_for()
     go(page, "Report")

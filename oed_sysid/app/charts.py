@@ -47,13 +47,15 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.results.improvement_plots import chart_residual, clearest
-from oed_sysid.results.style import DATA, NEUTRAL, TRUTH, model_style, shown, signal_of
+from oed_sysid.results.style import COLOURS, DATA, NEUTRAL, TRUTH, model_style, shown, signal_of
 from oed_sysid.runtime.display import TWO_SIDED_95
 from oed_sysid.text.units import shown_unit
 
 MEASURED = "#8a929a"
 COMMANDED = "#6b737b"
 DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
+# On dark ground: the first two colours of models, as light as the others.
+_LIT = dict(zip(COLOURS, ("#F08A3C", "#56B4E9"), strict=False))
 # Samples of one line that a browser draws without stutter.
 _MOST = 4000
 
@@ -138,7 +140,12 @@ def _name_rows(figure: go.Figure, channels: Sequence[Input | Output]) -> None:
 def line_of_model(index: int) -> tuple[str, str]:
     """Colour and dashes of the model at a position in a comparison."""
     look = model_style(index)
-    return look.colour, DASHES.get(str(look.dashes), "longdash")
+    return lit(look.colour), DASHES.get(str(look.dashes), "longdash")
+
+
+def lit(colour: str) -> str:
+    """The colour of a model, lighter where the page is dark."""
+    return _LIT.get(colour, colour) if st.context.theme.type == "dark" else colour
 
 
 def _traces(
@@ -186,7 +193,7 @@ def drawn(chart: Chart, height: int = 340) -> go.Figure:
 def _trace(mark: Mark) -> go.Scatter:
     """Points of a chart."""
     cloud = mark.marker == "."
-    colour = MEASURED if mark.colour in (DATA, NEUTRAL, TRUTH) else mark.colour
+    colour = MEASURED if mark.colour in (DATA, NEUTRAL, TRUTH) else lit(mark.colour)
     parts = {"lines": mark.dashes, "markers": mark.marker, "text": any(mark.texts)}
     symbol = {"s": "square-open"}.get(mark.marker, "circle")
     return go.Scatter(

@@ -17,7 +17,7 @@ import streamlit as st
 from oed_sysid.app import advice, choices, page_problem, takeaway, visit
 from oed_sysid.app import pages as tasks
 from oed_sysid.app.jobs import said_of
-from oed_sysid.app.panels import message, style
+from oed_sysid.app.panels import BEGIN, message, style
 from oed_sysid.app.trust import is_user
 from oed_sysid.app.visit import ago, new_id
 from oed_sysid.cli.study import Study
@@ -147,7 +147,9 @@ def show(initial: str | None = None) -> None:
     with st.sidebar:
         _guarded(_aside)()
     _guarded(_keep)()
+    st.session_state.pop(BEGIN, None)  # of this page, whether or not it had anything to begin
     if (title := st.session_state.pop("going", None)) is not None:
+        st.session_state[BEGIN] = title in (advice.FIT, advice.MISSING)
         st.switch_page(st.session_state["pages"][title])
 
 

@@ -29,6 +29,10 @@ from oed_sysid.runtime.display import Report, Section
 Pictures = Mapping[str, Callable[[], None]]
 # Files of the fits that commands keep.
 FITTED, IMPROVED = "fit.json", "improved.json"
+# Tabs of a report that are not folded away.
+_SHOWN = 4
+# Whether the page that is gone to begins its work at once.
+BEGIN = "begin"
 
 
 # -- options -----------------------------------------------------------------------------
@@ -160,7 +164,8 @@ def _work(
         outcome: Outcome = job.result
         return outcome
     _say_ended(job, asked=key in asked)
-    if st.button(button, type="primary", key=f"ask:{about.file}"):
+    advised = st.session_state.pop(BEGIN, False)
+    if st.button(button, type="primary", key=f"ask:{about.file}") or advised:
         asked[key] = about
         desk.ask(name, key, request)
         st.rerun()
@@ -217,13 +222,17 @@ def show(page: Report, pictures: Pictures, *, glance: bool = False) -> None:
     for section in page.sections:  # what stands above the tabs need not be said again
         words = tuple(text for text in section.paragraphs if text not in page.first)
         parts.append((section.title, partial(part, replace(section, paragraphs=words))))
+    if glance:
+        parts.pop(0)[1]()
+    parts = [*pictures.items(), *parts]
     if not glance:
         st.caption(page.subtitle)
-        tabs([*pictures.items(), *parts])
-        return
-    parts.pop(0)[1]()
-    with st.expander("Signals, candidates, decisions, estimates, equations"):
-        tabs([*pictures.items(), *parts])
+        tabs(parts[:_SHOWN])
+        del parts[:_SHOWN]
+    if parts:
+        titles = ", ".join(title.partition(":")[0].lower() for title, _ in parts)
+        with st.expander(f"More: {titles}"):
+            tabs(parts)
 
 
 def tabs(parts: Sequence[tuple[str, Callable[[], object]]]) -> None:

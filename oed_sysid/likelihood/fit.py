@@ -543,11 +543,12 @@ class Fit(estimate.Estimate):
         return TWO_SIDED_95 * self.noise_std.get(name, np.nan) * size
 
     def _noise_row(self, name: str, level: float, time: float, unit: str) -> tuple[str, ...]:
+        factor, unit = shown_unit(unit)
         if level <= 0:
             return name, "absent", "", "", unit
-        half = self._half(f"{name} level", level)
+        half = factor * self._half(f"{name} level", level)
         spread = "" if np.isnan(half) else f"± {digits(half)}"
-        return name, rounded(level, half), spread, digits(time), unit
+        return name, rounded(factor * level, half), spread, digits(time), unit
 
     def _remarks(self) -> list[str]:
         """What else to know before the values are used, one sentence each."""
