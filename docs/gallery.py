@@ -265,6 +265,11 @@ def force_against_motion() -> Axes:
     return report.plot_force_against(located, "Z", dive().train, "w")
 
 
+def force_that_was_found() -> Axes:
+    """The force that is missing, and what the effect that was found would leave there."""
+    return report.plot_force_found(dive().found, dive().train)
+
+
 def force_against_everything() -> Figure:
     """The force that is missing, over time and against every signal."""
     return report.figure_force(dive().found.location, "Z", dive().train)
@@ -585,6 +590,7 @@ SECTIONS: dict[str, tuple[Callable[[], Axes | Figure], ...]] = {
     ),
     "Missing physics": (
         fall_of_the_error, where_the_model_fails, ranking_of_candidates, force_against_motion,
+        force_that_was_found,
         residual_force, where_and_what, force_against_everything, misfit_of_two_models,
         frequency_responses,
     ),

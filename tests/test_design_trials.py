@@ -52,6 +52,7 @@ from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.results import figure_card
 from oed_sysid.results.design_plots import DANGER
+from oed_sysid.runtime.display import told
 from oed_sysid.runtime.parallel import CellProgress, ParallelError, spread_over
 
 
@@ -462,8 +463,8 @@ def test_the_card_is_one_page_with_danger_in_red(design: Design) -> None:
     left = 1 - risky.assurance.probability
     for page in (risky.card().document(), risky.document()):
         first = page.html().partition('<p class="danger">')[2]
-        assert first.startswith(f"DANGER: on {left:.0%} of the vehicles")
-        assert page.first[0] == risky.assurance.danger
+        assert first.startswith(told(f"DANGER: on {left:.0%} of the vehicles"))
+        assert page.first[0] == told(risky.assurance.danger)
     assert '<p class="danger">' not in replace(design, assurance=None).card().document().html()
 
 
@@ -475,7 +476,7 @@ def test_the_first_line_warns_as_soon_as_less_is_kept_than_asked(design: Design)
     )
     words = replace(design, assurance=replace(kept, wanted=None)).document().answer
     assert not words.startswith("DANGER")
-    assert "limits kept on 93% of possible vehicles" in words
+    assert "limits kept on 93 % of possible vehicles" in words
 
 
 def test_overrides_hold_the_commands(design: Design, tmp_path) -> None:

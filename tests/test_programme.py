@@ -233,11 +233,11 @@ def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> No
     known = Information.from_matrix(joint.names, 100.0 * joint.matrix, programme.sizes)
     sharp = replace(programme, information=known).document().answer
     assert f"{name}, ± {100 * half_width / 10.0:.2g} % (95 %)" in sharp
-    assert f"the limits on {programme.kept:.0%} of possible vehicles" in words
+    assert f"the limits on {100 * programme.kept:.0f} % of possible vehicles" in words
     name = programme.runs[0].name
     risky = {**programme.assurances, name: replace(programme.assurances[name], n_kept=150)}
     words = replace(programme, assurances=risky).document().answer
-    assert words.startswith(f"DANGER: {name!r} leaves its limits on 25% of possible vehicles; {n}")
+    assert words.startswith(f"DANGER: {name!r} leaves its limits on 25 % of possible vehicles; {n}")
     few = {
         name: replace(one, kept=np.roll(np.arange(100) > 3, 4 * index))
         for index, (name, one) in enumerate(programme.assurances.items())
