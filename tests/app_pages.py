@@ -45,7 +45,7 @@ def following(app):
 
 def went(app, title: str):
     """A page, by the rail."""
-    app.session_state["going"] = title
+    app.session_state["going"] = title, False
     app = app.run()
     assert app.header[0].value == title
     return app

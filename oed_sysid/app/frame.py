@@ -91,7 +91,9 @@ def _point(here: str, study: Study) -> None:
     with st.container(horizontal=True, vertical_alignment="center", key="pointer"):
         words = f"Next: {told.page}"
         if st.button(words, icon=":material/arrow_forward:", key="next", type="primary"):
-            st.session_state["going"] = told.page  # once this page is drawn, and its choices kept
+            # Once this page is drawn, and its choices kept; work that needs no choice begins there.
+            begins = told.page in (advice.FIT, advice.MISSING)
+            st.session_state["going"] = told.page, begins
         st.markdown(told.why, width="content")
 
 
@@ -148,8 +150,9 @@ def show(initial: str | None = None) -> None:
         _guarded(_aside)()
     _guarded(_keep)()
     st.session_state.pop(BEGIN, None)  # of this page, whether or not it had anything to begin
-    if (title := st.session_state.pop("going", None)) is not None:
-        st.session_state[BEGIN] = title in (advice.FIT, advice.MISSING)
+    title, begins = st.session_state.pop("going", (None, False))
+    if title is not None:
+        st.session_state[BEGIN] = begins
         st.switch_page(st.session_state["pages"][title])
 
 
