@@ -231,7 +231,8 @@ def test_walk_of_a_stranger_from_foreign_logs_to_a_unit(
     truth = load_problem(tmp_path / "mein_schiff").truth
     rudder, damping = np.radians(20.0), truth["E_yaw"] * truth["T"]
     steady = (np.sqrt(1.0 + 4.0 * damping * truth["K"] * rudder) - 1.0) / (2.0 * damping)
-    held = np.array([(0.0, rudder)], dtype=[("time", float), ("rudder", float)])
+    table = [(0.0, rudder), (240.0, rudder)]
+    held = np.array(table, dtype=[("time", float), ("rudder", float)])
     run = fmpy.simulate_fmu(
         str(tmp_path / unit), stop_time=240.0, output_interval=0.5, input=held, output=["r"],
         fmi_type="CoSimulation",
