@@ -161,9 +161,9 @@ def as_markdown(found: Mapping[str, Any]) -> str:
             },
         ),
         (
-            "Cases that went wrong (gains in twice the log-likelihood):",
+            "Cases that went wrong (in brackets likelihood-ratio statistics):",
             {
-                "case": "case", "hidden (gain)": "hidden", "added (gain)": "added",
+                "case": "case", "hidden": "hidden", "added": "added",
                 "first group": "first_group", "refused": "refused", "test error": "test_error",
                 "best": "true_test_error",
             },

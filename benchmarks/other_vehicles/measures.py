@@ -182,9 +182,9 @@ def as_markdown(found: Mapping[str, Any]) -> str:
             },
         ),
         (
-            "What went wrong (expected gains in twice the log-likelihood):",
+            "What went wrong (in brackets expected likelihood-ratio statistics):",
             {
-                "case": "case", "hidden (gain)": "hidden", "claimed": "added",
+                "case": "case", "hidden": "hidden", "claimed": "added",
                 "first group": "group", "refused": "refused", "ranked first": "order",
                 "error over true": "ratio", "fault": "faults",
             },

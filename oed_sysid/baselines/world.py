@@ -293,7 +293,7 @@ WORLDS: Mapping[str, World] = {
         "swell of 5 %, 8 s (shorter where a run holds fewer than ten waves)", swell=0.05
     ),
     "hidden": World("quadratic damping of 10 % that the model does not have", hidden=0.1),
-    "coloured": World("sensor noise all coloured", colour=1.0),
+    "coloured": World("sensor noise all autocorrelated", colour=1.0),
     "declared_half": World("noise declared half its size", declared=0.5),
     "declared_twice": World("noise declared twice its size", declared=2.0),
     "wrong_model": World("known numbers off by up to 5 %", wrong=0.05),
@@ -302,7 +302,7 @@ WORLDS: Mapping[str, World] = {
     "sparse": World("every fourth sample only", sparse=4),
     "far_start": World("start values off by up to a factor of 3", start=3.0),
     "all": World(
-        "forces of 5 %, half the noise coloured, 1 % spikes, known numbers off by 5 %",
+        "forces of 5 %, half the noise autocorrelated, 1 % spikes, known numbers off by 5 %",
         forces=0.05,
         colour=0.5,
         spikes=0.01,

@@ -31,6 +31,7 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input, State
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime import display
+from oed_sysid.runtime.display import digits
 from oed_sysid.runtime.threads import single_threaded
 from oed_sysid.text.units import shown_unit
 
@@ -69,7 +70,7 @@ class ModelMisfit:
         ahead, words = self.forecasts, []
         if ahead.n_forecasts:
             words.append(
-                f"{ahead.horizon:g} s ahead: {ahead.overall:.3f} x what a right model would "
+                f"{ahead.horizon:g} s ahead: {digits(ahead.overall, 3)} x what a right model would "
                 f"leave ({ahead.n_forecasts} forecasts)"
             )
         if ahead.failed:
@@ -425,11 +426,11 @@ def _table(part: ModelMisfit) -> display.Table:
                 output.output.name,
                 f"{factor * output.rmse:.3g}",
                 unit,
-                f"{output.relative:.3f}",
+                digits(output.relative, 3),
                 f"{100 * output.coverage:.0f} %",
                 f"{output.effective_samples:.0f}",
                 f"{output.n_samples}",
-                f"{ahead:.3f}" if output.in_time else "-",
+                digits(ahead, 3) if output.in_time else "-",
                 f"{output.worst[3]:.2g} in {output.where}" if output.where else "",
             )
         )

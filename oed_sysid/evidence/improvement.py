@@ -399,11 +399,11 @@ class Improvement:
             "effect added", "training", "validation", "T", "threshold", "training error",
             "validation error",
         )  # fmt: skip
-        rows = [("(nominal)", "", "", "", "", *_cells(".3f", *self.base_error.values()))]
+        rows = [("(nominal)", "", "", "", "", *_cells(".3g", *self.base_error.values()))]
         lines = []
         for step in self.steps:
             terms = _terms(step.claim)
-            rows.append((step.added, *terms, *_cells(".3f", step.train_error, step.test_error)))
+            rows.append((step.added, *terms, *_cells(".3g", step.train_error, step.test_error)))
             if len(step.group) > 1:
                 lines.append(
                     f"These records cannot tell {step.added} from {', '.join(step.group[1:])}."

@@ -199,7 +199,7 @@ class Ranking:
         return Report("Candidates", sections=parts)
 
     def _table(self) -> Table:
-        """The best candidates with scores, gains and thresholds."""
+        """The best candidates with scores, likelihood-ratio statistics and thresholds."""
         refits = {refit.name: refit for refit in self.refits}
         scores = {score.effect.name: score for score in self.scores}
         rows = []
@@ -208,7 +208,7 @@ class Ranking:
             gain = f"{refits[name].gain:.1f}" if name in refits else "-"
             needed = f"{self.needed_by(score):.1f}"
             rows.append((name, f"{score.statistic:.1f}", gain, needed, f"{score.distinct:.2f}"))
-        return Table(("candidate effect", "score", "gain", "needed", "distinct"), rows)
+        return Table(("candidate effect", "score", "2ΔlnL", "threshold", "distinct"), rows)
 
     def report(self, *, hidden: bool = True) -> str:
         """Return the document as text."""

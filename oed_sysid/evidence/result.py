@@ -22,7 +22,9 @@ from oed_sysid.runtime.display import (
     as_html,
     as_text,
     counted,
+    share,
 )
+from oed_sysid.runtime.display import interval as shown_interval
 
 # Kinds of finding: sentences, and what follows from each.
 KINDS: dict[str, dict[str, Any]] = tomllib.loads(
@@ -314,8 +316,7 @@ class LogCheck:
         records = () if dataset is None else dataset.records[:MOST_DRAWN]
         drawn = [Figure("figure_record", one, f"{one.name} as it was read.") for one in records]
         equations = [
-            f"{row.relation}: {_share(row.before)}"
-            + f", {_share(row.after)} {undone}" * self.suspect
+            f"{row.relation}: {share(row.before)}" + f", {share(row.after)} {undone}" * self.suspect
             for row in self.balances
         ]
         return Report(
@@ -398,10 +399,6 @@ class LogCheck:
     )  # fmt: skip
 
 
-def _share(value: float) -> str:
-    return f"{100.0 * value:.2g} %"
-
-
 def angle_aware(value: float, unit: str) -> tuple[float, str]:
     """Turn rad into degrees for people.
 
@@ -419,9 +416,7 @@ def amount(size: float, bounds: tuple[float, float], unit: str) -> str:
     half, _ = angle_aware(0.5 * (bounds[1] - bounds[0]), unit)
     if unit == "1":
         value, half, shown = 100.0 * value, 100.0 * half, "%"
-    digits = max(0, 1 - math.floor(math.log10(half))) if half > 0.0 else 3
-    digits = min(digits, 8)
-    return f"{value:.{digits}f} ± {half:.{digits}f} {shown}"
+    return f"{shown_interval(value, half)} {shown}"
 
 
 def interval(size: float, std: float) -> tuple[float, float]:

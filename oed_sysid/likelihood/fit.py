@@ -290,7 +290,7 @@ class Fit(estimate.Estimate):
                 ("observations", f"{self.n_observations}"),
                 ("status", f"{self.status} ({self.iterations} iterations, {self.seconds:.2g} s)"),
                 ("misfit", misfit),
-                ("one step", f"{self.one_step_rms:.3f} x its standard deviation"),
+                ("one step", f"{digits(self.one_step_rms, 3)} x its standard deviation"),
                 ("whole runs", self.whole_runs.sizes or "none"),
             ),
             numbers=(
@@ -509,8 +509,8 @@ class Fit(estimate.Estimate):
             for output, level, time in colours
             if level > 0
         ]
-        table = Table(("random", "level", "95 %", "time [s]", "unit"), rows)
-        sections = [Section("Random", tables=(table,), indent=2)] if rows else []
+        table = Table(("process noise", "std. deviation", "95 %", "time [s]", "unit"), rows)
+        sections = [Section("Process noise", tables=(table,), indent=2)] if rows else []
         return [] if noise.is_white else sections + self._seas(units)
 
     def _seas(self, units: Mapping[str, str]) -> list[Section]:

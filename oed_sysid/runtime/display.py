@@ -174,7 +174,7 @@ def interval(value: float, half: float) -> str:
 
 # Numbers as Python writes them and people do not: none at all, and ordinary ones with an exponent.
 _NO_NUMBER = re.compile(r"(?<![\w.])nan(?![\w.])(?: ?%)?")
-_EXPONENT = re.compile(r"(?<![\w.])-?\d(?:\.\d+)?e\+0[2-5](?!\d)")
+_EXPONENT = re.compile(r"(?<![\w.])-?\d(?:\.\d+)?e\+0[0-5](?!\d)")
 # Shares: a space before the sign, as SI has it; one that rounds to nothing is below its last digit.
 _SHARE, _NOTHING = re.compile(r"(?<=\d)%"), re.compile(r"(?<![\d.,])0\.(0+) %")
 _TIMES = re.compile(r"(?<=\d) x (?=noise|the |what|its )")
@@ -260,6 +260,7 @@ class Table:
     marked: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "headers", tuple(map(told, self.headers)))
         object.__setattr__(self, "rows", tuple(tuple(map(told, row)) for row in self.rows))
 
     def lines(self) -> list[str]:
@@ -413,7 +414,8 @@ class Report:
     head: Sequence[tuple[str, str]] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "answer", told(self.answer))
+        for name in ("answer", "headline"):
+            object.__setattr__(self, name, told(getattr(self, name)))
         for name in ("verdict", "warnings"):
             object.__setattr__(self, name, tuple(map(told, getattr(self, name))))
         for name in ("numbers", "head"):
