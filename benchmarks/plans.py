@@ -274,7 +274,10 @@ def doubted(key: str, seed: int) -> Row:
         for _ in range(FLIGHTS)
     ]  # fmt: skip
     kept = int(np.sum(flights(model, run, true, sea, rng)))
-    return {"key": key, "run": run.name, "stated": stated.n_kept, "kept": kept}
+    return {
+        "key": key, "run": run.name, "stated": stated.n_kept, "least": stated.at_least,
+        "kept": kept,
+    }  # fmt: skip
 
 
 def flights(
@@ -433,7 +436,7 @@ def _others(rows: Sequence[Row]) -> list[tuple[str, str, str, str]]:
             f"{near} within 20 %; {min(ratio):.2f} to {max(ratio):.2f}",
         ))  # fmt: skip
     for row in of("priors"):
-        low = at_least(row["stated"], FLIGHTS)
+        low = row["least"]
         found.append((
             "limits kept, believed 8 % off, 25 % off in truth", "`plans priors`",
             f"{FLIGHTS} vehicles each, {row['key'].removeprefix('priors ')}",

@@ -323,6 +323,31 @@ def test_the_stated_bound_is_that_of_the_binomial() -> None:
     assert at_least(0, 50) == 0.0
 
 
+def test_the_bound_holds_for_priors_that_are_too_narrow() -> None:
+    """It is that of the vehicles drawn three times as far, by the closed form of their motion."""
+    model = Model(
+        "ship", (State("r", "rad/s"),), (Input("d", "rad", interpolation="hold"),),
+        (Output("r", "rad/s"),), kinematics={"r": "K*d - r"},
+        parameters=(Parameter("K", 0.2, "1/s", prior_std=0.02),),
+    )  # fmt: skip
+    run = Experiment("step", Piecewise("d", [0.0], [1.0]), duration=20.0, sample_time=0.5)
+    drawn = draw_models(model, None, 200, None, np.random.default_rng(0))
+    found = assess_limits(
+        model, run, rng=np.random.default_rng(0), limits=Limits(signals={"r": (-1.0, 0.25)}),
+        spread=None, vehicles=200,
+    )  # fmt: skip
+    # From rest r is K (1 - exp(-t)): within the limit as long as K is.
+    kept = np.array([one.values["K"] * (1.0 - np.exp(-20.0)) <= 0.25 for one in drawn])
+    assert found.n_kept == kept.sum()
+    assert 0.5 < np.mean(kept[1::2]) < np.mean(kept[::2])
+    assert binom.sf(kept[1::2].sum() - 1, 100, found.at_least) == pytest.approx(0.05, rel=1e-6)
+    sure = assess_limits(
+        model, run, rng=np.random.default_rng(0), limits=Limits(signals={"r": (-1.0, 0.25)}),
+        spread=0.1, vehicles=200,
+    )  # fmt: skip
+    assert sure.at_least == at_least(200, 200)
+
+
 SEA = NoiseModel(
     np.array([5e-3, 2e-3]),
     np.zeros(2),

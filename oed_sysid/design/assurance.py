@@ -49,9 +49,11 @@ from scipy.integrate import cumulative_trapezoid
 
 from oed_sysid.design.criteria import SURE
 from oed_sysid.design.vehicles import (
+    DOUBT,
     LimitBounds,
     at_least,
     draw_models,
+    in_doubt,
     in_own_waves,
     motion,
     percent,
@@ -134,6 +136,9 @@ class Assurance:
         Share of the vehicles on which one rule or more fires.
     kept : ndarray of bool (n_checked,)
         On which of the vehicles all limits were kept, in the order they were given or drawn.
+    doubted : ndarray of bool (n_checked,)
+        Which of them were drawn as if priors were :data:`~oed_sysid.design.vehicles.DOUBT` times
+        too narrow; empty or none where nothing rests on priors.
     tracks : PredictedTracks or None
         Where they go; None where the model knows no course: neither ``x`` and ``y``, nor surge with
         heading or pitch.
@@ -150,6 +155,7 @@ class Assurance:
     rules: tuple[AbortRule, ...] = ()
     any_fires: float = 0.0
     kept: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
+    doubted: np.ndarray = field(default_factory=lambda: np.zeros(0, dtype=bool), repr=False)
     tracks: PredictedTracks | None = field(default=None, repr=False)
 
     @classmethod
@@ -158,7 +164,11 @@ class Assurance:
         limited = [one for one in found if one.limited]
         kept = np.all([one.kept for one in limited] or [np.ones(1, dtype=bool)], axis=0)
         wanted = max((one.wanted for one in limited if one.wanted), default=None)
-        return cls(int(kept.sum()), len(kept), wanted, None, {}, {}, bool(limited), kept=kept)
+        doubted = limited[0].doubted if limited else np.zeros(1, dtype=bool)
+        return cls(
+            int(kept.sum()), len(kept), wanted, None, {}, {}, bool(limited), kept=kept,
+            doubted=doubted,
+        )  # fmt: skip
 
     @property
     def is_safe(self) -> bool:
@@ -177,8 +187,14 @@ class Assurance:
 
     @property
     def at_least(self) -> float:
-        """Lower end of the probability's one-sided 95 per cent interval (Clopper, Pearson)."""
-        return at_least(self.n_kept, self.n_checked)
+        """Lower end of the probability's one-sided 95 per cent interval (Clopper, Pearson).
+
+        Where vehicles are drawn from priors, that of the half which doubts them: the bound then
+        holds although priors believe too much.
+        """
+        if not self.doubted.any():
+            return at_least(self.n_kept, self.n_checked)
+        return at_least(int(self.kept[self.doubted].sum()), int(self.doubted.sum()))
 
     @property
     def drawn(self) -> str:
@@ -192,9 +208,10 @@ class Assurance:
         """Return the probability in words."""
         if not self.limited:
             return NO_LIMIT
+        doubt = f", priors {DOUBT:g} times too narrow included" if self.doubted.any() else ""
         words = (
             f"limits kept on {self.probability:.1%} of {self.n_checked} simulated vehicles with "
-            f"{self.drawn} (at least {self.at_least:.1%} with 95 % confidence)"
+            f"{self.drawn} (at least {self.at_least:.1%} with 95 % confidence{doubt})"
         )
         if not self.is_enough:
             words += f", LESS than the {self.wanted:.0%} asked for"
@@ -250,7 +267,8 @@ def assess_limits(
     prior : Information, optional
         Such as that of a fit.
     vehicles : int or sequence of Model
-        How many are drawn; or these, drawn before: several runs are then judged on the same ones.
+        How many are drawn; or these, drawn before from the same ``spread``, ``prior`` and
+        ``others``: several runs are then judged on the same ones.
     wanted : float, optional
         Probability that is asked for, for the words of the report.
     sea : NoiseModel, optional
@@ -282,6 +300,7 @@ def assess_limits(
     return Assurance(
         int(kept.sum()), n_vehicles, wanted, spread, dict(Counter(filter(None, first))), ranges,
         bool(bounds.names), _waves(sea), rules, stopped, kept,
+        in_doubt(model, spread, prior, n_vehicles, 1 + len(others)),
         PredictedTracks.of(motion(model, experiment), tracks),
     )  # fmt: skip
 

@@ -492,8 +492,8 @@ def _safe_run(
         bounds = LimitBounds.of(expected.model, limits or run.limits)
         if kept_on(run, vehicles, bounds, certainty) is not None:
             found = assess_limits(
-                expected.model, run, rng=rng, limits=limits, spread=None, vehicles=vehicles,
-                wanted=certainty, sea=expected.sea,
+                expected.model, run, rng=rng, limits=limits, spread=None, vehicles=others,
+                prior=expected.prior, wanted=certainty, sea=expected.sea,
             )  # fmt: skip
             if found.is_enough:
                 return replace(outlook, refused=refused), best, found

@@ -375,11 +375,11 @@ class _Planner:
         while True:
             for run in plan.picked:
                 if run.name not in safe:
-                    found = assess_limits(
+                    safe[run.name] = assess_limits(
                         expected.model, run.experiment, rng=self.rng, limits=self.limits,
                         wanted=self.certainty, sea=expected.sea, vehicles=judges,
+                        spread=self.spread, prior=expected.prior,
                     )  # fmt: skip
-                    safe[run.name] = replace(found, spread=self.spread)
             leaves = _leaving(plan.picked, safe, self.certainty)
             kept = [run for run in plan.runs if run.name not in leaves]
             if len(kept) == len(plan.runs) or not kept:

@@ -382,6 +382,22 @@ def _drawn(
     return found
 
 
+def in_doubt(
+    model: Model, spread: float | None, prior: Information | None, n_sets: int, structures: int = 1
+) -> np.ndarray:
+    """Which vehicles of :func:`draw_models` are drawn as if priors were too narrow, ``(n_sets,)``.
+
+    Parameters
+    ----------
+    model, spread, prior, n_sets
+        See :func:`draw_models`.
+    structures : int
+        The model and the others.
+    """
+    rests = spread is None and prior is None and bool(_deviations(model, None).any())
+    return rests & (np.arange(n_sets) // structures % 2 == 1)
+
+
 def _deviations(model: Model, prior: Information | None) -> np.ndarray:
     """Root of the covariance of what is known, ``(n_free, n_free)``; zero where nothing is."""
     names = model.free_names

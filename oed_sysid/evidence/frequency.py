@@ -26,13 +26,20 @@ where
 .. math:: \frac{|H_i - H_i^\text{model}|^2}{2 \sigma_i^2} \le F_{1 - \alpha/m}(2,\, 2(n - q))
 
 with :math:`m` such frequencies and responses and :math:`\alpha` of a hundredth altogether. Errors
-of the model's own parameters are left out, and so is leakage, which at the lowest frequencies moves
-a response by more than its random error: against a closed form these count for little.
+of the model's own parameters are left out, and so is leakage, which at the lowest frequencies, and
+beside steep peaks and troughs of spectra at any, moves a response by more than its random error:
+against a closed form these count for little.
+
+**Feedback.** Where inputs answer outputs, as a zigzag's and a helmsman's do, disturbances reach the
+inputs, and the response of a record is drawn towards minus the inverse of the controller (Ljung
+1999, section 6.4), the more the lower the coherence. The model's run, which no disturbance moves,
+is not: a failure at low coherence may be the controller's.
 
 References
 ----------
 J. S. Bendat, A. G. Piersol, *Random Data*, Wiley, 4th ed. (2010), chapters 7 and 9.
 P. D. Welch, *IEEE Transactions on Audio and Electroacoustics* 15 (1967) 70-73.
+L. Ljung, *System Identification*, 2nd ed. (1999).
 M. B. Tischler, R. K. Remple, *Aircraft and Rotorcraft System Identification*, AIAA, 2nd ed. (2012).
 """
 
@@ -60,6 +67,9 @@ TOLD = 0.6
 # Lengths of a window in all records together: more give smaller random errors and coarser
 # frequencies.
 WINDOWS = 10
+
+# Bands of alternating verdicts that a sentence lists; of more it says how many frequencies hold.
+CHANGES = 3
 
 HOLDS, FAILS, UNTOLD = "holds", "fails", "untold"
 
@@ -296,6 +306,8 @@ class Band:
         Magnitude of the model's response over that of the records, mean of the logarithms.
     phase : float
         Mean of the model's phase minus that of the records, rad.
+    count : int
+        Frequencies.
     """
 
     model: str
@@ -306,6 +318,7 @@ class Band:
     verdict: str
     ratio: float
     phase: float
+    count: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -354,11 +367,14 @@ class FrequencyComparison:
             (one.model, f"{one.input} to {one.output}", f"{one.low:.3g} to {one.high:.3g}",
              one.verdict, *_apart(one))
             for one in self.bands
+            if one.verdict != UNTOLD
         ]  # fmt: skip
         record = self.record
         words = (
             f"{record.averages:.3g} independent windows of {record.window:.3g} s; a response is "
-            f"judged where its partial coherence is at least {TOLD:g}.",
+            f"judged where its partial coherence is at least {TOLD:g}. Where a helmsman answers what "
+            "is measured, disturbances draw the records' responses towards minus the inverse of "
+            "the controller.",
             *self.verdict,
         )
         heads = ("model", "response", "band [Hz]", "verdict", "magnitude", "phase [deg]")
@@ -467,25 +483,36 @@ def _bands(
         yield Band(
             one.label, command, output, float(record.frequencies[low]),
             float(record.frequencies[high - 1]), str(said[low]),
-            float(np.exp(mean.real)), float(mean.imag),
+            float(np.exp(mean.real)), float(mean.imag), int(high - low),
         )  # fmt: skip
 
 
 def _apart(band: Band) -> tuple[str, str]:
     """Mean distance of model and record over a band, in words."""
-    if band.verdict == UNTOLD:
-        return "", ""
     return f"x {band.ratio:.3g}", f"{np.degrees(band.phase):+.1f}"
 
 
 def _sentence(label: str, command: str, output: str, bands: Sequence[Band]) -> str:
     """Where a model holds for one response."""
-    where = {
-        verdict: ", ".join(f"{b.low:.3g} to {b.high:.3g} Hz" for b in bands if b.verdict == verdict)
-        for verdict in (HOLDS, FAILS)
-    }
-    if not any(where.values()):
-        return f"{label}, {command} to {output}: the records tell nothing at any frequency."
-    words = f"holds over {where[HOLDS]}" if where[HOLDS] else "holds nowhere"
-    more = f", fails over {where[FAILS]}" if where[FAILS] else ""
-    return f"{label}, {command} to {output}: {words}{more}; elsewhere the records tell nothing."
+    head = f"{label}, {command} to {output}: "
+    told = [band for band in bands if band.verdict != UNTOLD]
+    if not told:
+        return f"{head}the records tell nothing at any frequency."
+    spans = [band for band in told if band.verdict == HOLDS]
+    missed = [band for band in told if band.verdict == FAILS]
+    if not spans or not missed or len(told) <= CHANGES:
+        words = f"holds over {_spans(spans)}" if spans else "holds nowhere"
+        more = f", fails over {_spans(missed)}" if missed else ""
+        return f"{head}{words}{more}; elsewhere the records tell nothing."
+    # Of verdicts that alternate the reader wants the extent, the share and the worst.
+    worst = max(missed, key=lambda band: abs(np.log(band.ratio) + 1j * band.phase))
+    n, total = sum(band.count for band in spans), sum(band.count for band in told)
+    return (
+        f"{head}holds at {n} of {total} frequencies that the records tell of, {told[0].low:.3g} to "
+        f"{told[-1].high:.3g} Hz; most off over {_spans([worst])} "
+        f"({', '.join(_apart(worst))} deg)."
+    )
+
+
+def _spans(bands: Sequence[Band]) -> str:
+    return ", ".join(f"{band.low:.3g} to {band.high:.3g} Hz" for band in bands)
