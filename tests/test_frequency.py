@@ -118,6 +118,7 @@ def test_a_right_model_holds_and_a_wrong_one_fails_where_it_is_wrong() -> None:
     assert not held.size or held.min() < failed.min()
     bands = [b for b in found.bands if (b.model, b.output, b.verdict) == ("fast", "r", FAILS)]
     assert max(b.ratio for b in bands) == pytest.approx(2.0, rel=0.1)
+    assert sum(b.count for b in bands) == failed.size
     # The linearised model is Nomoto's closed form for an input that is held between samples.
     delay = np.exp(-2j * np.pi * hertz * 0.5)
     pole = np.exp(-0.5 / T)

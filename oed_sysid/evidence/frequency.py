@@ -372,9 +372,9 @@ class FrequencyComparison:
         record = self.record
         words = (
             f"{record.averages:.3g} independent windows of {record.window:.3g} s; a response is "
-            f"judged where its partial coherence is at least {TOLD:g}. Where a helmsman answers what "
-            "is measured, disturbances draw the records' responses towards minus the inverse of "
-            "the controller.",
+            f"judged where its partial coherence is at least {TOLD:g}. Where a helmsman answers "
+            "what is measured, disturbances draw the records' responses towards minus the inverse "
+            "of the controller.",
             *self.verdict,
         )
         heads = ("model", "response", "band [Hz]", "verdict", "magnitude", "phase [deg]")
