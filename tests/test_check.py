@@ -305,6 +305,7 @@ def test_what_was_tested_is_said() -> None:
     rows = {(one.fault, one.signal): one for one in found.judged}
     assert rows["bias", "q"].state == "tested"
     assert rows["bias", "z"].state == "not tested"
+    assert rows["step", "q"].state == rows["jitter", "theta"].state == "tested"
     assert rows["sign", "fin"].state == "not tested"
     assert "fin" in found.verdict
     assert "What was tested" in found.report()

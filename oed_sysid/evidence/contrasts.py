@@ -48,7 +48,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import combinations, product
 
 import numpy as np
@@ -649,15 +649,23 @@ def scanned(
     system: System,
     chosen: Sequence[int],
     local: Sequence[Candidate],
-) -> list[Candidate]:
-    """The likeliest steps, bursts and losses beside what is in, of all signals in all records."""
+) -> tuple[list[Candidate], dict[Candidate, float]]:
+    """The likeliest steps, bursts and losses beside what is in, of all signals in all records.
+
+    And the least size that would be seen of what lasts, at the median place of each record.
+    """
     a = np.array(chosen, dtype=int)
     inner = np.linalg.pinv(system.gram[np.ix_(a, a)])
     numbered = [*zip(pieces, system.levels, strict=True)]
     least, result = VARYING * float(np.min(system.limits)), list[tuple[float, Candidate]]()
+    seen = dict[Candidate, float]()
     for trace, one in product(traces, local):
         here = [pair for pair in numbered if pair[0].record == trace.name]
-        gain = _gain_at(trace, one, here, a, inner)
+        gain, told = _gain_at(trace, one, here, a, inner)
+        size = math.sqrt(least / max(float(np.median(told[0])), 1e-300))
+        # Between pieces of a record that is broken there nothing shows at all.
+        lasting = replace(one, record=trace.name, span=(0.5, 1.0))
+        seen[lasting] = size if RELATIVE * size < one.plausible else math.inf
         for i, kind in enumerate(("step", "burst") if one.kind == "step" else (one.kind,)):
             own, k = gain[i], int(np.argmax(gain[i]))
             if own[k] > least:
@@ -665,7 +673,7 @@ def scanned(
                 found = replace(one, kind=kind, record=trace.name, span=(PLACED[k], until))
                 result.append((float(own[k]), found))
     likely = sorted(result, key=lambda pair: -pair[0])
-    return [fault for _, fault in likely[:MOST_FAULTS]]
+    return [fault for _, fault in likely[:MOST_FAULTS]], seen
 
 
 def _gain_at(
@@ -674,8 +682,8 @@ def _gain_at(
     numbered: Sequence[tuple[Piece, np.ndarray]],
     chosen: np.ndarray,
     inner: np.ndarray,
-) -> np.ndarray:
-    """Statistics of a lasting and of a passing fault at every place, ``(2, n_places)``.
+) -> tuple[np.ndarray, np.ndarray]:
+    """Statistics and information of a lasting and of a passing fault, ``(2, n_places)`` each.
 
     ``numbered`` are the pieces of the record with their variances, ``inner`` is the covariance of
     what is ``chosen``, which is projected out.
@@ -699,7 +707,8 @@ def _gain_at(
             across[i] += (waves / level[:, None]).T @ beside
     left = power - np.einsum("kpi,ij,kpj->kp", across, inner, across)
     told = (left > 1e-4 * power) & (power > 0.0)
-    return np.where(told, score**2 / np.where(told, left, 1.0), 0.0)
+    left = np.where(told, left, 0.0)
+    return np.where(told, score**2 / np.where(told, left, 1.0), 0.0), left
 
 
 def _from(piece: Piece, level: float, ramp: np.ndarray | None, rows: np.ndarray) -> np.ndarray:
@@ -916,6 +925,7 @@ class Reading:
 class Result:
     """What a search ends with: faults, the dictionary, and the least visible size of each.
 
+    ``local`` has that of what may begin at any place of a record, at the median place.
     ``strained`` where the signals were so far from agreeing that the linearised scores mislead.
     """
 
@@ -923,6 +933,13 @@ class Result:
     faults: tuple[Candidate, ...]
     visible: np.ndarray
     strained: bool = False
+    local: Mapping[Candidate, float] = field(default_factory=dict)
+
+    @property
+    def seen(self) -> Iterator[tuple[Candidate, float]]:
+        """All faults that were asked, each with its least visible size."""
+        yield from zip(self.faults, self.visible, strict=True)
+        yield from self.local.items()
 
 
 def search(
@@ -951,14 +968,14 @@ def search(
         system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained = strained if turn else bench.strained(now)
-        found = scanned(undone, pieces, system, now, local)
+        found, seen = scanned(undone, pieces, system, now, local)
         picked = [fault for fault in found if fault not in faults]
         chosen = bench.chosen(now)
         before, active = active, bench.sized(chosen)
         if not picked and (shift < 1e-3 or not near) and bench.settled(before, chosen):
             break
         shift *= 0.5 if near else 1.0
-    return Result(bench.found(chosen), tuple(faults), bench.visible(chosen), strained)
+    return Result(bench.found(chosen), tuple(faults), bench.visible(chosen), strained, seen)
 
 
 def _begun(

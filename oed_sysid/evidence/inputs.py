@@ -391,13 +391,15 @@ def scaled_inputs(fit: Fit) -> tuple[Finding, ...]:
         Of kind ``scale``, no fault of the log: priors may be wrong by as much.
     """
     traces = _traces(fit.dataset, fit.model, ())
-    told = {p.name: p for p in fit.model.free_parameters if p.prior_std and p.prior_mean}
     if isinstance(traces, str) or not fit.status.ok:
         return ()
+    # Where the records cannot tell a coefficient, they cannot tell what it is multiplied by.
+    errors = dict(zip(fit.names, np.isfinite(fit.covariance).all(axis=1), strict=True))
+    told = [p for p in fit.model.free_parameters if p.prior_std and p.prior_mean and errors[p.name]]
     log = Log(fit.dataset.channels, (), fit.dataset.names)
     result = list[Finding]()
     for name in (one for one in fit.model.input_names if _moves(traces, one)):
-        own = [p for n, p in told.items() if _acts_through(traces[0], fit.model, n, name)]
+        own = [p for p in told if _acts_through(traces[0], fit.model, p.name, name)]
         if len(own) > 1:
             result += map(log.sized, _common_factor(fit, name, own).found())
     return tuple(result)

@@ -59,6 +59,8 @@ class Jitter:
 def jitter(traces: Sequence[Trace]) -> Jitter:
     """Judge the times of samples of some records, their bad samples left out."""
     names = tuple(dict.fromkeys(name for trace in traces for name in trace.values))
+    if not names:
+        return Jitter((), 0.0, 0.0, 0.0, {})
     product, power, variance = np.zeros((3, len(names), len(names)))
     own = np.zeros((2, len(names)))
     for trace in traces:

@@ -366,8 +366,14 @@ class LogCheck:
             (signal, *(cells.get((signal, kind), "") for kind in kinds))
             for signal in dict.fromkeys(one.signal for one in self.judged)
         ]
-        untold = [one for one in self.judged if one.state == "not tested" and one.says]
-        reasons = list(dict.fromkeys(f"{one.signal}: {one.says}" for one in untold))
+        untold = dict[tuple[str, str], list[str]]()
+        for one in self.judged:
+            if one.state == "not tested" and one.says:
+                untold.setdefault((one.signal, one.says), []).append(one.fault)
+        alike = dict[tuple[str, str], list[str]]()
+        for (signal, why), faults in untold.items():
+            alike.setdefault((", ".join(faults), why), []).append(signal)
+        reasons = [f"{what} of {', '.join(of)}: {why}" for (what, why), of in alike.items()]
         table = Table(
             ("signal", *kinds), rows,
             caption="The least size that would have been seen; FOUND; or a dash where it could "

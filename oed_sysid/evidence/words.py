@@ -258,8 +258,7 @@ def judged_row(
     """Whether a fault was tested, from which size on, or why it was not."""
     size, plausible = np.inf, 0.0
     if ended is not None:
-        seen = zip(ended.faults, ended.visible, strict=True)
-        own = ((f, v) for f, v in seen if f.signals == (name,) and kind in _kinds_of(f))
+        own = ((f, v) for f, v in ended.seen if f.signals == (name,) and kind in _kinds_of(f))
         size, plausible = min(
             ((float(v), LARGEST * f.plausible) for f, v in own), default=(np.inf, 0.0)
         )
