@@ -387,7 +387,7 @@ class FrequencyComparison:
             )
             for name in record.outputs
         ]  # fmt: skip
-        tables = (Table(heads, rows, words=(1, 3)),)
+        tables = (Table(heads, rows, words=(1, 3)),) if rows else ()
         return Section("Frequency responses", words, tables, drawn, heading=True, indent=2)
 
     def document(self) -> Report:
