@@ -24,6 +24,7 @@ import pytest
 from benchmarks import page_walk
 from oed_sysid import Fit, load_problem, new_problem, read_csv
 from oed_sysid.app.choices import at_hand
+from oed_sysid.data.mapping import parse
 from oed_sysid.experiments.catalogue import catalogue_folder
 
 pytest.importorskip("streamlit", reason="needs the extra 'app'")
@@ -259,28 +260,26 @@ def own_log(ship: Path) -> tuple[bytes, np.ndarray, np.ndarray]:
 def test_own_csv_with_other_names_units_and_a_wrapped_heading(
     page: Any, ship: Path, tmp_path: Path
 ) -> None:
-    """Columns are mapped by clicks; the records are the numbers they were made of."""
+    """Columns are mapped by their numbers; the records are those they were made of."""
     content, psi, r = own_log(ship)
     file = tmp_path / "circle.csv"
     file.write_bytes(content)
     page.get_by_text("My logs", exact=True).click()
     settled(page)
     page.locator("input[type=file]").first.set_input_files(file)
-    page.get_by_text("Column of time").wait_for()
-    choose(page, "Column of time", "clock")
-    choose(page, "Its unit", "ms")
-    for channel, field in (("psi", "compass"), ("r", "gyro"), ("rudder", "helm")):
-        unit = "deg/s" if channel == "r" else "deg"
-        choose(page, f"Column of {channel}", f"circle.{field} [{unit}]")
-    page.get_by_role("checkbox", name="Flip r", exact=True).check(force=True)
+    page.get_by_text("What the numbers say").wait_for()
+    # A column chosen by hand brings its unit, its sign and its jumps; so does the guess.
+    choose(page, "Column of psi", "not logged")
+    choose(page, "Column of psi", "circle.compass [deg]")
     settled(page)
-    page.get_by_role("checkbox", name="Unwrap psi", exact=True).check(force=True)
-    settled(page)
+    assert page.get_by_role("checkbox", name="Unwrap psi", exact=True).is_checked()
+    assert page.get_by_role("checkbox", name="Flip r", exact=True).is_checked()
     page.locator(".js-plotly-plot").wait_for()
     no_error(page)
     text = downloaded(page, "Mapping file").decode()
-    assert 'field = "circle.compass [deg]"' in text
-    assert "sign = -1" in text
+    mapping = parse(text)
+    assert mapping.outputs["psi"].field == "circle.compass [deg]"
+    assert (mapping.outputs["r"].sign, mapping.time_unit) == (-1, "ms")
     go(page, "Report")
     with zipfile.ZipFile(io.BytesIO(downloaded(page, "Records (ZIP)"))) as packed:
         packed.extractall(tmp_path)

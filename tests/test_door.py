@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from benchmarks import door
+from oed_sysid import load_problem, new_problem
+from oed_sysid.cli import DONE, main
 from oed_sysid.data.formats import open_log
 from oed_sysid.data.log import assemble, meaning
 from oed_sysid.data.logs import draft, import_log
@@ -178,3 +181,43 @@ def test_mcap_of_protobuf(tmp_path: Path) -> None:
     log = open_log(path)
     np.testing.assert_allclose(log["imu.rate.z"].values, 0.1 * T[:50])
     np.testing.assert_allclose(log["imu.rate.z"].times, T[:50], atol=1e-6)
+
+
+def test_first_model_of_a_heading_is_of_second_order(tmp_path: Path) -> None:
+    """A foreign log of a heading and a rudder gives a rate that is not measured, and its slopes."""
+    rudder = 0.3 * np.sign(np.sin(0.03 * T))
+    gain, lag = 0.1, 8.0
+    r, psi = np.zeros(T.size), np.zeros(T.size)
+    for k in range(T.size - 1):  # Nomoto's first-order model of the yaw rate, by Euler's method
+        r[k + 1] = r[k] + 0.5 * (gain * rudder[k] - r[k]) / lag
+        psi[k + 1] = psi[k] + 0.5 * r[k]
+    rows = [
+        f"{t:.1f};{h:.5f};{d:.4f}".replace(".", ",")
+        for t, h, d in zip(T, np.degrees(psi) % 360, np.degrees(rudder), strict=True)
+    ]
+    log = tmp_path / "fahrt.csv"
+    log.write_text("\n".join(["Zeit;Kurs;Ruderlage", *rows]))
+    problem = load_problem(new_problem(tmp_path / "schiff", log=log))
+    model = problem.model
+    assert (model.state_names, model.output_names) == (("psi", "r"), ("psi",))
+    values = {p.name: p.value for p in model.parameters}
+    assert values["r_rudder"] == pytest.approx(gain / lag, rel=0.2)
+    assert values["r_r"] == pytest.approx(-1 / lag, rel=0.2)
+    (record,) = problem.data()
+    np.testing.assert_allclose(record.output("psi"), psi, atol=1e-4)
+
+
+def test_import_says_what_it_read_and_keeps_the_mapping(tmp_path: Path) -> None:
+    """One command from a foreign log to records; its mapping gives the same records again."""
+    s = circle()
+    rows = [f"{a:.2f},{b:.6f},{c:.8f}" for a, b, c in zip(T, s["psi"], s["r"], strict=True)]
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join(["temps,cap,vitesse de lacet", *rows]))
+    facts = tmp_path / "told.json"
+    assert main(["import", str(log), "--json", str(facts)]) == DONE
+    told = {one["role"]: one for one in json.loads(facts.read_text())["guesses"]}
+    assert (told["psi"]["unit"], told["r"]["unit"]) == ("rad", "rad/s")
+    for name, more in (("first", []), ("again", ["--map", str(tmp_path / "first/mapping.toml")])):
+        assert main(["import", str(log), "--out", str(tmp_path / name), *more]) == DONE
+    first, again = (tmp_path / name / "log.csv" for name in ("first", "again"))
+    assert first.read_text() == again.read_text()

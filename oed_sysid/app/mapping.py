@@ -24,9 +24,19 @@ from oed_sysid.app import visit
 from oed_sysid.app.panels import download, message
 from oed_sysid.app.trust import check_uploads
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.data.logs import Log, LogMapping, Source, import_log, open_log
-from oed_sysid.data.logs import draft as guess
+from oed_sysid.data.logs import (
+    Log,
+    LogMapping,
+    Recognised,
+    Source,
+    draft,
+    import_log,
+    open_log,
+    recognise,
+)
 from oed_sysid.data.mapping import CommandCuts, Cut, parse
+from oed_sysid.data.recognise import TIMES, role_of, source_of
+from oed_sysid.data.record import clear_wraps
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -127,8 +137,8 @@ def _header(text: str) -> tuple[str, str, list[str]]:
     return line, mark, [one.strip() for one in next(csv.reader([line], delimiter=mark), [])]
 
 
-def first_guess(log: Log, channels: Channels) -> dict[str, Source]:
-    r"""What names and units say about each channel, inputs and outputs alike.
+def first_guess(log: Log, channels: Channels, found: Recognised | None = None) -> dict[str, Source]:
+    r"""What numbers and names say about each channel, inputs and outputs alike.
 
     Examples
     --------
@@ -138,9 +148,20 @@ def first_guess(log: Log, channels: Channels) -> dict[str, Source]:
     >>> list(found), found["psi"].wrap
     (['psi'], True)
     """
-    made = guess(log, channels)
+    made = draft(log, channels, found=found)
     both = {} if made is None else {**made.inputs, **made.outputs}
     return {name: source for name, source in both.items() if source.field}
+
+
+@st.cache_resource(show_spinner="Reading what the fields are", max_entries=10)
+def _recognised(source: str, edition: str, _log: Log) -> Recognised:
+    """What the fields of the first log are."""
+    return recognise(_log)
+
+
+def recognised(source: str, log: Log) -> Recognised:
+    """What the fields of the first log of a problem are, once for each set of files."""
+    return _recognised(source, f"{visit.edition()}:{time_column(source)}", log)
 
 
 def unit_of(log: Log, field: str) -> str:
@@ -341,7 +362,9 @@ def asked(source: str, problem: Problem) -> LogMapping:
         raise NothingMappedError(
             "No output is mapped yet. Choose a column for at least one measured signal."
         )
-    mapping = LogMapping({one.name: found[one.name] for one in problem.model.inputs}, outputs)
+    unit = str(visit.chosen("map", source, "clock unit") or "")
+    inputs = {one.name: found[one.name] for one in problem.model.inputs}
+    mapping = LogMapping(inputs, outputs, time_unit=unit)
     how = visit.chosen("map", source, "cuts", default=WHOLE)
     if how == BY_TIME:
         first, last = (float(visit.chosen("map", source, one, default=0.0)) for one in _SPAN)
@@ -414,6 +437,10 @@ def _ask(source: str, problem: Problem, log: Log) -> None:
     with st.expander(f"What {log.path.name} holds: {len(log.names)} fields"):
         heads = ("field", "samples", "rate", "from – to", "unit", "range")
         st.dataframe([dict(zip(heads, row, strict=True)) for row in log.rows()], hide_index=True)
+    _say_guesses(source, log)
+    if log.clock_unit is None:
+        words = f"The clock, {log.clock}, counts in"
+        st.selectbox(words, list(TIMES), key=visit.kept("map", source, "clock unit"))
     widths = [2.2, 3.0, 1.2, 0.9, 1.1, 1.1]
     heads = ("Channel", "Column", "Its unit", "Reversed", "Jumps by 360°", "")
     for column, head in zip(st.columns(widths), heads, strict=True):
@@ -430,15 +457,19 @@ def _begin(source: str, problem: Problem, log: Log) -> None:
     """Fill in what names and units say, once per log; keep what was answered where it still is."""
     state, mark = st.session_state, visit.kept("map", source, "for")
     fields = list(log.names)
-    guesses = first_guess(log, problem.channels) if state.get(mark) != fields else {}
+    is_new, guesses = state.get(mark) != fields, dict[str, Source]()
+    if is_new:
+        told = recognised(source, log)
+        guesses = first_guess(log, problem.channels, told)
+        if log.clock_unit is None:
+            state.setdefault(visit.kept("map", source, "clock unit"), told.time_unit)
     for channel in problem.channels.all:
         key = partial(_place, source, channel.name)
         now = state.setdefault(key("field"), NOT_LOGGED)
         if now != NOT_LOGGED:
             now = state[key("field")] = field_in(log, str(now)) or NOT_LOGGED
         if now == NOT_LOGGED and (one := guesses.get(channel.name)) is not None:
-            state[key("field")], state[key("unit")] = one.field, one.unit or ""
-            state[key("wrap")] = one.wrap
+            state.update({key(fact): value for fact, value in _answers(one).items()})
     state[mark] = fields
 
 
@@ -454,7 +485,7 @@ def _ask_channel(source: str, channel: Input | Output, log: Log, row: Sequence[A
     row[0].markdown(f"{channel.label or name} `{name}` [{unit}], {kind}")
     row[1].selectbox(
         f"Column of {name}", [NOT_LOGGED, *log.names], key=key("field"), on_change=_unit_of,
-        args=(source, name), **hidden,
+        args=(source, channel), **hidden,
     )  # fmt: skip
     if st.session_state.get(key("field")) == NOT_LOGGED:
         if isinstance(channel, Input):
@@ -477,12 +508,33 @@ def _ask_channel(source: str, channel: Input | Output, log: Log, row: Sequence[A
             st.number_input(words, key=key(fact), format="%.6g")
 
 
-def _unit_of(source: str, channel: str) -> None:
-    """Write the unit that a newly chosen column states."""
-    field = st.session_state.get(_place(source, channel, "field"))
+def _unit_of(source: str, channel: Input | Output) -> None:
+    """Write what is known of a newly chosen column: unit, wrap, sign and zero."""
+    field = str(st.session_state.get(_place(source, channel.name, "field")))
     log = next(iter(opened_logs(source).logs.values()), None)
-    if log is not None and field in log.names:
-        st.session_state[_place(source, channel, "unit")] = unit_of(log, str(field))
+    if log is None or field not in log.names:
+        return
+    told = [one for one in recognised(source, log).guesses if one.field == field]
+    jumps = clear_wraps(log[field].values)
+    unit = unit_of(log, field) or ("" if jumps is None else "rad" if jumps[0] < 7.0 else "deg")
+    made = Source(field, unit=unit or None, wrap=jumps is not None)
+    if told and role_of(channel) == told[0].role:
+        made = source_of(told[0])
+    facts = _answers(made)
+    st.session_state.update({_place(source, channel.name, fact): v for fact, v in facts.items()})
+
+
+def _say_guesses(source: str, log: Log) -> None:
+    """Say what the fields were taken for and why; first what should be confirmed."""
+    told = recognised(source, log)
+    rows = told.rows(log)
+    asked = any(one.doubts for one in told.guesses)
+    if not rows:
+        return
+    with st.expander(f"What the numbers say: {len(rows)} fields", expanded=asked):
+        if told.doubts:
+            st.warning(f"Please confirm: the clock counts in {told.time_unit}.")
+        st.dataframe(rows, hide_index=True)
 
 
 def _ask_cuts(source: str, problem: Problem, log: Log) -> None:

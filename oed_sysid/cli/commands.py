@@ -162,11 +162,15 @@ def import_(
     draft: Path | None = None,
     problem: str | None = None,
     model: str | None = None,
-    out: Path = Path("data"),
+    out: Path | None = None,
 ) -> None:
-    """Make records of a vehicle's own log: list its fields, map them to channels, cut, check.
+    """Make records of a vehicle's own log: say what its fields are, map them to channels, check.
 
+    Without a mapping fields are told by their numbers: what was read as what is shown before and
+    after, with what should be confirmed; --out writes records of it, and the mapping beside them.
     Ends with exit code 4 when the log is suspect; the records are written all the same.
+
+    [bold]Example[/bold]: oed-sysid import trial.csv --out my_ship/sea
 
     [bold]Example[/bold]: oed-sysid import trial.ulg --list
 
@@ -178,11 +182,37 @@ def import_(
     named = problem or ("" if chosen is None else chosen.problem)
     if draft is not None and not listing:
         _draft(log, found, named, model, draft)
-    elif listing or chosen is None:
+        return
+    target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
+    if chosen is None and not listing and not find:
+        chosen = _told(log, found, target, named, out)
+    if listing or chosen is None:
         _list(log, found, find)
-    else:
-        target = oed_sysid.load_problem(_place(named, mapping), variant=model) if named else None
-        _import(found, chosen, target, out)
+    elif mapping is not None or out is not None:
+        _import(found, chosen, target, out or Path("data"))
+
+
+def _told(
+    log: Path, found: Log, problem: Problem | None, named: str, out: Path | None
+) -> LogMapping | None:
+    """Say what the numbers of a log tell, before and after; None where they tell nothing."""
+    from oed_sysid.data.logs import draft, recognise
+
+    told = recognise(found)
+    channels = None if problem is None else problem.channels
+    made = draft(found, channels, problem=named, found=told)
+    if made is None:
+        return None
+    doubts = sum(bool(one.doubts) for one in told.guesses) + bool(told.doubts)
+    questions = f"{counted(doubts, 'question')} below" if doubts else "nothing has to be asked"
+    answer(f"{log.name}: {counted(len(told.guesses), 'field')} recognised, {questions}.")
+    say(told.table(found))
+    if told.doubts:
+        say(f"Please confirm: the clock counts in {told.time_unit}.")
+    if out is None:
+        say(f"Next: oed-sysid import {shlex.quote(str(log))} --out data   (and the mapping there)")
+        store({"log": str(log), "kind": found.kind, **told.to_dict()})
+    return made
 
 
 def _import(
@@ -199,6 +229,7 @@ def _import(
     if out.suffix.lower() == ".csv":
         raise DataError(f"{out} is a file. Give a folder to --out: every cut becomes a file in it.")
     files = write_runs(dataset, out, "--out", [log.path])
+    mapping.write(out / "mapping.toml")
     for line in result.notes:
         note(line)
     own = None if problem is None else problem.model

@@ -37,7 +37,8 @@ from oed_sysid.data.log import TABLE, Log, Series, groups_of, meaning, symbol_of
 from oed_sysid.data.mapping import LogMapping, Source
 from oed_sysid.data.record import TURN, clear_wraps, unwrapped
 from oed_sysid.physics.channels import Channels, Input, Output
-from oed_sysid.text.units import converts, is_unit, parse_header, to_si
+from oed_sysid.runtime.display import align, as_dict
+from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to_si
 
 # Probability from which on a choice is not asked. At 0.9 one mirrored log in ten passes unasked.
 SURE = 0.95
@@ -97,6 +98,8 @@ class Guess:
     doubts: tuple[str, ...] = ()
     why: str = ""
 
+    to_dict = as_dict("role", "field", "unit", "sign", "wrap", "trim", "doubts", "why")
+
 
 @dataclass(frozen=True)
 class Recognised:
@@ -132,6 +135,42 @@ class Recognised:
             wraps = ", within one turn" if one.wrap else ""
             lines.append(f"{one.role} = {one.field} [{one.unit}]{turned}{wraps}: {one.why}.{asked}")
         return lines
+
+    def rows(self, log: Log) -> list[dict[str, str]]:
+        """Each guess with its range as logged and as read, what is to be confirmed first."""
+        return [
+            {
+                "field": one.field,
+                "is": ("-" if one.sign < 0 else "") + one.role,
+                "as logged": _reach(log[one.field].values, one.unit),
+                "as read": _reach(*_read(one, log)),
+                "because": one.why,
+                "please confirm": ", ".join(one.doubts),
+            }
+            for one in sorted(self.guesses, key=lambda one: not one.doubts)
+        ]
+
+    def table(self, log: Log) -> str:
+        """The rows as text, before and after."""
+        rows = self.rows(log)
+        cells = [tuple(rows[0]), *(tuple(row.values()) for row in rows)] if rows else []
+        return "\n".join(align(cells, left=range(6)))
+
+    to_dict = as_dict("time_unit", "doubts", "guesses")
+
+
+def _read(one: Guess, log: Log) -> tuple[np.ndarray, str]:
+    """A field as it is read, in the unit that people are shown."""
+    values, si = to_si(one.sign * (log[one.field].values - one.trim), one.unit)
+    values = unwrapped(values) if one.wrap else values
+    factor, unit = shown_unit(si)
+    return np.asarray(values * factor), unit
+
+
+def _reach(values: np.ndarray, unit: str) -> str:
+    """Smallest and largest value."""
+    good = values[np.isfinite(values)]
+    return f"{good.min():.4g} to {good.max():.4g} {unit}" if good.size else "no number"
 
 
 @dataclass(frozen=True, eq=False)
@@ -968,7 +1007,7 @@ def draft(
         None where no output is found; inputs that are not found are constant zeros.
     """
     found = found or recognise(log)
-    sources = {one.role: _source(one) for one in found.guesses}
+    sources = {one.role: source_of(one) for one in found.guesses}
     if channels is None:
         inputs = {role: sources[role] for role in COMMANDS if role in sources}
         outputs = {role: sources[role] for role in MOTION if role in sources}
@@ -984,7 +1023,8 @@ def draft(
     return LogMapping(inputs, outputs, problem=problem, time_unit=time_unit) if outputs else None
 
 
-def _source(one: Guess) -> Source:
+def source_of(one: Guess) -> Source:
+    """Where a channel of a guess's role comes from."""
     return Source(one.field, unit=one.unit, sign=one.sign, wrap=one.wrap, trim=one.trim)
 
 

@@ -41,7 +41,7 @@ from oed_sysid.text import expressions
 from oed_sysid.text.csv_table import Table, read_table
 from oed_sysid.text.units import parse_header, to_si
 
-_TABLE = tomllib.loads(files(__package__).joinpath("kinematics.toml").read_text("utf-8"))
+_TABLE = tomllib.loads(files("oed_sysid.data").joinpath("kinematics.toml").read_text("utf-8"))
 STANDARD_UNITS: dict[str, str] = _TABLE["units"]
 # Factor and meaning of the units that numbers may be in, by the unit that they should be in.
 READINGS: dict[str, list[tuple[float, str]]] = _TABLE["readings"]

@@ -3,8 +3,11 @@
 Each template is a ``problem.py`` as text; example data is simulated from the truth that it
 states. From a log, the template is filled with channels and units from its header and a linear
 model from its numbers: every measured signal answers linearly to the signals that are rates or
-angles of the vehicle, and to the commands; an angle whose rate is measured as well is its
-integral. Start values come from least squares on differences, and are no more than that.
+angles of the vehicle, and to the commands; angles, positions and depth follow from the kinematics
+of a rigid body as far as their speeds and rates are there, and an angle without its rate brings
+that as a state which is not measured. A log with other names, or of another format, is read by
+its numbers first (:mod:`~oed_sysid.data.recognise`). Start values come from least squares on
+differences, and are no more than that.
 """
 
 from __future__ import annotations
@@ -28,6 +31,7 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.data.dataset import write_csv
+from oed_sysid.data.logs import draft, import_log, open_log
 from oed_sysid.errors import DataError, FileError, ProblemError, located
 from oed_sysid.experiments.catalogue import FILE, load_problem
 from oed_sysid.experiments.simulation import simulate
@@ -43,6 +47,10 @@ _COMMAND = re.compile(
     re.IGNORECASE,
 )
 _INTEGRALS = {"psi": "r", "theta": "q", "phi": "p"}
+# Kinematics of a rigid body: forms of each equation, the fullest first.
+_EQUATIONS: dict[str, list[tuple[str, str]]] = tomllib.loads(
+    files("oed_sysid.data").joinpath("kinematics.toml").read_text("utf-8")
+)["equations"]
 _TAKEN = {*CONSTANTS, *FUNCTIONS, "t", "h", "dot", "force"}
 
 
@@ -71,8 +79,8 @@ def new_problem(
         What kind of vehicle: ``generic`` (a heading that answers to a rudder), ``ship``,
         ``auv``, ``usv``, ``torpedo`` or ``sailboat``.
     log : str or Path, optional
-        A CSV file with units in its headers: channels, units and a first linear model are
-        taken from it, and it is copied to the folder; no template is used.
+        A log of any format: channels, units and a first linear model are taken from it, and
+        its records are put into the folder; no template is used.
     inputs : sequence of str
         With a log, columns that are commands; by default those whose names say so.
 
@@ -190,29 +198,54 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     place : Path
         The folder to make.
     log : Path
-        CSV file with units in its headers.
+        Any log.
     inputs : tuple of str
-        Columns that are commands; empty lets their names decide.
+        Columns of a CSV file that are commands; empty lets names and numbers decide.
     words : dict of str to str
         ``name``, ``title`` and ``folder`` of the problem.
     """
+    told = None if inputs else _told(log, place)
+    given, log, inputs = log, *(told or (log, inputs))
     times, signals = _signals(log)
     commands = _commands(log, signals, inputs)
     measured = [s for s in signals if s not in commands]
     if not measured:
         raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
-    parts = _Log(times, commands, measured).parts() | {"log": safe(log.name)}
+    parts = _Log(times, commands, measured).parts() | {"log": safe(given.name)}
     code = _filled_template("from_log", words | parts)
     make_folder(place / "data")
-    shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
+    if told is None:
+        shutil.copyfile(log, place / "data" / f"{log.stem}.csv")
     write_text(place / FILE, code)
     listed = {
-        "log": log.name,
+        "log": given.name,
         "stem": log.stem,
         "signals": ", ".join(f"`{s.name}` [{s.unit}]" for s in (*commands, *measured)),
         "commands": ", ".join(s.name for s in commands) or "none",
     }
     write_text(place / "README.md", _filled_template("from_log_readme", words | listed))
+
+
+def _told(log: Path, place: Path) -> tuple[Path, tuple[str, ...]] | None:
+    """Records of a log by what its numbers tell, with the mapping beside them, and the commands.
+
+    None where it has names and units that are used as they are, or where nothing is told.
+    """
+    with suppress(DataError):
+        _, signals = _signals(log)
+        if any(one.name in _EQUATIONS or one.name in _INTEGRALS.values() for one in signals):
+            return None
+    opened = open_log(log)
+    mapping = draft(opened)
+    if mapping is None or not mapping.inputs:
+        return None
+    data = place / "data"
+    make_folder(data)
+    (record,) = import_log(opened, mapping).dataset
+    target = data / f"{log.stem}.csv"
+    write_csv(record, target)
+    mapping.write(data / "mapping.toml")
+    return target, tuple(mapping.inputs)
 
 
 def _signals(log: Path) -> tuple[np.ndarray, list[_Signal]]:
@@ -278,40 +311,60 @@ class _Log:
     measured: list[_Signal]
 
     @cached_property
-    def integral(self) -> dict[str, str]:
-        """Angles whose rate is measured as well, with that rate."""
+    def hidden(self) -> list[_Signal]:
+        """Rates of angles that are measured without them, as the angles change."""
         names = [s.name for s in self.measured]
-        return {a: r for a, r in _INTEGRALS.items() if a in names and r in names}
+        found = []
+        for angle in (s for s in self.measured if s.name in _INTEGRALS and s.unit == "rad"):
+            if (rate := _INTEGRALS[angle.name]) not in names:
+                values = np.gradient(_without_gaps(self.times, angle.values), self.times)
+                found.append(_Signal(rate, rate, "rad/s", values))
+        return found
+
+    @cached_property
+    def states(self) -> list[_Signal]:
+        """What is measured, and the rates that are not."""
+        return [*self.measured, *self.hidden]
+
+    @cached_property
+    def integral(self) -> dict[str, str]:
+        """Angles and positions with the kinematics that they follow from."""
+        names = {s.name for s in self.states}
+        forms = {
+            name: next((text for need, text in _EQUATIONS[name] if names >= {*need.split()}), "")
+            for name in names & _EQUATIONS.keys()
+        }
+        return {s.name: forms[s.name] for s in self.states if forms.get(s.name)}
 
     @cached_property
     def acting(self) -> list[_Signal]:
         """What acts on the motion: all but positions and headings."""
-        alone = len(self.measured) == 1
-        return [s for s in self.measured if alone or s.name not in ("x", "y", "z", "psi")]
+        alone = len(self.states) == 1
+        return [s for s in self.states if alone or s.name not in ("x", "y", "z", "psi")]
 
     @cached_property
     def scales(self) -> dict[str, float]:
         """Size of every measured signal."""
         return {
-            s.name: float(np.std(_without_gaps(self.times, s.values))) or 1.0 for s in self.measured
+            s.name: float(np.std(_without_gaps(self.times, s.values))) or 1.0 for s in self.states
         }
 
     def parts(self) -> dict[str, str]:
         """What the template of a first model is filled with."""
-        kinematics = {name: f'"{name}": "{rate}",' for name, rate in self.integral.items()}
+        kinematics = {name: f'"{name}": "{text}",' for name, text in self.integral.items()}
         parameters: list[str] = []
-        for signal in self.measured:
+        for signal in self.states:
             if signal.name not in self.integral:
                 kinematics[signal.name], own = self.linear_rate(signal)
                 parameters += own
         step = float(np.median(np.diff(self.times)))
-        states = ((s.name, s.unit, self.scales[s.name]) for s in self.measured)
+        states = ((s.name, s.unit, self.scales[s.name]) for s in self.states)
         ranges = ((s.name, np.min(s.values), np.max(s.values)) for s in self.commands)
         lists = {
             "states": [f'State("{n}", "{unit}", scale={size:.3g}),' for n, unit, size in states],
             "inputs": [s.declared("Input") for s in self.commands],
             "outputs": [s.declared("Output") for s in self.measured],
-            "kinematics": [kinematics[s.name] for s in self.measured],
+            "kinematics": [kinematics[s.name] for s in self.states],
             "parameters": parameters,
             "effects": self.candidates(5 * step),
             "limits": [f'"{n}": ({low:.4g}, {high:.4g}),' for n, low, high in ranges],
