@@ -208,11 +208,11 @@ def recognise(log: Log) -> Recognised:
     >>> t = np.arange(0.0, 400.0, 0.5)
     >>> heading = 20.0 + 150.0 * np.sin(0.02 * t)
     >>> rate = 60.0 * 3.0 * np.cos(0.02 * t)
-    >>> log = assemble(Path("a.csv"), "", {"a": (t, {"ch1": -rate, "ch2": heading % 360.0})})
+    >>> log = assemble(Path("a.csv"), "", {"a": (t, {"ch1": -rate, "cap": heading % 360.0})})
     >>> for line in recognise(log).says():
     ...     print(line)
-    psi = a.ch2 [deg], within one turn: it jumps by a turn of 360 deg, and is the integral of a.ch1.
-    r = a.ch1 [deg/min] reversed: it is the rate of a.ch2.
+    psi = a.cap [deg], within one turn: it jumps by a turn of 360 deg, and is the integral of a.ch1.
+    r = a.ch1 [deg/min] reversed: it is the rate of a.cap.
     """
     works = [_Work(log, unit) for unit in _time_units(log)]
     best = max(works, key=lambda one: one.score)
