@@ -44,7 +44,9 @@ class Jitter:
     size, std : float
         Standard deviation of the times, and its error, s.
     share : float
-        Largest share of the fast noise of one of these signals that it makes.
+        Largest share of the fast noise of one of these signals that it makes, 1 at most.
+    disorders : bool
+        Whether it is more than half a sample: which of two neighbours came first is not known.
     visible : mapping of str to float
         Least standard deviation that would show in each signal, s.
     """
@@ -53,6 +55,7 @@ class Jitter:
     size: float
     std: float
     share: float
+    disorders: bool
     visible: Mapping[str, float]
 
 
@@ -60,7 +63,7 @@ def jitter(traces: Sequence[Trace]) -> Jitter:
     """Judge the times of samples of some records, their bad samples left out."""
     names = tuple(dict.fromkeys(name for trace in traces for name in trace.values))
     if not names:
-        return Jitter((), 0.0, 0.0, 0.0, {})
+        return Jitter((), 0.0, 0.0, 0.0, False, {})
     product, power, variance = np.zeros((3, len(names), len(names)))
     own = np.zeros((2, len(names)))
     for trace in traces:
@@ -81,11 +84,13 @@ def jitter(traces: Sequence[Trace]) -> Jitter:
     among = pairs & shares & shares[:, None]
     total, weight = product[among].sum(), power[among].sum()
     if not total > 0.0:
-        return Jitter((), 0.0, 0.0, 0.0, seen)
+        return Jitter((), 0.0, 0.0, 0.0, False, seen)
     size = float(np.sqrt(total / weight))
     error = float(np.sqrt(2.0 * variance[among].sum()) / weight / (2.0 * size))
     loudest = float(np.max(size**2 * own[0, shares] / own[1, shares]))
-    return Jitter(tuple(np.array(names)[shares].tolist()), size, error, loudest, seen)
+    disorders = size > 0.5 * min(trace.step for trace in traces)
+    signals = tuple(np.array(names)[shares].tolist())
+    return Jitter(signals, size, error, min(loudest, 1.0), disorders, seen)
 
 
 def _left(trace: Trace, name: str) -> tuple[np.ndarray, np.ndarray]:

@@ -384,12 +384,11 @@ def _copies(dataset: Dataset) -> Iterable[Finding]:
 
 
 def jitter_finding(found: Jitter, dataset: Dataset) -> Iterator[Finding]:
-    """Times that scatter; suspect where they make more noise than a sensor does."""
+    """Times that scatter; suspect where they disorder samples, else noise that errors allow for."""
     if found.signals:
         bounds = interval(found.size, found.std)
         words = {"shown": amount(found.size, bounds, "s"), "share": f"{100.0 * found.share:.0f}"}
-        suspect = found.share > 0.5
-        yield said("jitter", found.signals, dataset.names, words, suspect=suspect,
+        yield said("jitter", found.signals, dataset.names, words, suspect=found.disorders,
                    size=found.size, interval=bounds, unit="s")  # fmt: skip
 
 
