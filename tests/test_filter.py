@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -266,14 +267,32 @@ def linear_pass(noise: Disturbed, own: np.ndarray = START, **options: object) ->
     )  # fmt: skip
 
 
-def remembered(noise: Disturbed, j: int, age: np.ndarray) -> np.ndarray:
-    """Autocorrelation of a disturbance, of second order as textbooks of vibration have it."""
+def remembered(
+    noise: Disturbed, j: int, starts: np.ndarray, lengths: Sequence[float]
+) -> np.ndarray:
+    """Autocorrelation of what acts over steps: the value at their start, of a sea the mean.
+
+    That of a force of second order is as textbooks of vibration have it.
+    """
+    age = np.abs(np.subtract.outer(starts, starts))
     if noise.turn[j] == 0:
         return np.exp(-age / max(noise.time[j], 1e-9))
-    z, angle = noise.damping[j], 2 * np.pi / noise.time[j] * age
-    root = np.sqrt(1 - z**2)
-    wave = np.cos(angle * root) + noise.turn[j] * z / root * np.sin(angle * root)
-    return np.exp(-z * angle) * wave
+
+    def correlation(age: np.ndarray) -> np.ndarray:
+        z, angle = noise.damping[j], 2 * np.pi / noise.time[j] * np.abs(age)
+        root = np.sqrt(1 - z**2)
+        wave = np.cos(angle * root) + noise.turn[j] * z / root * np.sin(angle * root)
+        return np.exp(-z * angle) * wave
+
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    nodes, weights = 0.5 * (nodes + 1.0), 0.5 * weights
+    points = np.add.outer(starts, np.zeros(12)) + np.outer(lengths, nodes)
+    apart = np.subtract.outer(points, points)  # (step, node, step, node)
+    found = np.einsum("m,imjn,n->ij", weights, correlation(apart), weights)
+    # Within a step the distance has a kink, which its own distribution has not.
+    own = correlation(np.outer(lengths, nodes)) @ (2.0 * weights * (1.0 - nodes))
+    np.fill_diagonal(found, own)
+    return found / np.sqrt(np.outer(own, own))
 
 
 def dense(noise: Disturbed) -> tuple[float, float]:
@@ -312,12 +331,11 @@ def joint(noise: Disturbed) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         responses.append(response)
     expected = np.array([means[i] for i in ends])
     full = np.array([responses[i] for i in ends]).reshape(len(times) * 2, len(starts), 2)
-    age = np.abs(np.subtract.outer(starts, starts))
     covariance = np.zeros((len(full), len(full)))
     across = np.zeros((len(times) - 1, len(noise.disturbances), len(full)))
     for j, name in enumerate(noise.disturbances):
         column = full[:, :, SHIP_FORCES.index(name)]
-        memory = noise.variance[j] * remembered(noise, j, age)
+        memory = noise.variance[j] * remembered(noise, j, np.array(starts), lengths)
         covariance += column @ memory @ column.T
         across[:, j] = (memory @ column.T)[ends[:-1]]
     between = np.abs(np.subtract.outer(times, times))
@@ -386,6 +404,7 @@ def test_filter_with_a_sea_is_a_textbook_kalman_filter() -> None:
     )  # fmt: skip
     times, _, measured = linear_record()
     w, z = 2 * np.pi / 2.5, 0.12
+    rows, q = np.array([[0.0, w], [-w, -2 * z * w]]), np.diag([0.0, 4 * z * w])
     mean, p = np.array([*START, 0.0, 0.0]), np.diag([0.0, 0.0, 4e-4, 4e-4])
     innovations, variances = np.full(measured.shape, np.nan), np.full(measured.shape, np.nan)
     for k, row in enumerate(measured):
@@ -399,16 +418,29 @@ def test_filter_with_a_sea_is_a_textbook_kalman_filter() -> None:
             break
         count = int(np.ceil((times[k + 1] - times[k]) / 0.2 - 1e-6))
         h = (times[k + 1] - times[k]) / count
-        # Heading, rate, held force, held rudder; then displacement and velocity of the sea.
+        # Heading, rate, held force, held rudder.
         held = np.zeros((4, 4))
         held[0, 1], held[1, 1], held[1, 2], held[1, 3] = 1.0, -1 / TIME, 1.0, GAIN / TIME * 0.2
-        held, sea = expm(held * h), expm(np.array([[0.0, w], [-w, -2 * z * w]]) * h)
+        held = expm(held * h)
+        # Displacement and velocity of the sea, and the integral of the latter; their fresh noise
+        # by Van Loan's (1978) exponential.
+        wide = np.zeros((3, 3))
+        wide[:2, :2], wide[2, 1] = rows, 1.0
+        both = np.zeros((6, 6))
+        both[:3, :3], both[3:, 3:], both[:2, 3:5] = -wide, wide.T, q
+        both = expm(both * h)
+        sea, fresh = both[3:, 3:].T, 4e-4 * both[3:, 3:].T @ both[:3, 3:]
+        # What acts is the mean over the step, at the standard deviation of the level.
+        turned = np.array([*sea[2, :2], np.sqrt(fresh[2, 2] / 4e-4)])
+        size = np.linalg.norm(turned)
         move = np.zeros((4, 4))
-        move[:2, :2], move[:2, 3], move[2:, 2:] = held[:2, :2], held[:2, 2], sea
+        move[:2, :2], move[2:, 2:] = held[:2, :2], sea[:2, :2]
+        move[:2, 2:] = np.outer(held[:2, 2], sea[2, :2]) / size
+        into = np.zeros((4, 3))
+        into[:2, 2], into[2:, :2] = held[:2, 2] / size, np.eye(2)
         for _ in range(count):
             mean = move @ mean + np.array([*held[:2, 3], 0.0, 0.0])
-            p = move @ p @ move.T
-            p[2:, 2:] += 4e-4 * (np.eye(2) - sea @ sea.T)
+            p = move @ p @ move.T + into @ fresh @ into.T
     found = linear_pass(noise)
     seen = np.isfinite(measured)
     np.testing.assert_allclose(found.innovations[seen], innovations[seen], rtol=1e-7, atol=1e-10)

@@ -47,7 +47,7 @@ static inline void add_products(double *restrict gram, const double *restrict ro
 #define PROCESSES 4
 
 /* States of one disturbance, at most, and random components in all. */
-#define STATES 4
+#define STATES 5
 #define RANDOM (STATES * PROCESSES * NF + NY)
 
 /* A row of measurement derivatives is mostly zero: its other entries, n of them. */
@@ -409,6 +409,18 @@ static inline int level_at(int kind, int index, int n_first, int nq)
     return kind == COLOUR_VARIANCE ? nq + index : -1;
 }
 
+/* fresh <- D - phi D phi', D being diagonal. */
+static inline void fresh_noise(double *fresh, const double *phi, const double *variance, int nr)
+{
+    for (int i = 0; i < nr; ++i)
+        for (int j = 0; j < nr; ++j) {
+            double *to = fresh + (size_t)i * nr + j;
+            *to = i == j ? variance[i] : 0.0;
+            for (int c = 0; c < nr; ++c)
+                *to -= phi[(size_t)i * nr + c] * variance[c] * phi[(size_t)j * nr + c];
+        }
+}
+
 /* mean <- phi mean of the random components. */
 static inline void remember(double *mean, const double *phi, int nr, double *scratch)
 {
@@ -441,8 +453,9 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
  * there are nd; q_sea (nq), number of the sea of which it is a part, or -1: seas come last;
  * white (NY) variances; ncol, c_output (ncol);
  * nr random components: disturbances, colours, then further states of disturbances; owner (nr) the
- * process of each, variance (nr); which (n - 1) of the lengths of a step is that after each sample,
- * memory (n_lengths x 3 x nr x nr) the transitions, their derivatives by the logarithms of all times
+ * process of each, variance (nr); which (n - 1 x 2) of the transitions are those of the steps after
+ * each sample, of all but the last and of this one, towards a step of perhaps another length;
+ * memory (n_transitions x 3 x nr x nr) these, their derivatives by the logarithms of all times
  * and periods, and of all dampings;
  * measured (n x NY), NaN where missing; nl, l_kind, l_index (nl), -1 for the time of all.
  * Results, each but gram may be NULL: gram ((nx + nl + 1)^2) the sum of [de e]'[de e]/S; level
@@ -620,18 +633,13 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         if (k + 1 >= n) break;
         /* Towards the next sample, in steps over which the disturbances are held. */
         const int steps = parts_of_interval(times + k, h_sub);
-        if (which[k] != last) {
-            last = which[k];
-            phi = memory + (size_t)last * 3 * nr * nr;
-            for (int i = 0; i < nr; ++i)
-                for (int j = 0; j < nr; ++j) {
-                    double *to = fresh + (size_t)i * nr + j;
-                    *to = i == j ? variance[i] : 0.0;
-                    for (int c = 0; c < nr; ++c)
-                        *to -= phi[(size_t)i * nr + c] * variance[c] * phi[(size_t)j * nr + c];
-                }
-        }
         for (int step = 0; step < steps; ++step) {
+            const int now = which[2 * k + (step + 1 == steps)];
+            if (now != last) {
+                last = now;
+                phi = memory + (size_t)last * 3 * nr * nr;
+                fresh_noise(fresh, phi, variance, nr);
+            }
             double inner_times[2], inner_inputs[2 * MAX1(NU)];
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             let_act(p, nq, q_index, mean + na);
@@ -790,7 +798,8 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
             let_act(p, nq, q_index, mean + na);
             if (NS > 0 && step == 0) sample_step(z, NULL, input, p, times[k], since, y, NULL, 0);
             advance_interval(z, NULL, inner_times, inner_inputs, p, h_max, 0, 0);
-            remember(mean + na, memory + (size_t)which[k] * 3 * nr * nr, nr, delta);
+            const int now = which[2 * k + (step + 1 == steps)];
+            remember(mean + na, memory + (size_t)now * 3 * nr * nr, nr, delta);
         }
         let_act(p, nq, q_index, mean + na);
     }

@@ -27,16 +27,25 @@ four, the velocity of a second such pair that the first one drives,
     \left[(\omega_2^2 - \omega^2)^2 + (2 \zeta_2 \omega_2 \omega)^2\right]}
 
 (Spanos 1983, *ARMA algorithms for ocean wave modeling*, J. Energy Resour. Technol. 105), steep
-below its peak and with a tail above, as the spectra of a sea. A force that is held over steps has
-the tail beyond half a step's frequency folded back to low ones, where manoeuvres are: with
-:math:`\omega^6` above, whose tail falls with :math:`\omega^{-2}`, that is more than the steeper
-flank saves unless steps are short. In a basis
-:math:`\dot x = \omega A x + B n` whose stationary covariance is the unit matrix, what acts its
-first component, over a time :math:`h`
+below its peak and with a tail above, as the spectra of a sea. In a basis
+:math:`\dot x = \omega A x + B n` whose stationary covariance is the unit matrix, with the force
+:math:`x_1` its first component, over a time :math:`h`
 
-.. math:: \Phi = e^{A \omega h}, \qquad Q = \sigma^2 (I - \Phi \Phi')
+.. math:: \Phi = e^{A \omega h}, \qquad Q = \sigma^2 (I - \Phi \Phi') .
 
-so that the variance enters force noise alone, period and damping :math:`\Phi` alone.
+What acts over a step is the *mean* of the force, not its first value: values at the steps have the
+tail beyond half a step's frequency folded back to low ones, where manoeuvres are, and a sea has no
+power there; means lose it by :math:`\mathrm{sinc}^2`. With :math:`m` the mean that :math:`x_k` lets
+expect and :math:`\nu_k` the rest, of unit variance and independent of :math:`x_k`,
+
+.. math:: \frac1h \int_0^h x_1\, dt = m' x_k + s\, \nu_k, \qquad
+    \begin{pmatrix} x_{k+1} \\ \nu_{k+1} \end{pmatrix} =
+    \begin{pmatrix} \Phi & b \\ 0 & 0 \end{pmatrix}
+    \begin{pmatrix} x_k \\ \nu_k \end{pmatrix} + \epsilon_k
+
+whose stationary covariance is the unit matrix again, and stays so when a reflection turns
+:math:`(m, s)` into the first axis. So the variance, that of the mean, enters force noise alone,
+period and damping the transition alone.
 
 Without a compiler the same passes run on CasADi's interpreter (:class:`InterpretedFilter`): there
 every tangent is a matrix of its own, and nothing is sparse.
@@ -129,7 +138,7 @@ class Disturbed:
 
     @property
     def _further(self) -> np.ndarray:
-        return np.where(self.turn == 0, 0, np.where(self.turn == FOURTH, 3, 1))
+        return np.where(self.turn == 0, 0, np.where(self.turn == FOURTH, 4, 2))
 
     @property
     def owner(self) -> np.ndarray:
@@ -143,13 +152,13 @@ class Disturbed:
         """Variances of disturbances, colours and further states, ``(n,)``."""
         return np.concatenate([self.variance, self.colour_variance])[self.owner]
 
-    def memory(self, lengths: np.ndarray) -> np.ndarray:
-        """Transitions of disturbances, colours and further states over some times.
+    def memory(self, lengths: np.ndarray, following: np.ndarray) -> np.ndarray:
+        """Transitions of disturbances, colours and further states over some steps.
 
         Parameters
         ----------
-        lengths : ndarray (n_lengths,)
-            s.
+        lengths, following : ndarray (n_lengths,)
+            Of a step and of the one behind it, s.
 
         Returns
         -------
@@ -165,8 +174,8 @@ class Disturbed:
         found[:, 1, each, each] = left * lengths[:, None] / times
         for j in np.flatnonzero(self.turn):
             where = np.flatnonzero(owner == j)
-            found[:, :, where[:, None], where] = narrow_band(
-                lengths, times[j], float(self.damping[j]), int(self.turn[j])
+            found[:, :, where[:, None], where] = step_means(
+                lengths, following, times[j], float(self.damping[j]), int(self.turn[j])
             )
         return found
 
@@ -193,14 +202,19 @@ def rates(turn: int, damping: float) -> np.ndarray:
 
 
 @lru_cache(maxsize=256)
-def _modes(turn: int, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Eigenvalues of these rates, their vectors and the inverse."""
-    values, vectors = np.linalg.eig(rates(turn, damping).astype(complex))
-    return values, vectors, np.linalg.inv(vectors)
+def _modes(turn: int, damping: float) -> tuple[np.ndarray, ...]:
+    """Eigenvalues of these rates, their vectors, the inverse, and the noise in these modes."""
+    a = rates(turn, damping)
+    values, vectors = np.linalg.eig(a.astype(complex))
+    inverse = np.linalg.inv(vectors)
+    spread = -(a + a.T)  # of rank one, as noise enters one equation
+    strongest = int(np.argmax(np.diag(spread)))
+    drive = spread[:, strongest] / np.sqrt(spread[strongest, strongest])
+    return values, vectors, inverse, inverse @ drive
 
 
 def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -> np.ndarray:
-    """Transitions of the states of a sea, what acts first, and their derivatives.
+    """Transitions of the states of a sea, its force first.
 
     Parameters
     ----------
@@ -215,26 +229,88 @@ def narrow_band(lengths: np.ndarray, period: float, damping: float, turn: int) -
 
     Returns
     -------
-    ndarray (n_lengths, 3, n_states, n_states)
-        The latter by the logarithms of period and damping.
+    ndarray (n_lengths, n_states, n_states)
 
     Examples
     --------
-    >>> phi = narrow_band(np.array([8.0]), 8.0, 0.1, -1)[0, 0]
+    >>> phi = narrow_band(np.array([8.0]), 8.0, 0.1, -1)[0]
     >>> float(np.linalg.det(phi).round(4)), float(np.exp(-4 * np.pi * 0.1).round(4))
     (0.2846, 0.2846)
     """
+    values, vectors, inverse, _ = _modes(turn, damping)
     angles = 2 * np.pi * np.asarray(lengths, dtype=float)[:, None] / period
+    return np.asarray((vectors * np.exp(values * angles)[:, None, :] @ inverse).real)
 
-    def over(damping: float, *, by_period: bool = False) -> np.ndarray:
-        values, vectors, inverse = _modes(turn, damping)
-        # d exp(lambda theta) / d ln T = -lambda theta exp(lambda theta), as theta goes with 1 / T.
-        powers = np.exp(values * angles) * (-values * angles if by_period else 1.0)
-        return np.asarray((vectors * powers[:, None, :] @ inverse).real)
 
-    step = 1e-5  # of the logarithm
-    by_damping = (over(damping * np.exp(step)) - over(damping * np.exp(-step))) / (2 * step)
-    return np.stack([over(damping), over(damping, by_period=True), by_damping], axis=1)
+def step_means(
+    lengths: np.ndarray, following: np.ndarray, period: float, damping: float, turn: int
+) -> np.ndarray:
+    """Transitions of the mean force of a sea over steps and of its further states.
+
+    Parameters
+    ----------
+    lengths, following : ndarray (n_lengths,)
+        Of a step and of the one behind it, s.
+    period, damping, turn
+        As of :func:`narrow_band`.
+
+    Returns
+    -------
+    ndarray (n_lengths, 3, n_states + 1, n_states + 1)
+        In coordinates of unit stationary covariance, and derivatives by the logarithms of period
+        and damping.
+
+    Examples
+    --------
+    Of means over eighths of a period, neighbours are correlated by nearly its cosine.
+
+    >>> phi = step_means(np.array([1.0]), np.array([1.0]), 8.0, 0.01, -1)[0, 0]
+    >>> float(phi[0, 0].round(2)), float(np.cos(2 * np.pi / 8).round(2))
+    (0.69, 0.71)
+    """
+
+    def over(period: float, damping: float) -> np.ndarray:
+        stepped, turned = _with_mean(2 * np.pi * lengths / period, damping, turn)
+        _, behind = _with_mean(2 * np.pi * following / period, damping, turn)
+        return behind @ stepped @ turned
+
+    def slope(by_period: float, by_damping: float) -> np.ndarray:
+        ends = [
+            over(period * np.exp(by_period * step), damping * np.exp(by_damping * step))
+            for step in (1e-5, -1e-5)  # of the logarithm
+        ]
+        return (ends[0] - ends[1]) / 2e-5
+
+    return np.stack([over(period, damping), slope(1.0, 0.0), slope(0.0, 1.0)], axis=1)
+
+
+# On an interval of unit length: exact to rounding for the thirds of a wave that a step is at most.
+_NODES, _WEIGHTS = 0.5 * np.array(np.polynomial.legendre.leggauss(10)) + [[0.5], [0.0]]
+
+
+def _with_mean(angles: np.ndarray, damping: float, turn: int) -> tuple[np.ndarray, np.ndarray]:
+    r"""Transition of :math:`(x, \nu)` over steps of some angles, and what puts the mean first."""
+    values, vectors, inverse, push = _modes(turn, damping)
+    n, size = len(angles), len(values)
+    # What a unit of noise that came some angle before the end has made of the states and the mean:
+    # their covariance is an integral of products, which loses nothing however short the step is.
+    before = values * (angles[:, None] * _NODES)[:, :, None]
+    states = ((np.exp(before) * push) @ vectors.T).real
+    mean = ((np.expm1(before) / values * push) @ vectors[0]).real / angles[:, None]
+    weights = angles[:, None] * _WEIGHTS
+    rest = np.sqrt(np.sum(weights * mean**2, axis=1))
+    stepped = np.zeros((n, size + 1, size + 1))
+    powers = values * angles[:, None]
+    stepped[:, :size, :size] = (vectors * np.exp(powers)[:, None, :] @ inverse).real
+    stepped[:, :size, size] = np.einsum("tk,tki->ti", weights * mean, states) / rest[:, None]
+    acting = np.empty((n, size + 1))
+    acting[:, :size] = ((np.expm1(powers) / powers * vectors[0]) @ inverse).real
+    acting[:, size] = rest
+    # Householder's reflection of the first axis into the direction that acts.
+    acting /= np.linalg.norm(acting, axis=1)[:, None]
+    acting[:, 0] += 1.0
+    turned = acting[:, :, None] * acting[:, None, :] / acting[:, 0, None, None]
+    return stepped, turned - np.eye(size + 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -330,7 +406,7 @@ class InterpretedFilter:
         self.size = self.coloured.stop + noise.n_second
         self.extra = slice(self.na, self.size)
         self.tail, self.owner = noise.stationary, noise.owner
-        self.memory: dict[float, np.ndarray] = {}
+        self.memory: dict[tuple[float, float], np.ndarray] = {}
         self.mean = np.zeros(self.size)
 
     def replay(
@@ -354,9 +430,9 @@ class InterpretedFilter:
                 delta += gain * e
                 innovations[k, i] = e
             self._correct(delta)
-            for step, steps, length in self._parts(record[0], k):
+            for step, steps, lengths in self._parts(record[0], k):
                 self._advance(record, k, (step, steps), None)
-                self.mean[self.extra] = self._over(length)[0] @ self.mean[self.extra]
+                self.mean[self.extra] = self._over(lengths)[0] @ self.mean[self.extra]
         return -1
 
     def filter(
@@ -392,26 +468,29 @@ class InterpretedFilter:
         for k in range(len(measured)):
             if not np.isfinite(self.z).all() or not self._measure(record, k, measured[k]):
                 return k
-            for step, steps, length in self._parts(record[0], k):
-                self._predict(record, k, (step, steps), length)
+            for step, steps, lengths in self._parts(record[0], k):
+                self._predict(record, k, (step, steps), lengths)
         found.gram[:] = self.gram
         sums[0][:], sums[1][:] = [*self.slope, *self.information.ravel()], self.total
         return -1
 
-    def _parts(self, times: np.ndarray, k: int) -> list[tuple[int, int, float]]:
-        """Steps from sample ``k`` on over which disturbances are held; none after the last."""
+    def _parts(self, times: np.ndarray, k: int) -> list[tuple[int, int, tuple[float, float]]]:
+        """Steps from sample ``k`` on over which disturbances are held; none after the last.
+
+        Each with its length and that of the step behind it.
+        """
         if k + 1 == len(times):
             return []
-        interval = times[k + 1] - times[k]
-        steps = max(1, int(np.ceil(interval / self.longest_step - 1e-6)))
-        return [(step, steps, interval / steps) for step in range(steps)]
+        counts, lengths = steps_between(times[k : k + 3], self.longest_step)
+        inner = [(step, counts[0], (lengths[0], lengths[0])) for step in range(counts[0] - 1)]
+        return [*inner, (counts[0] - 1, counts[0], (lengths[0], lengths[-1]))]
 
-    def _over(self, length: float) -> np.ndarray:
-        """Transition over a time, and its derivatives, ``(3, n, n)``."""
-        key = round(float(length), 12)
-        if key not in self.memory:
-            self.memory[key] = self.noise.memory(np.array([key]))[0]
-        return self.memory[key]
+    def _over(self, lengths: tuple[float, float]) -> np.ndarray:
+        """Transition over a step, and its derivatives, ``(3, n, n)``."""
+        if lengths not in self.memory:
+            here, behind = np.array(lengths)[:, None]
+            self.memory[lengths] = self.noise.memory(here, behind)[0]
+        return self.memory[lengths]
 
     def _touched(self, kind: int, index: int) -> np.ndarray:
         """Disturbances, colours and further states of which a level is variance, time, damping."""
@@ -510,14 +589,16 @@ class InterpretedFilter:
         self.total += np.log(s), e**2 / s
         return q
 
-    def _predict(self, record: Commands, k: int, part: tuple[int, int], length: float) -> None:
+    def _predict(
+        self, record: Commands, k: int, part: tuple[int, int], lengths: tuple[float, float]
+    ) -> None:
         """Mean, covariance, columns and tangents over one part of the time to the next sample."""
         na, m, extra, n_full = self.na, self.m, self.extra, len(self.z)
         s = self._advance(
             record, k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices))
         )
         assert s is not None
-        phi, by_time, by_damping = self._over(length)
+        phi, by_time, by_damping = self._over(lengths)
         f = np.zeros((self.size, self.size))
         f[:na, :na] = s[np.ix_(self.kept, self.kept)]
         f[:na, na:m] = s[np.ix_(self.kept, self.random)]
@@ -854,14 +935,27 @@ class _Part(Kernel):
         )
 
 
+def steps_between(times: np.ndarray, longest_step: float) -> tuple[np.ndarray, np.ndarray]:
+    """How many steps each interval has, and their lengths, s, ``(n_intervals,)``."""
+    intervals = np.diff(times)
+    counts = np.maximum(1, np.ceil(intervals / longest_step - 1e-6).astype(int))
+    return counts, (intervals / counts).round(12)
+
+
 def _lengths(
     times: np.ndarray, longest_step: float, noise: Disturbed
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Which length disturbances are held for after each sample, and transitions over all these."""
-    intervals = np.diff(times)
-    steps = np.maximum(1.0, np.ceil(intervals / longest_step - 1e-6))
-    lengths, which = np.unique((intervals / steps).round(12), return_inverse=True)
-    return which.astype(np.intc), noise.memory(lengths)
+    """Which transitions the steps before each next sample have, the last of them last; and these.
+
+    ``(n_times - 1, 2)`` of those over all pairs of a length and the one behind it.
+    """
+    _, own = steps_between(times, longest_step)
+    inner = np.stack([own, own], axis=1)
+    last = np.stack([own, np.append(own[1:], own[-1:])], axis=1)
+    both = np.concatenate([inner, last])
+    pairs, which = np.unique(both, axis=0, return_inverse=True)
+    which = which.reshape(2, -1).T
+    return np.ascontiguousarray(which, dtype=np.intc), noise.memory(pairs[:, 0], pairs[:, 1])
 
 
 _CACHE: dict[tuple[str, float], FilterKernel] = {}

@@ -94,7 +94,7 @@ def narrow_band_force(
     assert sea.shape is not None
     # Transitions by length of step: regular sampling has one.
     lengths, which = np.unique(np.diff(times).round(12), return_inverse=True)
-    moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])[:, 0]
+    moves = narrow_band(lengths, sea.period, 0.5 * sea.bandwidth, SHAPES[sea.shape])
     unit = np.eye(moves.shape[1])
     # In units of the stationary covariance, which is one: Q = I - Phi Phi'.
     roots = [np.linalg.cholesky(unit - phi @ phi.T) for phi in moves]
