@@ -90,7 +90,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     train, test = problem.data().split(test=likely_test(problem.data().names))
     write_records(Study(str(ship), "default", problem, train, test), tmp_path)
     monkeypatch.chdir(tmp_path)
-    for line in (lines[0], lines[1], lines[-1]):
+    for line in (lines[0], lines[1], lines[3], lines[-1]):  # the last is planned for the improved
         assert main(shlex.split(line)[1:]) == DONE
     capsys.readouterr()
     there = Fit.load(tmp_path / "fit.json")
