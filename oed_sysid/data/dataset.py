@@ -330,6 +330,23 @@ def write_csv(record: Record, path: str | Path) -> None:
         The record.
     path : str or Path
         The file, overwritten if it exists.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be written.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from oed_sysid import Channels, Output, Record
+    >>> channels = Channels((), (Output("psi", "rad"),))
+    >>> record = Record("run", np.arange(5.0), np.zeros((5, 0)), np.ones((5, 1)), channels)
+    >>> with TemporaryDirectory() as folder:
+    ...     write_csv(record, Path(folder) / "run.csv")
+    ...     print((Path(folder) / "run.csv").read_text().splitlines()[0])
+    t [s],psi [rad]
     """
     headers, values = _columns_of(record)
     first = 1 + len(record.channels.inputs)

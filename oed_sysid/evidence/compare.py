@@ -264,6 +264,15 @@ def compare(
     ------
     DataError
         If nothing was given or a model has other channels than the records.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("kvlcc2")
+    >>> zigzag, rest = problem.data().split(test=["15_05"])
+    >>> found = compare(problem.model, rest)
+    >>> found.models[0].outputs[0].output.name, found.models[0].is_noise
+    ('psi', False)
     """
     if isinstance(fits, Mapping):
         labels, given = tuple(fits), tuple(fits.values())
@@ -536,6 +545,25 @@ def diagnose(
     known_noise : bool
     disturbances : str or sequence of str
         See :func:`oed_sysid.evidence.improve.improve`.
+
+    Returns
+    -------
+    Diagnosis
+        ``location`` and ``ranking``, and one ``report()`` of both.
+
+    Raises
+    ------
+    DataError
+        If the records have other channels than the model, or too few samples for its unknowns.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("remus_diving_plane")
+    >>> train, _ = problem.data().split(test=["test_steps", "test_zigzag_15_12"])
+    >>> found = diagnose(problem.model, train, candidates=problem.effects[:8])
+    >>> found.location.best, found.ranking.order[0]
+    ('force Z', 'heave_crossflow_drag')
     """
     check_channels(model, dataset)
     candidates, _ = settled(model, dataset, candidates)

@@ -123,6 +123,21 @@ def improve(
     -------
     Improvement
         Its ``model`` and ``fit`` are what to design, predict and export with.
+
+    Raises
+    ------
+    DataError
+        If validation records repeat training records, the records have other channels than the
+        model, or they have too few samples for its unknowns.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("remus_diving_plane")
+    >>> train, test = problem.data().split(test=["test_steps", "test_zigzag_15_12"])
+    >>> found = improve(problem.model, train, test, candidates=problem.effects[:8])
+    >>> [step.added for step in found.steps]
+    ['heave_crossflow_drag']
     """
     tell = progress or (lambda text: None)
     for records in (train,) if test is None else (train, test):

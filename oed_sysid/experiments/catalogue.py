@@ -33,7 +33,18 @@ def catalogue_folder() -> Path | None:
 
 
 def list_problems() -> tuple[str, ...]:
-    """Names of the shipped problems, in alphabetical order; nothing is executed."""
+    """Names of the shipped problems; nothing is executed.
+
+    Returns
+    -------
+    tuple of str
+        In alphabetical order; empty where the package was installed without them.
+
+    Examples
+    --------
+    >>> "kvlcc2" in list_problems()
+    True
+    """
     folder = catalogue_folder()
     if folder is None:
         return ()
@@ -64,6 +75,11 @@ def load_problem(name_or_folder: str | Path, *, variant: str | None = None) -> P
     ProblemError
         If nothing is found, or ``problem.py`` fails or does not export
         ``problem``; the message names the file and the line.
+
+    Examples
+    --------
+    >>> load_problem("kvlcc2").model.state_names
+    ('psi', 'r')
     """
     problem = _load(_find(name_or_folder))
     return problem if variant is None else problem.variant(variant)
