@@ -907,6 +907,12 @@ class _Work:
             column = self._sum(self.columns[:, i] * factor)
             rows += self._added(i, self.options(i, role), left, zero, column, role)
         self._best(role, rows, f"it is the rate of {self.found[angle].field}")
+        # Through the other angles their doubtful signs are its own.
+        others = (one for one in self.found.values() if one.role in (*RATES, "q", "r"))
+        if role in self.found and any("sign" in one.doubts for one in others):
+            one = self.found[role]
+            doubts = tuple(dict.fromkeys((*one.doubts, "sign")))
+            self.found[role] = replace(one, doubts=doubts)
 
     def _by_name(self, role: str) -> None:
         """Take the field that is called so."""
