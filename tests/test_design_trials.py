@@ -557,6 +557,10 @@ def test_a_card_is_made_of_any_run_and_names_the_side_of_each_order() -> None:
     assert [row[1] for row in orders[:2]] == [
         "rudder to 6 deg to port", "rudder to 11 deg to starboard",
     ]  # fmt: skip
+    # A tenth of a degree more is no order for people.
+    shape = Piecewise("rudder", [0.0, 5.0, 12.0, 20.0], [0.0, 0.1, 0.102, -0.2])
+    run = Experiment("more", shape, duration=40.0, sample_time=0.5, constants={"thrust": 9.0})
+    assert TrialCard.of(model, run).document().sections[0].tables[0].rows == orders
 
 
 @pytest.mark.slow

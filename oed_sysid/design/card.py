@@ -198,9 +198,12 @@ class TrialCard:
             way = np.sign(np.diff(inputs[:, index]))
             # A ramp within the rate limit is one order, not one for every sample.
             begins = np.flatnonzero(np.diff(way, prepend=0.0))
+            said = ""
             for first, after in pairwise([*begins, len(way)]):
-                if way[first]:
-                    found.append((times[first + 1], times[after], self._order(name, after)))
+                # What reads as the order before, in whole degrees, is none.
+                if way[first] and (order := self._order(name, after)) != said:
+                    found.append((times[first + 1], times[after], order))
+                    said = order
         if not found:
             words = ["no orders: leave all controls as they are"]
             return Section("RUN", words, heading=True, indent=2)
