@@ -83,8 +83,6 @@ from oed_sysid.runtime.display import (
     share,
 )
 
-# Passes with instruments, at most: the second has those of consistent estimates.
-PASSES = 2
 # Neighbouring frequencies of one value of the coherence; its bias is one over them.
 NEIGHBOURS = 5
 
@@ -190,7 +188,7 @@ def solved(form: RegressionForm, runs: Sequence[Sums]) -> Regression:
     runs : sequence of Sums
     """
     found, told = _weighted(form, runs, [run.regressors for run in runs]), -np.inf
-    for _ in range(PASSES):
+    for _ in range(2):  # the second has the instruments of consistent estimates
         instruments = [run.instruments(form, found.estimates) for run in runs]
         if any(one is None or not np.isfinite(one).all() for one in instruments):
             break

@@ -416,16 +416,21 @@ def _hdf(path: Path) -> Iterator[tuple[str, Any]]:
 def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
     """Structures with a time, at any depth."""
     vectors = _numeric({k: one for k, one in content.items() if isinstance(one, np.ndarray)})
-    series = {key: one for key, one in vectors.items() if one.ndim == 1 and one.size > 1}
-    called = next((key for key in vectors if key.lower() in _TIMES), None) or clock_of(series)
-    clock = vectors[called] if called else np.empty(0)
-    beside = {key: one for key, one in vectors.items() if key != called}
+    clock, beside = _clocked(vectors)
     fields = dict(_fields(beside | dict(_simulink(content)), clock.size))
     if clock.ndim == 1 and clock.size > 1 and fields:
         yield name, (clock, fields)
     for key, value in content.items():
         if isinstance(value, dict) and key != "signals":
             yield from _topics(key, value)
+
+
+def _clocked(vectors: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """The vector that holds the times, empty where none does, and those beside it."""
+    series = {key: one for key, one in vectors.items() if one.ndim == 1 and one.size > 1}
+    called = next((key for key in vectors if key.lower() in _TIMES), None) or clock_of(series)
+    beside = {key: one for key, one in vectors.items() if key != called}
+    return (vectors[called] if called else np.empty(0)), beside
 
 
 def _fields(vectors: dict[str, np.ndarray], n_times: int) -> Iterator[tuple[str, np.ndarray]]:

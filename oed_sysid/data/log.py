@@ -407,14 +407,8 @@ class Log:
         >>> log.timed("run.ms", "ms").span
         (0.0, 1.0)
         """
-        if not field:
-            ratio = float(to_si(1.0, unit or "s")[0]) / float(to_si(1.0, self.clock_unit or "s")[0])
-            if not unit or ratio == 1.0:
-                return self
-            series = tuple(replace(one, times=one.times * ratio) for one in self.series)
-            return replace(self, series=series, clock_unit=unit)
-        if self.clock and field.endswith(f".{self.clock}"):
-            return self.timed("", unit)
+        if not field or (self.clock and field.endswith(f".{self.clock}")):
+            return self._counting_in(unit) if unit else self
         clock = self[field]
         times = to_si(clock.values, unit or clock.unit or "s")[0]
         times = times - np.nanmin(times)
@@ -425,6 +419,14 @@ class Log:
         )
         name = field.rpartition(".")[2]
         return replace(self, series=kept, clock=name, clock_unit=unit or clock.unit or "s")
+
+    def _counting_in(self, unit: str) -> Log:
+        """The log with times that count in another unit than they were said to."""
+        ratio = float(to_si(1.0, unit)[0]) / float(to_si(1.0, self.clock_unit or "s")[0])
+        if ratio == 1.0:
+            return self
+        series = tuple(replace(one, times=one.times * ratio) for one in self.series)
+        return replace(self, series=series, clock_unit=unit)
 
     def rows(self, text: str = "") -> list[tuple[str, ...]]:
         """Name, samples, rate, span, unit and range of every field whose name holds a text."""

@@ -25,7 +25,7 @@ conventions and names tell, and where they are weak it is asked.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import permutations, product
@@ -45,11 +45,6 @@ SURE = 0.95
 # Independent samples of a motion whose record may be long but has few manoeuvres; all evidence
 # grows with it.
 INDEPENDENT = 30
-# Means over blocks of the log that are looked at: rates and positions are integrals, so that
-# more would only cost time.
-MOST_ROWS = 1500
-# Fields that are looked at, those with meaningful names first: work grows with their square.
-MOST_FIELDS = 48
 # Share that two slow drifts often explain of each other (Granger and Newbold 1974).
 SPURIOUS = 0.8
 # Share of a motion that signals explain which only go with it.
@@ -242,15 +237,16 @@ def _usable(log: Log) -> list[Series]:
 def _gridded(log: Log, factor: float) -> tuple[np.ndarray, list[_Field]]:
     """Times ``(n,)`` in s, and means of all fields over blocks about them."""
     every = _usable(log)
-    if len(every) > MOST_FIELDS:
-        every = sorted(every, key=lambda one: -meaning(one.name)[1])[:MOST_FIELDS]
+    if len(every) > 48:  # those with meaningful names first: work grows with their square
+        every = sorted(every, key=lambda one: -meaning(one.name)[1])[:48]
     if not every:
         return np.arange(2.0), []
     first = max(one.span[0] for one in every)
     last = min(one.span[1] for one in every)
     if not last > first:
         first, last = log.span
-    rows = int(np.clip(max(one.times.size for one in every), 16, MOST_ROWS))
+    # Rates and positions are integrals: more means than these would only cost time.
+    rows = int(np.clip(max(one.times.size for one in every), 16, 1500))
     times = np.linspace(first, last, rows)
     return times * factor, [_field(one, times) for one in every]
 
@@ -389,6 +385,12 @@ def _indices(one: _Angle | None, more: Any) -> list[int]:
     return [i for i in every if i >= 0]
 
 
+def _apart(indices: Iterable[int]) -> bool:
+    """Whether no field is taken twice."""
+    taken = list(indices)
+    return len(set(taken)) == len(taken)
+
+
 class _Work:
     """One log read with one unit of time: fields on a grid, and the likeliest roles."""
 
@@ -475,26 +477,14 @@ class _Work:
         That a field is the rate of another says that they are an angle and a rate, and not of
         which axis: the three axes are told together.
         """
-        theirs: dict[str, list[tuple[float, _Angle | None, Any]]] = {
-            role: [(0.0, None, None)] for role in RATES
-        }
-        for role in RATES:
-            least = NAMED - 2.0 if role == "psi" else 1.5 * USUAL
-            for one in self._some(role):
-                more: Any = self._plane(one) if role == "psi" else self._dive(one)
-                more = more if role != "phi" else None
-                score = one.score + (more.score if more else 0.0)
-                if score > least:
-                    theirs[role].append((score, one, more))
-        rows = []
-        for row in product(*theirs.values()):
-            taken = [i for _, one, more in row for i in _indices(one, more)]
-            if len(set(taken)) == len(taken):
-                rows.append((sum(score for score, _, _ in row), row))
+        rows = [
+            (sum(score for score, _, _ in row), row)
+            for row in product(*map(self._turning, RATES))
+            if _apart(i for _, one, more in row for i in _indices(one, more))
+        ]
         rows.sort(key=lambda one: -one[0])
-        score, best = rows[0]
+        score, (psi, phi, theta) = rows[0]
         self.score += score
-        psi, phi, theta = best
         doubts = {
             role: ("field",) * (not self._alone(role, index, rows))
             for index, role in enumerate(RATES)
@@ -507,6 +497,18 @@ class _Work:
                 self._attitude(role, angle, doubts[role], dive or _LEVEL)
         if psi[1] is not None and psi[2].axes[0] >= 0:
             self._sway(psi[2])
+
+    def _turning(self, role: str) -> list[tuple[float, _Angle | None, Any]]:
+        """Angles of a role with what hangs on them and their nats; first that there is none."""
+        found: list[tuple[float, _Angle | None, Any]] = [(0.0, None, None)]
+        least = NAMED - 2.0 if role == "psi" else 1.5 * USUAL
+        explains: dict[str, Callable[[_Angle], Any]] = {"psi": self._plane, "theta": self._dive}
+        for one in self._some(role):
+            more = explains[role](one) if role in explains else None
+            score = one.score + (more.score if more else 0.0)
+            if score > least:
+                found.append((score, one, more))
+        return found
 
     def _some(self, role: str) -> list[_Angle]:
         """The likeliest angles of a role, each with its likeliest rates and with none."""
@@ -593,29 +595,34 @@ class _Work:
         if one > other or abs(np.cos(ways[0] - ways[1])) > 0.2 or size <= 0.0:
             return None
         told = sum(_explained(float(shares[i])) for i in pair)
-        theirs = self.options(speed, "u") if speed >= 0 else {"": 0.0}
-        rows = []
-        for unit, by in product(self.options(one, "x"), theirs):
-            again = self.options(other, "y").get(unit)
-            if again is None:
-                continue
-            # Without a speed any size of the slope will do, and anything may drive the motion.
-            fits = _match(size, _factor(by) / _factor(unit)) if by else 0.0
-            score = told + self.options(one, "x")[unit] + again + theirs[by] + fits
-            rows.append((score, unit, by, fits))
+        rows = list(self._units(speed, pair, size, told))
         if not rows or max(rows)[0] <= 0.0:
             return None
         score, unit, by, fits = max(rows)
         chances = _chances([row[0] for row in rows])
-        scaled = sum(c for c, row in zip(chances, rows, strict=True) if row[1] == unit) > SURE
-        unsure = sum(c for c, row in zip(chances, rows, strict=True) if row[2] == by) < SURE
+
+        def sure_of(column: int, value: str) -> bool:
+            same = (c for c, row in zip(chances, rows, strict=True) if row[column] == value)
+            return bool(sum(same) > SURE)
+
         share = float(min(shares[i] for i in pair))
         sure = bool(by) and _certain(share, fits, self._named(speed, "u"))
-        doubts = ("unit",) * bool(unsure) + ("field",) * (not sure)
+        doubts = ("unit",) * (not sure_of(2, by)) + ("field",) * (not sure)
         # Any field that hardly changes does for a speed; only a sure one gives the unit of the way.
         score -= USUAL * (not sure and bool(by))
-        scaled = bool(self.fields[one].stated) or (sure and bool(scaled))
+        scaled = bool(self.fields[one].stated) or (sure and sure_of(1, unit))
         return _Plane(speed, by, pair, unit, (ways[0], ways[1]), score, doubts, scaled, told, size)
+
+    def _units(
+        self, speed: int, pair: tuple[int, int], size: float, told: float
+    ) -> Iterator[tuple[float, str, str, float]]:
+        """Nats by unit of the positions and of the speed, and what the size of the slope adds."""
+        theirs = self.options(speed, "u") if speed >= 0 else {"": 0.0}
+        ahead, abeam = self.options(pair[0], "x"), self.options(pair[1], "y")
+        for unit, by in product((one for one in ahead if one in abeam), theirs):
+            # Without a speed any size of the slope will do, and anything may drive the motion.
+            fits = _match(size, _factor(by) / _factor(unit)) if by else 0.0
+            yield told + ahead[unit] + abeam[unit] + theirs[by] + fits, unit, by, fits
 
     def _named(self, index: int, role: str) -> float:
         """Nats that a field's name is worth for a role."""
@@ -637,20 +644,13 @@ class _Work:
             return bool(sum(same) > SURE)
 
         one = self.fields[angle.angle]
-        why = []
-        if one.wraps:
-            why.append(f"it jumps by a turn of {'360 deg' if one.jumps > 7 else '2 pi rad'}")
-        if angle.rate >= 0:
-            why.append(f"is the integral of {self.fields[angle.rate].name}")
-        if plane.axes[0] >= 0:
-            why.append("is the direction in which the positions move")
         turn = 0.25 * TURN / _factor(angle.unit)
-        told = ", and ".join(why) or "its name and size"
-        unsure = () if sure("sense") else ("sign",)
+        unsure = ("sign",) * (not sure("sense"))
         reach = float(np.ptp(one.values)) * _factor(angle.unit)
         self._take(
-            "psi", angle.angle, angle.unit, -1 if best["sense"] else 1, (*doubts, *unsure), told,
-            wrap=one.wraps or reach < TURN, trim=turn if best["sense"] == 2 else 0.0,
+            "psi", angle.angle, angle.unit, -1 if best["sense"] else 1, (*doubts, *unsure),
+            self._why(angle, plane), wrap=one.wraps or reach < TURN,
+            trim=turn if best["sense"] == 2 else 0.0,
         )  # fmt: skip
         if angle.rate >= 0:
             turned = ("sign",) * (not sure("r"))
@@ -664,11 +664,22 @@ class _Work:
             said = f"it follows {one.name}"
             self._take(role, best[role], plane.unit, best[f"{role} sign"], asked, said)
         if plane.speed >= 0:
-            unsure = () if sure("u sign") else ("sign",)
+            unsure = ("sign",) * (not sure("u sign"))
             said = "the positions move as fast"
             self._take(
                 "u", plane.speed, plane.speed_unit, best["u sign"], (*plane.doubts, *unsure), said
             )
+
+    def _why(self, angle: _Angle, plane: _Plane) -> str:
+        """What told a heading."""
+        one, why = self.fields[angle.angle], []
+        if one.wraps:
+            why.append(f"it jumps by a turn of {'360 deg' if one.jumps > 7 else '2 pi rad'}")
+        if angle.rate >= 0:
+            why.append(f"is the integral of {self.fields[angle.rate].name}")
+        if plane.axes[0] >= 0:
+            why.append("is the direction in which the positions move")
+        return ", and ".join(why) or "its name and size"
 
     def _worlds(self, angle: _Angle, plane: _Plane) -> Iterator[tuple[float, dict[str, int]]]:
         """Ways in which a heading may count (clockwise, back, from east), with their nats."""
@@ -683,26 +694,31 @@ class _Work:
             if plane.axes[0] < 0:
                 yield base, {"sense": sense, "r": r}
                 continue
-            axes = list(zip(plane.axes, plane.directions, strict=True))
-            for (x, y), sx, sy, su in product((axes, axes[::-1]), (1, -1), (1, -1), (1, -1)):
-                wanted = ((0.0, 0.25), (0.0, -0.25), (0.25, 0.0))[sense]
-                wrong = [
-                    np.cos(d - TURN * w) * s * su < 0.9
-                    for (_, d), w, s in zip((x, y), wanted, (sx, sy), strict=True)
-                ]
-                if any(wrong) or (plane.speed < 0 and su < 0):
-                    continue
-                score = base - USUAL * ((sx < 0) + (sy < 0))
-                if plane.speed >= 0:
-                    score += 3.0 * su * float(np.sign(self.columns[:, plane.speed].mean()))
-                for (i, _), role in ((x, "x"), (y, "y")):
-                    named = self.fields[i]
-                    # What is called east does not count to the west.
-                    away = (sx, sy)["xy".index(role)] < 0
-                    score += (1 - 2 * away) * named.weight if named.hint == role else 0.0
-                    score -= named.weight if named.hint == "yx"["xy".index(role)] else 0.0
-                row = {"sense": sense, "r": r, "x": x[0], "y": y[0]}
-                yield score, row | {"x sign": sx, "y sign": sy, "u sign": su}
+            for score, row in self._ground(plane, sense):
+                yield base + score, {"sense": sense, "r": r} | row
+
+    def _ground(self, plane: _Plane, sense: int) -> Iterator[tuple[float, dict[str, int]]]:
+        """Which field is north, which east, and the signs that a sense of the heading allows."""
+        axes = list(zip(plane.axes, plane.directions, strict=True))
+        wanted = ((0.0, 0.25), (0.0, -0.25), (0.25, 0.0))[sense]
+        ways = (1, -1) if plane.speed >= 0 else (1,)
+        for pair, signs, su in product((axes, axes[::-1]), product((1, -1), (1, -1)), ways):
+            right = (
+                np.cos(d - TURN * w) * s * su >= 0.9
+                for (_, d), w, s in zip(pair, wanted, signs, strict=True)
+            )
+            if not all(right):
+                continue
+            score = -USUAL * sum(s < 0 for s in signs)
+            if plane.speed >= 0:
+                score += 3.0 * su * float(np.sign(self.columns[:, plane.speed].mean()))
+            for (i, _), role, other, sign in zip(pair, "xy", "yx", signs, strict=True):
+                named = self.fields[i]
+                # What is called east does not count to the west.
+                score += sign * named.weight if named.hint == role else 0.0
+                score -= named.weight if named.hint == other else 0.0
+            (x, _), (y, _) = pair
+            yield score, {"x": x, "y": y, "x sign": signs[0], "y sign": signs[1], "u sign": su}
 
     def _take(
         self, role: str, index: int, unit: str, sign: int, doubts: Sequence[str], why: str,
@@ -1015,18 +1031,27 @@ def draft(
     found = found or recognise(log)
     sources = {one.role: source_of(one) for one in found.guesses}
     if channels is None:
-        inputs = {role: sources[role] for role in COMMANDS if role in sources}
-        outputs = {role: sources[role] for role in MOTION if role in sources}
+        inputs, outputs = (
+            {role: sources[role] for role in roles if role in sources}
+            for roles in (COMMANDS, MOTION)
+        )
     else:
-        taken = {c.name: _wanted(c, log, sources) for c in channels.all}
-        outputs = {c.name: s for c in channels.outputs if (s := taken[c.name]) is not None}
-        inputs = {
-            c.name: taken[c.name] or Source(constant=0.0, unit=c.unit or "1")
-            for c in channels.inputs
-        }
+        inputs, outputs = _of_channels(channels, log, sources)
     told = log.clock_unit or "s"
     time_unit = "" if found.time_unit == told else found.time_unit
     return LogMapping(inputs, outputs, problem=problem, time_unit=time_unit) if outputs else None
+
+
+def _of_channels(
+    channels: Channels, log: Log, sources: Mapping[str, Source]
+) -> tuple[dict[str, Source], dict[str, Source]]:
+    """Sources of a problem's inputs, constant where there is none, and of its outputs."""
+    taken = {c.name: _wanted(c, log, sources) for c in channels.all}
+    outputs = {c.name: s for c in channels.outputs if (s := taken[c.name]) is not None}
+    inputs = {
+        c.name: taken[c.name] or Source(constant=0.0, unit=c.unit or "1") for c in channels.inputs
+    }
+    return inputs, outputs
 
 
 def source_of(one: Guess) -> Source:

@@ -26,8 +26,6 @@ from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.words import in_words
 from oed_sysid.runtime import display
 
-# Size of one of two pictures beside each other, inches.
-_HALF = (5.6, 3.6)
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
 UNTOLD = 100.0
 
@@ -443,11 +441,12 @@ class Improvement:
 
     def _glance(self, train: Dataset | None) -> display.Section:
         """What was found, in two pictures and the numbers of the decision; on a page."""
+        half = 5.6, 3.6  # inches, of one of two pictures beside each other
         figures = [
             display.Figure(
                 "plot_error_fall", self,
                 "Prediction error over whole records, in units of the noise. A right model has "
-                "one.", size=_HALF,
+                "one.", size=half,
             )
         ]  # fmt: skip
         if train is not None and self.location.forces:
@@ -455,7 +454,7 @@ class Improvement:
             if self.steps:
                 words += ", and what the effect that was found would leave there"
             figures.append(
-                display.Figure("plot_force_found", self, f"{words}.", (train,), size=_HALF)
+                display.Figure("plot_force_found", self, f"{words}.", (train,), size=half)
             )
         headers = ("effect", "training", "validation", "T", "threshold", "error after")
         _, records = self._judged

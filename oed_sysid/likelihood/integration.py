@@ -33,8 +33,6 @@ Ended = TypeVar("Ended", bound=Estimate)
 BIAS = 0.25
 # Ends of a fit that a finer step may better.
 ENDED = ("converged", "integration")
-# Times that a step is halved.
-HALVINGS = 4
 
 
 @dataclass(frozen=True)
@@ -127,7 +125,7 @@ def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
         The fit by another step in s, from where an earlier one ended.
     """
     first = fit
-    for _ in range(HALVINGS):
+    for _ in range(4):  # to a sixteenth: what needs more jumps, and no step will do
         if fit.status.code not in ENDED or step_change(fit, 2).total < BIAS:
             break
         finer = again(0.5 * fit.model.step, fit)

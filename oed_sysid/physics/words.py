@@ -19,8 +19,6 @@ from oed_sysid.text import expressions, notation
 from oed_sysid.text.typeset import terms
 
 _POWERS = {1: "", 2: "the square of ", 3: "the cube of "}
-# Characters from which a formula no longer helps a sentence.
-_LONG = 70
 
 
 def in_words(effect: Effect, model: Model) -> str:
@@ -156,5 +154,6 @@ def _formulas(effect: Effect, product: str) -> Iterator[str]:
         else:
             measured = "measured " if effect.stage == "sensor" else ""
             written.append(f"{measured}{key} → {shown}")
-    if sum(map(len, written)) <= _LONG and "where(" not in "".join(written):
+    # A longer formula no longer helps a sentence.
+    if sum(map(len, written)) <= 70 and "where(" not in "".join(written):
         yield from (one.replace("+ −", "− ") for one in written)

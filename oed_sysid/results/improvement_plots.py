@@ -113,8 +113,8 @@ def chart_error_fall(improvement: Improvement) -> Chart:
         "validation": [improvement.base_error["test"], *(step.test_error for step in steps)],
     }
     looks = {"training": (draw.NEUTRAL, "--", "s"), "validation": (draw.COLOURS[1], "-", "o")}
-    told = [kind for kind, values in errors.items() if np.isfinite(values).any()]
-    shown = errors[told[-1]] if told else errors["training"]
+    told = [kind for kind, values in errors.items() if np.isfinite(values).any()] or ["training"]
+    shown = errors[told[-1]]
     marks = (
         Mark(places, errors[kind], f"{kind} records", *looks[kind],
              texts=[f"{one:.3g}" for one in errors[kind]] if kind == told[-1] else ())
@@ -124,7 +124,7 @@ def chart_error_fall(improvement: Improvement) -> Chart:
     added = ", ".join(step.added for step in steps) or "nothing added"
     return Chart(
         tuple(marks), "", "prediction error [noise]",
-        f"The error on the {told[-1] if told else 'training'} records goes from {shown[0]:.3g} to "
+        f"The error on the {told[-1]} records goes from {shown[0]:.3g} to "
         f"{shown[-1]:.3g} times the noise with {added}.",
         level=1.0, band=0.05, logarithmic=max(finite, default=1.0) > 8.0,
         names=["nominal", *(f"+ {step.added.replace('_', ' ')}" for step in steps)],
