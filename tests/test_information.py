@@ -262,11 +262,17 @@ def dense_information(model: Model, noise: NoiseModel) -> np.ndarray:
     )
     lags = np.abs(np.subtract.outer(np.arange(n), np.arange(n))) * step
     memory = noise.force[0] ** 2 * np.exp(-lags / noise.force_time[0])
+    # A sea acts by its means over steps: autocovariance under the triangle of two of them. Its
+    # level is that of such a mean.
+    ends = np.linspace(-step, step, 401)
     for waves in noise.seas:
         z, w = waves.bandwidth / 2, 2 * np.pi / waves.period
-        root = np.sqrt(1 - z**2)
-        shape = np.cos(w * root * lags) - z / root * np.sin(w * root * lags)
-        memory += waves.level[0] ** 2 * np.exp(-z * w * lags) * shape
+        root, means = np.sqrt(1 - z**2), np.zeros_like(lags)
+        for away in ends:
+            t = np.abs(lags + away)
+            shape = np.cos(w * root * t) - z / root * np.sin(w * root * t)
+            means += (step - abs(away)) * np.exp(-z * w * t) * shape
+        memory += waves.level[0] ** 2 * means / means[0, 0]
     sensors = np.kron(np.eye(n), np.diag(noise.white**2))
     sensors += np.kron(np.exp(-lags / noise.colour_time[1]), np.diag(noise.colour**2))
     covariance = by_force @ memory @ by_force.T + sensors
