@@ -411,11 +411,12 @@ class Log:
             return self._counting_in(unit) if unit else self
         clock = self[field]
         times = to_si(clock.values, unit or clock.unit or "s")[0]
+        good = np.isfinite(times)
         times = times - np.nanmin(times)
         kept = tuple(
             replace(one, times=times[good], values=one.values[good])
             for one in self.series
-            if one.values.size == times.size and (good := np.isfinite(times)).any()
+            if one.values.size == times.size and good.any()
         )
         name = field.rpartition(".")[2]
         return replace(self, series=kept, clock=name, clock_unit=unit or clock.unit or "s")

@@ -121,9 +121,10 @@ class Claim:
         """The decision in words."""
         if not self.excess > 0.0:
             return "T below threshold"
-        at = f"at its bound ({', '.join(self.bounds)})"
+        names = ", ".join(self.bounds)
         if np.isinf(self.beyond):
-            return f"grows without end ({', '.join(self.bounds)})"
+            return f"grows without end ({names})"
+        at = f"at its bound ({names})"
         if self.held:
             return f"{at}, {self.beyond:.1f} likelier beyond"
         if self.rises:

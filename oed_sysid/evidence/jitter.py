@@ -68,11 +68,11 @@ def jitter(traces: Sequence[Trace]) -> Jitter:
     own = np.zeros((2, len(names)))
     for trace in traces:
         left, rate = np.stack([_left(trace, name) for name in names], axis=1)
-        both = left * rate
+        both, following = left * rate, rate**2 @ rate.T**2
         product += both @ both.T
-        power += rate**2 @ rate.T**2
+        power += following
         # Tails of the noise are counted as they are.
-        variance += SUMMED * np.maximum(rate**2 @ rate.T**2, both**2 @ both.T**2)
+        variance += SUMMED * np.maximum(following, both**2 @ both.T**2)
         own += [np.sum(rate**2, axis=1), np.sum(left != 0.0, axis=1)]
     pairs = ~np.eye(len(names), dtype=bool) & (power > 0.0)
     limit = -ndtri(FALSE_CLAIMS / max(int(pairs.sum()) // 2, 1))
