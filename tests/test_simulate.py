@@ -11,7 +11,6 @@ import pytest
 from reference import reference_trajectory
 from simple_models import AUV, NOMOTO, PENDULUM, K, T
 
-from oed_sysid import Parameter
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.manoeuvres import (
@@ -29,11 +28,6 @@ from oed_sysid.experiments.simulation import (
     simulate,
     simulate_batch,
     simulate_inputs,
-)
-from oed_sysid.information import (
-    nomoto,
-    nomoto_of,
-    straight_line_stability,
 )
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -398,70 +392,6 @@ def test_settled_sensor_and_actuator_have_unit_gain() -> None:
     plain = linearise(bare, equilibrium(bare, inputs={"fin": 0.0, "thrust": 9.0}))
     for name in "ABCD":
         np.testing.assert_allclose(getattr(linear, name), getattr(plain, name), atol=1e-9)
-
-
-# Esso 190 000 dwt in the bis system, linearised at 80 rpm from the coefficients of
-# van Berlekom & Goddard (1972).
-TANKER = np.array([[-0.5965, -0.3723], [-3.661, -1.875]])
-RUDDER = np.array([0.1133, -0.8755])
-# Mariner-like stable variant: less destabilising moment of sway.
-STABLE = np.array([[-0.9, -0.3], [-1.2, -2.0]])
-
-
-def ship(matrix: np.ndarray) -> Model:
-    """Linear sway-yaw model with heading."""
-    names = ("a11", "a12", "a21", "a22", "b1", "b2")
-    values = (*matrix.ravel(), *RUDDER)
-    return Model(
-        "linear ship",
-        (State("v", ""), State("r", ""), State("psi", "rad")),
-        (Input("delta", "rad"),),
-        (Output("r", ""), Output("psi", "rad")),
-        {"v": "a11*v + a12*r + b1*delta", "r": "a21*v + a22*r + b2*delta", "psi": "r"},
-        parameters=tuple(Parameter(n, float(v)) for n, v in zip(names, values, strict=True)),
-    )
-
-
-def test_nomoto_indices_match_published_values() -> None:
-    """K, T1, T2, T3 of the tanker as published with its coefficients."""
-    found = nomoto_of(TANKER, RUDDER)
-    assert found.gain == pytest.approx(3.84, abs=0.02)
-    assert found.time_constants == pytest.approx((-10.5, 0.39), abs=0.02)
-    assert found.numerator_time == pytest.approx(0.93, abs=0.01)
-
-
-def test_nomoto_reproduces_the_frequency_response() -> None:
-    """The four indices give the same response as the whole model at every frequency."""
-    model = ship(STABLE)
-    point = equilibrium(model, inputs={"delta": 0.0})
-    indices = nomoto(model, point, rudder="delta")
-    linear = linearise(model, point, outputs=["r"])
-    s = 1j * np.geomspace(1e-3, 1e2, 50)
-    first, second = indices.time_constants
-    expected = indices.gain * (1 + indices.numerator_time * s) / (1 + first * s) / (1 + second * s)
-    np.testing.assert_allclose(np.squeeze(linear[0, 0](s)), expected, rtol=1e-9)
-    assert indices.prime(2.0, 4.0).gain == pytest.approx(indices.gain / 2)
-
-
-def test_course_stability_criterion_and_poles_agree() -> None:
-    """A negative determinant means one unstable pole, as for the tanker."""
-    for matrix, stable in ((TANKER, False), (STABLE, True)):
-        model = ship(matrix)
-        found = straight_line_stability(model, equilibrium(model, inputs={"delta": 0.0}))
-        assert found.stable is stable
-        assert (found.criterion > 0) is stable
-        assert found.criterion == pytest.approx(np.prod(found.poles).real)
-    assert "stable" in found.report()
-
-
-def test_unknown_names_are_refused() -> None:
-    """Names that the model does not have are told."""
-    model = ship(STABLE)
-    point = equilibrium(model, inputs={"delta": 0.0})
-    with pytest.raises(DesignError, match="no input 'fin'"):
-        nomoto(model, point, rudder="fin")
-    with pytest.raises(DesignError, match="no state 'w'"):
-        straight_line_stability(model, point, states=("w", "q"))
 
 
 SHIP = Model(

@@ -24,7 +24,7 @@ import numpy as np
 from oed_sysid.design.assurance import Assurance, PredictedTracks
 from oed_sysid.design.vehicles import between, outside, quantity, span, units_of
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.experiments.simulation import Trajectory, trajectory_of
 from oed_sysid.information.noise import bearing, sea_words
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
@@ -91,8 +91,7 @@ class TrialCard:
         sea: NoiseModel | None = None,
     ) -> TrialCard:
         """Return the card of any run; one that reacts closes its loop on the model."""
-        made = simulate(model, replace(experiment, limits=Limits()), noise=False)
-        run = simulate_inputs(model, made.times, inputs=made.inputs, initial=experiment.initial)
+        run = trajectory_of(model, replace(experiment, limits=Limits()))
         return cls(model, experiment, run, assurance, sea)
 
     @cached_property

@@ -45,7 +45,7 @@ from oed_sysid.design.vehicles import outside, quantity, units_of
 from oed_sysid.errors import DesignError, FileError, library, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.manoeuvres import Manoeuvre, ZigZag, ZigZagLike
-from oed_sysid.experiments.simulation import simulate
+from oed_sysid.experiments.simulation import trajectory_of
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.files import make_folder, write_text
 from oed_sysid.runtime.version import __version__
@@ -83,7 +83,7 @@ def played(model: Model, experiment: Experiment) -> Experiment:
     """
     if not experiment.reacts:
         return experiment
-    run = simulate(model, experiment, noise=False)
+    run = trajectory_of(model, experiment)
     columns = dict(zip(model.input_names, run.inputs.T, strict=True))
     tables = [
         as_piecewise(one.input, run.times, columns[one.input]) for one in experiment.manoeuvres

@@ -27,7 +27,7 @@ from oed_sysid.design.vehicles import (
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.simulation import simulate
+from oed_sysid.experiments.simulation import trajectory_of
 from oed_sysid.physics.model import Model
 
 # Share of the failures that proportion allows in the next round: it is to be the last.
@@ -255,7 +255,7 @@ class Task:
 
     def designed(self, experiment: Experiment) -> np.ndarray:
         """Commands of the designed inputs in some experiment, ``(n_times, n_designed)``."""
-        return simulate(self.model, experiment, noise=False).inputs[:, self.positions]
+        return trajectory_of(self.model, experiment).inputs[:, self.positions]
 
     def experiment(self, commands: np.ndarray) -> Experiment:
         """Return commands ``(n_times, n_inputs)`` as an experiment within the limits."""

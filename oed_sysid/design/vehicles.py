@@ -44,7 +44,7 @@ from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.design.criteria import Criterion
 from oed_sysid.errors import DesignError, OedSysidError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
-from oed_sysid.experiments.simulation import Trajectory, simulate, simulate_inputs
+from oed_sysid.experiments.simulation import Trajectory, trajectory_of
 from oed_sysid.experiments.trajectory import state_names
 from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.likelihood.information import Information
@@ -503,14 +503,8 @@ def motion(vehicle: Model, run: Experiment) -> Trajectory | None:
     run : Experiment
         One that reacts closes its loop on this vehicle; its limits are not looked at.
     """
-    run = replace(run, limits=Limits())
     try:
-        commands = (
-            simulate(vehicle, run, noise=False).inputs
-            if run.reacts
-            else run.commands(vehicle.input_names)
-        )
-        return simulate_inputs(vehicle, run.times, inputs=commands, initial=run.initial)
+        return trajectory_of(vehicle, replace(run, limits=Limits()))
     except OedSysidError:
         return None
 

@@ -34,20 +34,17 @@ from oed_sysid.experiments.reacting import (
 )
 from oed_sysid.experiments.schedules import (
     PRBS,
+    Chirp,
     Constant,
     Doublet,
     FromRecord,
+    Multisine,
     Piecewise,
     PullOut,
     Spiral,
     ThreeTwoOneOne,
     TurningCircle,
     maximum_length_sequence,
-)
-from oed_sysid.experiments.sines import (
-    Chirp,
-    Multisine,
-    orthogonal_multisines,
     schroeder_phases,
 )
 from oed_sysid.runtime.version import exported

@@ -44,6 +44,7 @@ __all__ = [
     "simulate",
     "simulate_batch",
     "simulate_inputs",
+    "trajectory_of",
 ]
 
 # Samples that are simulated at once while a manoeuvre that reacts goes on: at first, and at most.
@@ -110,25 +111,44 @@ def simulate(
         found = " and ".join(type(one).__name__ for one in (model, experiment))
         raise SimulationError(f"Expected a model and an experiment, in this order; got {found}.")
     experiment.check_model(model)
-    times = experiment.times
     # Drawn before the run: a manoeuvre that reacts sees the noise that is logged.
-    noise_values = _draw_noise(model, experiment, len(times), rng) if noise else None
+    added = _draw_noise(model, experiment, len(experiment.times), rng) if noise else None
+    run = trajectory_of(model, experiment, noise=added)
+    outputs = run.outputs if added is None else run.outputs + added
+    source = f"simulation of {model.name}: {experiment.describe()}"
+    return Record(
+        name or experiment.name, run.times, run.inputs, outputs, model.channels, source=source
+    )
+
+
+def trajectory_of(
+    model: Model, experiment: Experiment, *, noise: np.ndarray | None = None
+) -> Trajectory:
+    """What a vehicle does in an experiment; one that reacts closes its loop on this vehicle.
+
+    Parameters
+    ----------
+    model : Model
+    experiment : Experiment
+    noise : ndarray (n_times, n_outputs), optional
+        What is added to the outputs before a manoeuvre sees them.
+
+    Raises
+    ------
+    DesignError
+        If the experiment does not fit the model, or commands of a loop leave their limits.
+    SimulationError
+        If the vehicle diverges.
+    """
+    experiment.check_model(model)
+    times = experiment.times
     if experiment.reacts:
-        inputs = closed_loop(model, experiment, noise_values)
+        inputs = _Loop(model, experiment, noise).run()
         signals = dict(zip(model.input_names, inputs.T, strict=True))
         experiment.check_limits(*experiment.limits.violations(times, signals))
     else:
         inputs = experiment.commands(model.input_names)
-    trajectory = simulate_inputs(model, times, inputs=inputs, initial=experiment.initial)
-    outputs = trajectory.outputs if noise_values is None else trajectory.outputs + noise_values
-    return Record(
-        name or experiment.name,
-        times,
-        inputs,
-        outputs,
-        model.channels,
-        source=f"simulation of {model.name}: {experiment.describe()}",
-    )
+    return simulate_inputs(model, times, inputs=inputs, initial=experiment.initial)
 
 
 def _draw_noise(
@@ -154,23 +174,6 @@ def _draw_noise(
 
 
 # -- manoeuvres that react ----------------------------------------------------------------
-
-
-def closed_loop(model: Model, experiment: Experiment, noise: np.ndarray | None) -> np.ndarray:
-    """Commands of manoeuvres that react to signals.
-
-    Parameters
-    ----------
-    model : Model
-    experiment : Experiment
-    noise : ndarray (n_times, n_outputs) or None
-        What is added to the outputs before a manoeuvre sees them.
-
-    Returns
-    -------
-    ndarray (n_times, n_inputs)
-    """
-    return _Loop(model, experiment, noise).run()
 
 
 class _Loop:

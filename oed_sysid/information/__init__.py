@@ -13,13 +13,6 @@ from oed_sysid.information.identifiability import (
     identifiable_subset,
     structural_identifiability,
 )
-from oed_sysid.information.linear import (
-    Nomoto,
-    Stability,
-    nomoto,
-    nomoto_of,
-    straight_line_stability,
-)
 from oed_sysid.information.noise import SEAS, noise_of, sea_noise, sea_words
 from oed_sysid.information.ranking import (
     Drop,
@@ -45,5 +38,7 @@ __getattr__ = _respelled_names(
         "excitation_spectrum": "scipy.signal.periodogram",
         "fitted_colour": "MultipleShooting(...).fit(...).noise",
         "information_of_each": "information_of",
+        "nomoto": "control.ss2tf(linearise(model, point))",
+        "straight_line_stability": "numpy.linalg.eigvals(linearise(model, point).A)",
     },
 )

@@ -27,11 +27,10 @@ import numpy as np
 
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.simulation import simulate_inputs
-from oed_sysid.information.response import Levels, plays
+from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
+from oed_sysid.information.response import Levels
 from oed_sysid.information.swell import Swell
-from oed_sysid.likelihood.disturbances import Place, chosen_places, disturbance
-from oed_sysid.likelihood.filtered import disturbed_model
+from oed_sysid.likelihood.disturbances import Place, chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.model import Model
@@ -260,25 +259,22 @@ def natural_forces(
     if not runs:
         raise DesignError("A sea in words is compared with a manoeuvre. Give one, or levels.")
     states = [model.axes.get(p.signal, p.signal) for p in found]
-    motion = np.zeros(len(found))
-    for play in plays(model, runs):
-        run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
-        # The run that moves a velocity most is what a sea has to compete with.
-        motion = np.maximum(motion, [np.std(run.signal(name)) for name in states])
-    names = [disturbance(place).parameters[0].name for place in found]
-    wide = disturbed_model(model, names)
-    step = np.array([0.0, model.step])
-    first = plays(model, runs[0])[0]
-    commands = np.repeat(first.inputs[:1], 2, axis=0)
-    # One short step with and without a unit force: d x'/d w without asking for the masses.
-    still = simulate_inputs(wide, step, inputs=commands, initial=first.initial)
-    answers = []
-    for name, state in zip(names, states, strict=True):
-        moved = simulate_inputs(
-            wide.with_values({name: 1.0}), step, inputs=commands, initial=first.initial
-        )
-        answers.append((moved.signal(state)[1] - still.signal(state)[1]) / model.step)
-    answer = np.abs(np.array(answers))
+    nominal = [trajectory_of(model, run) for run in runs]
+    # The run that moves a velocity most is what a sea has to compete with.
+    motion = np.max([[np.std(run.signal(n)) for n in states] for run in nominal], axis=0)
+    first = nominal[0]
+    wide, n = with_disturbance_inputs(model, found), len(found)
+
+    def after_a_step(forces: np.ndarray) -> np.ndarray:
+        commands = np.tile([*first.inputs[0], *forces], (2, 1))
+        run = simulate_inputs(wide, [0.0, model.step], inputs=commands, initial=own)
+        return np.array([run.signal(name)[1] for name in states])
+
+    # One short step with and without each unit force: d x'/d w without asking for the masses.
+    own = first.states[0, : len(model.states)]
+    still = after_a_step(np.zeros(n))
+    moved = np.array([after_a_step(unit) for unit in np.eye(n)])
+    answer = np.abs(np.diag(moved - still)) / model.step
     if not np.all(answer > 0):
         blind = found[int(np.argmin(answer))].name
         raise DesignError(f"A random {blind} moves nothing in model {model.name!r}. Give levels.")

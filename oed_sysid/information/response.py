@@ -36,7 +36,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
@@ -150,15 +150,10 @@ def respond(model: Model, play: Play) -> Response:
 
 def _played(model: Model, experiment: Experiment) -> Play:
     # Resolved once: for whoever gets the log, commands are given numbers.
-    record = simulate(model, experiment, noise=False)
-    return Play(
-        name=experiment.name,
-        times=record.times,
-        inputs=record.inputs,
-        initial=_own(model, experiment.initial, np.zeros(len(model.states))),
-        present=np.ones(record.outputs.shape, dtype=bool),
-        noise=dict(experiment.noise),
-    )
+    run = trajectory_of(model, experiment)
+    own = _own(model, experiment.initial, np.zeros(len(model.states)))
+    present = np.ones(run.outputs.shape, dtype=bool)
+    return Play(experiment.name, run.times, run.inputs, own, present, dict(experiment.noise))
 
 
 def _recorded(model: Model, record: Record) -> Play:

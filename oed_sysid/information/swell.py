@@ -46,9 +46,8 @@ import numpy as np
 
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment
-from oed_sysid.experiments.simulation import simulate_inputs
+from oed_sysid.experiments.simulation import trajectory_of
 from oed_sysid.experiments.steady import Equilibrium, linearise
-from oed_sysid.information.response import plays
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.noise_model import Sea
 from oed_sysid.physics.model import Model
@@ -168,7 +167,7 @@ class Swell:
         rows = [states.index(name) for name in axes]
         rate = np.array([2j * pi / self.period * water[name] for name in axes])
         rate -= np.asarray(linear.A)[rows] @ np.array([moved.get(name, 0.0) for name in states])
-        by_force = np.asarray(linear.B)[np.ix_(rows, range(len(commands), len(given)))]
+        by_force = np.asarray(linear.B)[rows, len(model.inputs) :]
         level = np.abs(np.linalg.solve(by_force, rate)) * self.height / 4.0
         # What is nothing by symmetry is nothing but for rounding.
         dust = 1e-12 * float(level.max(initial=0.0))
@@ -226,11 +225,9 @@ class Swell:
 
 def _straight(model: Model, runs: Sequence[Experiment]) -> tuple[dict[str, float], np.ndarray]:
     """State straight ahead at the mean speed and depth of the nominal motion; first commands."""
-    mean: dict[str, float] = {}
-    found = plays(model, runs)
-    for play in found:
-        run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)
-        for name in run.state_names:
-            own = float(run.signal(name).mean()) if name in ("u", "z") else 0.0
-            mean[name] = mean.get(name, 0.0) + own / len(found)
-    return mean, found[0].inputs[0]
+    nominal = [trajectory_of(model, run) for run in runs]
+    mean = {
+        name: float(np.mean([run.signal(name).mean() for run in nominal])) * (name in ("u", "z"))
+        for name in nominal[0].state_names
+    }
+    return mean, nominal[0].inputs[0]
