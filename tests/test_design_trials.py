@@ -36,7 +36,7 @@ from oed_sysid.design.vehicles import (
     Scenarios,
     at_least,
     draw_models,
-    in_waves,
+    in_own_waves,
 )
 from oed_sysid.errors import DesignError, FileError
 from oed_sysid.experiments.experiment import Experiment, Limits
@@ -414,7 +414,8 @@ def test_waves_push_the_vehicles_of_the_search() -> None:
     model = ship()
     bounds = LimitBounds.of(model, LIMITS)
     rng = np.random.default_rng(1)
-    waves = in_waves([model, model], replace(RUN, limits=Limits()), SEA, rng)
+    met = [in_own_waves(model, RUN, SEA, rng) for _ in range(2)]
+    waves = [(vehicle, run.commands(vehicle.input_names)[:, 1:]) for vehicle, run in met]
     scenarios = Scenarios(
         [model, model], RUN.times, np.array([0]), np.zeros(2), bounds, waves=waves
     )

@@ -247,7 +247,7 @@ def _designed(
         start_values=found.values,
         active=(
             *_actuator_limits(grid, best.commands[:, task.positions], units_of(task.model)),
-            *task.bounds.reached(grid.times, best.evaluations[0].signals),
+            *task.bounds.reached(grid.times, task.bounds.limited(best.evaluations[0].signals)),
         ),
         misfits=expected.misfits(total),
         chances=expected.detections(total),
@@ -350,7 +350,8 @@ def _check_start(task: Task) -> None:
 
 def _infeasible(task: Task, nearest: Score) -> str:
     """Say which limits the nearest manoeuvre breaks, and what to do."""
-    words = task.bounds.broken(task.grid.times, nearest.evaluations[0].signals)
+    limited = task.bounds.limited(nearest.evaluations[0].signals)
+    words = task.bounds.broken(task.grid.times, limited)
     if not words and task.caution is not None:
         return (
             f"No manoeuvre was found that keeps all limits on {task.caution.probability:.0%} of "

@@ -381,7 +381,7 @@ class Objective:
             evaluations.append(evaluation)
             values.append(vehicle.worth(evaluation)[0])
         value = self._combined(values)[0]
-        excess = max(self.bounds.worst(one.signals) for one in evaluations)
+        excess = max(self.bounds.worst(self.bounds.limited(one.signals)) for one in evaluations)
         runs: list[ScenarioRun] = []
         if (scenarios := self.scenarios) is not None and with_scenarios:
             runs = self._each(lambda i: scenarios.run(i, played), len(scenarios))

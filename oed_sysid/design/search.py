@@ -338,12 +338,12 @@ def _program(
 
     basis = score if after is None else after[0]
     for i, evaluation in enumerate(basis.evaluations):
-        excess = objective.bounds.excess(evaluation.signals, n_times=len(evaluation.signals))
+        excess = objective.bounds.excess(objective.bounds.limited(evaluation.signals))
         limit(excess, slope.signals[i] / objective.bounds.width[:, None])
     for i, by_numbers in slope.scenarios.items():
         if objective.scenarios is not None and np.isfinite(basis.scenarios[i].excess):
-            bounds, signals = objective.scenarios.bounds, basis.scenarios[i].signals
-            excess = bounds.excess(signals, n_times=len(signals))
+            bounds = objective.scenarios.bounds
+            excess = bounds.excess(basis.scenarios[i].signals)
             limit(excess, by_numbers / bounds.width[:, None], thin=True)
     matrix, right = np.vstack(rows), np.concatenate(rights)
     present = max(0.0, float(-right.min(initial=0.0)))

@@ -22,7 +22,7 @@ from oed_sysid.design.vehicles import (
     Robust,
     Scenarios,
     draw_models,
-    in_waves,
+    in_own_waves,
 )
 from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape
 from oed_sysid.errors import DesignError, located
@@ -328,9 +328,10 @@ class Task:
         sea = self.expected.sea
         if sea is None or not sea.has_forces or not self.scenarios:
             return self
-        return replace(
-            self, waves=in_waves(self.scenarios, self.experiment(self.still()), sea, rng)
-        )
+        run, n_inputs = self.experiment(self.still()), len(self.model.inputs)
+        met = [in_own_waves(vehicle, run, sea, rng) for vehicle in self.scenarios]
+        waves = ((one, run.commands(one.input_names)[:, n_inputs:]) for one, run in met)
+        return replace(self, waves=tuple(waves))
 
     def assured(self, experiment: Experiment, rng: np.random.Generator) -> Assurance | None:
         """On how many fresh vehicles an experiment keeps the limits; None without caution."""

@@ -144,8 +144,8 @@ class LimitBounds:
     upper: np.ndarray
     width: np.ndarray
     at_end: np.ndarray
-    n_full: int = 0
-    units: tuple[str, ...] = ()
+    n_full: int
+    units: tuple[str, ...]
 
     @classmethod
     def of(
@@ -155,104 +155,94 @@ class LimitBounds:
         states, n_full = state_names(model), kernel(model).n_full
         known = {name: n_full + i for i, name in enumerate(model.output_names)}
         known |= {name: i for i, name in enumerate(states)}
-        limited = [*limits.signals.items(), *(end or {}).items()]
+        # Checked as limits of the run are; a signal may have both.
+        at_end = Limits(signals=end or {}).signals
+        names = (*limits.signals, *at_end)
         lacking = f"A limit is on nothing: model {model.name!r} has no state or output"
-        located(DesignError, lacking, dict(limited), {**dict.fromkeys(states), **known})
-        for name, pair in limited:
-            if not float(pair[0]) < float(pair[1]):
-                raise DesignError(f"The limit of {name!r} is {pair}; lower has to be below upper.")
-        lower, upper = np.array([pair for _, pair in limited], dtype=float).reshape(-1, 2).T
+        located(DesignError, lacking, names, {**dict.fromkeys(states), **known})
+        lower, upper = np.reshape([*limits.signals.values(), *at_end.values()], (-1, 2)).T
         bound = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper, 1.0))
         width = upper - lower
         # A limit on one side has no width: its own size is the unit.
         width = np.where(np.isfinite(width), width, np.maximum(np.abs(bound), 1e-3))
         units = units_of(model)
-        return cls(
-            tuple(name for name, _ in limited),
-            np.array([known[name] for name, _ in limited], dtype=int), lower, upper, width,
-            np.arange(len(limited)) >= len(limits.signals), n_full,
-            tuple(units[name] for name, _ in limited),
-        )  # fmt: skip
+        columns = np.array([known[name] for name in names], dtype=int)
+        last = np.arange(len(names)) >= len(limits.signals)
+        labels = tuple(units[name] for name in names)
+        return cls(names, columns, lower, upper, width, last, n_full, labels)
 
-    def excess(self, signals: np.ndarray, *, first: int = 0, n_times: int) -> np.ndarray:
-        """How far signals are beyond their limits, as shares of the width.
+    def limited(self, signals: np.ndarray) -> np.ndarray:
+        """The limited ones of a vehicle's full states and outputs, ``(n_times, n_limits)``."""
+        return signals[:, self.columns]
+
+    def excess(self, limited: np.ndarray) -> np.ndarray:
+        """How far the limited signals are beyond their limits, as shares of the width.
 
         Parameters
         ----------
-        signals : ndarray (n_part, n_columns)
-            From sample ``first`` on.
-        first, n_times : int
-            Where the part begins, and the length of the whole.
+        limited : ndarray (n_times, n_limits)
 
         Returns
         -------
-        ndarray (n_part, n_limits, 2)
+        ndarray (n_times, n_limits, 2)
             Below and above; negative inside, minus infinity where not limited.
         """
-        values = signals[:, self.columns]
-        both = np.stack([self.lower - values, values - self.upper], axis=2)
+        both = np.stack([self.lower - limited, limited - self.upper], axis=2)
         both = both / self.width[:, None]
-        if self.at_end.any():
-            rows = np.arange(first, first + len(signals))[:, None] != n_times - 1
-            both[np.broadcast_to((rows & self.at_end)[:, :, None], both.shape)] = -np.inf
-        return both
-
-    def worst(self, signals: np.ndarray) -> float:
-        """Largest excess of a whole run; negative if all limits are kept."""
-        if not self.names:
-            return -np.inf
-        return float(self.excess(signals, n_times=len(signals)).max())
+        both[:-1, self.at_end] = -np.inf
+        return np.asarray(both)
 
     def during(self) -> LimitBounds:
-        """The limits that hold during the run, of signals that are picked already."""
-        kept = np.flatnonzero(~self.at_end)
+        """The limits that hold during the run."""
+        n = int((~self.at_end).sum())
         return LimitBounds(
-            tuple(self.names[i] for i in kept), np.arange(len(kept)), self.lower[kept],
-            self.upper[kept], self.width[kept], np.zeros(len(kept), dtype=bool), 0,
-            tuple(self.units[i] for i in kept),
+            self.names[:n], self.columns[:n], self.lower[:n], self.upper[:n], self.width[:n],
+            self.at_end[:n], self.n_full, self.units[:n],
         )  # fmt: skip
+
+    def worst(self, limited: np.ndarray) -> float:
+        """Largest excess of a whole run; negative if all limits are kept."""
+        return float(self.excess(limited).max(initial=-np.inf))
 
     def first_left(self, run: Trajectory) -> str | None:
         """Limit that a motion leaves first; None if it keeps all, those on its end waived."""
         bounds = self.during()
         if not bounds.names:
             return None
-        signals = np.column_stack([run.signal(name) for name in bounds.names])
-        excess = bounds.excess(signals, n_times=len(signals))
+        excess = bounds.excess(np.column_stack([run.signal(name) for name in bounds.names]))
         outside = excess.max(axis=(1, 2)) > 0
         if not outside.any():
             return None
         first = excess[int(np.argmax(outside))]
         limit, side = np.unravel_index(int(np.argmax(first)), first.shape)
-        return f"{bounds.names[limit]} {_SIDES[side]} limit"
+        return f"{self.names[limit]} {_SIDES[side]} limit"
 
-    def reached(self, times: np.ndarray, signals: np.ndarray) -> tuple[str, ...]:
+    def reached(self, times: np.ndarray, limited: np.ndarray) -> tuple[str, ...]:
         """Limits that are reached within 1 %, in words."""
         return tuple(
             f"{self.names[i]} {_SIDES[side]} limit {quantity(bound, self.units[i])} {when}"
-            for i, side, bound, _, when in self._extremes(times, signals, -REACHED)
+            for i, side, bound, _, when in self._extremes(times, limited, -REACHED)
         )
 
-    def broken(self, times: np.ndarray, signals: np.ndarray) -> tuple[str, ...]:
+    def broken(self, times: np.ndarray, limited: np.ndarray) -> tuple[str, ...]:
         """Limits that are not kept, in words."""
         return tuple(
             f"{self.names[i]} is {quantity(value, self.units[i])} {when}, "
             f"{('below', 'above')[side]} its limit of {quantity(bound, self.units[i])}"
-            for i, side, bound, value, when in self._extremes(times, signals, 1e-9)
+            for i, side, bound, value, when in self._extremes(times, limited, 1e-9)
         )
 
     def _extremes(
-        self, times: np.ndarray, signals: np.ndarray, beyond: float
+        self, times: np.ndarray, limited: np.ndarray, beyond: float
     ) -> Iterator[tuple[int, int, float, float, str]]:
         """Limit, side, bound, value and time of largest excesses above a share of the width."""
-        excess = self.excess(signals, n_times=len(signals))
+        excess = self.excess(limited)
         for index, bounds in enumerate(zip(self.lower, self.upper, strict=True)):
             for side, bound in enumerate(bounds):
                 sample = int(np.argmax(excess[:, index, side]))
                 if excess[sample, index, side] > beyond:
                     when = "at the end" if self.at_end[index] else f"at t = {times[sample]:g} s"
-                    value = float(signals[sample, self.columns[index]])
-                    yield index, side, float(bound), value, when
+                    yield index, side, float(bound), float(limited[sample, index]), when
 
 
 # Fresh vehicles that judge runs that are chosen from several.
@@ -546,26 +536,6 @@ def at_least(n_kept: int, n_checked: int) -> float:
     return float(betaincinv(n_kept, n_checked - n_kept + 1, 0.05)) if n_kept else 0.0
 
 
-def in_waves(
-    models: Sequence[Model], experiment: Experiment, sea: NoiseModel, rng: np.random.Generator
-) -> tuple[tuple[Model, np.ndarray], ...]:
-    """Vehicles with disturbance forces as inputs, and a draw of these for each.
-
-    Parameters
-    ----------
-    models : sequence of Model
-    experiment : Experiment
-        Lends its samples.
-    sea : NoiseModel
-    rng : numpy.random.Generator
-    """
-    found = []
-    for model in models:
-        vehicle, run = at_sea(model, experiment, sea, rng=rng)
-        found.append((vehicle, run.commands(vehicle.input_names)[:, len(model.inputs) :]))
-    return tuple(found)
-
-
 class Scenarios:
     """Uncertain vehicles on which limits are kept; their information does not matter.
 
@@ -602,9 +572,7 @@ class Scenarios:
         self.values = [model.value_vector for model in vehicles]
         self._waves = [forces for _, forces in waves]
         self.times, self.edges, self.own = times, edges, own
-        self._columns, self._n_full = bounds.columns[~bounds.at_end], bounds.n_full
-        self.bounds = bounds.during()
-        self.n_waived = n_waived
+        self.bounds, self.n_waived = bounds.during(), n_waived
         self._waived: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
@@ -636,9 +604,9 @@ class Scenarios:
             z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
         run = runner.run(self.times[first:], commands[first:], values, z)
         # Own states come first in every structure; outputs count after those of the nominal one.
-        states, outputs = run.states[:, : self._n_full], run.outputs
-        missing = np.zeros((len(states), self._n_full - states.shape[1]))
-        return run, np.hstack([states, missing, outputs])[:, self._columns]
+        states, n_full = run.states[:, : self.bounds.n_full], self.bounds.n_full
+        missing = np.zeros((len(states), n_full - states.shape[1]))
+        return run, self.bounds.limited(np.hstack([states, missing, run.outputs]))
 
     def waive(self, runs: Sequence[ScenarioRun]) -> None:
         """Leave the allowed number of vehicles, those furthest outside, out of the search.

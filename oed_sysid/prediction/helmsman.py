@@ -390,7 +390,7 @@ def fit_course_law(
     courses: np.ndarray | None,
     most_changes: int,
 ) -> CourseFit:
-    """Fit the law; see :meth:`oed_sysid.prediction.laws.CourseControl.of`."""
+    """Fit the law; see :meth:`oed_sysid.prediction.closed_loop.CourseControl.of`."""
     rudder, times = record.input(input), record.times
     measured = np.column_stack([record.output(heading), record.output(yaw_rate)])
     if len(times) < LEAST_SAMPLES:
