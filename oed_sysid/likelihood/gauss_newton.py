@@ -157,14 +157,21 @@ class Iterate:
         return self.problem.move(self.point, equations.follows, step, length)
 
 
-Evaluate = Callable[[Any, Point], Iterate | None]
+Evaluate = Callable[[Any, Point], Iterate]
 Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
 
 
-def exact(shooting: Shooting, point: Point) -> Iterate | None:
-    """Evaluate a point with the sensitivities of every sample; None where it diverges."""
+def nowhere(problem: Any, point: Point) -> Iterate:
+    """A point at which the model diverges: of infinite cost, and without equations."""
+    n = problem.limits.lower.size
+    nothing = Equations(np.full((n, n), np.nan), np.full(n, np.nan), np.inf)
+    return Iterate(problem, point, np.inf, partial(_told, nothing))
+
+
+def exact(shooting: Shooting, point: Point) -> Iterate:
+    """Evaluate a point with the sensitivities of every sample."""
     lin = shooting.linearise(point)
-    return None if lin is None else linearised(shooting, point, lin)
+    return nowhere(shooting, point) if lin is None else linearised(shooting, point, lin)
 
 
 def linearised(shooting: Shooting, point: Point, lin: Linearisation) -> Iterate:
@@ -180,8 +187,8 @@ def linearised(shooting: Shooting, point: Point, lin: Linearisation) -> Iterate:
     return Iterate(shooting, point, cost, lambda _: equations(), shooting.defect(lin), lin)
 
 
-def gathered(shooting: Shooting, point: Point) -> Iterate | None:
-    """Evaluate a point by gathered sums, for least squares; None where a trajectory diverges."""
+def gathered(shooting: Shooting, point: Point) -> Iterate:
+    """Evaluate a point by gathered sums, for least squares."""
     n = shooting.layout.n_unknowns
     matrix, right = np.zeros((n, n)), np.zeros(n)
     squares = closed = defect = 0.0
@@ -194,7 +201,7 @@ def gathered(shooting: Shooting, point: Point) -> Iterate | None:
         n_own = shooting.layout.n_own
         part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)
         if blocks is None or part is None:
-            return None
+            return nowhere(shooting, point)
         found, map_, defects = part
         columns = shooting.layout.record_columns(index)
         matrix[np.ix_(columns, columns)] += found[:-1, :-1]
@@ -233,29 +240,23 @@ def _condensed(
     return found, maps, defects
 
 
-def whitened(problem: Filtered, point: Point) -> Iterate | None:
-    """Evaluate a point with gradients along the filtered path at frozen gain.
-
-    None where the filter diverges.
-    """
+def whitened(problem: Filtered, point: Point) -> Iterate:
+    """Evaluate a point with gradients along the filtered path at frozen gain."""
     found = problem.passes(point.unknowns)
     objective = sum(part.objective for part in found)
     if not np.isfinite(objective):
-        return None
+        return nowhere(problem, point)
     matrix, right = problem.gathered(point.unknowns, found)
     if not (np.isfinite(matrix).all() and np.isfinite(right).all()):
-        return None
+        return nowhere(problem, point)
     cost = 0.5 * objective + problem.prior_cost(point.unknowns)
     equations = _filtered_equations(problem, point, cost, matrix, right)
     return Iterate(problem, point, cost, lambda _: equations)
 
 
-def differentiated(problem: Filtered, point: Point) -> Iterate | None:
+def differentiated(problem: Filtered, point: Point) -> Iterate:
     """Evaluate a point with the gradient of the filter as it is, once that is asked for."""
-    objective = problem.objective(point.unknowns)
-    if not np.isfinite(objective):
-        return None
-    cost = 0.5 * objective
+    cost = 0.5 * problem.objective(point.unknowns)
 
     @cache
     def equations() -> Equations:
@@ -438,7 +439,7 @@ class Descent:
     def refine(self, evaluate: Evaluate, control: StepControl | None = None) -> bool:
         """Go on from the same point with another evaluation; return whether it has one."""
         found = evaluate(self.now.problem, self.now.point)
-        if found is None:
+        if not np.isfinite(found.cost):
             return False
         self.now, self.evaluate, self._damping = found, evaluate, 0.0
         self.control = control or self.control
@@ -493,17 +494,16 @@ class Descent:
         for _ in range(self.control.lengths):
             trial = now.moved(step, length, self._damping)
             new = evaluate(now.problem, trial)
-            if new is not None:
-                gained = now.cost - new.cost + self._penalty * (now.defect - new.defect)
-                if self.control.accepts(gained, expected, length, now.cost):
-                    if evaluate is not self.evaluate:
-                        new = self.evaluate(now.problem, trial)
-                    if new is not None:
-                        self._at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
-                        self.before, self.now, self._length = now, new, length
-                        self.lowest = min(self.lowest, new, key=lambda one: one.cost)
-                        self.steps += 1
-                        return True
+            gained = now.cost - new.cost + self._penalty * (now.defect - new.defect)
+            if self.control.accepts(gained, expected, length, now.cost):
+                if evaluate is not self.evaluate:
+                    new = self.evaluate(now.problem, trial)
+                if np.isfinite(new.cost):
+                    self._at_floor = 0.1 * now.defect < new.defect < NEARLY_CLOSED
+                    self.before, self.now, self._length = now, new, length
+                    self.lowest = min(self.lowest, new, key=lambda one: one.cost)
+                    self.steps += 1
+                    return True
             length *= SHORTER
             evaluate = self.control.quick or evaluate
         self._length = 1.0
@@ -515,7 +515,8 @@ class Solution:
     """Where the iterations ended.
 
     ``reason`` is ``"converged"``, ``"stalled"``, ``"iterations"``, ``"interrupted"``,
-    ``"enough"`` or, from constrained solvers, ``"infeasible"``.
+    ``"enough"``, from constrained solvers ``"infeasible"``, or ``"diverged"`` where not even the
+    start is finite: the cost is infinite then.
     """
 
     now: Iterate
@@ -573,7 +574,7 @@ class Solution:
         """The same end where the noise levels are those of another problem."""
         lin, point = self.now.linearisation, self.point
         now = linearised(shooting, point, lin) if lin else self.problem.rated(shooting).at(point)
-        return self if now is None else replace(self, now=now)
+        return replace(self, now=now) if np.isfinite(now.cost) else self
 
 
 def solve(
@@ -584,7 +585,7 @@ def solve(
     tolerance: float = 1e-6,
     callback: Callable[[Progress], None] | None = None,
     enough: Callable[[Progress], bool] | None = None,
-) -> Solution | None:
+) -> Solution:
     """Minimise over multiple shooting.
 
     Parameters
@@ -606,22 +607,21 @@ def solve(
 
     Returns
     -------
-    Solution or None
-        None where even the start trajectory is not finite. A keyboard
-        interrupt ends the iterations and keeps the best point.
+    Solution
+        A keyboard interrupt ends the iterations and keeps the best point.
     """
     # Robust weights need residuals sample by sample.
     evaluate = gathered if shooting.loss is None else exact
     begin = evaluate(shooting, point)
-    if begin is None:
-        return None
+    if not np.isfinite(begin.cost):
+        return Solution(begin, 0, "diverged")
     descent = Descent(begin, evaluate, Convergence(tolerance))
     reason = descent.run(max_iterations, callback=callback, enough=enough)
     if evaluate is gathered and descent.refine(exact) and reason in ("converged", "stalled"):
         left = max(max_iterations - descent.steps, 1)
         reason = descent.run(left, callback=callback, enough=enough)
     if descent.now.linearisation is None:
-        return None
+        return Solution(nowhere(shooting, point), descent.steps, "diverged")
     return Solution(descent.now, descent.steps + (reason in ("converged", "stalled")), reason)
 
 
@@ -704,7 +704,7 @@ def solve_filtered(
         None where the filter diverges at the start.
     """
     begin = begin or whitened(problem, point)
-    if begin is None:
+    if not np.isfinite(begin.cost):
         return None
     control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)
     descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)

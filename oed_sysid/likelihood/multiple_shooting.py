@@ -55,12 +55,7 @@ from oed_sysid.likelihood.score_test import (
 )
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.start_guess import check_channels
-from oed_sysid.likelihood.summary import (
-    Procedure,
-    summarise,
-    summarise_filtered,
-    summarise_windows,
-)
+from oed_sysid.likelihood.summary import Procedure, summarise, summarise_filtered
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
 from oed_sysid.likelihood.windows import check_horizon, solve_windows, wide_start
 from oed_sysid.physics.base import RandomProcess
@@ -81,7 +76,7 @@ FAILED = ("stalled", "diverged", "runaway", "integration", "degenerate")
 # Of two ends the one that converged is taken unless its cost is higher by this factor.
 WORSE = 1.2
 
-Minimiser = Callable[..., Solution | None]
+Minimiser = Callable[..., Solution]
 
 
 @dataclass(frozen=True)
@@ -315,37 +310,30 @@ class MultipleShooting:
 
     def _without_process_noise(
         self, task: _Task, point: Point, carried: Start | None, *, wanted: bool
-    ) -> Solution | None:
+    ) -> Solution:
         """Iterations and levels of white noise; they end early where process noise may follow."""
         shooting, minimise = task.shooting, self._minimiser(task.shooting)
         patience = FIRST_STEPS if carried is None else KNOWN
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
-        end = None if carried is None else first(shooting, point)
-        end = end or self._solve(shooting, point, first)
-        if end is not None and task.how.estimated.any():
-            end = _with_noise(end, task.how.estimated, minimise)
-        return end
+        end = self._solve(shooting, point, first, near=carried is not None)
+        return _with_noise(end, task.how.estimated, minimise)
 
-    def _summary(self, task: _Task, end: Solution | None, *, weighed: bool = True) -> Fit:
-        if end is None:
-            return summarise(task.shooting, end, task.how)
-        how = replace(task.how, iterations=end.iterations)
-        if self.horizon is None:
-            fit = summarise(end.shooting, end, how, weighed=weighed)
-        else:
-            fit = summarise_windows(end, how)
+    def _summary(self, task: _Task, end: Solution, *, weighed: bool = True) -> Fit:
+        fit = summarise(end, replace(task.how, iterations=end.iterations), weighed=weighed)
+        if end.reason == "diverged":
+            return fit
         at = end.point.unknowns, end.matrix, end.right
         return replace(fit, binding=binding(end.shooting, *at, self.solver.constraints))
 
-    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: Solution | None) -> Fit:
+    def _weighed(self, fit: Fit, white: Fit, task: _Task, end: Solution) -> Fit:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
-        early = end is not None and end.reason == "enough"
+        early = end.reason == "enough"
         tests = any(record.independent for record in fit.dataset)
         if fit.covariance is not white.covariance or not (early or tests or fit.coloured):
             return fit
-        if end is not None and early:
+        if early:
             again = self._minimiser(end.shooting)(end.shooting, end.point)
-            end = _after(again or end, end)
+            end = end if again.reason == "diverged" else _after(again, end)
         return replace(self._summary(task, end), process_noise=fit.process_noise)
 
     def _without_spikes(self, fit: Fit, task: _Task) -> Fit:
@@ -506,25 +494,27 @@ class MultipleShooting:
             callback=self.progress,
         )
 
-    def _solve(self, shooting: Shooting, point: Point, minimise: Minimiser) -> Solution | None:
+    def _solve(
+        self, shooting: Shooting, point: Point, minimise: Minimiser, *, near: bool
+    ) -> Solution:
         """Iterate from near, from far, or from both, and return the better end."""
         if self.start == "near" or self.horizon is not None:
             return minimise(shooting, point)
-        begin, first = shooting.misfit(point), None
-        if self.start != "wide" and begin <= FAR:
-            first = minimise(shooting, point)
+        ends, begin = list[Solution](), shooting.misfit(point)
+        if near or (self.start != "wide" and begin <= FAR):
+            ends.append(minimise(shooting, point))
             # A local minimum is worth a second attempt only if the start was doubtful.
-            if _trusted(begin, shooting, first):
-                return first
+            if ends[0].reason != "diverged" and (near or _trusted(begin, shooting, ends[0])):
+                return ends[0]
         try:
-            second = minimise(shooting, wide_start(shooting, point))
+            ends.append(minimise(shooting, wide_start(shooting, point)))
         except KeyboardInterrupt:
-            if first is None:
+            if not ends or ends[0].reason == "diverged":
                 raise
-            return replace(first, reason="interrupted")
-        if self.start == "wide" or first or _explains(shooting, second):
-            return _better(first, second)
-        return _better(minimise(shooting, point), second)  # what looked far may be the better side
+            return replace(ends[0], reason="interrupted")
+        if self.start != "wide" and len(ends) == 1 and not _explains(shooting, ends[0]):
+            ends.append(minimise(shooting, point))  # what looked far may be the better side
+        return _better(ends)
 
 
 _GONE = {
@@ -573,6 +563,8 @@ def _after(end: Solution, *earlier: Solution) -> Solution:
 def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> Solution:
     """Alternate between noise levels and everything else until the levels stay."""
     shooting = end.shooting
+    if end.reason == "diverged" or not estimated.any():
+        return end
     least = EXACT * signal_spread(shooting.dataset)
     for _ in range(12):  # three or four suffice as a rule
         sigma = np.where(estimated, np.maximum(end.levels, least), shooting.sigma)
@@ -581,27 +573,24 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
         if change < 1e-3 or end.reason == "interrupted":
             break
         again = minimise(shooting, end.point)
-        if again is None:
+        if again.reason == "diverged":
             break
         end = _after(again, end)
     return end.rated(shooting)
 
 
-def _trusted(begin: float, shooting: Shooting, found: Solution | None) -> bool:
+def _trusted(begin: float, shooting: Shooting, found: Solution) -> bool:
     """Whether an end is no doubtful minimum: it began or ended near the records."""
-    if found is None or found.reason not in ENDED:
-        return found is not None and found.reason == "interrupted"
+    if found.reason not in ENDED:
+        return found.reason == "interrupted"
     return begin < DOUBTFUL or shooting.misfit(found.point) < GOOD
 
 
-def _better(*ends: Solution | None) -> Solution | None:
-    """The better of two ends, with the iterations of both."""
-    found = [one for one in ends if one is not None]
-    if not found:
-        return None
-    least = min(one.cost for one in found)
-    best = min(found, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
-    return _after(best, *(one for one in found if one is not best))
+def _better(ends: Sequence[Solution]) -> Solution:
+    """The best of some ends, with the iterations of all."""
+    least = min(one.cost for one in ends)
+    best = min(ends, key=lambda s: (s.cost > WORSE * least, s.reason not in ENDED, s.cost))
+    return _after(best, *(one for one in ends if one is not best))
 
 
 def _judged(fit: Fit, begun: Model) -> Fit:
@@ -738,9 +727,9 @@ def _bent(shooting: Shooting, patience: int) -> Callable[[Progress], bool]:
     return told
 
 
-def _explains(shooting: Shooting, solution: Solution | None) -> bool:
+def _explains(shooting: Shooting, solution: Solution) -> bool:
     """Whether a solution leaves less than half of the motion of every output."""
-    if solution is None:
+    if solution.reason == "diverged":
         return False
     spread, left = signal_spread(shooting.dataset), residual_levels(solution.residuals)
     return bool(np.all((left < 0.5 * spread) | (left < GOOD * shooting.sigma)))

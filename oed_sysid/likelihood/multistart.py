@@ -25,7 +25,7 @@ from oed_sysid.likelihood.covariance import ReducedProblem
 from oed_sysid.likelihood.estimate import Attempts
 from oed_sysid.likelihood.estimator import Estimator, check_count, check_positive
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import Solution, solve
+from oed_sysid.likelihood.gauss_newton import Solution, nowhere, solve
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.unknowns import KnownStarts
@@ -301,7 +301,7 @@ class _Walker:
         self.shooting = shooting
         self.position = shooting.layout.shared_names.index(name)
         found = solve(shooting, shooting.continuous(shooting.warm_unknowns(fit)))
-        if found is None:
+        if not np.isfinite(found.cost):
             raise ModelError("The fit's own trajectory diverges; there is nothing to profile.")
         self.best = found
         self.estimate = float(found.point.unknowns[self.position])
@@ -327,7 +327,7 @@ class _Walker:
             at_bound = (value - bound) * direction >= 0
             value = bound if at_bound else value
             there = self._refit(value, solution)
-            if there is None:
+            if not np.isfinite(there.cost):
                 if step < 1e-3 * self.step:
                     return inner, "diverged"
                 step /= 4.0
@@ -356,27 +356,29 @@ class _Walker:
             share = np.clip((root - low) / max(high - low, 1e-12), 0.05, 0.95)
             value = inner[0] + share * (outer[0] - inner[0])
             there = self._refit(value, near)
-            rise = np.inf if there is None else self._record(value, there)
+            rise = self._record(value, there)
             if abs(rise - threshold) < CLOSE * threshold:
                 break
-            if there is not None and rise < threshold:
+            if rise < threshold:
                 inner, near = (value, rise), there
             else:
-                outer = (value, outer[1] if there is None else rise)
+                outer = (value, rise if np.isfinite(rise) else outer[1])
         return float(value), "data"
 
     def _record(self, value: float, solution: Solution) -> float:
         rise = 2.0 * (solution.cost - self.best.cost)
-        self.curve.append((value, rise))
+        if np.isfinite(rise):
+            self.curve.append((value, rise))
         return rise
 
-    def _refit(self, value: float, near: Solution) -> Solution | None:
+    def _refit(self, value: float, near: Solution) -> Solution:
+        """Everything else estimated at a held value; of infinite cost where no search ends well."""
         unknowns = near.point.unknowns.copy()
         unknowns[self.position] = value
         held = self.shooting.holding(np.array([self.position]), np.array([value]))
         # The neighbour's trajectory first; if that leads nowhere, the measurements.
         for start in (Point(unknowns, near.point.nodes), held.start_point(unknowns)):
             found = solve(held, start)
-            if found is not None and np.isfinite(found.cost) and found.reason != "stalled":
+            if np.isfinite(found.cost) and found.reason != "stalled":
                 return found
-        return None
+        return Solution(nowhere(held, found.point), 0, "diverged")

@@ -33,7 +33,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Binding
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.gauss_newton import Progress, Solution, linearised
+from oed_sysid.likelihood.gauss_newton import Progress, Solution, exact, nowhere
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.physics.model import Model
@@ -173,7 +173,7 @@ class NonlinearProgram:
         max_iterations: int = 200,
         tolerance: float = 1e-6,
         callback: Callable[[Progress], None] | None = None,
-    ) -> Solution | None:
+    ) -> Solution:
         """Minimise with IPOPT; see :func:`~oed_sysid.likelihood.gauss_newton.solve`.
 
         ``shooting`` may differ from the one at construction in its noise levels.
@@ -206,14 +206,10 @@ class NonlinearProgram:
         )
         stats = solver.stats()
         found = np.asarray(result["x"]).ravel() * self._scale
-        if not np.isfinite(found).all():
-            return None
-        found_point = _point(shooting, found)
-        lin = shooting.linearise(found_point)
-        if lin is None:
-            return None
         reason = _REASONS.get(stats["return_status"], "stalled")
-        now = linearised(shooting, found_point, lin)
+        usable = np.isfinite(found).all()
+        now = exact(shooting, _point(shooting, found)) if usable else nowhere(shooting, point)
+        reason = reason if np.isfinite(now.cost) else "diverged"
         return Solution(now, int(stats["iter_count"]), reason)
 
 

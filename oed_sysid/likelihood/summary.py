@@ -116,25 +116,22 @@ class Procedure:
         )
 
 
-def summarise(
-    shooting: Shooting, solution: Solution | None, how: Procedure, *, weighed: bool = True
-) -> Fit:
+def summarise(solution: Solution, how: Procedure, *, weighed: bool = True) -> Fit:
     """Build the result of an estimation from its last iterate.
 
     Parameters
     ----------
-    shooting : Shooting
-        The problem, at the final noise levels.
-    solution : Solution or None
-        Last iterate; None where no trajectory was finite.
+    solution : Solution
     how : Procedure
     weighed : bool
         Whether the covariance holds the colour of the residuals; otherwise it is only said
         whether they have one.
     """
-    if solution is None:
+    shooting, unknowns = solution.shooting, solution.point.unknowns
+    if solution.reason == "diverged":
         return _failed(shooting, how)
-    unknowns = solution.point.unknowns
+    if solution.problem is not shooting:
+        return _of_windows(solution, how)
     errors = ReducedProblem(shooting, solution.linearisation, unknowns).errors(
         how.coloured, weighed=weighed
     )
@@ -143,8 +140,8 @@ def summarise(
     return how.fit(shooting, unknowns, (solution.reason, solution.cost), errors, paths)
 
 
-def summarise_windows(solution: Solution, how: Procedure) -> Fit:
-    """Build the result of windows of a horizon; predictions and residuals are those of these."""
+def _of_windows(solution: Solution, how: Procedure) -> Fit:
+    """The result of windows of a horizon; predictions and residuals are those of these."""
     problem, point = solution.problem, solution.point
     paths, n_own = problem.paths(point), problem.shooting.layout.n_own
     errors = errors_of_windows(problem, point, how.coloured)

@@ -127,8 +127,9 @@ class WholeRun:
         ends = [solve(held, held.start_point(begin))]
         if start is not None:
             ends.append(solve(held, held.continuous(begin)))
-        found = min((end for end in ends if end is not None), key=lambda e: e.cost, default=None)
-        return cls.at(shooting, point.unknowns if found is None else found.point.unknowns)
+        found = min(ends, key=lambda end: end.cost)
+        diverged = np.isinf(found.cost)
+        return cls.at(shooting, point.unknowns if diverged else found.point.unknowns)
 
     @classmethod
     def part(cls, shooting: Shooting, unknowns: np.ndarray, index: int) -> WholeRun:
@@ -556,7 +557,7 @@ def without_process_noise(
     found = [
         tuple(WholeRun.part(shooting, end.point.unknowns, i) for i in range(len(fit.dataset)))
         for point in points
-        if (end := solve(shooting, point)) is not None
+        if np.isfinite((end := solve(shooting, point)).cost)
     ]
     # By whole runs: where iterations stall, the pieces of a trajectory need not meet.
     return min(found, key=_square, default=None)

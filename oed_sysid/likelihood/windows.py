@@ -44,6 +44,7 @@ from oed_sysid.likelihood.gauss_newton import (
     Progress,
     Solution,
     StepControl,
+    nowhere,
 )
 from oed_sysid.likelihood.shooting import Follows, Point, Shooting
 from oed_sysid.likelihood.start_guess import VAGUE
@@ -179,13 +180,13 @@ class Windows:
         own = min(layout.n_own, len(self.shooting.sigma))
         return len(layout.shared) + self.n_windows * own
 
-    def at(self, point: Point) -> Iterate | None:
-        """Cost and normal equations of the parameters; None where a trajectory diverges."""
+    def at(self, point: Point) -> Iterate:
+        """Cost and normal equations of the parameters."""
         grams, cost = [], self.limits.prior_cost(point.unknowns)
         for part, at, away in self._away(point):
             gram = self.products(part, point.unknowns, at)
             if gram is None:
-                return None
+                return nowhere(self, point)
             grams.append(gram)
             square = float(gram[:, -1, -1].sum() + np.sum(self.weight[part.record] * away**2))
             cost += 0.5 * square
@@ -396,7 +397,7 @@ def climb(
     """
     problem = Windows.apart(shooting, unknowns, n_samples)
     begin = problem.at(problem.start)
-    if begin is None:
+    if not np.isfinite(begin.cost):
         return unknowns
     # The way in only has to arrive nearby: it ends with an iteration that gains less than a share.
     descent = Descent(begin, Windows.at, Convergence(0.0, share=0.01), CAREFUL)
@@ -449,8 +450,8 @@ def solve_windows(
     max_iterations: int,
     tolerance: float,
     callback: Callable[[Progress], None] | None = None,
-) -> Solution | None:
-    """Minimise over windows of a horizon; None where the model diverges within the first.
+) -> Solution:
+    """Minimise over windows of a horizon.
 
     Parameters
     ----------
@@ -465,8 +466,8 @@ def solve_windows(
     """
     problem = Windows.overlapping(shooting, horizon, point.unknowns)
     begin = problem.at(problem.start)
-    if begin is None:
-        return None
+    if not np.isfinite(begin.cost):
+        return Solution(begin, 0, "diverged")
     descent = Descent(begin, Windows.at, Convergence(tolerance), CONTROL)
     reason = descent.run(max_iterations, callback=callback)
     return Solution(descent.now, descent.steps + 1, reason)
