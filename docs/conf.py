@@ -9,6 +9,7 @@ public names, and one for each name, from its docstring. Warnings are errors.
 from __future__ import annotations
 
 import ast
+import os
 import subprocess
 import sys
 import textwrap
@@ -22,6 +23,7 @@ sys.path.insert(0, str(HERE.parent))
 sys.path.insert(0, str(HERE))
 
 import constants  # noqa: E402
+import execute  # noqa: E402
 
 from oed_sysid.runtime.version import __version__  # noqa: E402
 
@@ -57,7 +59,8 @@ html_static_path = [str(Path(find_spec("sphinx-mathjax-offline").origin).parent 
 html_static_path.append("_static")
 html_css_files = ["site.css"]
 html_theme = "furo"
-# Notebooks are executed below, where the package or a notebook has changed.
+# Notebooks are executed below, where the package or a notebook has changed. `make test` shows them
+# as they are: `make test-slow` executes them.
 nb_execution_mode = "off"
 nb_merge_streams = True
 html_title = f"oed_sysid {release}"
@@ -262,6 +265,10 @@ def setup(app: Any) -> None:
 
 # Before Sphinx looks for pages; in processes of their own, whose pictures leave no trace.
 write_reference()
-_makers = [subprocess.Popen([sys.executable, str(HERE / f)]) for f in ("gallery.py", "execute.py")]
+_scripts = ["gallery.py", "execute.py"]
+if os.environ.get("OED_SYSID_SITE") == "text":
+    execute.main(run=False)
+    _scripts.remove("execute.py")
+_makers = [subprocess.Popen([sys.executable, str(HERE / script)]) for script in _scripts]
 if any([maker.wait() for maker in _makers]):
     raise RuntimeError("Pictures or notebooks of the site could not be made; see above.")

@@ -114,7 +114,7 @@ def dive() -> SimpleNamespace:
     problem = load_problem("remus_diving_plane")
     data = problem.data()
     train, test = (
-        Dataset(tuple(r for r in data if r.name.startswith(kind))) for kind in ("train", "test")
+        Dataset(tuple(r for r in data if r.name.startswith(k))[:2]) for k in ("train", "test")
     )
     found = improve(problem.model, train, test, candidates=problem.effects[:8])
     return SimpleNamespace(problem=problem, train=train, test=test, found=found)
@@ -401,7 +401,7 @@ def _designed():  # type: ignore[no-untyped-def]
             sample_time=0.5,
         ),
         rng=np.random.default_rng(0),
-        search=Search(family=Levels(12), n_starts=2),
+        search=Search(family=Levels(12), n_starts=1),
     )
 
 

@@ -199,6 +199,7 @@ def _reaches(commands: np.ndarray, b: float, d: float, c: float) -> tuple[float,
     return low, high
 
 
+@pytest.mark.slow
 def test_stated_probability_holds_in_an_independent_simulation(careful: Design) -> None:
     """The share of violations found by another integrator agrees with the stated one."""
     assert careful.assurance is not None
@@ -458,6 +459,7 @@ def test_abort_rules_fire_as_often_as_vehicles_pass_them() -> None:
     assert found.to_dict()["any_rule_fires"] == found.any_fires
 
 
+@pytest.mark.slow
 def test_after_a_fit_designs_are_cautious_by_themselves() -> None:
     """A fit tells how uncertain the vehicle is: its limits then hold on those that remain."""
     record = simulate(ship(), replace(RUN, limits=Limits()), rng=np.random.default_rng(0))

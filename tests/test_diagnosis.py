@@ -216,6 +216,7 @@ def test_what_differs_from_record_to_record_is_estimated_on_each() -> None:
     assert found["biased"].prediction.local_values[1]["b_r"] == pytest.approx(0.02, abs=0.002)
 
 
+@pytest.mark.slow
 def test_errors_of_a_search_and_of_a_comparison_are_the_same() -> None:
     """Declared levels measure both, though the search estimates its noise again."""
     train = Dataset((record("a", 1, -20.0), record("b", 2, -20.0, amplitude=0.25)))

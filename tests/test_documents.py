@@ -241,6 +241,7 @@ def test_auv() -> None:
     same(counts, KEPT["auv_excitations"]["runs"]["random steps 20"])
 
 
+@pytest.mark.slow
 def test_nomoto() -> None:
     """All errors without noise, and one row with it."""
     same(nomoto.without_noise(), KEPT["nomoto"], rel=2e-3, abs=1e-3)
@@ -250,6 +251,7 @@ def test_nomoto() -> None:
     same(dict(zip(script.COLUMNS, errors, strict=True)), {n: row[n] for n in script.COLUMNS})
 
 
+@pytest.mark.slow
 def test_tanker() -> None:
     """Derivatives as they settle, the second example, and costs that do or do not grow."""
     kept = KEPT["tanker"]

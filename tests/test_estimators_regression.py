@@ -630,6 +630,7 @@ def test_the_stream_ends_at_the_estimate_of_the_log() -> None:
     assert stream.n_samples == len(record.times)
 
 
+@pytest.mark.slow
 def test_four_runs_tell_more_than_one() -> None:
     """Runs add up; four have half the errors of one."""
     stream = FourierStream(ship(), duration=600.0, period=SAMPLING, band=(0.002, 0.08))

@@ -560,8 +560,8 @@ def diagnose(
     --------
     >>> from oed_sysid import load_problem
     >>> problem = load_problem("remus_diving_plane")
-    >>> train, _ = problem.data().split(test=["test_steps", "test_zigzag_15_12"])
-    >>> found = diagnose(problem.model, train, candidates=problem.effects[:8])
+    >>> train = Dataset((problem.data()["train_steps"],))
+    >>> found = diagnose(problem.model, train, candidates=problem.effects[:3])
     >>> found.location.best, found.ranking.order[0]
     ('force Z', 'heave_crossflow_drag')
     """

@@ -132,10 +132,10 @@ def improve(
 
     Examples
     --------
-    >>> from oed_sysid import load_problem
+    >>> from oed_sysid import Dataset, load_problem
     >>> problem = load_problem("remus_diving_plane")
-    >>> train, test = problem.data().split(test=["test_steps", "test_zigzag_15_12"])
-    >>> found = improve(problem.model, train, test, candidates=problem.effects[:8])
+    >>> train, test = (Dataset((problem.data()[run],)) for run in ("train_steps", "test_steps"))
+    >>> found = improve(problem.model, train, test, candidates=problem.effects[:3])
     >>> [step.added for step in found.steps]
     ['heave_crossflow_drag']
     """
