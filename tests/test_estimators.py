@@ -23,7 +23,6 @@ from oed_sysid.baselines import (
     TotalLeastSquares,
 )
 from oed_sysid.baselines.contest import load_scenario
-from oed_sysid.baselines.online import KalmanStream
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.experiment import Experiment
@@ -80,12 +79,6 @@ CASES = [
     (LeastSquaresSVM(C=1e8), 5e-3, 0.85, 10),
     (SupportVectorRegression(), 1e-2, None, 0),
     (OnlineRegression(C=1e8), 5e-3, 0.85, 5),
-    *slow(
-        (OnlineRegression(C=1e8, method="incremental"), 5e-3, None, 0),
-        (OnlineRegression(C=1e8, method="incremental", window=200), 5e-3, None, 0),
-    ),
-    (OnlineRegression(C=1e8, window=400), 5e-3, None, 0),
-    (OnlineRegression(method="forgetting", forgetting=0.998), 5e-3, None, 0),
     (GibbsRegression(rule="simpson", n_draws=300), 5e-3, None, 0),
     (GibbsRegression(rule="simpson", n_draws=2000, draw="coordinate"), 1e-2, None, 0),
     *slow((DifferentialSwarm(n_particles=40, n_generations=120), 1e-3, None, 0)),
@@ -278,54 +271,6 @@ def test_points_far_out_make_the_unscented_filter_too_sure() -> None:
     near, far = (float(np.mean(found)) for found in held.values())
     assert near >= 0.85
     assert far < near - 0.1
-
-
-PROBLEM = load_problem("nomoto_sparse_heading")
-RECORD = simulate(
-    PROBLEM.model, PROBLEM.experiment("zigzag_15_15"), rng=np.random.default_rng(0)
-).thin(10)
-AWAY = PROBLEM.model.with_values({"K": 1.5, "T": 0.5})
-
-
-@pytest.mark.parametrize("kind", ["extended", "unscented"])
-def test_stream_gives_the_history_of_the_filter(kind: str) -> None:
-    """After every sample values and errors are those of the filter on the whole record."""
-    settings = JointKalmanFilter(kind)
-    fit = settings.fit(AWAY, Dataset((RECORD,)))
-    stream = KalmanStream(AWAY, settings)
-    for k, moment in enumerate(RECORD.times[:60]):
-        sample = {"delta": RECORD.input("delta")[k], "psi": RECORD.output("psi")[k]}
-        stream.update(float(moment), sample)
-        for name in ("K", "T"):
-            assert stream.values[name] == pytest.approx(fit.extras["history"][name][k], rel=1e-9)
-            expected = fit.extras["history_std"][name][k]
-            assert stream.std_errors[name] == pytest.approx(expected, rel=1e-9)
-
-
-def test_a_new_run_keeps_what_is_known() -> None:
-    """A second run begins with the parameters and errors that the first ended with."""
-    stream = KalmanStream(AWAY)
-    for k in range(30):
-        sample = {"delta": RECORD.input("delta")[k], "psi": RECORD.output("psi")[k]}
-        stream.update(float(RECORD.times[k]), sample)
-    values, errors = stream.values, stream.std_errors
-    stream.start()
-    assert stream.values == pytest.approx(values)
-    assert stream.std_errors == pytest.approx(errors)
-    stream.update(0.0, {"delta": 0.0, "psi": 0.0})
-    assert stream.n_samples == 31
-
-
-def test_impossible_samples_are_refused() -> None:
-    """A missing command, a clock set back and unknown noise are errors with advice."""
-    stream = KalmanStream(AWAY)
-    stream.update(1.0, {"delta": 0.1, "psi": 0.0})
-    with pytest.raises(ModelError, match="has no delta"):
-        stream.update(2.0, {"psi": 0.0})
-    with pytest.raises(ModelError, match="not later"):
-        stream.update(1.0, {"delta": 0.1, "psi": 0.0})
-    with pytest.raises(ModelError, match=r"whole records.*needs numbers"):
-        KalmanStream(AWAY, JointKalmanFilter(process_std="likeliest"))
 
 
 DECAY = Model(

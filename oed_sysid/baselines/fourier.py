@@ -57,7 +57,7 @@ from oed_sysid.baselines.equations import (
     rows_from,
     states_of,
 )
-from oed_sysid.baselines.online import EquationStream, Stream
+from oed_sysid.baselines.online import EquationStream
 from oed_sysid.baselines.regression import (
     Baseline,
     Regression,
@@ -353,7 +353,7 @@ def _real_rows(frequencies: np.ndarray, sums: np.ndarray) -> np.ndarray:
 
 
 @dataclass(eq=False)
-class FourierStream(Stream):
+class FourierStream:
     """Estimates with errors while a vehicle sails, one sample at a time.
 
     Parameters
@@ -417,7 +417,7 @@ class FourierStream(Stream):
     @property
     def n_samples(self) -> int:
         """Number of samples taken, of all runs."""
-        return self._stream.run.count
+        return self._stream.n_samples
 
     def start(self) -> None:
         """Begin a new run; what earlier ones told is kept."""
@@ -469,6 +469,17 @@ class FourierStream(Stream):
                 known = np.array([p.value for p in self.model.free_parameters])
                 self._solved = known, np.diag(np.full(len(known), np.inf))
         return self._solved
+
+    @property
+    def values(self) -> dict[str, float]:
+        """Parameters as known by now."""
+        return dict(zip(self.model.free_names, self.estimate()[0].tolist(), strict=True))
+
+    @property
+    def std_errors(self) -> dict[str, float]:
+        """Their standard errors."""
+        stds = np.sqrt(np.maximum(np.diag(self.estimate()[1]), 0.0))
+        return dict(zip(self.model.free_names, stds.tolist(), strict=True))
 
     @property
     def relative_errors(self) -> dict[str, float]:

@@ -66,10 +66,6 @@ class JointKalmanFilter(Baseline):
     parameter_std : mapping of str to float
         Uncertainty of the start values; by default the prior's, else half the
         parameter's magnitude.
-    state_std : mapping of str to float
-        Uncertainty of start states that are not measured; by default their scale.
-    initial : mapping of str to float
-        Mean of some start states; others are measured, or zero.
     reach : float
         Distance of the points of the unscented filter, in standard deviations.
         Further out, at the :math:`\sqrt{n}` of the cubature rule, ten parameters
@@ -100,8 +96,6 @@ class JointKalmanFilter(Baseline):
     process_std: Mapping[str, float] | str = field(default_factory=dict)
     drift_std: Mapping[str, float] = field(default_factory=dict)
     parameter_std: Mapping[str, float] = field(default_factory=dict)
-    state_std: Mapping[str, float] = field(default_factory=dict)
-    initial: Mapping[str, float] = field(default_factory=dict)
     reach: float = 3.0**0.5
     passes: int = 1
 
@@ -123,12 +117,10 @@ class JointKalmanFilter(Baseline):
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         """Filter all records in turn; parameters are carried over."""
         check_channels(model, dataset)
-        self.check(model)
+        self._check(model)
         filter_ = self._filtered(model, dataset)
-        (values, covariance), status = (
-            filter_.parameters,
-            consistency(filter_.innovation**2, filter_.count),
-        )
+        values, covariance = filter_.known
+        status = consistency(filter_.innovation**2, filter_.count)
         if not filter_.is_finite:
             values = np.array([p.value for p in model.free_parameters])
             covariance, status = np.diag(np.full(len(values), np.inf)), DIVERGED
@@ -142,9 +134,9 @@ class JointKalmanFilter(Baseline):
 
     def _filtered(self, model: Model, dataset: Dataset) -> JointFilter:
         """The filter after all records, with the likeliest process noise where that is wanted."""
-        if isinstance(self.process_std, str):
+        if isinstance(noise := self.process_std, str):
             return self._likeliest(model, dataset)
-        filter_ = JointFilter(self, model, assumed_levels(model, dataset))
+        filter_ = JointFilter(self, model, assumed_levels(model, dataset), noise)
         for _ in range(self.passes):
             filter_.restart()
             for record in dataset:
@@ -170,12 +162,10 @@ class JointKalmanFilter(Baseline):
         )
         return max(at(0.0), at(10.0**found.x), key=lambda one: one.log_likelihood)
 
-    def check(self, model: Model) -> None:
+    def _check(self, model: Model) -> None:
         """Raise :class:`ModelError` where settings and model do not belong together."""
         for setting, known in (
             ("process_std", model.state_names),
-            ("state_std", model.state_names),
-            ("initial", model.state_names),
             ("drift_std", model.free_names),
             ("parameter_std", model.free_names),
         ):
@@ -219,6 +209,8 @@ class JointFilter:
 
     Attributes
     ----------
+    known : (ndarray (n_free,), ndarray (n_free, n_free))
+        Parameters as known by now and their covariance, in their own units.
     mean : ndarray (n,)
     spread : ndarray (n, n)
         Covariance.
@@ -228,7 +220,13 @@ class JointFilter:
         Number of measured values so far.
     """
 
-    def __init__(self, settings: JointKalmanFilter, model: Model, sigma: np.ndarray) -> None:
+    def __init__(
+        self,
+        settings: JointKalmanFilter,
+        model: Model,
+        sigma: np.ndarray,
+        noise: Mapping[str, float],
+    ) -> None:
         self.settings, self.model, self.sigma = settings, model, sigma
         self.kernel: Kernel = kernel(model)
         n_extra = self.kernel.n_full - self.kernel.n_own
@@ -241,22 +239,19 @@ class JointFilter:
         self.columns = [model.parameter_names.index(name) for name in model.free_names]
         self.lower = np.array([p.lower for p in free])
         self.upper = np.array([p.upper for p in free])
-        if isinstance(noise := settings.process_std, str):
-            raise ModelError(
-                f"process_std is {noise!r}, which is looked for over whole records. A filter that "
-                "takes one sample at a time needs numbers: give {state: intensity}."
-            )
         rates = [noise.get(s.name, 0.0) for s in model.states]
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
         self.mean, self.spread = np.empty(0), np.empty((0, 0))
-        self._last: tuple[float, np.ndarray] | None = None
-        self._known = self._first_values()
-        self.restart()
+        given = settings.parameter_std
+        stds = [given.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
+        values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
+        self._first_covariance = np.diag(np.square(stds))
+        self.known = np.array(values, dtype=float), self._first_covariance
 
     def restart(self) -> None:
         """Begin another pass: with the present values, as uncertain as the first ones were."""
-        self._known, self._last = (self.parameters[0], self._first_values()[1]), None
+        self.known = self.known[0], self._first_covariance
         self.track: list[np.ndarray] = []
         self.spreads: list[np.ndarray] = []
         self._squares, self._log_variances, self.count = 0.0, 0.0, 0
@@ -272,82 +267,43 @@ class JointFilter:
         found = -0.5 * (self._squares + self._log_variances)
         return found if self.is_finite and np.isfinite(found) else -np.inf
 
-    def _first_values(self) -> tuple[np.ndarray, np.ndarray]:
-        """Start values of the parameters and their covariance."""
-        free, given = self.model.free_parameters, self.settings.parameter_std
-        stds = [given.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
-        values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
-        return np.array(values, dtype=float), np.diag(np.square(stds))
-
-    @property
-    def parameters(self) -> tuple[np.ndarray, np.ndarray]:
-        """Parameters and their covariance, in their own units."""
-        if self._last is None:
-            return self._known
-        block = self.spread[self.n_z :, self.n_z :] * self.unit[:, None] * self.unit
-        return self.mean[self.n_z :] * self.unit, block
-
     @property
     def is_finite(self) -> bool:
         """Whether the filter has not diverged."""
-        return bool(np.isfinite(self.parameters[0]).all() and np.isfinite(self.mean).all())
-
-    def start(self) -> None:
-        """Begin a new run: states anew from its first sample, parameters as known by now."""
-        self._known, self._last = self.parameters, None
+        return bool(np.isfinite(self.known[0]).all() and np.isfinite(self.mean).all())
 
     def run(self, record: Record) -> None:
-        """Filter one record."""
+        """Filter one record: states anew from its first sample, parameters as known by now."""
         if not self.is_finite:
             return
-        self.start()
-        measured = {i: series[0] for i, series in measured_states(self.model, record).items()}
-        for sample in zip(record.times, record.inputs, record.outputs, strict=True):
-            self.take(*sample, measured)
+        self._begin(record)
+        predict = self._extended if self.settings.kind == "extended" else self._unscented
+        for k, outputs in enumerate(record.outputs):
+            last, row = max(k - 1, 0), min(k, 1)
+            times = record.times[[last, k]]
+            if k == 0:  # the sample is at the earlier of two times, where the mean is already
+                times = times + np.array([0.0, self.model.step])
+            with np.errstate(all="ignore"):
+                predicted, cross, expected = predict(times, record.inputs[[last, k]], row)
+                self._correct(outputs - predicted, cross, expected)
+            block = self.spread[self.n_z :, self.n_z :] * self.unit[:, None] * self.unit
+            self.known = values, covariance = self.mean[self.n_z :] * self.unit, block
             if not self.is_finite:
                 break
-            values, covariance = self.parameters
             self.track.append(values)
             self.spreads.append(np.sqrt(np.maximum(np.diag(covariance), 0.0)))
 
-    def take(
-        self,
-        time: float,
-        inputs: np.ndarray,
-        outputs: np.ndarray,
-        measured: Mapping[int, float] | None = None,
-    ) -> None:
-        """Learn the next sample; the first of a run begins it, at the states measured then."""
-        first = self._last is None
-        if first:
-            seen = {
-                state: outputs[column]
-                for state, column in measured_columns(self.model).items()
-                if np.isfinite(outputs[column])
-            }
-            self._begin(time, inputs, seen if measured is None else measured)
-        before, held = self._last or (time, inputs)
-        self._last = time, inputs
-        # The first sample is at the earlier of two times, where the mean is already.
-        times = np.array([before, time + self.model.step * first])
-        predict = self._extended if self.settings.kind == "extended" else self._unscented
-        with np.errstate(all="ignore"):
-            predicted, cross, expected = predict(times, np.array([held, inputs]), int(not first))
-            self._correct(outputs - predicted, cross, expected)
-
-    def _begin(self, time: float, inputs: np.ndarray, measured: Mapping[int, float]) -> None:
-        """Mean and covariance before the first measurement of a run."""
-        values, covariance = self._known
+    def _begin(self, record: Record) -> None:
+        """Mean and covariance before the first measurement of a record."""
+        values, covariance = self.known
         model, n_own, n_free = self.model, self.kernel.n_own, len(values)
         own = np.zeros(n_own)
-        std = np.array([self.settings.state_std.get(s.name, s.scale) for s in model.states])
-        sources = {output.source: i for i, output in enumerate(model.outputs)}
-        for position, value in measured.items():
-            own[position] = value
-            std[position] = START_SPREAD * self.sigma[sources[model.state_names[position]]]
-        for name, value in self.settings.initial.items():
-            own[model.state_names.index(name)] = value
-        z, dz = self.kernel.start(own, inputs, self._all(values), time)
+        std = np.array([state.scale for state in model.states])
+        columns = measured_columns(model)
+        for position, series in measured_states(model, record).items():
+            own[position] = series[0]
+            std[position] = START_SPREAD * self.sigma[columns[position]]
+        z, dz = self.kernel.start(own, record.inputs[0], self._all(values), record.times[0])
         # Memory of actuators and sensors starts in equilibrium with states and parameters.
         shape = np.vstack([dz, np.eye(n_own + n_free)[n_own:]])
         spread = shape @ block_diag(np.diag(std**2), covariance) @ shape.T

@@ -104,7 +104,7 @@ class EquationError(RegressionEstimator):
         return f"equation error ({self.rule} derivatives{window})"
 
     def _solve(self, rows: Rows) -> Regression:
-        return solve_rows(rows.form, rows.targets, rows.regressors, coloured=self.coloured)
+        return solve_rows(rows, self.coloured)
 
 
 @dataclass(frozen=True)

@@ -5,15 +5,13 @@
 :class:`RecursiveLSSVM`       the same solution in the size of the features, flat cost
 :class:`RecursiveLeastSquares`  with exponential forgetting
 :class:`EquationStream`       from a model and samples to features and targets
-:class:`KalmanStream`         states and parameters together, by Kalman filter
-:class:`OnlineRegression`     all of this behind the interface of the estimators
+:class:`OnlineRegression`     a record played back, behind the interface of the estimators
 ============================  ========================================================
 """
 
 from __future__ import annotations
 
 import warnings
-from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -23,15 +21,11 @@ from scipy.linalg import cho_solve, solve_triangular
 
 from oed_sysid.baselines.equations import (
     SPANS,
-    WINDOW,
-    Rates,
     Rows,
-    check_rule,
     regression_form,
     rows_from,
     states_of,
 )
-from oed_sysid.baselines.kalman import JointFilter, JointKalmanFilter
 from oed_sysid.baselines.regression import (
     Regression,
     RegressionEstimator,
@@ -47,7 +41,6 @@ from oed_sysid.baselines.support_vectors import (
 )
 from oed_sysid.errors import ModelError, PrecisionWarning
 from oed_sysid.likelihood.estimator import check_choice
-from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.physics.model import Model
 
 
@@ -91,12 +84,6 @@ class OnlineMachine:
         """Values ``(n,)`` at features ``(n, n_features)``."""
         coefficients, bias = self.linear()
         return np.atleast_2d(features) @ coefficients + bias
-
-
-def check_window(window: int | None) -> None:
-    """Raise :class:`ModelError` for a window of fewer than two samples."""
-    if window is not None and window < 2:
-        raise ModelError(f"window is {window}. Keep at least two samples.")
 
 
 class RecursiveLeastSquares(OnlineMachine):
@@ -158,16 +145,16 @@ class RecursiveLeastSquares(OnlineMachine):
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
         # A prior of standard deviation s is a row 1/s; forgetting lowers all rows alike.
-        self.learn(np.append(np.asarray(features, dtype=float), float(target))[None])
+        self.learn(np.append(np.asarray(features, dtype=float), float(target)))
         if self.forgetting < 1:
             excess = np.trace(self.inverse) / (len(self._factor) * self.largest_std**2)
             self._factor *= np.sqrt(max(excess, 1.0))
 
-    def learn(self, rows: np.ndarray) -> None:
-        """Learn samples that count alike, features and target ``(n_samples, n_features + 1)``."""
-        stack = np.vstack([np.sqrt(self.forgetting) * self._factor, rows])
+    def learn(self, row: np.ndarray) -> None:
+        """Learn features and target ``(n_features + 1,)``, without a limit to what is forgotten."""
+        stack = np.vstack([np.sqrt(self.forgetting) * self._factor, row])
         self._factor = np.asarray(np.linalg.qr(stack, mode="r"))[: len(self._factor)]
-        self.n_samples += len(rows)
+        self.n_samples += 1
 
     def linear(self) -> tuple[np.ndarray, float]:
         """Present values; there is no constant but one among the features."""
@@ -192,15 +179,10 @@ class RecursiveLSSVM(OnlineMachine):
 
     .. math:: A_t = \sum zz^T + \mathrm{diag}(I/C, 0).
 
-    With a ``window`` the samples are kept, and the recursion begins anew with those: taking a row
-    out of a factor loses digits.
-
     Parameters
     ----------
     C : float
         Weight of the errors.
-    window : int or None
-        Number of latest samples to learn from; all by default.
 
     Notes
     -----
@@ -221,25 +203,22 @@ class RecursiveLSSVM(OnlineMachine):
     [2.] 1.0
     """
 
-    def __init__(self, *, C: float = WEIGHT, window: int | None = None) -> None:
+    def __init__(self, *, C: float = WEIGHT) -> None:
         check_weight(C)
-        check_window(window)
-        self.C, self.window = C, window
+        self.C = C
         self.forget()
 
     def forget(self) -> None:
         """Forget all samples."""
         self._recursion: RecursiveLeastSquares | None = None
-        self._kept: deque[np.ndarray] = deque(maxlen=self.window or 1)
 
     def update(self, features: np.ndarray, target: float) -> None:
         """Learn one sample, features ``(n_features,)``."""
         row = np.concatenate([np.asarray(features, dtype=float), [1.0, target]])
-        self._kept.append(row)  # the latest alone, where there is no window
-        if self._recursion is None or self.window is not None:
+        if self._recursion is None:
             stds = np.append(np.full(row.size - 2, np.sqrt(self.C)), np.inf)
             self._recursion = RecursiveLeastSquares(np.zeros(stds.size), std=stds)
-        self._recursion.learn(np.array(self._kept))
+        self._recursion.learn(row)
 
     def _learnt(self) -> RecursiveLeastSquares:
         if self._recursion is None:
@@ -253,7 +232,7 @@ class RecursiveLSSVM(OnlineMachine):
 
     @property
     def n_samples(self) -> int:
-        """Number of samples learnt, or kept in the window."""
+        """Number of samples learnt."""
         return 0 if self._recursion is None else self._recursion.n_samples
 
     @property
@@ -325,15 +304,15 @@ class IncrementalLSSVM(OnlineMachine):
         *,
         C: float = WEIGHT,
         kernel: Kernel = linear_kernel,
-        bias: bool = True,
         method: str = "cholesky",
         window: int | None = None,
         refresh: int = 20,
     ) -> None:
         check_weight(C)
         check_choice("method", method, ("cholesky", "inverse"))
-        check_window(window)
-        self.C, self.bias_wanted, self.method = C, bias, method
+        if window is not None and window < 2:
+            raise ModelError(f"window is {window}. Keep at least two samples.")
+        self.C, self.method = C, method
         self.kernel, self.window, self.refresh = kernel, window, refresh
         self._warned = False
         self.forget()
@@ -433,7 +412,7 @@ class IncrementalLSSVM(OnlineMachine):
             solved = self._matrix @ columns
         else:
             solved = cho_solve((self._matrix, True), columns, check_finite=False)
-        return dual_solution(solved, self.bias_wanted)
+        return dual_solution(solved, bias=True)
 
     def _drop_oldest(self) -> None:
         old = self._matrix
@@ -450,38 +429,20 @@ class IncrementalLSSVM(OnlineMachine):
             self._matrix = np.linalg.inv(again)
 
 
-METHODS = ("recursive", "incremental", "forgetting")
-
-
 @dataclass(frozen=True)
 class OnlineRegression(RegressionEstimator):
-    """Play records back through an online regression, one equation at a time.
+    """Play records back through :class:`RecursiveLSSVM`, one equation at a time.
 
-    The result is the last state of the recursion; ``extras["history"]`` holds,
-    by parameter, its value after every sample.
+    The fit is that after the last sample; ``fit.extras["history"]`` holds the values after every
+    row of complete samples, by parameter: what a vehicle would have known by then.
 
     Parameters
     ----------
-    method : str
-        ``"recursive"`` (:class:`RecursiveLSSVM`), ``"incremental"``
-        (:class:`IncrementalLSSVM`) or ``"forgetting"``
-        (:class:`RecursiveLeastSquares`).
     C : float
-        Weight of the errors of the LS-SVM.
-    start : int
-        Samples of the first batch; values before are NaN in the history.
-    window : int or None
-        Latest samples to learn from, all by default.
-    forgetting : float
-        Of ``"forgetting"``.
-    bias : bool
-        Whether equations without a constant term get one; always so with
-        ``"recursive"``.
-    scale : str or mapping
-        See :class:`~oed_sysid.baselines.support_vectors.LeastSquaresSVM`.
-    rule, rates
-        Where derivatives come from, see
-        :class:`~oed_sysid.baselines.least_squares.EquationError`.
+        Weight of the errors.
+    rule : str
+        Where derivatives come from: ``"euler"``, ``"trapezoid"`` or ``"simpson"``, see
+        :class:`~oed_sysid.baselines.least_squares.EquationError`. The others need later samples.
 
     References
     ----------
@@ -489,130 +450,29 @@ class OnlineRegression(RegressionEstimator):
     Mechanics 16(3).
     """
 
-    method: str = "recursive"
     C: float = WEIGHT
-    start: int = 2
-    window: int | None = None
-    forgetting: float = 0.99
-    bias: bool = True
-    scale: str | Mapping[str, float] = "raw"
     rule: str = "trapezoid"
-    rates: Rates | None = None
 
     def __post_init__(self) -> None:
         check_weight(self.C)
-        check_rule(self.rule, WINDOW)
-        check_choice("method", self.method, METHODS)
-        if self.start < 1:
-            raise ModelError(f"start is {self.start}. Begin with at least one sample.")
-        if self.rule == "local":
-            raise ModelError("A local cubic needs later samples. Choose another rule.")
+        check_choice("rule", self.rule, SPANS)
 
     @property
     def name(self) -> str:
         """Name and settings, for reports."""
-        memory = "" if self.window is None else f", last {self.window} samples"
-        setting = (
-            f"forgetting {self.forgetting:g}" if self.method == "forgetting" else f"C {self.C:g}"
-        )
-        return f"online regression ({self.method}, {setting}{memory})"
+        return f"online regression (C {self.C:g})"
 
     def _solve(self, rows: Rows) -> Regression:
-        found = separate(rows, self._play, scale=self.scale, bias=self.bias)
+        found = separate(rows, self._play)
         return replace(found, iterations=sum(map(len, rows.targets)))
 
     def _play(self, features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
-        columns = features
-        machine: OnlineMachine
-        if self.method == "recursive":
-            machine = RecursiveLSSVM(C=self.C, window=self.window)
-        elif self.method == "incremental":
-            machine = IncrementalLSSVM(C=self.C, window=self.window, bias=bias)
-        else:
-            columns = np.hstack([features, np.ones((len(features), 1))]) if bias else features
-            machine = RecursiveLeastSquares(np.zeros(columns.shape[1]), forgetting=self.forgetting)
-        n = features.shape[1]
-        track = np.full((len(targets), n + 1), np.nan)
-        first = min(self.start, len(targets))
-        machine.start(columns[:first], targets[:first])
-        for k in range(first - 1, len(targets)):
-            if k >= first:
-                machine.update(columns[k], targets[k])
-            # A machine that forgets has the constant among its coefficients.
-            track[k] = np.append(*machine.linear())[: n + 1]
-        # Weights that the samples had in the end, for the stated errors.
-        age = np.arange(len(targets))[::-1]
-        if self.method == "forgetting":
-            ridge, weights = 0.0, self.forgetting**age
-        else:
-            ridge, weights = 1.0 / self.C, (age < (self.window or np.inf)).astype(float)
-        return SeparateSolution(
-            track[-1, :n], float(track[-1, n]), ridge, weights=weights, track=track
-        )
-
-
-class Stream(ABC):
-    """What estimators on board have in common: what they know of the parameters by now."""
-
-    model: Model
-
-    @abstractmethod
-    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
-        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
-
-    @property
-    def values(self) -> dict[str, float]:
-        """Parameters as known by now."""
-        return dict(zip(self.model.free_names, self.estimate()[0].tolist(), strict=True))
-
-    @property
-    def std_errors(self) -> dict[str, float]:
-        """Their standard errors."""
-        stds = np.sqrt(np.maximum(np.diag(self.estimate()[1]), 0.0))
-        return dict(zip(self.model.free_names, stds.tolist(), strict=True))
-
-
-class Samples:
-    """Samples of a run as they come, each later than the one before.
-
-    Parameters
-    ----------
-    model : Model
-        Whose inputs and outputs they are.
-    """
-
-    def __init__(self, model: Model) -> None:
-        self.model = model
-        self.last: float | None = None
-        self.count = 0
-
-    def read(self, time: float, sample: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Inputs and outputs of a sample, in the model's order; a missing output is NaN.
-
-        Parameters
-        ----------
-        time : float
-            Time of the sample, s.
-        sample : mapping of str to float
-            Commands and measured outputs by name.
-
-        Raises
-        ------
-        ModelError
-            If an input is missing, or the sample is not later than the one before.
-        """
-        if missing := [name for name in self.model.input_names if name not in sample]:
-            raise ModelError(
-                f"The sample at t = {time:g} s has no {', '.join(missing)}. Every input is needed."
-            )
-        if self.last is not None and not time > self.last:
-            raise ModelError(
-                f"The sample at t = {time:g} s is not later than the one before, at "
-                f"{self.last:g} s. Call start() for a new run."
-            )
-        self.last, self.count = time, self.count + 1
-        inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
-        return inputs, np.array([sample.get(name, np.nan) for name in self.model.output_names])
+        machine = RecursiveLSSVM(C=self.C)
+        track = np.empty((len(targets), features.shape[1] + 1))
+        for k, (row, target) in enumerate(zip(features, targets, strict=True)):
+            machine.update(row, target)
+            track[k] = np.append(*machine.linear())
+        return SeparateSolution(track[-1, :-1], float(track[-1, -1]), 1.0 / self.C, track=track)
 
 
 @dataclass(frozen=True, eq=False)
@@ -661,7 +521,7 @@ class EquationStream:
     def __init__(self, model: Model, *, rule: str = "trapezoid") -> None:
         check_choice("rule", rule, tuple(SPANS))
         self.model, self.rule = model, rule
-        self.form, self.run = regression_form(model), Samples(model)
+        self.form, self.n_samples = regression_form(model), 0
         if self.form.graph.n_actuator_memory:
             raise ModelError(
                 f"Model {model.name!r} has actuators with memory. Feed the measured actuator "
@@ -692,6 +552,11 @@ class EquationStream:
             Time of the sample, s.
         sample : mapping of str to float
             Measured outputs and commands by name; a missing output is NaN.
+
+        Raises
+        ------
+        ModelError
+            If an input is missing, or the sample is not later than the one before.
         """
         return [
             StreamRow(equation, row[owners], float(target))
@@ -706,80 +571,27 @@ class EquationStream:
         self, time: float, sample: Mapping[str, float]
     ) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         """Targets ``(n_equations,)`` and regressors ``(n_equations, n_free)`` of a new sample."""
-        self.samples.append((time, *self.run.read(time, sample)))
+        self.samples.append((time, *self._checked(time, sample)))
+        self.n_samples += 1
         if len(self.samples) > SPANS[self.rule]:
             times, inputs, outputs = (np.array(part) for part in zip(*self.samples, strict=True))
             states = states_of(self.form, outputs)
             yield from zip(*rows_from(self.form, times, states, inputs, self.rule), strict=True)
 
+    def _checked(self, time: float, sample: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Inputs and outputs of a sample, in the model's order; a missing output is NaN."""
+        if missing := [name for name in self.model.input_names if name not in sample]:
+            raise ModelError(
+                f"The sample at t = {time:g} s has no {', '.join(missing)}. Every input is needed."
+            )
+        if self.samples and not time > (last := self.samples[-1][0]):
+            raise ModelError(
+                f"The sample at t = {time:g} s is not later than the one before, at "
+                f"{last:g} s. Call start() for a new run."
+            )
+        inputs = np.array([sample[name] for name in self.model.input_names], dtype=float)
+        return inputs, np.array([sample.get(name, np.nan) for name in self.model.output_names])
+
     def start(self) -> None:
         """Begin a new run."""
         self.samples.clear()
-        self.run.last = None
-
-
-class KalmanStream(Stream):
-    """Parameters of a model while it sails: one :meth:`update` per sample.
-
-    The same numbers, sample by sample, as :class:`JointKalmanFilter` plays back
-    from a log; memory and cost per sample do not grow.
-
-    Parameters
-    ----------
-    model : Model
-        Its values are the start values; every output declares its noise.
-    settings : JointKalmanFilter, optional
-        Kind and uncertainties.
-
-    Examples
-    --------
-    >>> from oed_sysid.physics.channels import Output, State
-    >>> from oed_sysid.physics.parameters import Parameter
-    >>> ramp = Model(
-    ...     "ramp", (State("x", "m"),), (), (Output("x", "m", noise_std=0.01),), {"x": "slope"},
-    ...     parameters=(Parameter("slope", 0.0, "m/s", scale=1.0),),
-    ... )
-    >>> stream = KalmanStream(ramp)
-    >>> for k in range(20):
-    ...     stream.update(0.1 * k, {"x": 0.2 * k})
-    >>> print(round(stream.values["slope"], 2))
-    2.0
-    """
-
-    def __init__(self, model: Model, settings: JointKalmanFilter | None = None) -> None:
-        self.model, settings = model, settings or JointKalmanFilter()
-        levels = given_levels(model.outputs)
-        if not np.isfinite(levels).all():
-            unknown = [o.name for o, s in zip(model.outputs, levels, strict=True) if np.isnan(s)]
-            raise ModelError(
-                f"The noise of {', '.join(unknown)} is not known, and a stream cannot wait to see "
-                "it. Give Output(noise_std=...)."
-            )
-        settings.check(model)
-        self._filter, self._run = JointFilter(settings, model, levels), Samples(model)
-
-    @property
-    def n_samples(self) -> int:
-        """Number of samples learnt."""
-        return self._run.count
-
-    def start(self) -> None:
-        """Begin a new run: states anew from its first sample, parameters as known by now."""
-        self._filter.start()
-        self._run.last = None
-
-    def update(self, time: float, sample: Mapping[str, float]) -> None:
-        """Learn one sample.
-
-        Parameters
-        ----------
-        time : float
-            Time of the sample, s.
-        sample : mapping of str to float
-            Commands and measured outputs by name; an output may be missing.
-        """
-        self._filter.take(time, *self._run.read(time, sample))
-
-    def estimate(self) -> tuple[np.ndarray, np.ndarray]:
-        """Estimates ``(n_free,)`` in the order of ``model.free_names``, and their covariance."""
-        return self._filter.parameters

@@ -15,20 +15,18 @@ from oed_sysid.baselines.regression import (
     CONVERGED,
     Baseline,
     Regression,
-    are_coloured,
     assumed_levels,
     positive,
-    root_mean_square,
-    sandwich,
 )
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError, library, located
 from oed_sysid.experiments.trajectory import simulate_batch
+from oed_sysid.likelihood.covariance import is_coloured, sandwich
 from oed_sysid.likelihood.estimate import Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.information import Information, coloured_score_covariance
-from oed_sysid.likelihood.noise_levels import given_levels
+from oed_sysid.likelihood.noise_levels import given_levels, root_mean_square
 from oed_sysid.likelihood.start_guess import check_channels, first_state
 from oed_sysid.physics.model import Model
 
@@ -160,7 +158,7 @@ class TrajectoryCost:
             jacobians.append(by_free)
             starts.append(by_start)
         levels = given_levels(model.outputs)
-        found = np.maximum(root_mean_square(np.vstack(residuals)), 1e-9 * self.scales)
+        found = np.maximum(np.nan_to_num(root_mean_square(residuals)), 1e-9 * self.scales)
         sigma = np.where(np.isfinite(levels), levels, found)
         magnitudes = np.array([p.magnitude for p in model.free_parameters])
 
@@ -174,7 +172,7 @@ class TrajectoryCost:
 
         # The search weighed outputs by its own scales; errors follow from these weights.
         scaled = [residual / self.scales for residual in residuals]
-        coloured = are_coloured(scaled)
+        coloured = is_coloured(scaled)
         if coloured:
             middle = coloured_score_covariance(
                 [j / self.scales[:, None] for j in jacobians], scaled

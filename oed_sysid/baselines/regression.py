@@ -25,7 +25,6 @@ from scipy.optimize import lsq_linear
 
 from oed_sysid.baselines.equations import (
     WINDOW,
-    RegressionForm,
     Rows,
     regression_form,
     rows_of,
@@ -33,17 +32,15 @@ from oed_sysid.baselines.equations import (
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
-from oed_sysid.likelihood.covariance import sandwich
+from oed_sysid.likelihood.covariance import asks, is_coloured, sandwich
 from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import (
-    COLOUR_LIMIT,
     Information,
     coloured_score_covariance,
-    effective_sample_size,
 )
-from oed_sysid.likelihood.noise_levels import given_levels, white_levels
+from oed_sysid.likelihood.noise_levels import given_levels, root_mean_square, white_levels
 from oed_sysid.likelihood.start_guess import first_state
 from oed_sysid.physics.model import Model
 
@@ -151,7 +148,8 @@ def simulated(
     residuals = [record.outputs - run.outputs for record, run in zip(dataset, runs, strict=True)]
     declared, stacked = given_levels(model.outputs), np.vstack(residuals)
     estimated = ~np.isfinite(declared)
-    sigma = np.where(estimated, np.maximum(root_mean_square(stacked), 1e-12), declared)
+    sizes = np.maximum(np.nan_to_num(root_mean_square(residuals)), 1e-12)
+    sigma = np.where(estimated, sizes, declared)
     diverged = not all(run.ok for run in runs)
     return Fit(
         model=fitted,
@@ -176,13 +174,6 @@ def simulated(
         posterior=found.posterior,
         extras=dict(found.facts),
     )
-
-
-def root_mean_square(values: np.ndarray) -> np.ndarray:
-    """Of the finite numbers of each column, shape ``(n_columns,)``; zero where there are none."""
-    present = np.isfinite(values)
-    squares = np.where(present, values, 0.0) ** 2
-    return np.sqrt(squares.sum(axis=0) / np.maximum(present.sum(axis=0), 1))
 
 
 def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:
@@ -289,13 +280,7 @@ def each_equation(
     return Regression(estimates, covariance, coloured=coloured, facts=extras)
 
 
-def solve_rows(
-    form: RegressionForm,
-    runs_targets: Sequence[np.ndarray],
-    runs_regressors: Sequence[np.ndarray],
-    *,
-    coloured: str = "auto",
-) -> Regression:
+def solve_rows(rows: Rows, coloured: str = "auto") -> Regression:
     """Solve all equations together, each weighted by the spread of its own errors.
 
     Where no parameter is shared this is ordinary least squares of each equation.
@@ -303,23 +288,21 @@ def solve_rows(
 
     Parameters
     ----------
-    form : RegressionForm
-        Equations and names.
-    runs_targets : sequence of ndarray (n_rows, n_equations)
-        One array per run; NaN where a measurement is missing.
-    runs_regressors : sequence of ndarray (n_rows, n_equations, n_free)
+    rows : Rows
+        NaN where a measurement is missing.
     coloured : str
         Whether errors that are correlated in time widen the covariance: ``"auto"``, ``"always"``
         or ``"never"``.
     """
-    model, n_free, n_equations = form.model, len(form.names), len(form.equations)
-    targets, regressors = np.vstack(runs_targets), np.vstack(runs_regressors)
+    form, model = rows.form, rows.form.model
+    n_free, n_equations = len(form.names), len(form.equations)
+    targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
     valid = np.isfinite(targets) & np.isfinite(regressors).all(axis=2)
     # A row with a gap is one of zeros, which says nothing.
     targets = np.where(valid, targets, 0.0)
     regressors = np.where(valid[:, :, None], regressors, 0.0)
     # The first weights are sizes of the targets, as if the parameters were zero.
-    spread = root_mean_square(np.where(valid, targets, np.nan))
+    spread = np.nan_to_num(root_mean_square([np.where(valid, targets, np.nan)]))
     levels = np.where(spread > 0, spread, 1.0)
     floor = 1e-10 * levels  # below it errors of an equation are rounding
     freedom = np.maximum(valid.sum(axis=0) - n_free / n_equations, 1.0)
@@ -337,13 +320,13 @@ def solve_rows(
             break
     scales = np.array([p.magnitude for p in model.free_parameters])
     information = Information.from_jacobian(form.names, whitened(levels), scales)
-    runs = zip(runs_targets, runs_regressors, strict=True)
+    runs = zip(rows.targets, rows.regressors, strict=True)
     residuals = tuple(target - regressor @ estimates for target, regressor in runs)
     scaled = [residual / levels for residual in residuals]
-    use = coloured == "always" if coloured != "auto" else are_coloured(scaled)
+    use = asks(coloured, is_coloured(scaled))
     covariance = information.covariance
     if use:
-        ends = np.cumsum([len(target) for target in runs_targets])[:-1]
+        ends = np.cumsum([len(target) for target in rows.targets])[:-1]
         jacobians = np.split(regressors / levels[:, None], ends)
         # A prior is one observation, and no series that could be correlated in time.
         middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
@@ -393,23 +376,11 @@ def residual_covariance(
     if variance <= 0:
         return np.zeros_like(bread), False
     scaled = (errors / np.sqrt(variance))[:, None]
-    coloured = are_coloured([scaled])
+    coloured = is_coloured([scaled])
     middle = rows.T @ rows
     if coloured:
         middle = coloured_score_covariance([rows[:, None, :]], [scaled])
     return variance * sandwich(bread, middle), coloured
-
-
-def are_coloured(residuals: Sequence[np.ndarray]) -> bool:
-    """Whether residual columns count clearly fewer independent samples than they have."""
-    effective = total = 0.0
-    for residual in residuals:
-        for column in residual.T:
-            n = int(np.isfinite(column).sum())
-            if n > 20:  # of fewer samples no autocorrelation is known
-                effective += effective_sample_size(column)
-                total += n
-    return total > 0 and effective < COLOUR_LIMIT * total
 
 
 def prior_rows(model: Model) -> tuple[np.ndarray, np.ndarray]:
@@ -431,8 +402,6 @@ class SeparateSolution:
     bias : float
     ridge : float
         Weight of ``|coefficients|^2`` against a squared error; enters the errors.
-    weights : ndarray (n_rows,) or None
-        Weight that each row had in the end; all one by default.
     track : ndarray (n_rows, n_features + 1) or None
         Coefficients and bias after every row, of recursive solvers.
     facts : mapping
@@ -442,7 +411,6 @@ class SeparateSolution:
     coefficients: np.ndarray
     bias: float
     ridge: float = 0.0
-    weights: np.ndarray | None = None
     track: np.ndarray | None = None
     facts: Mapping[str, Any] = field(default_factory=dict)
 
@@ -561,15 +529,12 @@ def solution_covariance(
     """Covariance of ``[coefficients, bias]`` in scaled units, and whether errors are coloured."""
     n, n_features = features.shape
     matrix = np.hstack([features, np.full((n, 1), float(with_bias))])
-    weights = np.ones(n) if solution.weights is None else solution.weights
     errors = targets - features @ solution.coefficients - solution.bias
-    # Rows that were forgotten count for less than one degree of freedom.
-    freedom = max(float(weights.sum()) - n_features - with_bias, 1.0)
-    variance = float(weights @ errors**2) / freedom
+    variance = float(errors @ errors) / max(n - n_features - with_bias, 1)
     scale = 1.0 / column_norms(matrix)
     matrix = matrix * scale
     # The ridge pulls the coefficients, not the bias.
     penalty = np.diag([*np.full(n_features, solution.ridge), 0.0]) * scale**2
-    bread = np.linalg.pinv((matrix.T * weights) @ matrix + penalty, hermitian=True, rcond=1e-15)
-    covariance, coloured = residual_covariance(bread, matrix * weights[:, None], errors, variance)
+    bread = np.linalg.pinv(matrix.T @ matrix + penalty, hermitian=True, rcond=1e-15)
+    covariance, coloured = residual_covariance(bread, matrix, errors, variance)
     return covariance * scale[:, None] * scale, coloured

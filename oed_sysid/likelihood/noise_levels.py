@@ -249,9 +249,9 @@ def _stated(names: Sequence[str], levels: np.ndarray) -> np.ndarray:
 def root_mean_square(parts: Sequence[np.ndarray]) -> np.ndarray:
     """Root mean square of residuals, by output; NaN where nothing was measured."""
     stacked = np.vstack(parts)
-    count = np.isfinite(stacked).sum(axis=0)
-    squares = np.where(count > 0, np.nansum(stacked**2, axis=0) / np.maximum(count, 1), np.nan)
-    return np.asarray(np.sqrt(squares))
+    finite = np.isfinite(stacked)
+    count, total = finite.sum(axis=0), (np.where(finite, stacked, 0.0) ** 2).sum(axis=0)
+    return np.sqrt(np.where(count > 0, total / np.maximum(count, 1), np.nan))
 
 
 def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.ndarray:
