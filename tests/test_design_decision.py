@@ -87,7 +87,8 @@ def test_it_stops_when_enough_is_known_and_forecasts_the_rest(fit, candidates) -
     rng = np.random.default_rng(0)
     met = goals_of(fit.model, {"all": 1.05 * worst})
     check = decide(fit, candidates, met, rng=rng)
-    assert check.is_check
+    assert check.action == "go on"
+    assert not check.unmet
     assert check.runs_left == 1
     assert check.next_run is not None
     again = simulate(ship(), check.next_run.experiment, rng=np.random.default_rng(2))

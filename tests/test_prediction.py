@@ -215,7 +215,7 @@ def test_forces_nobody_fitted_decide_where_records_cannot() -> None:
     """Slow runs alone leave the power open; a towing test at 4 m/s closes it."""
     slow = runs(0.5, 0.55, 0.6)
     towing = CaptiveTests("towing", {"u": [3.0, 4.0]}, {}, {"X": [-18.0, -32.0]}, {"X": 0.5})
-    settings = {"purpose": resistance, "strength": first, "horizon": 5.0, "power": 2.0}
+    settings = {"purpose": resistance, "strength": first, "horizon": 5.0}
     without, with_tests = (
         average_structures((LINEAR, QUADRATIC), slow, tests=tests, **settings)
         for tests in (None, towing)
@@ -303,13 +303,12 @@ def of_zero(fit) -> dict[str, float]:
         ({"purpose": lambda fit: {}}, "gives no quantity"),
         ({"purpose": lambda fit: fit.values}, "gives a with structure 'linear' and b with"),
         ({"scored": ["resistence"]}, "'resistence'.* Did you mean 'resistance'"),
-        ({"power": -4.0}, "power -4; it must be above zero"),
         ({"floor": -0.5}, "floor is -0.5. Give a share"),
         ({"horizon": 0.0}, "horizon 0; it must be above zero. Give seconds"),
     ],
 )
 def test_settings_that_give_no_weights_are_refused(settings: dict, words: str) -> None:
-    """Nothing about zero, no unknown or differing quantity, no negative power is averaged."""
+    """Nothing about zero, no unknown or differing quantity is averaged."""
     usual = {"purpose": resistance, "strength": first, "horizon": 5.0, **settings}
     with pytest.raises(ModelError, match=words):
         average_structures((LINEAR, QUADRATIC), runs(0.5, 1.0, 2.0), **usual)
@@ -540,7 +539,6 @@ def test_imperfect_sensors_do_not_bend_the_track_and_actuators_do() -> None:
         ({"K": 0.1}, {"length": -3.0}, "length -3; it must be above zero"),
         ({"K": 0.1}, {"rate": 0.0}, "rate 0; it must be above zero. Give rad/s"),
         ({"K": 0.1}, {"n_draws": -3}, "n_draws is -3"),
-        ({"K": 0.1}, {"input": "fin"}, "inputs rudder"),
         ({"K": 0.0}, {}, "does not turn|same side"),
     ],
 )
@@ -549,6 +547,13 @@ def test_mistakes_are_answered(change: dict, arguments: dict, message: str) -> N
     with pytest.raises(Exception, match=message) as caught:
         turning_circle(NOMOTO.with_values(change), speed=2.0, **arguments)
     assert type(caught.value).__module__ == "oed_sysid.errors"
+
+
+def test_the_rudder_is_the_only_input() -> None:
+    """A model with more inputs than the rudder is told what a circle needs."""
+    two = replace(NOMOTO, inputs=(*NOMOTO.inputs, Input("fin", "rad")))
+    with pytest.raises(ModelError, match="inputs rudder, fin; a turning circle needs"):
+        turning_circle(two, speed=2.0)
 
 
 def test_a_model_without_heading_cannot_turn() -> None:

@@ -245,7 +245,7 @@ def test_the_first_line_of_a_programme_is_the_answer(programme: Programme) -> No
     together = replace(programme, assurances=few)
     assert not together.unsafe
     assert together.kept == pytest.approx(1 - 0.04 * len(few))
-    assert together.is_unsafe_together == (len(few) > 1)
+    assert (not together.together.is_enough) == (len(few) > 1)
 
 
 @pytest.mark.usefixtures("few_judges")

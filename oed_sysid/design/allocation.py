@@ -30,7 +30,7 @@ one of those that tell most, fill up, as long as that helps.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -38,7 +38,8 @@ import numpy as np
 from oed_sysid.design.criteria import NOTHING, AOptimal, Criterion, DOptimal, Measure
 from oed_sysid.errors import DesignError
 
-# Of the log criterion to its bound at which weights are optimal: far below what a run is worth.
+# Of the log criterion, per parameter of D, to its bound at which weights are optimal: far below
+# what a run is worth.
 GAP = 2e-4
 # Runs tried in an exchange, and starts that are exchanged.
 _TRIED = 4
@@ -123,13 +124,11 @@ class Weights:
         Worth reached.
     bound : float
         No programme of these runs within the budget is worth more.
-    sweeps : int
     """
 
     repetitions: np.ndarray
     value: float
     bound: float
-    sweeps: int
 
     @property
     def gap(self) -> float:
@@ -137,7 +136,7 @@ class Weights:
         return self.bound - self.value
 
 
-def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> Weights:
+def relaxed(library: Library, costs: np.ndarray) -> Weights:
     """Maximise the worth over weights, ``sum(costs * x) = 1``.
 
     Parameters
@@ -145,8 +144,6 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
     library : Library
     costs : ndarray (n_runs,)
         As shares of the budget.
-    tolerance : float
-        Gap at which the sweeps end, in units of the criterion per parameter.
 
     Returns
     -------
@@ -159,7 +156,7 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
     # Weights that start above zero can reach any design; a zero would stay one.
     w = np.full(library.n_runs, 1.0 / library.n_runs)
     best: Weights | None = None
-    ceiling, sweep = np.inf, 0
+    ceiling = np.inf
     for sweep in range(1, 6000 + 1):
         value, by_run = library.slope(w / costs)
         d = np.maximum(by_run / costs, 0.0)
@@ -167,8 +164,8 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
             # Every sweep gives a bound; the smallest counts.
             ceiling = min(ceiling, value + float(d.max() - w @ d))
             if best is None or value > best.value:
-                best = Weights(w / costs, value, ceiling, sweep)
-            if ceiling - best.value < tolerance * scale:
+                best = Weights(w / costs, value, ceiling)
+            if ceiling - best.value < GAP * scale:
                 break
             # A run of hardly any weight cannot come back unless its slope says so.
             w = np.where((w < 1e-10) & (d < w @ d), 0.0, w)
@@ -177,12 +174,10 @@ def relaxed(library: Library, costs: np.ndarray, *, tolerance: float = GAP) -> W
             break  # everything that these runs could tell is told already
         w = grown / grown.sum()
     assert best is not None
-    return Weights(best.repetitions, best.value, ceiling, sweep)
+    return replace(best, bound=ceiling)
 
 
-def weights(
-    library: Library, *, budget: float | None, n_runs: int | None, tolerance: float = GAP
-) -> Weights:
+def weights(library: Library, *, budget: float | None, n_runs: int | None) -> Weights:
     """Best weights within a budget of cost, of runs, or of both, with a bound.
 
     Parameters
@@ -192,8 +187,6 @@ def weights(
         Largest sum of costs.
     n_runs : int, optional
         Largest number of runs.
-    tolerance : float
-        See :func:`relaxed`.
     """
     time = None if budget is None else library.costs / budget
     count = None if n_runs is None else np.full(library.n_runs, 1.0 / n_runs)
@@ -202,29 +195,27 @@ def weights(
         raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
     found = []
     for limit in limits:
-        found.append(relaxed(library, limit, tolerance=tolerance))
+        found.append(relaxed(library, limit))
         if all(other @ found[-1].repetitions <= 1 + 1e-9 for other in limits):
             return found[-1]
-    return _within_both(library, limits, found, tolerance)
+    return _within_both(library, limits, found)
 
 
-def _within_both(
-    library: Library, limits: Sequence[np.ndarray], found: list[Weights], tolerance: float
-) -> Weights:
+def _within_both(library: Library, limits: Sequence[np.ndarray], found: list[Weights]) -> Weights:
     """Best weights within two limits, of which each alone leads beyond the other."""
     time, count = limits
     low, high = 0.0, 1.0
     for _ in range(8):
         # Bisection of the multiplier between the limits: the bound of each mixture is one of both.
         theta = 0.5 * (low + high)
-        middle = relaxed(library, theta * time + (1 - theta) * count, tolerance=tolerance)
+        middle = relaxed(library, theta * time + (1 - theta) * count)
         found.append(middle)
         # More weight on whichever limit is passed.
         over_time = time @ middle.repetitions > count @ middle.repetitions
         low, high = (theta, high) if over_time else (low, theta)
     bound = min(one.bound for one in found)
     inside = [
-        Weights(x, library.value(x), bound, one.sweeps)
+        Weights(x, library.value(x), bound)
         for one in found
         for x in [one.repetitions / max(time @ one.repetitions, count @ one.repetitions, 1.0)]
     ]

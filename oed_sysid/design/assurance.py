@@ -289,24 +289,18 @@ def assess_limits(
     names = tuple(dict.fromkeys((*model.state_names, *model.output_names)))
     # Waves are drawn here and in order, so that numbers do not depend on who simulates.
     met = [in_own_waves(vehicle, experiment, sea, rng) for vehicle in fresh]
-    done = _simulated(met, bounds, names)
-    first = [one.left for one in done]
-    extremes = [one.ends for one in done if one.ends is not None]
-    tracks = [one.track for one in done if one.ends is not None]
+    first, extremes, tracks = zip(*_simulated(met, bounds, names), strict=True)
     kept = np.array([one is None for one in first])
-    ends = np.array(extremes).reshape(-1, len(names), 2)
-    ranges = _ranges(names, ends)
-    rules, stopped = _rules(experiment, bounds, ranges, ends, n_vehicles)
+    ends = np.array(extremes)
+    ranges = _ranges(names, ends[np.isfinite(ends).all(axis=(1, 2))])
+    rules, stopped = _rules(experiment, bounds, ranges, ends)
+    waves = sea_words(sea) if sea is not None and sea.has_forces else ""
     return Assurance(
         int(kept.sum()), n_vehicles, wanted, spread, dict(Counter(filter(None, first))), ranges,
-        bool(bounds.names), _waves(sea), rules, stopped, kept,
+        bool(bounds.names), waves, rules, stopped, kept,
         in_doubt(model, spread, prior, n_vehicles, 1 + len(others)),
         PredictedTracks.of(motion(model, experiment), tracks),
     )  # fmt: skip
-
-
-def _waves(sea: NoiseModel | None) -> str:
-    return sea_words(sea) if sea is not None and sea.has_forces else ""
 
 
 def _ranges(names: Sequence[str], ends: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -319,13 +313,8 @@ def _ranges(names: Sequence[str], ends: np.ndarray) -> dict[str, tuple[float, fl
     return dict(zip(names, zip(low, high, strict=True), strict=True))
 
 
-@dataclass(frozen=True)
-class _Behaviour:
-    """What one vehicle did: the limit left first, ranges ``(n_names, 2)`` or None, the track."""
-
-    left: str | None
-    ends: np.ndarray | None = None
-    track: np.ndarray | None = None
+# What one vehicle did: the limit left first, ranges ``(n_names, 2)``, the track.
+_Behaviour = tuple[str | None, np.ndarray, np.ndarray | None]
 
 
 def _simulated(
@@ -342,14 +331,15 @@ def _behaviour(
     met: Sequence[tuple[Model, Experiment]], bounds: LimitBounds, names: Sequence[str]
 ) -> list[_Behaviour]:
     """What several vehicles do in their runs."""
-    found = []
+    found: list[_Behaviour] = []
     for vehicle, experiment in met:
         run = motion(vehicle, experiment)
         if run is None:
-            found.append(_Behaviour("diverged"))
+            # Beyond whatever range anybody states.
+            found.append(("diverged", np.tile([-np.inf, np.inf], (len(names), 1)), None))
             continue
         ends = np.array([[s.min(), s.max()] for s in map(run.signal, names)])
-        found.append(_Behaviour(bounds.first_left(run), ends, _track(run)))
+        found.append((bounds.first_left(run), ends, _track(run)))
     return found
 
 
@@ -358,19 +348,16 @@ def _rules(
     bounds: LimitBounds,
     ranges: Mapping[str, tuple[float, float]],
     ends: np.ndarray,
-    n_vehicles: int,
 ) -> tuple[tuple[AbortRule, ...], float]:
     """Abort rules, and the share of the vehicles on which any of them fires.
 
-    ``ends`` are lowest and highest values ``(n_finite, n_names, 2)``; vehicles that diverged fire
+    ``ends`` are lowest and highest values ``(n_vehicles, n_names, 2)``; vehicles that diverged fire
     every rule.
     """
     if not ranges:
         return (), 0.0
-    diverged = n_vehicles - len(ends)
     found, any_fires = [], np.zeros(len(ends), dtype=bool)
-    during = bounds.during()
-    limited = dict(zip(during.names, zip(during.lower, during.upper, strict=True), strict=True))
+    limited = dict(zip(bounds.names, zip(bounds.lower, bounds.upper, strict=True), strict=True))
     for name in dict.fromkeys((*limited, *(n for n in WATCHED if n in ranges))):
         if name in limited:
             first = experiment.initial.get(name, 0.0)
@@ -383,9 +370,9 @@ def _rules(
         column = ends[:, list(ranges).index(name)]
         outside = (column[:, 0] < lower) | (column[:, 1] > upper)
         any_fires |= outside
-        share = float((outside.sum() + diverged) / n_vehicles)
-        found.append(AbortRule(name, float(lower), float(upper), share, name in limited))
-    return tuple(found), float((any_fires.sum() + diverged) / n_vehicles)
+        fires = float(outside.mean())
+        found.append(AbortRule(name, float(lower), float(upper), fires, name in limited))
+    return tuple(found), float(any_fires.mean())
 
 
 @dataclass(frozen=True, eq=False)

@@ -518,20 +518,11 @@ def pair_misfits(
         for j, other in enumerate(groups):
             if j == i:
                 continue
-            mine, theirs = own.columns, other.columns
-            block = gram[np.ix_(theirs, theirs)]
-            # A rival without any effect in these runs imitates nothing; it must not divide by
-            # zero.
-            floor = NOTHING + 1e-12 * float(np.trace(block))
-            imitated = np.linalg.solve(
-                block + floor * np.eye(len(theirs)), gram[np.ix_(theirs, mine)]
-            )
-            direction = np.zeros((len(gram), len(mine)))
-            direction[mine, np.arange(len(mine))] = 1.0
-            direction[theirs] = -imitated
-            slope = direction @ own.weight @ direction.T
             # G_ii - G_ij G_jj^-1 G_ji of the class: what the other at its best amplitude leaves.
-            left = gram[np.ix_(mine, mine)] - gram[np.ix_(mine, theirs)] @ imitated
+            both = np.ix_(*[np.concatenate([other.columns, own.columns])] * 2)
+            left, mapping = eliminate(gram[both], len(other.columns))
+            slope = np.zeros_like(gram)
+            slope[both] = mapping.T @ own.weight @ mapping
             pairs.append((i, j, float(np.sum(own.weight * left)), slope))
     return pairs
 

@@ -302,11 +302,6 @@ class Decision:
         return safe.probability if safe is not None and safe.limited else None
 
     @property
-    def is_check(self) -> bool:
-        """Whether the next run is there only to check what is known on paper."""
-        return self.action == "go on" and not self.unmet
-
-    @property
     def unmet(self) -> list[Progressed]:
         """Goals that are not known well enough now."""
         return [one for one in self.goals if not one.is_met]

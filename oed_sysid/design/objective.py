@@ -5,10 +5,9 @@ The number that a search maximises, with its gradient, limits included.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from functools import partial
 
 import numpy as np
 
@@ -19,6 +18,7 @@ from oed_sysid.design.waveforms import Shape
 from oed_sysid.information.bound import unknowns
 from oed_sysid.information.shifts import Shifts
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.threads import in_chunks
 
 # Relative sensitivities beyond this, in noise units, belong to a trajectory that runs away.
 _DIVERGED = 1e9
@@ -247,7 +247,6 @@ class VehicleInformation:
         return matrix
 
 
-T = TypeVar("T")
 # Difference step of the numbers between 0 and 1; information derivatives are exact.
 _STEP = 1e-5
 
@@ -384,7 +383,8 @@ class Objective:
         excess = max(self.bounds.worst(self.bounds.limited(one.signals)) for one in evaluations)
         runs: list[ScenarioRun] = []
         if (scenarios := self.scenarios) is not None and with_scenarios:
-            runs = self._each(lambda i: scenarios.run(i, played), len(scenarios))
+            fly = partial(scenarios.run, commands=played)
+            runs = in_chunks(fly, len(scenarios), self._n_workers)
             excess = max(excess, scenarios.level(runs))
         return Score(numbers, played, value, excess, tuple(evaluations), tuple(runs))
 
@@ -437,14 +437,5 @@ class Objective:
                 by_numbers[edges[edge] :, :, index] = moved / step
 
         self.n_evaluations += size
-        self._each(one, size)
+        in_chunks(one, size, self._n_workers)
         return Slope(gradient, signals, by_scenario)
-
-    def _each(self, work: Callable[[int], T], size: int) -> list[T]:
-        """Results of ``work`` for ``0 .. size - 1``, over threads."""
-        if self._n_workers == 1:
-            return [work(index) for index in range(size)]
-        chunks = np.array_split(np.arange(size), 4 * self._n_workers)
-        with ThreadPoolExecutor(self._n_workers) as pool:
-            parts = pool.map(lambda chunk: [work(int(index)) for index in chunk], chunks)
-            return [result for part in parts for result in part]

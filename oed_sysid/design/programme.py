@@ -233,7 +233,6 @@ def _programme(
         share=min(1.0, library.factor(chosen.value - plan.shares.bound)),
         greedy_share=library.factor(unrefined.chosen.greedy - unrefined.chosen.value),
         refined_factor=library.factor(chosen.value - unrefined.chosen.value),
-        n_library=len(unrefined.runs),
         assurances={run.name: safe[run.name] for run in sequence},
         sea=expected.sea,
         spread=AccuracyRange(

@@ -430,8 +430,6 @@ class Programme(_Accuracy):
         What greedy selection from the unrefined library reaches of the exchanged selection.
     refined_factor : float
         How many times refined commands raised the information.
-    n_library : int
-        Candidates before refinement.
     assurances : mapping of str to Assurance
         How surely each run keeps its limits.
     sea : NoiseModel or None
@@ -466,7 +464,6 @@ class Programme(_Accuracy):
     share: float
     greedy_share: float
     refined_factor: float
-    n_library: int
     assurances: Mapping[str, Assurance] = field(repr=False)
     sea: NoiseModel | None
     spread: AccuracyRange | None
@@ -515,18 +512,13 @@ class Programme(_Accuracy):
         return tuple(name for name, one in found if one.limited and not one.is_enough)
 
     @property
-    def is_unsafe_together(self) -> bool:
-        """Whether one run or another leaves its limits on more vehicles than wanted."""
-        return not self.together.is_enough
-
-    @property
     def danger(self) -> str:
         """What stands first where limits are likely to be left; empty where not."""
         if self.unsafe:
             worst = min(self.unsafe, key=lambda name: self.assurances[name].probability)
             left = 1 - self.assurances[worst].probability
             return f"DANGER: {worst!r} leaves its limits on {left:.0%} of possible vehicles"
-        if self.is_unsafe_together:
+        if not self.together.is_enough:
             left = 1 - self.kept
             return (
                 f"DANGER: on {left:.0%} of possible vehicles one run or another leaves its limits"

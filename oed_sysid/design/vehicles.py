@@ -49,6 +49,7 @@ from oed_sysid.experiments.trajectory import state_names
 from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.projection import root_of
 from oed_sysid.likelihood.realisation import at_sea
 from oed_sysid.physics.model import Model
 
@@ -395,9 +396,7 @@ def _deviations(model: Model, prior: Information | None) -> np.ndarray:
     if prior is not None:
         covariance = np.where(np.isfinite(prior.covariance), prior.covariance, 0.0)
         rows = [names.index(name) for name in prior.names]
-        # A root that exists where the covariance is singular, which a Cholesky factor does not.
-        values, vectors = np.linalg.eigh(covariance)
-        root[np.ix_(rows, rows)] = vectors * np.sqrt(np.maximum(values, 0.0))
+        root[np.ix_(rows, rows)] = root_of(covariance)
     return root
 
 

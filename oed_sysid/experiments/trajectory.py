@@ -6,8 +6,7 @@ Many at once run over threads, because the compiled kernel leaves Python's lock.
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -18,6 +17,7 @@ from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import SimulationError, located
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.threads import in_chunks
 
 # Real-axis limit of stability of the classical Runge-Kutta method.
 _STABLE_PRODUCT = 2.78
@@ -326,20 +326,12 @@ def simulate_batch(
     runner = kernel(model)
     outputs = np.full((n_batch, len(moments), len(model.outputs)), np.nan)
 
-    def run(members: Iterable[int]) -> None:
-        for member in members:
-            own_inputs, own = commands[member % len(commands)], starts[member % len(starts)]
-            outputs[member] = runner.simulate(moments, own_inputs, table[member], own).outputs
+    def run(member: int) -> None:
+        own_inputs, own = commands[member % len(commands)], starts[member % len(starts)]
+        outputs[member] = runner.simulate(moments, own_inputs, table[member], own).outputs
 
     # The interpreter keeps Python's lock; threads would only get in each other's way.
-    workers = (n_workers or os.cpu_count() or 1) if runner.library else 1
-    if workers == 1 or n_batch == 1:
-        run(range(n_batch))
-        return outputs
-    # A few chunks per worker: short runs cost less than handing them over one by one.
-    chunks = np.array_split(np.arange(n_batch), min(n_batch, 4 * workers))
-    with ThreadPoolExecutor(workers) as pool:
-        list(pool.map(run, chunks))
+    in_chunks(run, n_batch, (n_workers or os.cpu_count() or 1) if runner.library else 1)
     return outputs
 
 

@@ -74,8 +74,6 @@ class SmoothHeading:
     ----------
     times, heading, yaw_rate, acceleration : ndarray (n_times,)
         s, rad, rad/s, rad/s^2.
-    heading_noise, yaw_rate_noise : float
-        Standard deviation of the sensors, rad and rad/s.
     others : ndarray (n_times, 2)
         Heading and yaw rate smoothed without the sample itself and every second other one: free
         of its noise.
@@ -87,8 +85,6 @@ class SmoothHeading:
     heading: np.ndarray
     yaw_rate: np.ndarray
     acceleration: np.ndarray
-    heading_noise: float
-    yaw_rate_noise: float
     others: np.ndarray = field(repr=False)
     effect: float
     factor: np.ndarray = field(repr=False)
@@ -256,11 +252,9 @@ def smooth_heading(
         equations.seen = seen.copy()
         equations.seen[half::2] = False
         others[half::2] = equations.solve(levels)[1][half::2, :2]
-    sigma = np.exp(levels[:2])
     acceleration = -levels[3] * states[:, 1] + levels[4] * turning + states[:, 2]
     return SmoothHeading(
         times, states[:, 0] + middle, states[:, 1] / step, acceleration / step**2,
-        float(sigma[0]), float(sigma[1] / step) if known else np.nan,
         others * [1.0, 1 / step] + [middle, 0.0], float(levels[4] / step**2), factor,
     )  # fmt: skip
 

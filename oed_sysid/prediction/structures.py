@@ -261,7 +261,6 @@ def average_structures(
     tests: CaptiveTests | None = None,
     scored: Sequence[str] = (),
     floor: float = 0.015,
-    power: float = 4.0,
 ) -> StructureAverage:
     """Average what several structures predict, by how well each transfers.
 
@@ -285,8 +284,6 @@ def average_structures(
         Quantities whose stability counts; all by default. None may be about zero.
     floor : float
         Relative standard deviation that no record tells.
-    power : float
-        Weights are the score to minus this power.
 
     Returns
     -------
@@ -337,9 +334,9 @@ def average_structures(
                 "shall judge it. Judge with other tests, or fit without these."
             )
     rungs = ladder(dataset, strength)
-    judge = _Judge(dataset, rungs, purpose, horizon, tests, tuple(scored), floor, power)
+    judge = _Judge(dataset, rungs, purpose, horizon, tests, tuple(scored), floor)
     found = [judge.transfer(one) for one in candidates]
-    weights = _weights(found, power)
+    weights = _weights(found)
     done = []
     for candidate, each, weight in zip(candidates, found, weights, strict=True):
         std = record_errors(candidate, dataset, purpose) if weight >= LEAST_WEIGHT else {}
@@ -347,7 +344,7 @@ def average_structures(
     return _averaged(done, rungs, len(dataset), floor)
 
 
-def _weights(found: Sequence[Transfer], power: float) -> np.ndarray:
+def _weights(found: Sequence[Transfer]) -> np.ndarray:
     """Share of each structure by its score; structures that give nothing, or others, are said."""
     scores = np.array([one.score for one in found])
     best = min(scores)
@@ -365,7 +362,7 @@ def _weights(found: Sequence[Transfer], power: float) -> np.ndarray:
                 "same names for all."
             )
     # Nothing is better than no error at all.
-    raw = (scores / best) ** -power if best > 0 else (scores == 0).astype(float)
+    raw = (scores / best) ** -4 if best > 0 else (scores == 0).astype(float)
     return np.asarray(raw / raw.sum())
 
 
@@ -405,12 +402,10 @@ class _Judge:
     tests: CaptiveTests | None
     scored: tuple[str, ...]
     floor: float
-    power: float
 
     def __post_init__(self) -> None:
         owner = "The average of structures"
         positive(owner, "horizon", self.horizon, "Give seconds.")
-        positive(owner, "power", self.power, "Weights are the score to minus it.")
         if finite(owner, "floor", self.floor) < 0:
             raise ModelError(f"floor is {self.floor}. Give a share, such as 0.015, or zero.")
 

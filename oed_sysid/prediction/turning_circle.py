@@ -178,7 +178,6 @@ def turning_circle(
     side: str = "both",
     rate: float | None = None,
     length: float | None = None,
-    input: str | None = None,
     approach: str = "neutral",
     n_draws: int = 100,
     rng: np.random.Generator | None = None,
@@ -210,8 +209,6 @@ def turning_circle(
         Rudder rate, rad/s; by default the rudder jumps.
     length : float, optional
         Ship length, m, for results in lengths.
-    input : str, optional
-        The rudder; by default the model's only input.
     approach : str
         ``"neutral"`` or ``"amidships"``.
     n_draws : int
@@ -251,7 +248,7 @@ def turning_circle(
     wanted = SIDES if side == "both" else (side,)
     _check(wanted, approach, speed, rudder, length, rate, n_draws)
     tracked = _with_track(model, speed)
-    steered = _rudder_input(model, input)
+    steered = _rudder_input(model)
     # The track adds states, no parameters: draws are those of the model, in the order of the
     # other.
     kept = [model.parameter_names.index(name) for name in tracked.parameter_names]
@@ -364,16 +361,14 @@ def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float
     ]
 
 
-def _rudder_input(model: Model, name: str | None) -> str:
-    if name is None and len(model.inputs) == 1:
-        return model.input_names[0]
-    if len(model.inputs) > 1 or name not in model.input_names:
+def _rudder_input(model: Model) -> str:
+    if len(model.inputs) != 1:
         raise ModelError(
             f"Model {model.name!r} has the inputs {', '.join(model.input_names) or 'none'}; a "
             "turning circle needs a model with the rudder as its only input. Fix the others at "
             "their values by replacing them with parameters."
         )
-    return str(name)
+    return model.input_names[0]
 
 
 def _with_track(model: Model, speed: float) -> Model:
