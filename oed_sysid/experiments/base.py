@@ -165,6 +165,17 @@ class Controller(ABC):
 
 
 @dataclass(frozen=True)
+class Law(Controller):
+    """A controller that is a function of time and signals."""
+
+    law: Callable[[float, Mapping[str, float]], float]
+
+    def command(self, time: float, signals: Mapping[str, float]) -> float:
+        """Return the command at ``time`` [s]."""
+        return self.law(time, signals)
+
+
+@dataclass(frozen=True)
 class Excitation(ABC):
     """One manoeuvre, or several on different inputs at the same time."""
 
@@ -324,7 +335,8 @@ class OpenLoop(Manoeuvre):
 
     def controller(self) -> Controller:
         """Return a fresh controller, which plays the waveform."""
-        return _Playback(self.waveform())
+        wave = self.waveform()
+        return Law(lambda time, _: float(wave(np.array([time], dtype=float))[0]))
 
     def commands(self, times: Numbers) -> FloatArray:
         """Return the commands ``(n_times,)`` at times ``(n_times,)`` [s]."""
@@ -349,16 +361,6 @@ class Stepwise(Manoeuvre):
             )
         controller = self.controller()
         return np.array([controller.command(float(time), {}) for time in np.asarray(times)])
-
-
-class _Playback(Controller):
-    """Controller of an open-loop manoeuvre."""
-
-    def __init__(self, waveform: Waveform) -> None:
-        self._waveform = waveform
-
-    def command(self, time: float, signals: Mapping[str, float]) -> float:
-        return float(self._waveform(np.array([time], dtype=float))[0])
 
 
 def command_all(

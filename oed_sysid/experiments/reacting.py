@@ -530,8 +530,15 @@ class Sequence(base.Stepwise):
 
     def controller(self) -> base.Controller:
         """Return a fresh controller."""
-        begins = [0.0, *accumulate(self._times()[: len(self.manoeuvres) - 1])]
-        return _InTurn(self.manoeuvres, begins)
+        begins = np.array([0.0, *accumulate(self._times()[: len(self.manoeuvres) - 1])])
+        controllers = [part.controller() for part in self.manoeuvres]
+
+        def command(time: float, signals: Mapping[str, float]) -> float:
+            # Each on its own clock.
+            index = max(int(interval(np.array([time]), begins)[0]) - 1, 0)
+            return controllers[index].command(time - begins[index], signals)
+
+        return base.Law(command)
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -599,8 +606,8 @@ class RateLimited(_Shaped):
 
     def controller(self) -> base.Controller:
         """Return a fresh controller."""
-        limit = SlopeLimit(self.rate, initial=self.initial)
-        return _Shaper(self.manoeuvre.controller(), limit.follow)
+        order, limit = self.manoeuvre.controller(), SlopeLimit(self.rate, initial=self.initial)
+        return base.Law(lambda time, signals: limit.follow(order.command(time, signals), time))
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -630,36 +637,12 @@ class Saturated(_Shaped):
 
     def controller(self) -> base.Controller:
         """Return a fresh controller."""
-        limit = self.limit
-        return _Shaper(self.manoeuvre.controller(), lambda order, _: min(max(order, -limit), limit))
+        order, most = self.manoeuvre.controller(), self.limit
+        return base.Law(lambda time, signals: min(max(order.command(time, signals), -most), most))
 
     def describe(self) -> str:
         """Return one line in words."""
         return f"{self.manoeuvre.describe()}, cut off at {self.limit:.4g}"
-
-
-class _InTurn(base.Controller):
-    """Run controllers one after another, each on its own clock."""
-
-    def __init__(self, parts: abc.Sequence[base.Manoeuvre], begins: list[float]) -> None:
-        self._controllers = [part.controller() for part in parts]
-        self._begins = np.array(begins)
-
-    def command(self, time: float, signals: Mapping[str, float]) -> float:
-        index = max(int(interval(np.array([time]), self._begins)[0]) - 1, 0)
-        return self._controllers[index].command(time - self._begins[index], signals)
-
-
-class _Shaper(base.Controller):
-    """Shape what another controller orders at each time."""
-
-    def __init__(
-        self, ordering: base.Controller, shape: abc.Callable[[float, float], float]
-    ) -> None:
-        self._ordering, self._shape = ordering, shape
-
-    def command(self, time: float, signals: Mapping[str, float]) -> float:
-        return self._shape(self._ordering.command(time, signals), time)
 
 
 def _parts(owner: str, manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[base.Manoeuvre, ...]:

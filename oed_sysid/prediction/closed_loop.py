@@ -298,15 +298,15 @@ class CourseControl(Control):
         1.5 4.0
         """
         series = None if courses is None else _series(record, courses)
-        fit = fit_course_law(
+        followed, sees_noise, explained = fit_course_law(
             record, input, heading=heading, yaw_rate=yaw_rate, courses=series,
             most_changes=most_changes,
         )  # fmt: skip
-        followed, left = fit.followed, fit.followed.residuals
+        left = followed.residuals
         values = np.array([*followed.law, followed.rate, followed.limit])
         slope = np.eye(len(values))
         names = ["neutral"]
-        changed = np.array(fit.changes, dtype=int)
+        changed = np.array(followed.changes, dtype=int)
         held = np.zeros(1 + len(changed))
         if series is None:
             # Of a level of the rudder and its changes: the courses at which it is zero.
@@ -320,7 +320,7 @@ class CourseControl(Control):
             held = series[[0, *changed]]
         evidence = CourseEvidence(
             ("gain", "damping", *names, "rate", "limit"), values,
-            slope @ followed.covariance @ slope.T, fit.explained,
+            slope @ followed.covariance @ slope.T, explained,
             float(np.sqrt(np.mean(left**2))), correlation(left),
         )  # fmt: skip
         times = record.times - record.times[0]
@@ -329,7 +329,7 @@ class CourseControl(Control):
         law = cls(
             input, 0.0, 0.0, float(held[0]), heading=heading, yaw_rate=yaw_rate,
             changes=tuple(zip(between, map(float, held[1:]), strict=True)),
-            noise_share=float(fit.sees_noise), evidence=evidence,
+            noise_share=float(sees_noise), evidence=evidence,
         )  # fmt: skip
         return law._with(values)
 

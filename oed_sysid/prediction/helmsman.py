@@ -45,6 +45,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 from scipy.linalg import cho_solve_banded, cholesky_banded, expm
@@ -277,6 +278,8 @@ class Followed:
         Of the law, the rate and the limit; zero for those that are not fitted.
     residuals : ndarray (n_times,)
         Logged minus followed rudder, rad.
+    changes : tuple of int
+        Samples at which the level of the law changes.
     """
 
     law: np.ndarray
@@ -285,17 +288,19 @@ class Followed:
     limit: float
     covariance: np.ndarray = field(repr=False)
     residuals: np.ndarray = field(repr=False)
+    changes: tuple[int, ...] = ()
 
     @property
     def squares(self) -> float:
         """Sum of squares of the residuals, those of rounding included."""
         return float((self.residuals**2).sum()) + len(self.residuals) * LEAST_RESIDUAL**2
 
-    def criterion(self, n_changes: int = 0) -> float:
+    @property
+    def criterion(self) -> float:
         """Bayesian information criterion; each time of a change is one more number."""
         n = len(self.residuals)
         fitted = len(self.law) + 1 + math.isfinite(self.rate) + math.isfinite(self.limit)
-        return n * math.log(self.squares / n) + (fitted + n_changes) * math.log(n)
+        return n * math.log(self.squares / n) + (fitted + len(self.changes)) * math.log(n)
 
 
 def follow(
@@ -352,29 +357,6 @@ LEAST_OF_RUDDER = 1e-3
 CONSTANT = 1e-4
 
 
-@dataclass(frozen=True, eq=False)
-class CourseFit:
-    """A law read from a record.
-
-    Attributes
-    ----------
-    followed : Followed
-        Law ``gain, damping, level`` and the level's changes, or with given courses
-        ``gain, damping, neutral``.
-    changes : tuple of int
-        Samples at which the level changes.
-    sees_noise : bool
-        Whether the law saw the logged noise of the sensors.
-    explained : float
-        Share of the rudder's variance that the law explains.
-    """
-
-    followed: Followed
-    changes: tuple[int, ...]
-    sees_noise: bool
-    explained: float
-
-
 def fit_course_law(
     record: Record,
     input: str,
@@ -383,8 +365,19 @@ def fit_course_law(
     yaw_rate: str,
     courses: np.ndarray | None,
     most_changes: int,
-) -> CourseFit:
-    """Fit the law; see :meth:`oed_sysid.prediction.closed_loop.CourseControl.of`."""
+) -> tuple[Followed, bool, float]:
+    """Fit the law; see :meth:`oed_sysid.prediction.closed_loop.CourseControl.of`.
+
+    Returns
+    -------
+    followed : Followed
+        Its law is ``gain, damping, level`` and the level's changes, or with given courses
+        ``gain, damping, neutral``.
+    sees_noise : bool
+        Whether the law saw the logged noise of the sensors.
+    explained : float
+        Share of the rudder's variance that the law explains.
+    """
     rudder, times = record.input(input), record.times
     measured = np.column_stack([record.output(heading), record.output(yaw_rate)])
     if len(times) < LEAST_SAMPLES:
@@ -405,15 +398,16 @@ def fit_course_law(
     fits = []
     for seen in (np.where(np.isfinite(measured), measured, clean), clean):
         machine = _Machine(ordered - seen, times, rudder)
-        fits.append((machine, *machine.fitted(most_changes)))
-    machine, followed, changes = min(fits, key=lambda one: one[1].criterion(len(one[2])))
+        fits.append((machine, machine.fitted(most_changes)))
+    machine, followed = min(fits, key=lambda one: one[1].criterion)
     sees_noise = machine is fits[0][0]
     if not sees_noise:
         others = replace(machine, columns=ordered - smooth.others)
-        followed = others.instrumented(followed, changes, ordered - measured)
+        followed = others.instrumented(followed, ordered - measured)
+    changes = followed.changes
     # Changes alone: the same number of them and a rate, without heading and yaw rate.
     without = replace(machine, columns=ordered[:, : int(courses is not None)])
-    alone = without.fitted(len(changes), all_of_them=True)[0].squares
+    alone = without.fitted(len(changes), all_of_them=True).squares
     whole = machine.whole
     if alone < LEAST_LEFT * whole:
         raise DataError(
@@ -432,7 +426,7 @@ def fit_course_law(
             f"helmsman held a course there. {ADVICE}"
         )
     _check(followed, math.copysign(1.0, smooth.effect), where)
-    return CourseFit(followed, changes, sees_noise, explained)
+    return followed, sees_noise, explained
 
 
 ADVICE = "Give the law, or replay the logged input."
@@ -524,36 +518,30 @@ class _Machine:
         kept = [*range(n), n + 1, n + 2]
         values = parts(found.x)
         own, (begin, rate, limit) = values[:n], map(float, values[n:])
-        return Followed(own, begin, rate, limit, covariance[np.ix_(kept, kept)], -found.fun)
+        covariance = covariance[np.ix_(kept, kept)]
+        return Followed(own, begin, rate, limit, covariance, -found.fun, changes)
 
-    def fitted(
-        self, most_changes: int, *, all_of_them: bool = False
-    ) -> tuple[Followed, tuple[int, ...]]:
+    def fitted(self, most_changes: int, *, all_of_them: bool = False) -> Followed:
         """Fit with the rate limit that explains the rudder best, or none, and with changes."""
-        starts = self.rates()
-        sought = []
-        for changes in {self.seek_changes(off, most_changes) for _, off in starts}:
-            sought.append(self.refined(changes, self.best_rate(changes, starts)))
-        followed, changes = min(sought, key=lambda one: one[0].squares)
-        best = followed, changes
-        while changes and not all_of_them:
+        starts, squares = self.rates(), attrgetter("squares")
+        sought = {self.seek_changes(off, most_changes) for _, off in starts}
+        tried = [self.refined(self.best_rate(changes, starts)) for changes in sought]
+        best = followed = min(tried, key=squares)
+        while (changes := followed.changes) and not all_of_them:
             # Without the change that matters least.
             fewer = [(*changes[:i], *changes[i + 1 :]) for i in range(len(changes))]
-            tried = [(self.without(some, followed), some) for some in fewer]
-            followed, changes = min(tried, key=lambda one: one[0].squares)
-            again = self.best_rate(changes, starts)
-            followed = min(followed, again, key=lambda one: one.squares)
-            followed, changes = self.refined(changes, followed)
-            lost = followed.squares - best[0].squares
-            better = followed.criterion(len(changes)) <= best[0].criterion(len(best[1]))
-            if better or lost < max(LEAST_GAIN * followed.squares, LEAST_OF_RUDDER * self.whole):
-                best = followed, changes
-        followed, changes = best
+            followed = min((self.without(some, followed) for some in fewer), key=squares)
+            again = self.best_rate(followed.changes, starts)
+            followed = self.refined(min(followed, again, key=squares))
+            lost = followed.squares - best.squares
+            least = max(LEAST_GAIN * followed.squares, LEAST_OF_RUDDER * self.whole)
+            if followed.criterion <= best.criterion or lost < least:
+                best = followed
         limit = float(np.abs(self.rudder).max()) - fast_level([self.rudder])
         if (np.abs(self.rudder) > 0.97 * limit).sum() > 3:
-            more = self.fit(changes, followed.law, followed.rate, limit=limit)
-            followed = min(followed, more, key=lambda one: one.criterion())
-        return followed, changes
+            more = self.fit(best.changes, best.law, best.rate, limit=limit)
+            best = min(best, more, key=attrgetter("criterion"))
+        return best
 
     def best_rate(
         self, changes: tuple[int, ...], starts: list[tuple[float, np.ndarray]]
@@ -564,7 +552,7 @@ class _Machine:
         for rate, off in starts:
             law, *_ = np.linalg.lstsq(table[off], self.rudder[off], rcond=None)
             found.append(self.fit(changes, law, rate, n_steps=12))
-        return min(found, key=lambda one: one.squares)
+        return min(found, key=attrgetter("squares"))
 
     def without(self, changes: tuple[int, ...], followed: Followed) -> Followed:
         """Fit with fewer changes, quickly."""
@@ -611,12 +599,12 @@ class _Machine:
             changes = tuple(sorted([*changes, int(times[value.argmax()])]))
         return changes
 
-    def refined(self, changes: tuple[int, ...], best: Followed) -> tuple[Followed, tuple[int, ...]]:
+    def refined(self, best: Followed) -> Followed:
         """Fit with changes that are moved sample by sample to where they fit best."""
         reach = [1, 2, 3, 5, 8, 13, 20]
         for _ in range(4):
-            moved = list(changes)
-            for i, now in enumerate(changes):
+            moved = list(best.changes)
+            for i, now in enumerate(best.changes):
                 squares = []
                 for shift in (0, *reach, *(-s for s in reach)):
                     moved[i] = now + shift
@@ -627,23 +615,22 @@ class _Machine:
                     misfit = float(((rudder - self.rudder) ** 2).sum())
                     squares.append((misfit, abs(shift), now + shift))
                 moved[i] = min(squares)[2]
-            if tuple(moved) == changes:
+            if tuple(moved) == best.changes:
                 break
             again = self.fit(tuple(moved), best.law, best.rate, first=best.first, n_steps=30)
             if again.squares >= best.squares:
                 break
-            best, changes = again, tuple(moved)
-        return best, changes
+            best = again
+        return best
 
-    def instrumented(
-        self, followed: Followed, changes: tuple[int, ...], measured: np.ndarray
-    ) -> Followed:
+    def instrumented(self, followed: Followed, measured: np.ndarray) -> Followed:
         """Law by instrumental variables where the rudder is off its limits.
 
         The measured columns hold noise that the law did not see; the instruments, smoothed from
         other samples, do not, and so do not attenuate, however good the smoother's model is
         (Soderstrom & Stoica, *System Identification*, 1989, chapter 8).
         """
+        changes = followed.changes
         table, instruments = replace(self, columns=measured).table(changes), self.table(changes)
         _, origin, _ = follow(
             instruments @ followed.law, self.times, followed.first, followed.rate, followed.limit
