@@ -10,9 +10,10 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from fnmatch import fnmatch
 from math import ceil, prod
+from typing import Any
 
 import numpy as np
 
@@ -40,6 +41,7 @@ from oed_sysid.physics import (
     in_each_record,
     signals,
 )
+from oed_sysid.physics.candidates import listed
 from oed_sysid.physics.frames import rotation
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -54,8 +56,6 @@ SHARE, TENTH = 0.2, 0.1
 FEWEST_PERIODS = 5.0
 # A lag in samples; the most steps that the register of a delay may hold.
 LAG, LONGEST = 2.0, 12
-# Share of its typical speed over which dry friction changes sign.
-SLOW = 0.02
 # Motions that a vehicle with a plane of symmetry couples: in the plane, and across it.
 IN_PLANE, ACROSS = ("u", "w", "q"), ("v", "p", "r")
 # Angles whose sine turns a floating or submerged body back.
@@ -225,7 +225,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     sizes = sizes_of(model, dataset)
     found: dict[str, Effect] = {}
     kinds = (
-        _forces, _frictions, _stops, _hidden_states, _waves, _flows, _winds, _weights, _inertias,
+        _forces, _resistances, _hidden_states, _waves, _flows, _winds, _weights, _inertias,
         _commands, _sensors,
     )  # fmt: skip
     made = [effect for kind in kinds for effect in kind(model, sizes)]
@@ -275,14 +275,19 @@ def _forces(model: Model, sizes: Sizes) -> Iterator[Effect]:
 
 @dataclass(frozen=True)
 class _Equation:
-    """An equation with its state, typical force and units."""
+    """An equation with its state, typical force and units, and the position of the state."""
 
-    name: str
+    equation: str
     state: str
     size: float
     load: str
     unit: str
     position: str
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What rows of the table ask of it."""
+        return asdict(self)
 
     def per(self, unit: str) -> str:
         """Unit of the force over another."""
@@ -306,72 +311,40 @@ def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
     return found
 
 
-def _frictions(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """Dry friction of every motion: sliding, and larger near rest."""
-    for one in _equations(model, sizes):
-        level = sizes.level[one.state]
-        if one.state not in sizes.reversing:  # of one sign: a constant
-            continue
-        motion, slow = (one.name, one.state), SLOW * level
-        yield forces.coulomb_friction(
-            f"friction_{one.state}", *motion, unit=one.load, velocity_unit=one.unit, smooth=slow,
-            scale=one.size,
-        )  # fmt: skip
-        yield forces.stribeck_friction(
-            f"stribeck_{one.state}", *motion, unit=one.load, velocity_unit=one.unit, smooth=slow,
-            stribeck=SHARE * level, scale=one.size,
-        )  # fmt: skip
-
-
-def _stops(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    """End stops of every coordinate on which a force may depend."""
-    units = _units(model)
-    for one in _equations(model, sizes):
+def _resistances(model: Model, sizes: Sizes) -> Iterator[Effect]:
+    """Dry friction of every motion, end stops of coordinates on which a force may depend."""
+    equations, units = _equations(model, sizes), _units(model)
+    for one in equations:
+        if one.state in sizes.reversing:  # of one sign: a constant
+            yield from listed("usual_friction", **one.facts, level=sizes.level[one.state])
+    for one in equations:
         reach = sizes.reach.get(one.position, 0.0)
         if reach > 0 and one.position not in HORIZONTAL and one.position != "psi":
             unit = units[one.position]
-            yield forces.end_stop(
-                f"stop_{one.position}", one.name, one.position, reach=reach, unit=one.per(unit),
-                position_unit=unit, scale=one.size / (TENTH * reach),
+            yield from listed(
+                "usual_stop", **one.facts, reach=reach, per_position=one.per(unit),
+                position_unit=unit,
             )  # fmt: skip
 
 
 def _hidden_states(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Forces through hidden states with free poles, driven by the own motion or a command."""
-    commands = {
-        signal: unit
-        for signal, unit in commanded(model).items()
-        if sizes.swing.get(signal, 0.0) > 0 and unit
-    }
-    time = sizes.time
+    commands = {} if len(model.axes) > 1 else commanded(model)
     for one in _equations(model, sizes):
-        scale = one.size / (sizes.level[one.state] or 1.0)
-        motion, unit = (one.name, one.state), one.per(one.unit)
-        yield forces.hidden_lag(
-            f"memory_{one.name}_{one.state}", *motion, unit=unit, signal_unit=one.unit,
-            start=one.state, time_constant=time, scale=scale,
-        )  # fmt: skip
-        yield forces.hidden_oscillator(
-            f"oscillator_{one.name}_{one.state}", *motion, unit=unit, signal_unit=one.unit,
-            frequency=1.0 / time, scale=scale,
-        )  # fmt: skip
-        for signal, its in commands.items() if len(model.axes) < 2 else ():
-            yield forces.hidden_lag(
-                f"memory_{one.name}_{signal}", one.name, signal, unit=one.per(its),
-                signal_unit=its, time_constant=time, scale=one.size / sizes.level[signal],
-            )  # fmt: skip
+        facts = one.facts | {"time": sizes.time, "per_motion": one.per(one.unit)}
+        yield from listed("usual_memory", **facts, scale=one.size / (sizes.level[one.state] or 1.0))
+        for signal, its in commands.items():
+            if sizes.swing.get(signal, 0.0) > 0 and its:
+                level, per = sizes.level[signal], one.per(its)
+                yield from listed("usual_command_memory", **facts, signal=signal, its=its,
+                                  its_level=level, per_signal=per)  # fmt: skip
 
 
 def _waves(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """A periodic force in every equation, of any frequency that the records tell."""
     low, high = FEWEST_PERIODS * 2.0 * np.pi / sizes.duration, np.pi / (LAG * sizes.sample)
-    for one in _equations(model, sizes):
-        if high > low:
-            middle, half = 0.5 * (high + low), (high - low) / (high + low)
-            yield forces.wave_force(
-                f"periodic_{one.name}", one.name, one.load, frequency=middle, spread=half,
-                scale=one.size,
-            )  # fmt: skip
+    for one in _equations(model, sizes) if high > low else ():
+        yield from listed("usual_wave", **one.facts, low=low, high=high)
 
 
 def _named(force: Force, word: str, equation: str, text: str) -> Force:
@@ -559,9 +532,7 @@ def _winds(model: Model, sizes: Sizes) -> Iterator[Effect]:
 def _inertias(model: Model, sizes: Sizes) -> Iterator[Effect]:
     for axis, state in model.axes.items():
         mass = 1.0 / sizes.mobility[axis]
-        yield forces.added_mass_error(
-            f"inertia_{axis}_{state}", axis, state, scale=SHARE * mass, bound=0.5 * mass
-        )
+        yield from listed("usual_inertia", equation=axis, state=state, mass=mass)
 
 
 def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
@@ -575,18 +546,12 @@ def _commands(model: Model, sizes: Sizes) -> Iterator[Effect]:
     for signal, unit in units.items():
         alike.setdefault((unit, _stem(signal)), []).append(signal)
     for signal, unit in units.items():
-        share = TENTH * sizes.swing[signal]
-        yield signals.actuator_offset(f"{signal}_offset", signal, unit, scale=share)
-        if len(alike[unit, _stem(signal)]) > 1:  # of one alone, free derivatives are its gain
-            yield signals.actuator_gain_error(f"{signal}_gain", signal)
-        if unit == "rad":
-            bend = SHARE / sizes.swing[signal] ** 2
-            yield signals.stall(f"{signal}_stall", signal, scale=bend)
-        inverse = 2.0 / sizes.level[signal]
-        yield signals.unknown_limit(f"{signal}_limit", signal, unit, scale=inverse)
-        yield signals.actuator_start(
-            f"{signal}_start", signal, unit, time_constant=sizes.time, scale=sizes.swing[signal]
-        )
+        several = len(alike[unit, _stem(signal)]) > 1  # of one alone, free derivatives are its gain
+        yield from listed(
+            "usual_command", signal=signal, unit=unit, time=sizes.time,
+            swing=sizes.swing[signal], level=sizes.level[signal],
+            twin=signal if several else None, angle=signal if unit == "rad" else None,
+        )  # fmt: skip
         yield from _moved((signal,), unit, sizes)
     for (unit, _), twins in alike.items():
         if len(twins) > 1:
@@ -599,40 +564,34 @@ def _stem(signal: str) -> str:
     return "" if first in SIDES else first
 
 
-def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> Iterator[Effect]:
+def _moved(moved: Sequence[str], unit: str, sizes: Sizes) -> list[Effect]:
     """What actuators do to their commands: of one, or of several alike."""
-    name, lag = "_".join(moved), LAG * sizes.sample
-    swing = float(np.mean([sizes.swing[signal] for signal in moved]))
-    share = TENTH * swing
-    yield signals.actuator_lag(f"{name}_lag", moved, scale=lag)
-    if 2 * lag <= LONGEST * sizes.step:
-        yield signals.actuator_delay(
-            f"{name}_delay", moved, max_delay=2 * lag, step=sizes.step,
-            scale=0.5 * lag,
-        )  # fmt: skip
-    yield signals.rate_limit(f"{name}_rate_limit", moved, unit, scale=lag / swing)
-    yield signals.deadband(f"{name}_deadband", moved, unit, scale=share)
-    yield signals.backlash(f"{name}_backlash", moved, unit, scale=share)
+    lag = LAG * sizes.sample
+    return listed(
+        "usual_actuator", moved=moved, names="_".join(moved), unit=unit, lag=lag, step=sizes.step,
+        longest=2 * lag if 2 * lag <= LONGEST * sizes.step else None,
+        swing=float(np.mean([sizes.swing[signal] for signal in moved])),
+    )  # fmt: skip
 
 
 def _sensors(model: Model, sizes: Sizes) -> Iterator[Effect]:
-    measured = {output.name: output for output in model.outputs}
-    for name, output in measured.items():
+    measured = {output.name: output.unit for output in model.outputs}
+    for name, unit in measured.items():
         swing = sizes.swing.get(name, 0.0)
-        if swing <= 0:
-            continue
-        # Only positions show where the vehicle went, and so that its compass is off.
-        is_position = name in HORIZONTAL and output.unit == "m"
-        if not is_position and (name != "psi" or set(HORIZONTAL) & set(measured)):
-            yield signals.sensor_bias(f"bias_{name}", name, output.unit, scale=TENTH * swing)
-            yield signals.sensor_scale(f"scale_{name}", name)
-        yield signals.sensor_lag(f"lag_{name}", name, scale=LAG * sizes.sample)
+        if swing > 0:
+            # Only positions show where the vehicle went, and so that its compass is off.
+            is_position = name in HORIZONTAL and unit == "m"
+            told = not is_position and (name != "psi" or set(HORIZONTAL) & set(measured))
+            yield from listed("usual_sensor", name=name, unit=unit, swing=swing,
+                              plain=name if told else None, lag=LAG * sizes.sample)  # fmt: skip
     for across, rate in (("v", "r"), ("w", "q")):
-        if {"u", across} <= set(measured):
-            yield signals.sensor_misalignment(f"misalignment_u_{across}", "u", across)
-        if {across, rate} <= set(measured):
-            arm = TENTH * sizes.swing[across] / max(sizes.swing[rate], 1e-300)
-            yield signals.sensor_lever_arm(f"lever_arm_{across}", across, rate, scale=arm)
+        if across in measured:
+            yield from listed(
+                "usual_mounting", across=across, swing=sizes.swing[across],
+                forward="u" if "u" in measured else None,
+                rate=rate if rate in measured else None,
+                turning=max(sizes.swing.get(rate, 0.0), 1e-300),
+            )  # fmt: skip
 
 
 def equipped(problem: Problem, dataset: Dataset | None = None) -> Problem:

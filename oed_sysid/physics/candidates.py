@@ -22,8 +22,12 @@ _SETS = tomllib.loads(Path(__file__).with_name("candidates.toml").read_text(enco
 
 
 def listed(kind: str, **known: Any) -> list[Any]:
-    """Effects of one set of ``candidates.toml``, for what is known of a vehicle."""
+    """Effects of one set of ``candidates.toml``, for what is known of a vehicle.
+
+    A row that asks for what is None is left out: this vehicle has no such thing.
+    """
     numbers = {name: x for name, x in known.items() if isinstance(x, int | float)}
+    lacking = {f"={name}" for name, x in known.items() if x is None}
 
     def value(given: Any) -> Any:
         if isinstance(given, Mapping):
@@ -44,6 +48,7 @@ def listed(kind: str, **known: Any) -> list[Any]:
             **{key: value(given) for part in arguments for key, given in part.items()},
         )
         for name, effect, *arguments in _SETS[kind]
+        if not any(lacking & {x for x in part.values() if isinstance(x, str)} for part in arguments)
     ]
 
 
