@@ -190,7 +190,7 @@ def test_chain_is_coloured_by_gain() -> None:
     """The likeliest place is the darkest, one that chance explains has no colour."""
     places = (Place("force", "Z", "N"), Place("sensor", "theta", "rad"), Place("actuator", "fin"))
     gains = {"force Z": 4000.0, "sensor theta": 900.0, "actuator fin": 3.0}
-    located = Located(places, gains, dict.fromkeys(gains, 0.1), (), (), {}, {}, {})
+    located = Located(places, gains, dict.fromkeys(gains, 0.1), (), (), {}, {})
     html = charts.chain(located)
     assert 'class="place l4 best" title="force Z' in html
     assert 'class="place l1" title="sensor theta' in html
@@ -392,7 +392,7 @@ def test_residual_force_is_first_shown_against_the_signal_that_explains_it() -> 
     force = (speed**3 + 0.05 * rng.standard_normal(times.size))[:, None]
     series = Series(times, force, np.full_like(force, 0.05))
     places = (Place("force", "Z", "N"),)
-    located = Located(places, {"force Z": 90.0}, {"force Z": 0.1}, ("Z",), (series,), {}, {}, {})
+    located = Located(places, {"force Z": 90.0}, {"force Z": 0.1}, ("Z",), (series,), {}, {})
     assert clearest(located, "Z", {"other": other, "speed": speed}) == "speed"
     assert clearest(located, "Z", {"speed": speed, "other": other}) == "speed"
 

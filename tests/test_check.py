@@ -322,7 +322,7 @@ def test_an_input_in_degrees_is_beyond_its_limit() -> None:
     assert check(right, DIVER.model).ok
     found = check(wrong, DIVER.model)
     assert [one.name for one in found.serious] == ["limit fin"]
-    assert found.contradictory
+    assert found.suspect
 
 
 # -- screens ---------------------------------------------------------------------------------

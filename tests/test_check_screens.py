@@ -466,7 +466,7 @@ def test_the_equation_the_record_and_the_time_are_named(
     assert one is not None
     assert one.records == (data[1].name,)
     assert one.size > UNEXPLAINED
-    assert found.contradictory
+    assert found.suspect
     psi_r = next(row for row in found.balances if row.relation == "psi' = r")
     assert psi_r.after > 0.2
 

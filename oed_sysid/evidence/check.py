@@ -29,17 +29,16 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import product
 from time import perf_counter
 
 import numpy as np
-from scipy.fft import idct
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence import contrasts
-from oed_sysid.evidence.contrasts import Found, Piece, Question, Reading, Result
+from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
 from oed_sysid.evidence.jitter import jitter
@@ -89,8 +88,6 @@ __all__ = [
 
 # Prior deviations from which on a value is no surprise but another unit, or a wrong prior.
 FAR = 5.0
-# Kind, signal, record and beginning of a fault.
-_Place = tuple[str, str, str, float]
 
 
 def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) -> LogCheck:
@@ -180,44 +177,24 @@ def _told_of(equations: tuple[Relation, ...], faults: Sequence[Fault]) -> tuple[
 
 
 def _related(
-    dataset: Dataset,
-    model: Model,
-    clean: Sequence[Trace],
-    equations: tuple[Relation, ...],
+    dataset: Dataset, model: Model, clean: Sequence[Trace], equations: tuple[Relation, ...],
     faults: Sequence[Fault],
-) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:
+) -> tuple[list[Fault], list[Finding], tuple[Balance, ...], Result]:  # fmt: skip
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
     steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
-    known = [fix for fixes in steps.values() for fix in fixes or ()]
-    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), known)
-    sizes = {_place(one.correction): float(one.size) for one in ended.found}
+    known = {fix.key: fix for fixes in steps.values() for fix in fixes or ()}
+    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), [*known.values()])
+    sized = {one.correction.key: one for one in ended.found}
     fixes = [*(one.correction for one in found), *(one.correction for one in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
-    findings = _told(dataset, model, clean, equations, found, _others(ended.found, known))
+    ends = {trace.name: trace.ends for trace in clean}
+    log = Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
+    findings = [*map(log.reading, found)]
+    findings += map(log.sized, (one for key, one in sized.items() if key not in known))
     findings += clock_findings(mended, equations)
     findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
-    faults = [_resized(one, steps.get(one), sizes) for one in faults]
+    faults = [_resized(one, steps.get(one), sized) for one in faults]
     return faults, findings, _balances(clean, mended, equations), ended
-
-
-def _told(
-    dataset: Dataset,
-    model: Model,
-    traces: Sequence[Trace],
-    equations: tuple[Relation, ...],
-    readings: Sequence[Reading],
-    sized: Sequence[Found],
-) -> list[Finding]:
-    """Findings of other readings and of faults with a size."""
-    ends = {t.name: t.ends for t in traces}
-    log = Log(dataset.channels, equations, dataset.names, ends, _sensed(model.effects))
-    return [*map(log.reading, readings), *map(log.sized, sized)]
-
-
-def _others(found: Sequence[Found], known: Sequence[Correction]) -> list[Found]:
-    """What was found and not known before."""
-    places = {*map(_place, known)}
-    return [one for one in found if _place(one.correction) not in places]
 
 
 def _steps(
@@ -242,21 +219,15 @@ def _steps(
     return fixes if after > before else []
 
 
-def _place(fix: Correction) -> _Place:
-    return fix.kind, fix.signals[0], fix.record, fix.span[0]
-
-
 def _resized(
-    fault: Fault,
-    fixes: Sequence[Correction] | None,
-    sizes: Mapping[_Place, float],
+    fault: Fault, fixes: Sequence[Correction] | None, sized: Mapping[Hashable, Found]
 ) -> Fault:
     """A fault with the sizes that the equations give its steps; it has caught up without any."""
     if fixes is None:
         return fault
-    if not fixes:
+    own = tuple(sized[f.key].size if f.key in sized else f.value for f in fixes)
+    if not own:
         return replace(fault, kind="caught up")
-    own = tuple(sizes.get(_place(f), f.value) for f in fixes)
     return replace(fault, sizes=own, amount=max(own, key=abs))
 
 
@@ -445,14 +416,13 @@ def _balances(
     before: Sequence[Trace], after: Sequence[Trace], equations: tuple[Relation, ...]
 ) -> tuple[Balance, ...]:
     """How well each equation holds, as it is and with the findings undone."""
-    every = [
-        [piece for t in traces for piece in contrasts.contrasts(t, equations, (), {})]
-        for traces in (before, after)
-    ]
     result = []
-    for i, relation in enumerate(equations):
-        old, new = ([piece for piece in some if piece.relation == i] for some in every)
-        series = tuple((p.record, p.times, _series(p), _same(p, new)) for p in old)
+    for relation in equations:
+        old, new = (
+            [piece for t in traces for piece in contrasts.contrasts(t, (relation,), (), {})]
+            for traces in (before, after)
+        )
+        series = tuple((p.record, p.times, p.series, _same(p, new)) for p in old)
         unit = before[0].units.get(relation.target, "")
         shares = _share(old), _share(new)
         result.append(Balance(str(relation), *shares, relation.target, unit, series))
@@ -464,17 +434,10 @@ def _same(piece: Piece, others: Sequence[Piece]) -> np.ndarray:
     middle = float(np.mean(piece.times))
     here = (o for o in others if o.record == piece.record and o.times[0] < middle < o.times[-1])
     twin = next(here, piece)
-    return np.interp(piece.times, twin.times, _series(twin))
+    return np.interp(piece.times, twin.times, twin.series)
 
 
 def _share(pieces: Sequence[Piece]) -> float:
     """Root mean square of what is left of a left side's changes over about a second."""
-    powers = np.zeros(2)
-    for p in pieces:
-        powers += (p.weight @ p.residual**2, p.weight @ p.target**2)
-    return float(np.sqrt(powers[0] / powers[1])) if powers[1] > 0.0 else 1.0
-
-
-def _series(piece: Piece) -> np.ndarray:
-    """Contrast about its mean, ``(n_blocks,)``."""
-    return idct(np.append(0.0, piece.residual), norm="ortho")
+    left, moved = np.sum([piece.changes for piece in pieces], axis=0) if pieces else (0.0, 0.0)
+    return float(np.sqrt(left / moved)) if moved > 0.0 else 1.0

@@ -156,20 +156,21 @@ def claim(
     needed : float
         Threshold.
     """
-    name = " + ".join(effect.name for effect in effects)
-    share = independent_share(study, before)
-    training = share * (before.objective - after.objective)
+    share, known = independent_share(study, before), study.validation is not None
     fits = (before, after)
-    if study.validation is None:
-        terms = tuple((fit.objective, None) for fit in fits)
-        found = Claim(name, training, np.nan, needed, independent=share, models=terms)
-    else:
-        validation = share * difference(study.validate(before), study.validate(after))
+    found = Claim(
+        " + ".join(effect.name for effect in effects),
+        share * (before.objective - after.objective),
+        np.nan,
+        needed,
+        independent=share,
+        models=tuple((fit.objective, study.predict(fit) if known else None) for fit in fits),
+    )
+    if study.validation is not None:
+        validation = share * difference(*map(study.validate, fits))
         old, new = (own_error(study, fit, study.validation) for fit in fits)
-        models = tuple((fit.objective, study.predict(fit)) for fit in fits)
-        allowed = allowed_rise(after)
-        found = Claim(
-            name, training, validation, needed, old, new, allowed, independent=share, models=models
+        found = replace(
+            found, validation=validation, before=old, after=new, allowed=allowed_rise(after)
         )
     if not found.excess > 0.0:
         return found

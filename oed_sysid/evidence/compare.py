@@ -480,8 +480,7 @@ class Diagnosis:
         """Identifiers of the best effect and of those that cannot be told from it here."""
         if self.best is None:
             return ()
-        names = [refit.name for refit in self.ranking.group()]
-        return tuple(dict.fromkeys((*names, *self.ranking.alike(names[0]))))
+        return self.ranking.claimed_with(self.ranking.refits[0])
 
     @property
     def verdict(self) -> str:

@@ -381,6 +381,16 @@ class Piece:
         """Power of changes over about a second, of each coefficient's square."""
         return 2.0 - 2.0 * np.cos(max(1, round(1.0 / self.span)) * self.angle)
 
+    @property
+    def changes(self) -> tuple[float, float]:
+        """Power of the changes over about a second of the contrast, and of the left side."""
+        return float(self.weight @ self.residual**2), float(self.weight @ self.target**2)
+
+    @property
+    def series(self) -> np.ndarray:
+        """The contrast about its mean, ``(n_blocks,)``."""
+        return np.asarray(idct(np.append(0.0, self.residual), norm="ortho"))
+
     def columns_of(self, chosen: np.ndarray) -> np.ndarray:
         """Columns of some candidates, ``(n, n_chosen)``; zero where one says nothing here."""
         result = np.zeros((self.residual.size, chosen.size))
@@ -1208,15 +1218,12 @@ def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> lis
         slow = replace(trace, values={**trace.values, **halved})
         twins = list(contrasts(slow, (relation,), (), {}))
         for i, piece in enumerate(contrasts(trace, (relation,), (), {})):
-            weight = piece.weight
-            left, moved = weight @ piece.residual**2, weight @ piece.target**2
+            weight, (left, moved) = piece.weight, piece.changes
             noise = piece.level**2 + piece.walk / (2.0 - 2.0 * np.cos(piece.angle))
             expected = float(weight @ noise)
             if i < len(twins) and twins[i].residual.size == piece.residual.size:
                 expected += float(weight @ (twins[i].residual - piece.residual) ** 2)
             if left > UNEXPLAINED**2 * moved and left > LOUDER * expected:
-                changes = np.abs(np.diff(idct(np.append(0.0, piece.residual), norm="ortho")))
-                at = float(piece.times[int(np.argmax(changes))])
-                share = float(np.sqrt(left / moved))
-                result.append(Misfit(index, trace.name, share, at))
+                at = float(piece.times[int(np.argmax(np.abs(np.diff(piece.series))))])
+                result.append(Misfit(index, trace.name, math.sqrt(left / moved), at))
     return result

@@ -80,9 +80,6 @@ class Located:
         Equations, in the order of the columns of ``forces``.
     forces : tuple of Series
         Smoothed residual forces, all admitted together, per record.
-    discrepancies : dict
-        For the best place and those that cannot be told from it, the smoothed disturbance there
-        if nothing else is wrong; one :class:`Series` per record.
     signatures : dict
         For every rival, the residual forces ``(n_times, n_forces)`` that would
         be seen if it were the truth and nothing were noisy, per record.
@@ -99,7 +96,6 @@ class Located:
     levels: dict[str, float]
     force_names: tuple[str, ...]
     forces: tuple[Series, ...]
-    discrepancies: dict[str, tuple[Series, ...]]
     signatures: dict[str, tuple[np.ndarray, ...]]
     agreement: dict[str, float]
     by_motion: str = ""
@@ -109,7 +105,7 @@ class Located:
         """A finding without any gain, where locating was not possible."""
         where = places(fit.problem.model)
         zero = {place.name: 0.0 for place in where}
-        return cls(where, zero, dict(zero), (), (), {}, {}, {})
+        return cls(where, zero, dict(zero), (), (), {}, {})
 
     @property
     def best(self) -> str | None:
@@ -208,7 +204,7 @@ class Located:
         return drawings
 
     to_dict = as_dict(
-        "best", "group", "verdict", "gains", "levels", "discrepancies", "signatures", "agreement",
+        "best", "group", "verdict", "gains", "levels", "signatures", "agreement",
         units=lambda self: {place.name: place.unit for place in self.places},
         forces=lambda self: {"names": self.force_names, "records": self.forces},
     )  # fmt: skip
@@ -243,32 +239,19 @@ def locate(
     found.sort(key=lambda part: part.order)
     # Forces in all equations at once, whichever place is best: what they look like is a finding.
     smoother = ResidualForces.of(*let_in(fit, unit))
-    columns = _force_columns(fit.noise)
+    placed = (place.partition(" ") for place in fit.noise.places)
+    columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
     forces = tuple(series.only([*columns]) for series in smoother.series())
     signatures = _signatures(smoother, rivals or {}, [*columns])
-    every = {part.place.name: part for part in found}
     return Located(
         places=tuple(part.place for part in found),
-        gains={name: part.gain for name, part in every.items()},
-        levels={name: part.level for name, part in every.items()},
+        gains={part.place.name: part.gain for part in found},
+        levels={part.place.name: part.level for part in found},
         force_names=tuple(columns.values()),
         forces=forces,
-        discrepancies={part.place.name: part.smoothed() for part in _foremost(found)},
         signatures=signatures,
         agreement={name: agreement(forces, parts) for name, parts in signatures.items()},
     )
-
-
-def _force_columns(noise: NoiseModel) -> dict[int, str]:
-    """Columns of the disturbances that are forces, and their equations."""
-    placed = (place.partition(" ") for place in noise.places)
-    return {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
-
-
-def _foremost(found: Sequence[Evidence]) -> list[Evidence]:
-    """The best place, where its gain is no chance, and those that cannot be told from it."""
-    least = max(CLEAR, max(part.gain for part in found) - GROUP_WIDTH)
-    return [part for part in found if part.gain > least]
 
 
 def _signatures(
@@ -338,12 +321,6 @@ class Evidence:
             return 0.0
         noise = self.fit.noise
         return float(noise.colour.max() if self.place.stage == "sensor" else noise.force[0])
-
-    def smoothed(self) -> tuple[Series, ...]:
-        """The disturbance if nothing else is wrong, per record."""
-        problem = self.fit.problem
-        held = problem.with_levels(problem.levels.held().starting(self.fit.noise))
-        return ResidualForces.of(held, _apart(self.fit.problem, self.fit.point)).series()
 
 
 def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:

@@ -135,15 +135,12 @@ class Ranking:
         Odds of 20 to 1; of signatures that are nearly one, two standard errors of the difference,
         :math:`4 \sqrt{2 T (1 - \rho)}` (Vuong 1989, Econometrica 57): no noise model is so exact.
         """
-        correlation = min(self.similarity(best, other), 1.0)
+        # The largest canonical correlation of the two signatures.
+        cosines = _basis(best.score).T @ _basis(other.score)
+        correlation = min(float(np.linalg.svd(cosines, compute_uv=False).max(initial=0.0)), 1.0)
         if correlation < ALIKE:
             return GROUP_WIDTH
         return max(GROUP_WIDTH, 4.0 * float(np.sqrt(2.0 * best.gain * (1.0 - correlation))))
-
-    def similarity(self, first: Refit, second: Refit) -> float:
-        """Largest canonical correlation of two effects' signatures."""
-        cosines = _basis(first.score).T @ _basis(second.score)
-        return float(np.linalg.svd(cosines, compute_uv=False).max(initial=0.0))
 
     def alike(self, name: str, limit: float = ALIKE) -> tuple[str, ...]:
         """Candidates never refitted that explain nearly what another explains, by likeness.
@@ -218,15 +215,11 @@ class Ranking:
         """Effects that free parameters of the model imitate completely, by name."""
         return tuple(sorted(score.effect.name for score in self.scores if score.absorbed))
 
-    def statistics(self) -> list[tuple[str, float]]:
-        """Gain after refitting where refitted, score statistic elsewhere; best first."""
-        gains = {refit.name: refit.gain for refit in self.refits}
-        scored = {score.effect.name: score.statistic for score in self.scores}
-        return [(name, gains.get(name, scored[name])) for name in self.order]
-
     def scored(self) -> list[dict[str, Any]]:
-        """Return :meth:`statistics` as plain data."""
-        return [{"effect": name, "statistic": size} for name, size in self.statistics()]
+        """Gain after refitting where refitted, score statistic elsewhere; best first."""
+        gains = {score.effect.name: score.statistic for score in self.scores}
+        gains |= {refit.name: refit.gain for refit in self.refits}
+        return [{"effect": name, "statistic": gains[name]} for name in self.order]
 
     def undetectable(self) -> dict[str, dict[str, float]]:
         """Effects whose typical size these data would not show, with the size they would."""

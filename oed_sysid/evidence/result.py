@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import tomllib
+from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
 from importlib.resources import files
 from typing import Any
@@ -78,6 +79,11 @@ class Correction:
     sizes: dict[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
     record: str = ""
     span: tuple[float, float] = (0.0, 1.0)
+
+    @property
+    def key(self) -> Hashable:
+        """What is wrong where and from when on, whatever its size."""
+        return self.kind, self.signals, self.other, self.record, self.span[0]
 
 
 @dataclass(frozen=True)
@@ -251,14 +257,6 @@ class LogCheck:
     def suspect(self) -> bool:
         """Whether the log contradicts itself and should not be used as it is."""
         return any(finding.suspect for finding in self.findings)
-
-    @property
-    def contradictory(self) -> bool:
-        """Whether signals contradict each other or the nominal model, beyond bad samples.
-
-        Spikes and the like cost accuracy; a wrong sign, unit or column costs the truth.
-        """
-        return any(is_a(finding.kind, "contradiction") for finding in self.serious)
 
     @property
     def ok(self) -> bool:

@@ -21,6 +21,7 @@ with the information :math:`\Lambda` of the training and :math:`H_v` of the vali
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from time import perf_counter
@@ -108,8 +109,6 @@ class Study:
     plain_error : float
         Error of the nominal model fitted without disturbance forces on the training records, over
         all outputs, in units of the noise.
-    skipped : tuple of str
-        Candidates that do not fit the nominal model.
     train : Dataset
     validation : Dataset or None
     setting : Setting
@@ -124,7 +123,6 @@ class Study:
     base: Model
     candidates: tuple[Effect, ...]
     plain_error: float
-    skipped: tuple[str, ...]
     train: Dataset
     validation: Dataset | None
     setting: Setting
@@ -178,7 +176,7 @@ class Study:
             drifting=disturbances != "none",
             seas=seas_in(disturbances),
         )
-        effects, skipped = fitting_candidates(model, candidates)
+        effects = fitting_candidates(model, candidates)
         kernel = _kernel(model, effects, setting)
         plain, end = _white_fit(model, train)
         starts = [_nominal_start(model, train, white), *([] if end is None else [end])]
@@ -189,7 +187,6 @@ class Study:
             base=model,
             candidates=effects,
             plain_error=total_error(np.array(list(plain.rms.values())) / white),
-            skipped=skipped,
             train=train,
             validation=validation,
             setting=setting,
@@ -209,9 +206,9 @@ class Study:
         self, effects: Sequence[Effect], kernel: FilterKernel | None = None
     ) -> Study:
         """The same study with more candidates, compiled anew unless a kernel holds them."""
-        joined, skipped = fitting_candidates(self.base, (*self.candidates, *effects))
+        joined = fitting_candidates(self.base, (*self.candidates, *effects))
         kernel = kernel or _kernel(self.base, joined, self.setting)
-        return replace(self, candidates=joined, skipped=skipped, kernel=kernel)
+        return replace(self, candidates=joined, kernel=kernel)
 
     # -- fits ------------------------------------------------------------------------
 
@@ -547,27 +544,22 @@ def _kernel(model: Model, effects: Sequence[Effect], setting: Setting) -> Filter
     return filter_kernel(disturbed_model(model + effects, names))
 
 
-def fitting_candidates(
-    base: Model, candidates: Sequence[Effect]
-) -> tuple[tuple[Effect, ...], tuple[str, ...]]:
-    """Candidates that a model can take, absent, and the names of those that it cannot.
+def fitting_candidates(base: Model, candidates: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Candidates that a model can take, absent.
 
     A candidate that acts on signals the model does not have, or that it already holds, is left
     out.
     """
     absent = tuple(effect.absent() for effect in candidates)
-    try:
+    with suppress(ModelError):
         base + absent
-    except ModelError:
-        joined, kept, skipped = base, list[Effect](), list[str]()
-        for effect in absent:
-            try:
-                joined = joined + effect
-                kept.append(effect)
-            except ModelError:
-                skipped.append(effect.name)
-        return tuple(kept), tuple(skipped)
-    return absent, ()
+        return absent
+    joined, kept = base, list[Effect]()
+    for effect in absent:
+        with suppress(ModelError):
+            joined = joined + effect
+            kept.append(effect)
+    return tuple(kept)
 
 
 def _white_fit(model: Model, train: Dataset) -> tuple[Fit, Start | None]:
