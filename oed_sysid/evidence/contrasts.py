@@ -539,11 +539,7 @@ def fitted_law(
 
 
 def assemble(
-    pieces: Sequence[Piece],
-    relations: tuple[Relation, ...],
-    faults: Sequence[Candidate],
-    nuisance: np.ndarray,
-    n_more: int,
+    pieces: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray, n_more: int
 ) -> System:
     """Whiten all contrasts and sum their normal equations.
 
@@ -575,7 +571,9 @@ def assemble(
             slope = -(law[active][:, rows] / level) @ white**2
             relative[piece.used] += np.einsum("ck,cd,dk->k", slope, fisher, slope)
             walk = (shares[len(CORRELATIONS) :] @ law[len(CORRELATIONS) :, rows]) / level
-            _attenuate(piece, relations[index].target, faults, float(walk.sum()), own, right, doubt)
+            half = 0.5 * _attenuation(piece, faults, float(walk.sum()), own.diagonal())
+            right[piece.used] -= half
+            doubt[piece.used] += np.abs(half)
     with np.errstate(divide="ignore", invalid="ignore"):
         freedom = 2.0 * gram.diagonal() ** 2 / relative
     freedom = np.clip(np.nan_to_num(freedom, nan=3.0, posinf=1e6), 3.0, 1e6)
@@ -629,28 +627,20 @@ def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
     return law
 
 
-def _attenuate(
-    piece: Piece,
-    target: str,
-    faults: Sequence[Candidate],
-    walk: float,
-    own: np.ndarray,
-    right: np.ndarray,
-    doubt: np.ndarray,
-) -> None:
-    """Subtract half of what noise in the regressors of scales may have added to ``right``.
+def _attenuation(
+    piece: Piece, faults: Sequence[Candidate], walk: float, own: np.ndarray
+) -> np.ndarray:
+    """Most that noise in the regressors of scales may have added to scores, ``(n_used,)``.
 
     The noise of a signal stands in the contrast and in its own regressor, which biases a scale by
     the ratio of noise to signal (errors in variables; Fuller 1987): between nothing and what it
-    would be if all of the walk came from that signal.
+    would be if all of the walk came from that signal. Half of it is subtracted.
     """
-    for i, k in enumerate(piece.used):
-        one = faults[k]
-        if one.kind == "scale":
-            share = -1.0 if one.signals[0] == target else piece.shares.get(one.signals[0], 0.0)
-            most = float(np.clip(walk * share, -0.5 * own[i, i], 0.5 * own[i, i]))
-            right[k] -= 0.5 * most
-            doubt[k] += 0.5 * abs(most)
+    shares = {**piece.shares, piece.target_name: -1.0}
+    used = (faults[k] for k in piece.used)
+    scaled = [one.signals[0] if one.kind == "scale" else "" for one in used]
+    most = walk * np.array([shares.get(name, 0.0) for name in scaled])
+    return np.clip(most, -0.5 * own, 0.5 * own)
 
 
 def scanned(
@@ -975,7 +965,7 @@ def search(
             return Result((), tuple(faults), np.full(len(faults), np.inf))
         now = [faults.index(fault) for fault in active]
         inside = np.union1d(np.arange(n_common), now).astype(int)
-        system = assemble(pieces, relations, faults, inside, n_more).given(n_given)
+        system = assemble(pieces, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained = strained if turn else bench.strained(now)
         found, seen = scanned(undone, pieces, system, now, local)

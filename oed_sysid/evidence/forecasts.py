@@ -14,12 +14,9 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.data.dataset import Dataset, Record
-from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
+from oed_sysid.likelihood.start_guess import VAGUE, kinematic_states, measured_states
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
-
-# Weight of the guessed start state against its measurements, in units of the state's scale.
-VAGUE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +117,7 @@ def forecasts(
         parts.append(
             (np.empty(0), nothing, nothing)  # nothing follows from one test to the next
             if record.independent
-            else _record(compiled, held, record, values, sigma, horizon)
+            else _record(compiled, record, values, sigma, horizon)
         )
     starts, errors, expected = zip(*parts, strict=True)
     failed = sum(int(np.isnan(size).any(axis=(1, 2)).sum()) for size in expected)
@@ -128,14 +125,10 @@ def forecasts(
 
 
 def _record(
-    compiled: Kernel,
-    model: Model,
-    record: Record,
-    values: np.ndarray,
-    sigma: np.ndarray,
-    horizon: float,
+    compiled: Kernel, record: Record, values: np.ndarray, sigma: np.ndarray, horizon: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Starts, errors and their expected size along one record."""
+    model = compiled.model
     ahead = max(2, round(horizon / record.sample_time))
     before = max(2, ahead // 2)
     first = np.arange(0, record.n_samples - before - ahead + 1, ahead)

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
-from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
 from oed_sysid.evidence.claim import claim, own_error
 from oed_sysid.evidence.corrections import as_measured
@@ -33,12 +32,12 @@ from oed_sysid.evidence.rank import Ranking
 from oed_sysid.evidence.remainder import Remains, remains
 from oed_sysid.evidence.search import (
     BOUGHT,
+    Search,
     Standing,
     asked_again,
     eliminated,
     every_step,
     overgrown,
-    searched,
     with_term,
 )
 from oed_sysid.evidence.study import Study
@@ -171,7 +170,7 @@ def improve(
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *left_out, *told]
-    run = _Run(ready.whole, max_effects, terms, tell, keep, notes)
+    run = _Run(Search(max_effects, tell, keep, notes), ready.whole, terms)
     end = run.whole(study, base)
     if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without disturbance forces")
@@ -179,7 +178,7 @@ def improve(
         end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
-    location = _kept(keep, "location", work, notes) or Located.nothing(end.base)
+    location = run.search.stage("location", work) or Located.nothing(end.base)
     tell("fits and errors of every step")
     nominal = {p.name: p.value for p in model.free_parameters}
     result = keep.once("every step", lambda: _result(end, location, notes, log, nominal, logs))
@@ -203,23 +202,20 @@ def _measured(
 class _Run:
     """How a search is made: once with disturbance forces, perhaps again without."""
 
+    search: Search
     all_samples: Dataset | None
-    max_effects: int
     terms: bool
-    tell: Callable[[str], None]
-    keep: Journal
-    notes: list[str]
 
     def whole(self, study: Study, base: FilteredSolution) -> _Ended:
         """Search from a nominal fit, ask all samples, and look for a term for what is left."""
-        state = Standing(study, (), base, (base,))
-        state, first, last = searched(state, self.max_effects, self.tell, self.keep, self.notes)
+        search = self.search
+        state, first, last = search.ended(Standing(study, (), base, (base,)))
         if self.all_samples is not None and state.added:
-            self.tell("asking all samples")
+            search.tell("asking all samples")
             full = replace(study, train=self.all_samples, validation=None)
             asking = partial(eliminated, state, full, state.fit.noise)
-            thinned, state = state, self.keep.once("all samples", asking)
-            self.notes.extend(
+            thinned, state = state, search.keep.once("all samples", asking)
+            search.notes.extend(
                 f"{one.effect.name} was seen in the thinned records and is not in all samples: it "
                 "is no claim."
                 for one in thinned.added
@@ -228,9 +224,8 @@ class _Run:
         end = _Ended(state, state.path[0], first, last, self._left(state), None)
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
-        self.tell("looking for a term that no known effect holds")
-        work = partial(with_term, state, self.max_effects)
-        beyond = _kept(self.keep, "unknown term", work, self.notes)
+        search.tell("looking for a term that no known effect holds")
+        beyond = search.stage("unknown term", partial(with_term, state, search.max_effects))
         if beyond is None:
             return end
         wider, proposals, tied = beyond
@@ -239,7 +234,7 @@ class _Run:
 
     def _left(self, state: Standing) -> Remains:
         work = partial(remains, state.study, state.fit)
-        return _kept(self.keep, "what remains", work, self.notes) or Remains(np.inf, None)
+        return self.search.stage("what remains", work) or Remains(np.inf, None)
 
     def calmer(self, end: _Ended, study: Study, base: FilteredSolution) -> _Ended:
         """Of a search with disturbance forces and one without, the one that is worth more.
@@ -250,8 +245,7 @@ class _Run:
         likelier, whole runs decide: a constant force, say, does not show beside forces that
         wander, and process noise could not have left runs that are so much better.
         """
-        calm = Standing(study, (), base, (base,))
-        calm, first, last = searched(calm, self.max_effects, self.tell, self.keep, self.notes)
+        calm, first, last = self.search.ended(Standing(study, (), base, (base,)))
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
         fit = calm.added and found.estimate(
@@ -264,7 +258,7 @@ class _Run:
         decided = claim(found, present, fit, calm.effects, more)
         state = replace(calm, decisions=(*end.state.decisions, decided))
         if decided.stands:
-            self.notes.append(
+            self.search.notes.append(
                 "Disturbance forces had grown over what is missing: it was searched for without "
                 "them, and is likelier with them, too."
             )
@@ -275,7 +269,7 @@ class _Run:
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
         if not BOUGHT * there < here:
             return replace(end, state=replace(end.state, decisions=state.decisions))
-        self.notes.append(
+        self.search.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
             f"without them are {here / there:.2g} times better."
         )
@@ -324,15 +318,6 @@ def _other_noise(fit: Fit) -> list[str]:
     ]
 
 
-def _kept(keep: Journal, label: str, work: Callable, notes: list[str]):  # type: ignore[no-untyped-def,type-arg]
-    """What a stage returns; None, and a note, where it fails: earlier results are kept."""
-    try:
-        return keep.once(label, work)
-    except (OedSysidError, np.linalg.LinAlgError) as error:
-        notes.append(f"One stage could not be done: {error}")
-        return None
-
-
 def _result(
     end: _Ended,
     location: Located,
@@ -349,7 +334,18 @@ def _result(
     records = {"train": study.train, "test": study.validation}
     rms = [{name: _rms(study, fit, of) for name, of in records.items()} for fit in path]
     errors = [_relative(records, one, sigma) for one in rms]
-    steps = _steps(state, fits, rms, errors)
+    steps = tuple(
+        Step(
+            effect=one.effect.with_values(fit.model.values),
+            group=one.group,
+            claim=one.claim,
+            train_error=error["train"],
+            test_error=error["test"],
+            fit=fit,
+            rms=own,
+        )
+        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
+    )
     if log is not None:
         log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal, logs)
     return Improvement(
@@ -403,27 +399,6 @@ def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
 def _rms(study: Study, fit: FilteredSolution, dataset: Dataset | None) -> np.ndarray:
     """Errors of every output on some records, ``(n_outputs,)``; NaN without any."""
     return np.full(len(study.base.outputs), np.nan) if dataset is None else study.rms(fit, dataset)
-
-
-def _steps(
-    state: Standing,
-    fits: Sequence[Fit],
-    rms: Sequence[dict[str, np.ndarray]],
-    errors: Sequence[dict[str, float]],
-) -> tuple[Step, ...]:
-    """What was added, with the fits and errors after every step."""
-    return tuple(
-        Step(
-            effect=one.effect.with_values(fit.model.values),
-            group=one.group,
-            claim=one.claim,
-            train_error=error["train"],
-            test_error=error["test"],
-            fit=fit,
-            rms=own,
-        )
-        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
-    )
 
 
 def _relative(

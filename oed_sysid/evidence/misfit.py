@@ -227,6 +227,10 @@ def output_misfit(
     # Records on which the prediction diverged have no pattern to look at.
     whole = len(usable) == len(residuals)
     tested = [r for r in usable if np.isfinite(r).sum() > 10]
+    related = (
+        correlate(usable, one, times, in_time=in_time, among=len(signals))
+        for one in (signals if whole else ())
+    )
     return OutputMisfit(
         output=output,
         rmse=_rms(pooled),
@@ -236,25 +240,12 @@ def output_misfit(
         n_samples=int(seen.sum()),
         coverage=_mean(np.concatenate(inside_band)[seen]),
         tests=tuple(map(whiteness if in_time else _apart, tested)),
-        correlations=_correlations(usable, signals, times, in_time=in_time) if whole else (),
+        correlations=tuple(sorted(filter(None, related), key=lambda c: -abs(c.score))),
         regimes=tuple(concentrations(scaled, parts, in_time=in_time)) if whole else (),
         windows=windows,
         worst=_worst(windows, dataset),
         in_time=in_time,
     )
-
-
-def _correlations(
-    residuals: Sequence[np.ndarray],
-    signals: Sequence[Signal],
-    times: Sequence[np.ndarray],
-    *,
-    in_time: bool,
-) -> tuple[Correlation, ...]:
-    """Correlations with every signal, the clearest first."""
-    among = len(signals)
-    found = (correlate(residuals, one, times, in_time=in_time, among=among) for one in signals)
-    return tuple(sorted((c for c in found if c is not None), key=lambda c: -abs(c.score)))
 
 
 def correlate(

@@ -25,7 +25,7 @@ has its largest maxima where it is worth to begin.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import product
 
@@ -197,9 +197,9 @@ def scores(
     # Sizes and starts of single records are estimated anew on the validation records.
     n_records = len(rows.passes) + len(study.validation or ())
     best: dict[str, Score] = {}
-    for variant in _variants(study, fit, candidates, rows, smooth):
-        raw, name = variant.columns, variant.effect.name
-        score = _score(variant, raw, projected(raw), residual, n_records)
+    for variant in _variants(study, fit, candidates, rows):
+        name = variant.effect.name
+        score = _score(variant, projected(variant.columns), residual, n_records)
         if name not in best or score.statistic > best[name].statistic:
             best[name] = replace(score, trials=_trials(variant.effect, rows))
     return sorted(best.values(), key=lambda s: -s.statistic), residual
@@ -248,14 +248,8 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
     return _Rows(passes, times, np.concatenate(residual), np.concatenate(known), named)
 
 
-def _score(
-    variant: _Variant,
-    raw: np.ndarray,
-    projected: np.ndarray,
-    residual: np.ndarray,
-    n_records: int,
-) -> Score:
-    effect = variant.effect
+def _score(variant: _Variant, projected: np.ndarray, residual: np.ndarray, n_records: int) -> Score:
+    effect, raw = variant.effect, variant.columns
     size = np.linalg.norm(raw, axis=0)
     left = np.linalg.norm(projected, axis=0)
     distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
@@ -299,17 +293,12 @@ def _parameter(effect: Effect, name: str) -> Parameter:
 
 
 def _variants(
-    study: Study,
-    fit: FilteredSolution,
-    candidates: Sequence[Effect],
-    rows: _Rows,
-    smooth: Sequence[str],
-) -> list[_Variant]:
+    study: Study, fit: FilteredSolution, candidates: Sequence[Effect], rows: _Rows
+) -> Iterator[_Variant]:
     """Columns of every candidate, for every shape it may have."""
-    variants = []
     for effect in candidates:
         amplitudes = effect.amplitude_names
-        is_smooth = all(name in smooth for name in amplitudes)
+        is_smooth = rows.extra.keys() >= {*amplitudes}
         smooth_sizes = (TANGENT,) if two_sided(effect) else SIZES
         for shape, size in product(_shapes(effect, rows), smooth_sizes):
             columns = (
@@ -319,8 +308,7 @@ def _variants(
             )
             if columns is not None:
                 columns = rows.by_record(columns) if _local_names(effect) else columns
-                variants.append(_Variant(effect, amplitudes, shape, columns))
-    return variants
+                yield _Variant(effect, amplitudes, shape, columns)
 
 
 def two_sided(effect: Effect) -> bool:

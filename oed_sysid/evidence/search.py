@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -32,6 +33,8 @@ from oed_sysid.runtime.journal import Journal
 
 # Error of whole runs, over that of a fit without disturbance forces, that they should not cost.
 BOUGHT = 2.0
+
+Done = TypeVar("Done")
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,36 +106,76 @@ class Standing:
         return replace(self, added=self.others(one), fit=fit, path=path, dropped=gone)
 
 
-def rounds(
-    state: Standing, max_effects: int, tell: Callable[[str], None], keep: Journal
-) -> Iterator[tuple[Standing, Ranking]]:
-    """Search to the end; yields the state and the ranking after every stage that ended well."""
-    while len(state.added) < max_effects:
-        tell(f"ranking candidates, round {len(state.added) + 1}")
-        ranking = keep.once("ranking", partial(rank, state.study, state.fit, state.left))
-        state = keep.once("alike", partial(with_alike, state, ranking))
-        yield state, ranking
-        chosen, decisions = keep.once("choice", partial(choice, state, ranking))
-        state = replace(state, decisions=(*state.decisions, *decisions))
-        rival = None if chosen is None else chosen[1]
-        state, at_sea = keep.once("a sea", partial(with_waves, state, rival))
-        yield state, ranking
-        if at_sea:
-            tell("confirmed a sea in the place of disturbance forces of first order")
-            continue
-        if chosen is None:
-            break
-        refit, decided = chosen
-        tell(
-            f"confirmed {decided.name}: T = {decided.statistic:.1f}, threshold {decided.needed:.1f}"
-        )
-        state = keep.once(
-            f"with {refit.name}", partial(with_refit, state, refit, decisions, ranking)
-        )
-        yield state, ranking
-        tell("asking again what was added")
-        state = keep.once("asked again", partial(asked_again, state))
-        yield state, ranking
+@dataclass(frozen=True, eq=False)
+class Search:
+    """How a search is made.
+
+    Attributes
+    ----------
+    max_effects : int
+        Most effects to add.
+    tell : callable
+        Told in words what is being done.
+    keep : Journal
+        Of finished steps.
+    notes : list of str
+        What the result has to say beside its numbers.
+    """
+
+    max_effects: int
+    tell: Callable[[str], None]
+    keep: Journal
+    notes: list[str]
+
+    def stage(self, label: str, work: Callable[[], Done]) -> Done | None:
+        """What a stage returns; None, and a note, where it fails: earlier results are kept."""
+        try:
+            return self.keep.once(label, work)
+        except (OedSysidError, np.linalg.LinAlgError) as error:
+            self.notes.append(f"One stage could not be done: {error}")
+            return None
+
+    def ended(self, state: Standing) -> tuple[Standing, Ranking, Ranking | None]:
+        """Search to the end: the state, the first and the last ranking; what was found stays."""
+        seen: list[tuple[Standing, Ranking]] = []
+        try:
+            seen.extend(self.rounds(state))
+        except OedSysidError as error:
+            self.notes.append(f"The search ended early: {error}")
+        if not seen:
+            return state, rank(state.study, state.fit, state.left, n_refits=0), None
+        first, (end, last) = seen[0][1], seen[-1]
+        return end, first, None if last is first else last
+
+    def rounds(self, state: Standing) -> Iterator[tuple[Standing, Ranking]]:
+        """The state and the ranking after every stage that ended well."""
+        once, tell = self.keep.once, self.tell
+        while len(state.added) < self.max_effects:
+            tell(f"ranking candidates, round {len(state.added) + 1}")
+            ranking = once("ranking", partial(rank, state.study, state.fit, state.left))
+            state = once("alike", partial(with_alike, state, ranking))
+            yield state, ranking
+            chosen, decisions = once("choice", partial(choice, state, ranking))
+            state = replace(state, decisions=(*state.decisions, *decisions))
+            rival = None if chosen is None else chosen[1]
+            state, at_sea = once("a sea", partial(with_waves, state, rival))
+            yield state, ranking
+            if at_sea:
+                tell("confirmed a sea in the place of disturbance forces of first order")
+                continue
+            if chosen is None:
+                break
+            refit, decided = chosen
+            tell(
+                f"confirmed {decided.name}: T = {decided.statistic:.1f}, threshold "
+                f"{decided.needed:.1f}"
+            )
+            work = partial(with_refit, state, refit, decisions, ranking)
+            state = once(f"with {refit.name}", work)
+            yield state, ranking
+            tell("asking again what was added")
+            state = once("asked again", partial(asked_again, state))
+            yield state, ranking
 
 
 def with_alike(state: Standing, ranking: Ranking) -> Standing:
@@ -490,22 +533,3 @@ def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing
     term = Added(effect, decided, (effect.name,))
     option = eliminated(replace(state, study=wide, added=(*state.added, term), fit=found))
     return option if len(option.added) <= max_effects + 1 else None
-
-
-def searched(
-    state: Standing,
-    max_effects: int,
-    tell: Callable[[str], None],
-    keep: Journal,
-    notes: list[str],
-) -> tuple[Standing, Ranking, Ranking | None]:
-    """Search to the end: the state, the first and the last ranking; what was found stays."""
-    seen: list[tuple[Standing, Ranking]] = []
-    try:
-        seen.extend(rounds(state, max_effects, tell, keep))
-    except OedSysidError as error:
-        notes.append(f"The search ended early: {error}")
-    if not seen:
-        return state, rank(state.study, state.fit, state.left, n_refits=0), None
-    first, (end, last) = seen[0][1], seen[-1]
-    return end, first, None if last is first else last
