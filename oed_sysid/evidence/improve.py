@@ -334,18 +334,7 @@ def _result(
     records = {"train": study.train, "test": study.validation}
     rms = [{name: _rms(study, fit, of) for name, of in records.items()} for fit in path]
     errors = [_relative(records, one, sigma) for one in rms]
-    steps = tuple(
-        Step(
-            effect=one.effect.with_values(fit.model.values),
-            group=one.group,
-            claim=one.claim,
-            train_error=error["train"],
-            test_error=error["test"],
-            fit=fit,
-            rms=own,
-        )
-        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
-    )
+    steps = _steps(state, fits, rms, errors)
     if log is not None:
         log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal, logs)
     return Improvement(
@@ -399,6 +388,27 @@ def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
 def _rms(study: Study, fit: FilteredSolution, dataset: Dataset | None) -> np.ndarray:
     """Errors of every output on some records, ``(n_outputs,)``; NaN without any."""
     return np.full(len(study.base.outputs), np.nan) if dataset is None else study.rms(fit, dataset)
+
+
+def _steps(
+    state: Standing,
+    fits: Sequence[Fit],
+    rms: Sequence[dict[str, np.ndarray]],
+    errors: Sequence[dict[str, float]],
+) -> tuple[Step, ...]:
+    """What was added, with the fits and errors after every step."""
+    return tuple(
+        Step(
+            effect=one.effect.with_values(fit.model.values),
+            group=one.group,
+            claim=one.claim,
+            train_error=error["train"],
+            test_error=error["test"],
+            fit=fit,
+            rms=own,
+        )
+        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
+    )
 
 
 def _relative(
