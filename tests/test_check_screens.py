@@ -14,9 +14,8 @@ from oed_sysid.data.dataset import Dataset, read_csv, write_csv
 from oed_sysid.errors import ModelError
 from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
-from oed_sysid.evidence.jitter import jitter
 from oed_sysid.evidence.relations import relations
-from oed_sysid.evidence.screens import bursts, deviations, screen, screened, steps, weights
+from oed_sysid.evidence.screens import bursts, deviations, jitter, screen, screened, steps, weights
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs

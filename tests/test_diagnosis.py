@@ -21,15 +21,13 @@ from turning_ship import improved as improved_ship
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import DataError, OedSysidError
-from oed_sysid.evidence.compare import Comparison, compare
-from oed_sysid.evidence.dictionary import Signal as Cause
-from oed_sysid.evidence.dictionary import Term, signals_along, terms
-from oed_sysid.evidence.forecasts import forecasts
+from oed_sysid.evidence.compare import Comparison, compare, forecasts
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement, advice
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.misfit import Signal, concentrations, correlate, regimes
-from oed_sysid.evidence.propose import propose, term_scores
+from oed_sysid.evidence.propose import Signal as Cause
+from oed_sysid.evidence.propose import Term, propose, signals_along, term_scores, terms
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.score import Score, scores

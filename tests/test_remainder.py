@@ -13,7 +13,7 @@ from scipy.integrate import solve_ivp
 from turning_ship import CANDIDATES, CUBIC, SHIP, dataset
 
 from oed_sysid import Dataset, Input, Model, Output, Parameter, Record, State, improve
-from oed_sysid.evidence.forecasts import forecasts
+from oed_sysid.evidence.compare import forecasts
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.preparation import coarser, prepared
 from oed_sysid.evidence.remainder import RandomForceFound, Remains, remains

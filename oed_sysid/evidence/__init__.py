@@ -9,13 +9,13 @@ of the sensors, disturbance forces, or structure.
 =============================== ===========================================================
 module                          question
 =============================== ===========================================================
-``compare``, ``forecasts``      how far are models from records: where, when, in which regime
+``compare``                     how far are models from records: where, when, in which regime
 ``frequency``                   over which band of frequencies they hold
 ``preparation``                 what a search reads of the records
 ``study``                       what stays the same while models are compared
 ``locate``                      at which place of the chain does it fail
 ``score``, ``rank``             which effect would explain it
-``propose``, ``dictionary``     which term would, if no known effect does
+``propose``                     which term would, if no known effect does
 ``claim``                       is it claimed, and why
 ``search``                      what is asked, added, asked again, a term of no vocabulary, too
 ``improve``, ``improvement``    the whole call, and its result

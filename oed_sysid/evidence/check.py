@@ -13,7 +13,7 @@ before the next one looks:
 
 1. single signals: exact coincidences (dead, held, frozen, cut off, lost, interpolated, coarse
    samples, copies) and samples that stand out (:mod:`~oed_sysid.evidence.screens`); and times that
-   scatter (:mod:`~oed_sysid.evidence.jitter`);
+   scatter (:mod:`~oed_sysid.evidence.screens`);
 2. what no motion can explain: other readings of the numbers (sign, unit, columns, axes), faults
    with a size (bias, scale, delay, rate of a clock, lever arm, misalignment, drift, step), in all
    records or in one, and equations that fail although all of this is undone
@@ -41,7 +41,6 @@ from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
-from oed_sysid.evidence.jitter import jitter
 from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
 from oed_sysid.evidence.result import (
     Balance,
@@ -51,7 +50,7 @@ from oed_sysid.evidence.result import (
     LogCheck,
     kinds_that_are,
 )
-from oed_sysid.evidence.screens import Fault, marked, screened
+from oed_sysid.evidence.screens import Fault, jitter, marked, screened
 from oed_sysid.evidence.traces import Trace, units_of
 from oed_sysid.evidence.words import (
     READ,

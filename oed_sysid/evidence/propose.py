@@ -9,28 +9,350 @@ has already are projected out, and the statistic
 is computed as in :mod:`oed_sysid.evidence.score`. The most promising terms are refitted as real
 effects. What is proposed is a hypothesis that explains the records, in the equation where it is
 needed, together with those they cannot tell from it.
+
+A dictionary of terms that an equation may lack: products of states and inputs.
+
+Up to three factors, each as it is or as its absolute value (flow separates on
+both sides), velocities through the water where the model knows them; of
+angles the trigonometric functions that gravity and buoyancy bring; of commands
+what reaches the forces.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+import re
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations_with_replacement, product
 
 import numpy as np
 
+from oed_sysid.compiled.kernels import kernel
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
-from oed_sysid.evidence.dictionary import Signals, Term, signals_along, terms
 from oed_sysid.evidence.rank import N_REFITS, Refit, refitted
 from oed_sysid.evidence.residual_forces import let_in, rows_of, smoothable
 from oed_sysid.evidence.score import ABSORBED, Score
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
+from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.smoother import Path
-from oed_sysid.physics import Effect
-from oed_sysid.text import expressions
+from oed_sysid.physics import Effect, Force
+from oed_sysid.physics.channels import Output
+from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics.table import POLYNOMIAL, factor_of
+from oed_sysid.text import dimensions, expressions, notation
+from oed_sysid.text.units import Dimension, dimension
+
+# Of a product: expansions of hydrodynamic forces end at third order (Abkowitz 1964).
+MOST_FACTORS = 3
+# With more signals than this a product of three has at most two different ones.
+MANY_SIGNALS = 6
+# An absolute value, of a function too.
+ABSOLUTE = re.compile(r"abs\(((?:[^()]|\([^()]*\))*)\)")
+# Positions on which no force in homogeneous water depends.
+HORIZONTAL = ("x", "y", "xi", "eta")
+
+
+Factors = tuple[tuple[str, bool], ...]
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Something that terms are made of.
+
+    Attributes
+    ----------
+    name : str
+        As it stands in an expression.
+    unit : str
+    kind : str
+        ``motion`` (velocities and deflections), ``angle``, ``thrust`` (a
+        command that is no angle) or ``position``.
+    one_sided : bool
+        Whether it keeps its sign throughout the records.
+    """
+
+    name: str
+    unit: str
+    kind: str
+    one_sided: bool
+
+
+@dataclass(frozen=True)
+class Term:
+    """One product, in one equation.
+
+    Attributes
+    ----------
+    equation : str
+        Axis, or state whose rate is meant.
+    expression : str
+        The product, for instance ``abs(w_r)*w_r``.
+    factors : tuple of (str, bool)
+        Signals and whether their absolute value is meant; empty where the
+        expression is no product of signals.
+    """
+
+    equation: str
+    expression: str
+    factors: Factors = ()
+
+    @property
+    def complexity(self) -> int:
+        """Number of factors, absolute values of anything but a squared one counted again."""
+        names = [name for name, _ in self.factors]
+        odd = sum(
+            absolute and not (names.count(name) == 2 and (name, False) in self.factors)
+            for name, absolute in self.factors
+        )
+        return max(len(names), 2 if "*" in self.expression else 1) + odd
+
+    @property
+    def symbol(self) -> str:
+        """Name of the coefficient, in the manner of hydrodynamic derivatives."""
+        if self.factors:
+            text = "".join(f"{'abs' if a else ''}{factor_of(n)}" for n, a in self.factors)
+            return f"{self.equation}_{text}"
+        if self.expression == "1":
+            return f"{self.equation}_0"
+        kept = "".join(c if c.isalnum() else " " for c in self.expression.replace("**", ""))
+        return f"{self.equation}_{''.join(kept.split())}"
+
+    @property
+    def derivative(self) -> str | None:
+        """The symbol, where it is that of a hydrodynamic derivative and means the same."""
+        if not (self.factors or self.expression == "1") or not notation.is_derivative(self.symbol):
+            return None
+        parsed = tuple((f.symbol, f.absolute) for f in notation.parse(self.symbol).factors)
+        meant = tuple((factor_of(name), absolute) for name, absolute in self.factors)
+        return self.symbol if parsed == meant else None
+
+    @property
+    def text(self) -> str:
+        """The term for a reader, for instance ``M_qqq q^3``."""
+        if self.derivative is not None:
+            return notation.term_text(self.derivative)
+        written = self.expression.replace("**", "^").replace("*", " ")
+        return self.symbol + " " + ABSOLUTE.sub(r"|\1|", written)
+
+    def effect(self, model: Model, units: Mapping[str, str], scale: float) -> Force:
+        """The term as an effect, absent, its coefficient named and given a unit."""
+        name = self.symbol
+        if name in model.parameter_names or name in units:
+            name = f"E_{name}"
+        unit = _coefficient_unit(self, model, units)
+        size = Parameter(name, 0.0, unit, scale=scale, description=f"proposed: {self.text}")
+        return Force(
+            f"term_{self.symbol}",
+            {self.equation: name if self.expression == "1" else f"{name}*{self.expression}"},
+            (size,),
+            description=f"{self.text} in the {self.equation} equation, proposed from records",
+            source=POLYNOMIAL,
+        )
+
+
+def _coefficient_unit(term: Term, model: Model, units: Mapping[str, str]) -> str:
+    if term.derivative is not None:
+        return notation.unit(term.derivative)
+    known: dict[str, Dimension | None] = {
+        name: dimension(unit) for name, unit in units.items() if unit
+    }
+    factor = (
+        Dimension() if term.expression == "1" else dimensions.dimension_of(term.expression, known)
+    )
+    if term.equation in model.axes:
+        force = dimension("N m" if term.equation in ("K", "M", "N") else "N")
+    else:
+        unit = next(state.unit for state in model.states if state.name == term.equation)
+        force = dimension(unit) / dimension("s")
+    # Radians are dropped, as in the units of derivatives.
+    return "" if factor is None else str((force / factor).plain)
+
+
+@dataclass(frozen=True, eq=False)
+class Signals:
+    """Signals of a model along given trajectories.
+
+    Attributes
+    ----------
+    signals : tuple of Signal
+    values : tuple of dict
+        ``name -> ndarray (n_times,)`` halfway between samples, per record.
+    """
+
+    signals: tuple[Signal, ...]
+    values: tuple[dict[str, np.ndarray], ...]
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every signal."""
+        return {signal.name: signal.unit for signal in self.signals}
+
+
+def signals_along(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> Signals:
+    """Evaluate what terms are made of along trajectories.
+
+    Parameters
+    ----------
+    model : Model
+        Its actuators and environment are respected.
+    dataset : Dataset
+        Gives times and inputs.
+    states : sequence of ndarray (n_times, n_full)
+        Full states, per record.
+    """
+    kinds = _kinds(model)
+    shown = replace(
+        model,
+        outputs=tuple(Output(f"term_{name}", unit, expression=name) for name, unit, _ in kinds),
+        effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
+    )
+    shown = shown.fix(*shown.free_names)
+    compiled = kernel(shown)
+    values = []
+    for record, full in zip(dataset, states, strict=True):
+        middle = full.copy()
+        middle[:-1] = 0.5 * (full[:-1] + full[1:])
+        run = compiled.run(
+            record.times,
+            record.inputs,
+            shown.value_vector,
+            middle[:, : compiled.n_full],
+            starts=np.arange(record.n_samples, dtype=np.intc),
+        )
+        values.append({name: run.outputs[:, i] for i, (name, _, _) in enumerate(kinds)})
+    signals = []
+    for name, unit, kind in kinds:
+        pooled = np.concatenate([part[name] for part in values])
+        low, high = np.quantile(pooled, [0.01, 0.99])
+        if np.ptp(pooled) > 1e-9 * np.abs(pooled).max(initial=0.0):
+            signals.append(Signal(name, unit, kind, bool(low > 0 or high < 0)))
+    return Signals(tuple(signals), tuple(values))
+
+
+def _kinds(model: Model) -> list[tuple[str, str, str]]:
+    """Name, unit and kind of everything that terms may be made of."""
+    velocities = set(model.axes.values())
+    through_water = {text: signal for signal, text in model.signals.items()}
+    found = []
+    still = cyclic(model)
+    for state in model.states:
+        if state.name in still:
+            continue
+        name = through_water.get(state.name, state.name)
+        if state.name in velocities or not model.axes:
+            found.append((name, state.unit, "motion"))
+        elif state.unit == "rad":
+            found.append((state.name, state.unit, "angle"))
+        elif state.name not in HORIZONTAL:
+            found.append((state.name, state.unit, "position"))
+    inputs = {channel.name: channel.unit for channel in model.inputs}
+    for signal, text in model.actuator_signals.items():
+        unit = inputs.get(text, "")
+        found.append((signal, unit, "motion" if unit == "rad" or not model.axes else "thrust"))
+    return found
+
+
+def cyclic(model: Model) -> set[str]:
+    """Coordinates that merely integrate a velocity, and on which no equation depends.
+
+    Calm water is the same at every place and heading: a heading of a steering
+    model is no cause of a force.
+    """
+    if model.axes:
+        return set()
+    states = set(model.state_names)
+    used = {name for text in model.kinematics.values() for name in expressions.names(text)}
+    return {s for s, text in model.kinematics.items() if text in states and s not in used}
+
+
+def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
+    """Every term of the dictionary, equation by equation.
+
+    Parameters
+    ----------
+    model : Model
+    signals : sequence of Signal
+        From :func:`signals_along`.
+    """
+    products = [(), *_products([s for s in signals if s.kind == "motion"])]
+    found = [(factors, product_text(factors)) for factors in products]
+    for signal in signals:
+        found += _of_signal(model, signal, signals, products)
+    return [
+        Term(equation, text or "1", factors)
+        for equation in disturbed_equations(model)
+        for factors, text in found
+    ]
+
+
+def _of_signal(
+    model: Model, signal: Signal, signals: Sequence[Signal], products: Sequence[Factors]
+) -> list[tuple[Factors, str]]:
+    """What a command that is no angle, an angle or a position brings besides products."""
+    name, plain = signal.name, ((signal.name, False),)
+    factors, texts = list[Factors](), list[str]()
+    if signal.kind == "thrust":
+        factors = [(*of, *plain) for of in products if len(of) < MOST_FACTORS]
+    elif signal.kind == "angle":  # what gravity and buoyancy bring
+        sine, cosine = f"sin({name})", f"cos({name})"
+        texts = [sine, cosine, f"{sine}*{cosine}", f"{sine}*abs({sine})"]
+    elif signal.kind == "position":
+        factors = [plain]
+        # Powers where a force depends on it as a mooring's does.
+        if any(name in _forces_depend_on(effect) for effect in model.effects):
+            factors = [plain, *filter(lambda of: len(of) > 1, _products([signal]))]
+            texts = [f"{name}*sin({one.name})" for one in signals if one.kind == "angle"]
+    return [*((of, product_text(of)) for of in factors), *(((), text) for text in texts)]
+
+
+def _forces_depend_on(effect: Effect) -> set[str]:
+    """Names in the force terms of an effect."""
+    if effect.stage != "force":
+        return set()
+    return {name for text in effect.terms.values() for name in expressions.names(text)}
+
+
+def _products(signals: Sequence[Signal]) -> list[Factors]:
+    """Factors of products of up to three signals, absolute values included."""
+    ways = {s.name: (False,) if s.one_sided else (False, True) for s in signals}
+    most = MOST_FACTORS if len(signals) <= MANY_SIGNALS else 2
+    found: list[Factors] = []
+    for count in range(1, MOST_FACTORS + 1):
+        for names in combinations_with_replacement(ways, count):
+            powers = Counter(names)
+            if len(powers) <= most:
+                choices = product(*(ways[name] for name in powers))
+                found += [_factors(powers, absolute) for absolute in choices]
+    return found
+
+
+def _factors(powers: Mapping[str, int], absolute: Sequence[bool]) -> Factors:
+    """Powers of signals as factors, of each the first or none an absolute value."""
+    pairs = zip(powers.items(), absolute, strict=True)
+    return tuple((name, of and not used) for (name, n), of in pairs for used in range(n))
+
+
+def product_text(factors: Factors) -> str:
+    """Text of a product; ``abs(w)*w`` and ``abs(q)*q**2`` where a factor is absolute.
+
+    >>> product_text((("u", False), ("q", True), ("q", False), ("q", False)))
+    'u*abs(q)*q**2'
+    """
+    texts = []
+    for name in dict.fromkeys(name for name, _ in factors):
+        texts += [f"abs({name})"] * factors.count((name, True))
+        plain = factors.count((name, False))
+        if plain:
+            texts.append(name if plain == 1 else f"{name}**{plain}")
+    return "*".join(texts)
+
 
 # Share of what the best term explains from which a rival, seen from it, is refitted.
 RIVAL = 0.8

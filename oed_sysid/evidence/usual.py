@@ -22,7 +22,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError, ModelError, OedSysidError
 from oed_sysid.evidence.check import LogCheck
-from oed_sysid.evidence.dictionary import HORIZONTAL, Factors, Term, cyclic, product_text
+from oed_sysid.evidence.propose import HORIZONTAL, Factors, Term, cyclic, product_text
 from oed_sysid.experiments.problem import Problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.disturbances import disturbance, places

@@ -16,7 +16,6 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset, overlap
 from oed_sysid.data.record import GAP
 from oed_sysid.evidence.contrasts import LARGEST, LOUDER, Candidate, Found, Misfit, Reading, Result
-from oed_sysid.evidence.jitter import Jitter
 from oed_sysid.evidence.relations import Relation
 from oed_sysid.evidence.result import (
     KINDS,
@@ -28,7 +27,7 @@ from oed_sysid.evidence.result import (
     interval,
     is_a,
 )
-from oed_sysid.evidence.screens import Fault
+from oed_sysid.evidence.screens import Fault, Jitter
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.noise_levels import credible_levels
