@@ -26,6 +26,7 @@ from oed_sysid.design import (
     design_experiment,
 )
 from oed_sysid.design.criteria import Setting, eliminate
+from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.objective import Objective, VehicleInformation
 from oed_sysid.design.vehicles import LimitBounds
 from oed_sysid.errors import DesignError
@@ -149,9 +150,10 @@ def test_derivatives_equal_differences(family: Levels) -> None:
     model = ship()
     fitted = grid()
     shape = family.on(fitted)
-    noise = noise_of(model)
-    own, measure = np.array([0.0, 0.01]), DOptimal().bind(SETTING)
-    vehicle = VehicleInformation(model, fitted.times, shape.edges, own, noise, measure, np.eye(3))
+    expected = ExpectedInformation.of(model, DOptimal(), Knowledge())
+    expected = replace(expected, before=np.diag(expected.scales() ** -2.0))
+    own = np.array([0.0, 0.01])
+    vehicle = VehicleInformation(model, expected, fitted.times, shape.edges, own)
     bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)})
     objective = Objective([vehicle], shape, np.array([0]), np.zeros(1), bounds)
     numbers = 0.5 + 0.3 * (np.random.default_rng(5).random(shape.size) - 0.5)

@@ -12,11 +12,11 @@ from functools import partial
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
-from oed_sysid.design.criteria import Measure, eliminate, soft_minimum
+from oed_sysid.design.criteria import eliminate, soft_minimum
+from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
 from oed_sysid.information.bound import unknowns
-from oed_sysid.information.shifts import Shifts
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import in_chunks
 
@@ -58,39 +58,27 @@ class VehicleInformation:
     ----------
     model : Model
         At these values.
+    expected : ExpectedInformation
+        Criterion, noise, what is known before, and absent effects that the criterion asks for.
     times : ndarray (n_times,)
         Sample times, s.
     edges : ndarray of int (n_edges,)
         Samples from which a changed trajectory can be restarted; starts with 0.
     own : ndarray (n_own,)
         Start state.
-    sigma : ndarray (n_outputs,)
-        Standard deviations of the noise of the outputs.
-    measure : Measure
-        Criterion bound to the vehicle.
-    prior : ndarray (n_known, n_known)
-        Scaled information at hand before the experiment.
-    start : str or mapping
-        See :func:`~oed_sysid.information.bound.information_of`.
-    shifts : Shifts, optional
-        What absent effects and rival models would do.
     """
 
     def __init__(
         self,
         model: Model,
+        expected: ExpectedInformation,
         times: np.ndarray,
         edges: np.ndarray,
         own: np.ndarray,
-        sigma: np.ndarray,
-        measure: Measure,
-        prior: np.ndarray,
-        *,
-        start: str | Mapping[str, float] = "unknown",
-        shifts: Shifts | None = None,
     ) -> None:
-        self.model, self.times, self.own, self.sigma = model, times, own, sigma
-        self.measure, self.prior = measure, prior
+        self.times, self.own, self.sigma = times, own, expected.raised * expected.sigma
+        self.measure, shifts = expected.measure(model), expected.shifts_of(model)
+        self.prior = expected.relative(expected.before, expected.scales(model))
         self.edges = np.ascontiguousarray(edges, dtype=np.intc)
         self.kernel = kernel(model)
         self.values = model.value_vector
@@ -98,7 +86,7 @@ class VehicleInformation:
         if shifts is not None:
             values = [rival.value_vector for rival in shifts.models]
             self.rivals = list(zip(shifts.kernels, values, map(float, shifts.factors), strict=True))
-        self.columns, weights = unknowns(model, start)
+        self.columns, weights = unknowns(model, expected.start)
         self.n_nuisance = len(weights)
         units = [one.scale for one in model.states]
         units += [parameter.magnitude for parameter in model.free_parameters]

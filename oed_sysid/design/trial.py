@@ -281,14 +281,9 @@ class Task:
         used = shape if shape is not None else Levels(2).on(self.grid)
         expected, own = self.expected, self.own
         vehicles = [
-            VehicleInformation(
-                model, self.grid.times, used.edges, own, expected.raised * expected.sigma,
-                expected.measure(model),
-                expected.relative(expected.before, expected.scales(model)),
-                start=expected.start, shifts=expected.shifts_of(model),
-            )
+            VehicleInformation(model, expected, self.grid.times, used.edges, own)
             for model in self.models
-        ]  # fmt: skip
+        ]
         scenarios = None
         if self.caution is not None and self.bounds.names and self.scenarios:
             scenarios = Scenarios(

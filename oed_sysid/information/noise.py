@@ -64,7 +64,7 @@ from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate_inputs, trajectory_of
 from oed_sysid.experiments.steady import Equilibrium, linearise
-from oed_sysid.information.response import Levels
+from oed_sysid.information.response import Levels, acting
 from oed_sysid.likelihood.disturbances import Place, chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
@@ -231,12 +231,9 @@ def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:
             f"The fit {path!r} found no disturbance forces. Say still, or take the fit of a record "
             "in such a sea."
         )
-    forces = found.only(found.force > 0)
-    chosen_places(model, (*forces.places, *(place for sea in found.seas for place in sea.places)))
-    return replace(
-        calm, force=forces.force, force_time=forces.force_time, places=forces.places,
-        seas=tuple(sea for sea in found.seas if sea.acts),
-    )  # fmt: skip
+    found = acting(model, found)
+    return replace(found, white=calm.white, colour=calm.colour, colour_time=calm.colour_time,
+                   outputs=calm.outputs)  # fmt: skip
 
 
 def _understood(sea: str) -> tuple[str | None, dict[str, float]]:

@@ -209,15 +209,7 @@ class Innovations:
         DesignError
             If the noise does not fit the model.
         """
-        noise = checked_noise(model, noise)
-        acting = noise.force > 0
-        found = chosen_places(model, [p for p, a in zip(noise.places, acting, strict=True) if a])
-        seas = tuple(sea for sea in noise.seas if sea.acts)
-        chosen_places(model, [place for sea in seas for place in sea.places])
-        noise = replace(
-            noise, force=noise.force[acting], force_time=noise.force_time[acting],
-            places=tuple(place.name for place in found), seas=seas,
-        )  # fmt: skip
+        noise = acting(model, checked_noise(model, noise))
         names = noise.disturbed().disturbances
         return cls(model, noise, disturbed_model(model, names), names)
 
@@ -315,6 +307,15 @@ def expected_noise(
         return None, noise
     noise = checked_noise(model, noise)
     return None if noise.is_white else noise, noise.sensors
+
+
+def acting(model: Model, noise: NoiseModel) -> NoiseModel:
+    """The same noise with the disturbances that act alone, at places that the model has."""
+    forces = noise.only(noise.force > 0)
+    seas = tuple(sea for sea in noise.seas if sea.acts)
+    chosen_places(model, [place for sea in seas for place in sea.places])
+    places = tuple(place.name for place in chosen_places(model, forces.places))
+    return replace(forces, places=places, seas=seas)
 
 
 def checked_noise(model: Model, noise: NoiseModel) -> NoiseModel:
