@@ -339,7 +339,9 @@ def average_structures(
     weights = _weights(found)
     done = []
     for candidate, each, weight in zip(candidates, found, weights, strict=True):
-        std = record_errors(candidate, dataset, purpose) if weight >= LEAST_WEIGHT else {}
+        std = {}
+        if weight >= LEAST_WEIGHT:
+            std = leave_out(candidate.fit, dataset, purpose).std_errors
         done.append(replace(each, weight=float(weight), std=std))
     return _averaged(done, rungs, len(dataset), floor)
 
@@ -498,24 +500,3 @@ def _changes(
                 )
             moved.append(one[name] / values[name] - 1.0)
     return moved
-
-
-def record_errors(structure: Structure, dataset: Dataset, purpose: Purpose) -> dict[str, float]:
-    """Standard errors of wanted quantities from what records say apart from one another.
-
-    Those of :func:`oed_sysid.prediction.jackknife.jackknife`, which has intervals as well.
-
-    Parameters
-    ----------
-    structure : Structure
-    dataset : Dataset
-        Three records or more.
-    purpose : callable
-        ``fit -> {name: number}``; ``lambda fit: fit.values`` for the parameters themselves.
-
-    Returns
-    -------
-    dict of str to float
-        Infinite where fewer than two of the fits succeed.
-    """
-    return leave_out(structure.fit, dataset, purpose).std_errors
