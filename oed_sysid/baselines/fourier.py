@@ -581,4 +581,7 @@ class FourierStream:
             ]
             why = f" ({silent[0]})" if silent else ""
             return f"next run: {words}, this one does not excite it{why}"
-        return f"go on: {words}, about {max(needed - elapsed, 0.0):.0f} s more at this excitation"
+        more = max(needed - elapsed, 0.0)
+        runs = min(round(more / self.duration), 100)
+        time = counted(runs, "run") + " as long as this" if runs > 1 else f"{more:.0f} s more"
+        return f"go on: {words}, {'about' if runs < 100 else 'over'} {time} at this excitation"

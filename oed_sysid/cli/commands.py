@@ -20,7 +20,7 @@ from oed_sysid.cli.tasks import band as band_of
 from oed_sysid.cli.terminal import answer, asked, draw, note, progress, quiet, say, store, write
 from oed_sysid.errors import DataError, DesignError, OedSysidError
 from oed_sysid.runtime.display import Figure, Table, as_dict, counted
-from oed_sysid.runtime.files import check_place
+from oed_sysid.runtime.files import check_place, write_text
 
 if TYPE_CHECKING:
     from oed_sysid.baselines.fourier import FourierStream
@@ -377,6 +377,8 @@ def watch(
     pairs = (text.partition("=") for text in places or ())
     found = {name: Place.of(place) for name, _, place in pairs}
     channels, told = study.problem.model.channels, -float("inf")
+    if html_file is not None:
+        note(f"As the run goes on: {html_file}")
     step, pause = stream.period, max(0.05 * stream.duration, stream.period)
     for time, sample in samples(source, channels, places=found, period=step, silence=silence):
         stream.push(time, sample)
@@ -412,7 +414,7 @@ def _live_page(document: Report, path: Path | None, *, over: bool = False) -> No
         document.write(path)
     elif path is not None:
         again = '<head><meta http-equiv="refresh" content="2">'
-        write(document.html().replace("<head>", again, 1), path)
+        write_text(path, document.html().replace("<head>", again, 1))
 
 
 def campaign(
