@@ -564,6 +564,11 @@ def test_a_card_is_made_of_any_run_and_names_the_side_of_each_order() -> None:
     shape = Piecewise("rudder", [0.0, 5.0, 12.0, 20.0], [0.0, 0.1, 0.102, -0.2])
     run = Experiment("more", shape, duration=40.0, sample_time=0.5, constants={"thrust": 9.0})
     assert TrialCard.of(model, run).document().sections[0].tables[0].rows == orders
+    # The speed that the equations hold is that of the approach, in knots of 1852 m/h.
+    held = replace(model, parameters=(Parameter("U", 5.144, "m/s", fixed=True),))
+    (start,) = (said for what, said in TrialCard.of(held, run).document().head if "start" in what)
+    assert start.startswith("speed 10 knots")
+    assert "knots" not in str(TrialCard.of(model, run).document().head)
 
 
 @pytest.mark.slow

@@ -47,7 +47,16 @@ NOT_SAFE = (
 STOP = (
     "Stop when a limit is passed: controls neutral, recover, keep the log. Part of a run is useful."
 )
-NOTES = "Write down wind, sea, current, loading, battery, and anything touched during the run."
+# What a record of a trial states beside its log: ITTC 7.5-04-02-01, full-scale manoeuvring trials.
+RECORD = (
+    ("date, time, place, depth of the water", "wind, waves, current: size and direction"),
+    ("draughts fore and aft or ballast, trim", "speed [knots] and rpm before the first order"),
+    ("battery or engine, control settings", "anything touched during the run"),
+)
+STANDARD = (
+    "The standards of IMO MSC.137(76) are for runs in deep, unrestricted, calm water, fully loaded "
+    "on even keel, after a steady approach."
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +149,7 @@ class TrialCard:
                 self._aborts(),
                 Section("SEA ROOM", room, heading=True, indent=2),
                 *self.told,
-                Section("WRITE DOWN", [NOTES], heading=True, indent=2),
+                self._record(),
                 Section("Orders and track", figures=drawings, only="page"),
             ),
         )
@@ -170,6 +179,13 @@ class TrialCard:
                     yield "run heading", f"begin with the swell from {bearing(one.direction)}"
             yield "disturbance forces", sea_words(self.sea)
 
+    def _record(self) -> Section:
+        """What people write beside the log; of a ship also where standards apply to her."""
+        rows = [tuple(f"{what}:" for what in row) for row in RECORD]
+        words = [STANDARD] if "z" not in self.model.state_names else []
+        title = "WRITE DOWN (ITTC 7.5-04-02-01)"
+        return Section(title, words, (Table(("", ""), rows, words=(0, 1)),), heading=True, indent=2)
+
     def _range(self, name: str) -> str:
         """Range and rate of the orders of an input."""
         limits, unit = self.experiment.limits, self._units[name]
@@ -181,9 +197,13 @@ class TrialCard:
         """State at the start, for a vehicle with velocities led by its speed in knots."""
         first = self.experiment.initial
         given = [f"{name} = {quantity(value, self._units[name])}" for name, value in first.items()]
-        if not {"u", "v", "w"} & {state.name for state in self.model.states}:
-            return given
         speed = float(np.linalg.norm([first.get(axis, 0.0) for axis in "uvw"]))
+        if "u" not in self.model.state_names:
+            # A speed that the equations hold constant is a fixed number in m/s.
+            held = [one.value for one in self.model.parameters if one.fixed and one.unit == "m/s"]
+            if len(held) != 1:
+                return given
+            speed = held[0]
         # A knot is 1852 m/h.
         return [f"speed {speed * 3600 / 1852:.3g} knots" if speed else "rest (no speed)", *given]
 
