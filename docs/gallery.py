@@ -12,7 +12,7 @@ import inspect
 import re
 import runpy
 import textwrap
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -584,6 +584,59 @@ def times_of_peers() -> Axes:
     return bars_of(peers, "time over that of MultipleShooting [-]", said)
 
 
+def outcomes_of(counts: Mapping[str, Mapping[str, int]], label: str, said: str) -> Axes:
+    """Stacked bars: a row for each name, a colour for each outcome."""
+    _, grid = report.new_figure(1, 1, size=(7.6, 1.4 + 0.34 * len(counts)))
+    ax, places = grid[0, 0], np.arange(len(counts))[::-1]
+    left = np.zeros(len(counts))
+    for index, outcome in enumerate(dict.fromkeys(o for row in counts.values() for o in row)):
+        width = np.array([row.get(outcome, 0) for row in counts.values()])
+        look = report.model_style(index)
+        ax.barh(places, width, 0.6, left, color=look.colour, hatch="/" * (index > 1), label=outcome)
+        left += width
+    ax.set_yticks(places, list(counts), fontsize=9)
+    ax.set_xlabel(label)
+    ax.legend(frameon=False, fontsize=9, ncols=5, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    ax.set_label(said)
+    return ax
+
+
+def outcomes_of_damaged_logs() -> Axes:
+    """What becomes of damaged logs of other programs."""
+    outcomes = ("read", "refused in words", "ended by the limits", "crash", "uncaught")
+    rows = table_of("reliability.md", "format", *outcomes)
+    found = {name: dict(zip(outcomes, map(int, cells), strict=True)) for name, *cells in rows}
+    bad = sum(row["crash"] + row["uncaught"] for row in found.values())
+    files = sum(map(sum, (row.values() for row in found.values())))
+    said = f"Of {files} damaged files {bad} crashed a reader or raised what no one caught."
+    return outcomes_of(found, "files", said)
+
+
+def verdicts_on_papers() -> Axes:
+    """How many claims of five papers reproduce."""
+    found: dict[str, dict[str, int]] = {}
+    text = (HERE / "published.md").read_text(encoding="utf-8")
+    for title, part in re.findall(r"^## \d ([^,]+), .*?$(.*?)(?=^## )", text, re.M | re.S):
+        cells = [line.split("|")[-2].strip() for line in part.splitlines() if line.endswith("|")]
+        found[title] = {
+            sign: sum(re.match(rf"{sign}\b", cell) is not None for cell in cells)
+            for sign in ("yes", "partly", "no", "open")
+        }
+    yes = sum(row["yes"] for row in found.values())
+    said = f"{yes} of {sum(map(sum, (row.values() for row in found.values())))} claims reproduce."
+    return outcomes_of(found, "claims", said)
+
+
+def error_beside_the_laboratorys() -> Axes:
+    """Errors on the Esso Osaka, over those of the laboratory's own simulator."""
+    text = (HERE / "scoreboard.md").read_text(encoding="utf-8")
+    found = re.findall(r"^\| Esso Osaka, (\w+), mean ratio \| ([\d.]+) \|", text, re.M)
+    rows = [(name, float(ours)) for name, ours in found]
+    mean = float(np.mean([ratio for _, ratio in rows]))
+    said = f"On logs that nothing was fitted to the error is {mean:.2f} of the laboratory's."
+    return bars_of(rows, "error over that of the laboratory's simulator [-]", said)
+
+
 SECTIONS: dict[str, tuple[Callable[[], Axes | Figure], ...]] = {
     "The log": (
         record_as_logged, log_with_a_fault, equations_between_signals, one_equation,
@@ -613,10 +666,13 @@ SECTIONS: dict[str, tuple[Callable[[], Axes | Figure], ...]] = {
 OTHERS: tuple[Callable[[], Axes | Figure], ...] = (
     first_fit, first_circle, first_candidates, signal_chain, exported_circle,
     how_often_missing_physics_is_found, how_often_on_other_vehicles, error_on_measured_data,
-    times_of_peers,
+    times_of_peers, outcomes_of_damaged_logs, verdicts_on_papers, error_beside_the_laboratorys,
 )  # fmt: skip
 # Pages of whose tables pictures are drawn.
-PAGES = ("missing_physics.md", "other_vehicles.md", "measured_data.md", "performance.md")
+PAGES = (
+    "missing_physics.md", "other_vehicles.md", "measured_data.md", "performance.md",
+    "reliability.md", "published.md", "scoreboard.md",
+)  # fmt: skip
 HEAD = """# Gallery
 
 Choose a picture to see the lines that draw it. A caption is what the picture says of itself, for

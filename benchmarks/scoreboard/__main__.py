@@ -29,6 +29,10 @@ scored as soon as its file lies in the data folder (`OED_SYSID_DATA`); what is w
 that cannot be scored stands in its row, and all other rows are as without it. No parameter was
 fitted to a record that is scored as a test, and official test records chose no structure either;
 where a validation part of our own confirmed the effects (`improve`), the note says so.
+
+```{include} gallery/error_beside_the_laboratorys.txt
+:relative-images:
+```
 """
 
 
