@@ -9,6 +9,7 @@ public names, and one for each name, from its docstring. Warnings are errors.
 from __future__ import annotations
 
 import ast
+import inspect
 import os
 import subprocess
 import sys
@@ -247,6 +248,16 @@ def _effect(name: str, has_example: bool) -> list[str]:
     ]  # fmt: skip
 
 
+def _returned(function: Any, summary: str) -> list[str]:
+    """The type that a function states; its first sentence says what that is."""
+    kind = inspect.signature(function).return_annotation
+    if kind in (None, "None", inspect.Signature.empty):
+        return []
+    said = summary.removeprefix("Return ")
+    words = [] if said == summary else [f":returns: {said[0].upper()}{said[1:]}"]
+    return ["", *words, f":rtype: ``{kind}``", ""]
+
+
 def _complete(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
     """Add to a docstring what pictures and the table of effects know."""
     last = name.rpartition(".")[2]
@@ -254,6 +265,8 @@ def _complete(app: Any, what: str, name: str, thing: Any, options: Any, lines: l
         lines += _picture(last)
     elif last in LIBRARY and thing is LIBRARY[last].constructor:
         lines += _effect(last, any(">>>" in line for line in lines))
+    if what == "function" and not any(line.startswith((":return", ":rtype")) for line in lines):
+        lines += _returned(thing, lines[0])
 
 
 def setup(app: Any) -> None:
