@@ -181,7 +181,7 @@ def test_correlation_plot_shows_the_matrix(better: Fit) -> None:
 def test_zigzag_diagram_is_in_degrees_with_overshoots(fit: Fit, data: Dataset) -> None:
     """The diagram uses degrees and writes the overshoot angles of the measured heading."""
     ax = report.plot_zigzag(data["zigzag"], [fit])
-    heading = line(ax, "$\\psi$ measured")
+    heading = line(ax, "measured")
     np.testing.assert_allclose(heading, np.degrees(data["zigzag"].output("psi")))
     words = [text.get_text() for text in ax.texts]
     assert len(words) == 2

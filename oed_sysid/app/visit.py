@@ -72,8 +72,6 @@ class Left:
         Work that was asked for, by key of its job.
     files : mapping
         Files that were given, by source and name.
-    when : float
-        Time of the last change, s since 1970.
     """
 
     title: str = ""
@@ -81,10 +79,9 @@ class Left:
     agreed: Mapping[str, bool] = field(default_factory=dict)
     asked: Mapping[str, Asked] = field(default_factory=dict)
     files: Mapping[str, Mapping[str, bytes]] = field(default_factory=dict)
-    when: float = 0.0
 
     def text(self) -> str:
-        """Everything but files and time as JSON.
+        """Everything but files as JSON.
 
         Examples
         --------
@@ -93,7 +90,8 @@ class Left:
         """
         plain = {key: value for key, value in self.choices.items() if _plain(value)}
         content = asdict(replace(self, choices=plain, files={}))
-        return json.dumps({name: content[name] for name in ("title", "choices", "agreed", "asked")})
+        del content["files"]
+        return json.dumps(content)
 
 
 @dataclass(frozen=True)
@@ -149,8 +147,7 @@ class Shelf:
             asked = {key: Asked(**one) for key, one in content["asked"].items()}
             held = place / "files.zip"
             files = _unpacked(held.read_bytes()) if held.is_file() else {}
-            when = (place / "study.json").stat().st_mtime
-            return Left(content["title"], content["choices"], content["agreed"], asked, files, when)
+            return Left(content["title"], content["choices"], content["agreed"], asked, files)
         except (OSError, ValueError, KeyError, TypeError, AttributeError, zipfile.BadZipFile):
             return None
 

@@ -466,49 +466,35 @@ def actuator_signals(
     """
     graph, model = form.graph, form.model
     inputs = input_array(model, len(times), inputs)
-    values = model.value_vector
-    linear = np.array(graph.linear_inputs, dtype=bool)
-    size = graph.actuate.size1_out(0)
-    after, before = np.empty((len(times), size)), np.empty((len(times), size))
-    if not size:
-        return after, before
-    if graph.n_actuator_memory == 0:
-        # Without memory all moments are independent, and one call takes them all.
-        steps = np.diff(times, append=2 * times[-1] - times[-2])
-        empty = np.empty((0, len(times)))
-        h = np.minimum(steps, model.step)
-
-        def signals(commands: np.ndarray) -> np.ndarray:
-            found = graph.actuate(empty, commands.T, values, times[None, :], h[None, :])[0]
-            return np.array(found).T
-
-        after[:] = signals(inputs)
-        ends = np.where(linear, inputs[1:], inputs[:-1]) if inputs.shape[1] else inputs[:-1]
-        before[:] = after
-        before[1:] = signals(np.vstack([ends, inputs[-1:]]))[:-1]
-        return after, before
-    # With memory the actuators are integrated alone, in the steps of the simulation.
-    z = np.array(graph.start(np.zeros(graph.n_own), inputs[0], values, times[0])).ravel()
-    memory = z[graph.n_states : graph.n_states + graph.n_actuator_memory]
-
-    def actuate(command: np.ndarray, time: float, h: float) -> list[np.ndarray]:
-        found = graph.actuate(memory, command, values, time, h)
-        return [np.array(part).ravel() for part in found]
-
-    following = np.vstack([inputs[1:], inputs[-1:]])
+    values, linear = model.value_vector, np.array(graph.linear_inputs, dtype=bool)
+    if not graph.actuate.size1_out(0):
+        return np.empty((len(times), 0)), np.empty((len(times), 0))
+    # Actuators are integrated alone, in the steps of the simulation.
     intervals = np.diff(times, append=2 * times[-1] - times[-2])
-    for k, time in enumerate(times):
-        n_steps = max(1, int(np.ceil(intervals[k] / model.step - 1e-9)))
-        h = intervals[k] / n_steps
-        slope = np.where(linear, (following[k] - inputs[k]) / n_steps, 0.0)
-        after[k] = actuate(inputs[k], time, h)[0]
-        for i in range(n_steps):
-            begin, end, now = inputs[k] + i * slope, inputs[k] + (i + 1) * slope, time + i * h
-            if i + 1 == n_steps and k + 1 < len(times):
-                before[k + 1] = actuate(end, now, h)[0]
-            memory = actuate((begin + end) / 2, now, h)[1]  # command at the middle of the step
-    before[0] = after[0]
-    return after, before
+    counts = np.maximum(np.ceil(intervals / model.step - 1e-9), 1.0)
+    h = intervals / counts
+    ends = np.where(linear, np.vstack([inputs[1:], inputs[-1:]]), inputs)
+    slopes = (ends - inputs) / counts[:, None]
+    # Their memory at the samples, and at the last step before the next sample.
+    held, late = np.empty((2, len(times), graph.n_actuator_memory))
+    if graph.n_actuator_memory:
+        z = np.array(graph.start(np.zeros(graph.n_own), inputs[0], values, times[0])).ravel()
+        memory = z[graph.n_states : graph.n_states + graph.n_actuator_memory]
+        for k, time in enumerate(times):
+            held[k] = memory
+            for i in range(int(counts[k])):
+                late[k] = memory
+                middle = inputs[k] + (i + 0.5) * slopes[k]  # command at the middle of the step
+                moved = graph.actuate(memory, middle, values, time + i * h[k], h[k])[1]
+                memory = np.array(moved).ravel()
+
+    def signals(memory: np.ndarray, commands: np.ndarray, at: np.ndarray) -> np.ndarray:
+        found = graph.actuate(memory.T, commands.T, values, at[None, :], h[None, :])[0]
+        return np.array(found).T
+
+    after = signals(held, inputs, times)
+    before = signals(late, ends, times + (counts - 1.0) * h)
+    return after, np.vstack([after[:1], before[:-1]])
 
 
 def local_cubic(times: np.ndarray, series: np.ndarray, window: int) -> tuple[np.ndarray, ...]:

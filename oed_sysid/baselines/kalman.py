@@ -204,6 +204,14 @@ def consistency(square: float, count: int) -> Status:
     return Status("inconsistent", found + todo)
 
 
+def _first_values(model: Model, stds: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Start values of the parameters and their covariance."""
+    free = model.free_parameters
+    known = [stds.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
+    values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
+    return np.array(values, dtype=float), np.diag(np.square(known))
+
+
 class JointFilter:
     """Mean and covariance of ``[full state, free parameters]``, in scaled units.
 
@@ -243,15 +251,11 @@ class JointFilter:
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
         self.mean, self.spread = np.empty(0), np.empty((0, 0))
-        given = settings.parameter_std
-        stds = [given.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
-        values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
-        self._first_covariance = np.diag(np.square(stds))
-        self.known = np.array(values, dtype=float), self._first_covariance
+        self.known = self._first = _first_values(model, settings.parameter_std)
 
     def restart(self) -> None:
         """Begin another pass: with the present values, as uncertain as the first ones were."""
-        self.known = self.known[0], self._first_covariance
+        self.known = self.known[0], self._first[1]
         self.track: list[np.ndarray] = []
         self.spreads: list[np.ndarray] = []
         self._squares, self._log_variances, self.count = 0.0, 0.0, 0

@@ -433,7 +433,7 @@ class IncrementalLSSVM(OnlineMachine):
 class OnlineRegression(RegressionEstimator):
     """Play records back through :class:`RecursiveLSSVM`, one equation at a time.
 
-    The fit is that after the last sample; ``fit.extras["history"]`` holds the values after every
+    The fit is that after the last sample; ``history`` among its extras holds the values after every
     row of complete samples, by parameter: what a vehicle would have known by then.
 
     Parameters

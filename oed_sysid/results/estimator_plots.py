@@ -105,8 +105,6 @@ class LiveParameters:
         Picture that is kept up to date (PNG, SVG or PDF by its name).
     every : float
         Least time between two drawings, s.
-    figure : Figure, optional
-        Where to draw; by default one that needs no screen.
     clock : callable
         Wall-clock time, s.
 
@@ -127,7 +125,6 @@ class LiveParameters:
         references: Mapping[str, float] | None = None,
         file: str | Path | None = None,
         every: float = 0.5,
-        figure: Figure | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         if not names:
@@ -141,12 +138,8 @@ class LiveParameters:
         self._rows: list[tuple[float, list[float], list[float]]] = []
         self._drawn_at = -np.inf
         self.n_drawings = 0
-        if figure is None:
-            size = (6.4, 0.8 + 1.8 * len(self.names))
-            self.figure, axes = draw.new_figure(len(self.names), 1, size=size, sharex=True)
-        else:
-            self.figure = figure
-            axes = figure.subplots(len(self.names), 1, squeeze=False, sharex=True)
+        size = (6.4, 0.8 + 1.8 * len(self.names))
+        self.figure, axes = draw.new_figure(len(self.names), 1, size=size, sharex=True)
         self._axes: tuple[Axes, ...] = tuple(axes[:, 0])
 
     @property

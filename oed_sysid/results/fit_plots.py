@@ -6,7 +6,7 @@ others, with the band of noise and uncertain parameters together.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from typing import Any
@@ -60,7 +60,7 @@ def said_of(
     models: Source | Sequence[Source],
     record: str | int | Record,
     labels: Sequence[str] | None = None,
-    styles: Sequence[int] | None = None,
+    first: int = 0,
 ) -> list[Said]:
     """Return what models say about one record.
 
@@ -71,8 +71,8 @@ def said_of(
         Of the first model's records, or one that all know by its name.
     labels : sequence of str, optional
         Names of the models.
-    styles : sequence of int, optional
-        Places of the models in a comparison, for their colours; by default their order.
+    first : int
+        Place of the first model in a comparison, for the colours.
 
     Raises
     ------
@@ -92,21 +92,22 @@ def said_of(
         mean = model.predictions[row] if isinstance(model, Fit) else model.outputs[row]
         std = np.broadcast_to(model.sigma, mean.shape) if isinstance(model, Fit) else model.std[row]
         name = labels[number] if labels else f"model {number + 1}"
-        look = draw.model_style(styles[number] if styles else number)
+        look = draw.model_style(first + number)
         found.append(Said(data, mean, std, model.residuals[row], model.sigma, name, look))
     return found
 
 
-def _column(said: Said, output: str) -> tuple[int, Output]:
-    names = said.record.channels.output_names
-    (column,) = located(DataError, f"Record {said.record.name!r} has no output", [output], names)
-    return column, said.record.channels.outputs[column]
+def _column(record: Record, output: str) -> tuple[int, Output]:
+    names = record.channels.output_names
+    (column,) = located(DataError, f"Record {record.name!r} has no output", [output], names)
+    return column, record.channels.outputs[column]
 
 
-def draw_output(ax: Axes, models: Sequence[Said], output: str, band_label: str = "") -> Axes:
+def draw_output(
+    ax: Axes, data: Record, models: Sequence[Said], output: str, band_label: str = ""
+) -> Axes:
     """Draw one measured output, and of each model a line with its 95 % band."""
-    data = models[0].record
-    column, channel = _column(models[0], output)
+    column, channel = _column(data, output)
     along, words = draw.abscissa(data)
     measured = draw.shown(channel, data.outputs[:, column])
     ax.plot(along, measured, ".", color=draw.DATA, ms=2.5, label="measured", rasterized=True)
@@ -117,12 +118,12 @@ def draw_output(ax: Axes, models: Sequence[Said], output: str, band_label: str =
         draw.band(ax, data, mean - half, mean + half, colour, label=band_label or None)
         line = draw.joined(data, one.look.dashes)
         ax.plot(along, mean, color=colour, lw=1.5, label=one.name, **line)
-    return draw.done(ax, xlabel=words, ylabel=draw.label(channel))
+    return draw.done(ax, _errors(models, output), xlabel=words, ylabel=draw.label(channel))
 
 
 def draw_error(ax: Axes, models: Sequence[Said], output: str, *, scaled: bool) -> Axes:
     """Draw measured minus said, in its unit or in units of the noise, whose 95 % band is grey."""
-    column, channel = _column(models[0], output)
+    column, channel = _column(models[0].record, output)
     along, words = draw.abscissa(models[0].record)
     level = 1.0 if scaled else float(draw.shown(channel, models[0].sigma[column]))
     draw.zero(ax, TWO_SIDED_95 * level, "95 % of the noise")
@@ -132,13 +133,7 @@ def draw_error(ax: Axes, models: Sequence[Said], output: str, *, scaled: bool) -
         ax.plot(along, off, color=one.look.colour, lw=0.9, label=one.name, rasterized=True, **mark)
     unit = "noise" if scaled else draw.label(channel).rpartition("[")[2].rstrip("]")
     label = f"{'error' if scaled else 'residual'} [{unit}]"
-    return draw.done(ax, xlabel=words, ylabel=label)
-
-
-def _fitted(fit: Fit, record: str | int, style: int, name: str) -> Said:
-    """What one fit says about one of its records, in full lines."""
-    (said,) = said_of(fit, record, [name], [style])
-    return replace(said, look=replace(said.look, dashes="-"))
+    return draw.done(ax, _errors(models, output), xlabel=words, ylabel=label)
 
 
 def plot_prediction(
@@ -147,7 +142,6 @@ def plot_prediction(
     *,
     record: str | int = 0,
     labels: Sequence[str] | None = None,
-    styles: Sequence[int] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot one measured output and what one or several models say about it.
@@ -163,7 +157,7 @@ def plot_prediction(
         Which output.
     record : str or int
         Which record.
-    labels, styles
+    labels
         See :func:`said_of`.
     ax : Axes, optional
         Where to draw.
@@ -173,9 +167,8 @@ def plot_prediction(
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    said = said_of(models, record, labels, styles)
-    draw_output(ax := draw.new_axes(ax), said, output)
-    return draw.say(ax, " ".join(_errors(said, output)))
+    said = said_of(models, record, labels)
+    return draw_output(draw.new_axes(ax), said[0].record, said, output)
 
 
 def plot_prediction_error(
@@ -184,7 +177,6 @@ def plot_prediction_error(
     *,
     record: str | int = 0,
     labels: Sequence[str] | None = None,
-    styles: Sequence[int] | None = None,
     ax: Axes | None = None,
 ) -> Axes:
     """Plot measured minus said of one output in units of the noise.
@@ -196,19 +188,19 @@ def plot_prediction_error(
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    said = said_of(models, record, labels, styles)
-    draw_error(ax := draw.new_axes(ax), said, output, scaled=True)
-    return draw.say(ax, " ".join(_errors(said, output)))
+    return draw_error(draw.new_axes(ax), said_of(models, record, labels), output, scaled=True)
 
 
-def _errors(models: Sequence[Said], output: str) -> Iterator[str]:
+def _errors(models: Sequence[Said], output: str) -> str:
     """Root mean square error of each model on one output, in units of the noise."""
+    said = []
     for one in models:
-        column, _ = _column(one, output)
+        column, _ = _column(one.record, output)
         off = one.residuals[:, column] / one.sigma[column]
         if np.isfinite(off).any():
             size = float(np.sqrt(np.nanmean(off**2)))
-            yield f"{one.name} misses {output} by {size:.3g} times its noise."
+            said.append(f"{one.name} misses {output} by {size:.3g} times its noise.")
+    return " ".join(said)
 
 
 def draw_input(ax: Axes, record: Record, channel: Input) -> Axes:
@@ -228,7 +220,9 @@ def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
         What was drawn on; the labels of its axes are what they show, in words.
     """
     titles = ("measured and model", "measured − model")
-    return _side_by_side([_fitted(fit, record, style, "model")], titles, scaled=False)
+    (said,) = said_of(fit, record, ["model"], style)
+    said = replace(said, look=replace(said.look, dashes="-"))
+    return _side_by_side([said], titles, scaled=False)
 
 
 def figure_predictions(
@@ -236,7 +230,6 @@ def figure_predictions(
     record: str | int = 0,
     *,
     labels: Sequence[str] | None = None,
-    styles: Sequence[int] | None = None,
 ) -> Figure:
     """All outputs of one record: predictions on the left, errors on the right.
 
@@ -245,7 +238,7 @@ def figure_predictions(
     Figure
         What was drawn on; the labels of its axes are what they show, in words.
     """
-    models = said_of(predictions, record, labels, styles)
+    models = said_of(predictions, record, labels)
     titles = ("measured and predicted", "measured − predicted, in units of the noise")
     return _side_by_side(models, titles, scaled=True)
 
@@ -259,9 +252,9 @@ def _side_by_side(models: Sequence[Said], titles: tuple[str, str], *, scaled: bo
     figure, axes = draw.new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
     for (left, right), name in zip(axes, outputs, strict=False):
         words = "" if scaled else "model ± noise (95 %)"
-        draw.say(draw_output(left, models, name, words), " ".join(_errors(models, name)))
+        draw_output(left, data, models, name, words)
         draw_error(right, models, name, scaled=scaled)
-        left.set_ylabel(draw.label(_column(models[0], name)[1], lines=2))
+        left.set_ylabel(draw.label(_column(data, name)[1], lines=2))
     for ax, command in zip(axes[-1], inputs, strict=False):
         draw_input(ax, data, command).set_ylabel(draw.label(command, lines=2))
     for ax in axes[:-1].flat:

@@ -145,18 +145,24 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     DataError
         If it is not what that command writes.
     """
-    code = _part(_part(content, "status", dict), "code", str)
-    entries = _part(content, "parameters", list)
-    if not all(isinstance(one, dict) for one in entries):
-        raise DataError("One of the 'parameters' of this file is no object: it is damaged.")
+    try:
+        return _numbers(content)
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError) as error:
+        raise DataError(
+            f"The numbers of this fit cannot be read ({error!r:.80}): the file is damaged, or was "
+            "changed by hand. Use a copy of it, or make it again."
+        ) from error
+
+
+def _numbers(content: Mapping[str, Any]) -> Report:
+    code = str(content["status"]["code"])
     rows = [
-        (str(one.get("name", "?")), _number(one.get("value")), _number(one.get("std_error")),
-         str(one.get("unit", "")))
-        for one in entries
-    ]  # fmt: skip
-    noise, rms = _part(content, "noise", dict), _part(content, "rms", dict)
-    levels = [(str(name), _number(rms.get(name)), _number(one)) for name, one in noise.items()]
-    made = _object(content, "oed_sysid")
+        (one["name"], _number(one["value"]), _number(one["std_error"]), one["unit"])
+        for one in content["parameters"]
+    ]
+    rms = content["rms"]
+    levels = [(name, _number(rms[name]), _number(one)) for name, one in content["noise"].items()]
+    made = content.get("oed_sysid", {})
     trust = (
         "The estimation converged."
         if code == "converged"
@@ -165,12 +171,12 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     origin = [
         f"oed_sysid {made.get('version', 'of unknown version')}: "
         f"{made.get('command', 'the command was not kept')}",
-        *(f"{name}: {digest}" for name, digest in _object(made, "records").items()),
+        *(f"{name}: {digest}" for name, digest in made.get("records", {}).items()),
     ]
     estimates = Table(("parameter", "value", "std. error", "unit"), rows, words=(0, 3))
     outputs = Table(("output", "rms residual", "noise"), levels, words=(0,))
     return Report(
-        title=str(_part(content, "model", str)),
+        title=content["model"].strip(),
         subtitle=f"Fitted by {content.get('estimator')}; numbers only",
         verdict=(
             trust,
@@ -190,28 +196,8 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     )
 
 
-def _object(content: Mapping[str, Any], key: str) -> dict[str, Any]:
-    value = content.get(key)
-    return value if isinstance(value, dict) else {}
-
-
-def _part(content: Mapping[str, Any], key: str, kind: type) -> Any:
-    value = content.get(key)
-    if not isinstance(value, kind):
-        raise DataError(
-            f"The numbers of this fit have no usable {key!r}: the file is damaged, or was changed "
-            "by hand. Use a copy of it, or make it again."
-        )
-    return value
-
-
-def _number(value: Any) -> str:
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        return "unknown" if value is None else str(value)[:40]
-    try:
-        return f"{value:.6g}"
-    except OverflowError:  # a whole number beyond all floats
-        return "beyond all numbers"
+def _number(value: float | None) -> str:
+    return "unknown" if value is None else f"{value:.6g}"
 
 
 def style_sheet() -> str:

@@ -17,8 +17,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.prediction import Prediction
 from oed_sysid.physics.channels import Input
 from oed_sysid.results import style as draw
-from oed_sysid.results.fit_plots import draw_input, said_of
-from oed_sysid.runtime.display import TWO_SIDED_95
+from oed_sysid.results.fit_plots import draw_input, draw_output, said_of
 from oed_sysid.text.units import shown_unit
 
 
@@ -38,7 +37,7 @@ def figure_record(record: Record) -> Figure:
     Figure
         What was drawn on; the labels of its axes are what they show, in words.
     """
-    along, words = draw.abscissa(record)
+    _, words = draw.abscissa(record)
     channels = [one for one in record.channels.all if one.name not in record.missing_outputs]
     columns = 1 if len(channels) < 4 else 2
     figure, axes = draw.panels(len(channels), columns, (5.4, 1.9), sharex=True)
@@ -47,7 +46,7 @@ def figure_record(record: Record) -> Figure:
         if isinstance(channel, Input):
             draw_input(ax, record, channel)
         else:
-            ax.plot(along, values, ".", color=draw.DATA, ms=2.0, rasterized=True)
+            draw_output(ax, record, (), channel.name)
         lowest = place + columns >= len(channels)
         said, ylabel = draw.between(channel, values), draw.label(channel, lines=2)
         draw.done(ax, said, ylabel=ylabel, xlabel=words if lowest else "")
@@ -212,40 +211,27 @@ def plot_track(
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    units = {one.unit for one in record.channels.outputs if one.name in (along, across)}
-    ax = draw.new_axes(ax, size=(5.4, 5.4 if len(units) == 1 else 4.4))
-    if len(units) == 1:
-        ax.set_aspect("equal", adjustable="datalim")
-    if along == "z" and not ax.yaxis_inverted():
-        ax.invert_yaxis()
-    return _in_plane(ax, record, models, (across, along), labels)
-
-
-def _in_plane(
-    ax: Axes,
-    record: Record,
-    models: Sequence[Fit | Prediction],
-    names: tuple[str, str],
-    labels: Sequence[str] | None,
-) -> Axes:
-    """Draw the second named output over the first, measured and of the models."""
-    outputs = record.channels.output_names
-    columns = [outputs.index(name) for name in names]
+    columns = [record.channels.output_names.index(name) for name in (across, along)]
     channels = [record.channels.outputs[column] for column in columns]
+    alike = channels[0].unit == channels[1].unit
+    ax = draw.new_axes(ax, size=(5.4, 5.4 if alike else 4.4))
+    if alike:
+        ax.set_aspect("equal", adjustable="datalim")
+    ax.yaxis.set_inverted(along == "z")
     right, up = (draw.shown(c, record.output(c.name)) for c in channels)
     ax.plot(right, up, ".", color=draw.DATA, ms=3, label="measured", rasterized=True)
     said = []
-    for one in said_of(models, record, labels) if models else ():
+    for one in said_of(models, record, labels):
         ends = [draw.shown(c, one.mean[:, k]) for c, k in zip(channels, columns, strict=True)]
         ax.plot(*ends, **one.look.line, lw=1.6, label=one.name)
         off = np.hypot(ends[0] - right, ends[1] - up)
-        if channels[0].unit == channels[1].unit and np.isfinite(off).any():
+        if alike and np.isfinite(off).any():
             unit = shown_unit(channels[0].unit)[1]
             said.append(f"{one.name} is at most {np.nanmax(off):.3g} {unit} away".rstrip() + ".")
     start = np.flatnonzero(np.isfinite(up + right))[:1]
     ax.plot(right[start], up[start], "o", mfc="white", mec=draw.TRUTH, ms=7, label="start")
     draw.legend_above(ax, markerscale=2)
-    said.insert(0, f"{record.name}: {names[1]} over {names[0]}.")
+    said.insert(0, f"{record.name}: {along} over {across}.")
     right_label, up_label = map(draw.label, channels)
     return draw.done(ax, " ".join(said), xlabel=right_label, ylabel=up_label)
 
@@ -294,17 +280,9 @@ def plot_zigzag(
         record.times, angle * draw.DEGREE, color=draw.NEUTRAL, lw=1.2,
         label=draw.symbol_of(rudder), **draw.stepped(channel),
     )  # fmt: skip
-    ax.plot(
-        record.times, turned * draw.DEGREE, ".", color=draw.DATA, ms=2.5, rasterized=True,
-        label=f"{draw.symbol_of(heading)} measured",
-    )  # fmt: skip
-    headings = [("measured", turned)]
-    for one in said_of(models, record, labels) if models else ():
-        model, std = one.mean[:, column] * draw.DEGREE, one.std[:, column] * draw.DEGREE
-        half = TWO_SIDED_95 * std
-        draw.band(ax, record, model - half, model + half, one.look.colour)
-        ax.plot(record.times, model, **one.look.line, lw=1.5, label=one.name)
-        headings.append((one.name, one.mean[:, column]))
+    said_by = said_of(models, record, labels)
+    draw_output(ax, record, said_by, heading)
+    headings = [("measured", turned), *((one.name, one.mean[:, column]) for one in said_by)]
     draw.zero(ax)
     said = [f"{record.name}."]
     for name, followed in headings:
