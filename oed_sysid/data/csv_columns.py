@@ -33,7 +33,7 @@ from oed_sysid.text.units import (
 
 # Seconds.
 DAY = 86_400.0
-TIME_NAMES = ("t", "time", "times", "timestamp")
+TIME_NAMES = ("t", "time", "times", "tout", "timestamp")
 # Seconds since 1970 of the years 2000 to 2100: a time there counts from 1970.
 EPOCH = (946_684_800.0, 4_102_444_800.0)
 # A log that steps by more seconds may count milliseconds.
@@ -165,26 +165,25 @@ class Columns:
     def _check_count(self, index: int, times: np.ndarray) -> None:
         """Refuse numbers under seconds that are digits of a clock, days, or count from 1970."""
         first, where = self.table.values[0, index], self._where(index)
-        if clock_of_digits(self.table.values[:, index]):
+        counted = unit_of_counts(self.table.values[:, index])
+        if counted == "clock":
             raise DataError(
                 f"{where} starts at {first:.14g} and goes on like a date or a clock in digits, not "
                 "like seconds. Write seconds, or ISO times such as 2024-05-31T12:00:00.5Z."
             )
-        for factor, other in ((1e-3, "ms"), (1e-6, "us"), (1e-9, "ns")):
-            if EPOCH[0] < first * factor < EPOCH[1]:
-                raise DataError(
-                    f"{where} starts at {first:.12g}, which is no time in s but looks like {other} "
-                    f"since 1970. Write the header as 't [{other}]'."
-                )
-        step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
-        for low, high, origin in DAYS:
-            if low < first < high and 0.0 < step < 0.01 and times[-1] < high:
-                moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
-                raise DataError(
-                    f"{where} starts at {first:.12g} and steps by {step:.3g}: it seems to count "
-                    f"days ({moment:%Y-%m-%d %H:%M}). Write seconds since the first row, "
-                    f"86400*({self.table.headers[index]} - {first:.12g})."
-                )
+        if counted == "day":
+            origin = next(origin for low, high, origin in DAYS if low < first < high)
+            moment = datetime.fromtimestamp((first - origin) * DAY, UTC)
+            raise DataError(
+                f"{where} starts at {first:.12g} and steps by {np.median(np.diff(times)):.3g}: it "
+                f"seems to count days ({moment:%Y-%m-%d %H:%M}). Write seconds since the first "
+                f"row, 86400*({self.table.headers[index]} - {first:.12g})."
+            )
+        if counted is not None:
+            raise DataError(
+                f"{where} starts at {first:.12g}, which is no time in s but looks like {counted} "
+                f"since 1970. Write the header as 't [{counted}]'."
+            )
 
     def _suspect_unit(self, words: str) -> None:
         self.suspicions.append(UnitWarning(words))
@@ -442,6 +441,28 @@ def _check_unit(where: str, channel: Input | Output, name: str, unit: str) -> No
 
 def _places(texts: Sequence[str], text: str) -> list[int]:
     return [index for index, one in enumerate(texts) if one == text]
+
+
+def unit_of_counts(counts: np.ndarray) -> str | None:
+    """Unit of a clock by where it begins: of seconds since 1970, or days; None where no one tells.
+
+    A date or a clock in digits is ``"clock"``.
+
+    Examples
+    --------
+    >>> unit_of_counts(np.array([1.7e12, 1.7e12 + 100])), unit_of_counts(np.arange(5.0))
+    ('ms', None)
+    """
+    good = counts[np.isfinite(counts)]
+    if not good.size:
+        return None
+    for unit in ("s", "ms", "us", "ns"):
+        if EPOCH[0] < good[0] * float(to_si(1.0, unit)[0]) < EPOCH[1]:
+            return unit
+    step = float(np.median(np.diff(good))) if good.size > 1 else 0.0
+    if any(low < good[0] and good[-1] < high and 0.0 < step < 0.01 for low, high, _ in DAYS):
+        return "day"
+    return "clock" if clock_of_digits(good) else None
 
 
 def clock_of_digits(times: np.ndarray) -> bool:

@@ -22,7 +22,7 @@ import numpy as np
 
 from oed_sysid.data import apart
 from oed_sysid.data.apart import guarded, read_apart
-from oed_sysid.data.csv_columns import DAYS, EPOCH, clock_of_digits
+from oed_sysid.data.csv_columns import EPOCH, unit_of_counts
 from oed_sysid.data.frames import columns_of, is_time, plain
 from oed_sysid.data.log import TABLE, Log, Rows, assemble, meaning, topics_of, until_torn
 from oed_sysid.data.nmea import read_nmea
@@ -171,7 +171,8 @@ def timed_by(
         return None
     counts = fields.pop(header)
     unit = parse_header(header)[1]
-    unit = unit if unit and is_unit(unit) else "s" if header in in_seconds else _counted(counts)
+    if not (unit and is_unit(unit)):
+        unit = "s" if header in in_seconds else unit_of_counts(counts)
     if unit == "clock":
         hours, rest = np.divmod(np.mod(counts, 1e6), 1e4)
         minutes, seconds = np.divmod(rest, 100.0)
@@ -194,20 +195,6 @@ def clock_of(fields: Mapping[str, np.ndarray]) -> str | None:
         counts = bool(np.all(steps == 1.0)) and values[0] in (0.0, 1.0)  # numbers of rows
         rows.append((-uneven - counts + 2.0 * (meaning(name)[0] == "t"), name))
     return max(rows)[1] if rows else None
-
-
-def _counted(counts: np.ndarray) -> str | None:
-    """Unit of a clock by where it begins; None where that does not tell."""
-    good = counts[np.isfinite(counts)]
-    if good.size < 2:
-        return None
-    for unit in ("s", "ms", "us", "ns"):
-        if EPOCH[0] < good[0] * float(to_si(1.0, unit)[0]) < EPOCH[1]:
-            return unit
-    step = float(np.median(np.diff(good)))
-    if any(low < good[0] < high and 0.0 < step < 0.01 for low, high, _ in DAYS):
-        return "day"
-    return "clock" if clock_of_digits(good) else None
 
 
 def _numeric(values: Mapping[str, Any]) -> dict[str, np.ndarray]:
@@ -361,9 +348,6 @@ def _unit(text: str | None) -> tuple[str, float]:
 # -- MATLAB files ----------------------------------------------------------------------
 
 
-_TIMES = ("t", "time", "times", "tout", "timestamp")
-
-
 def read_matlab(path: Path) -> Log:
     """Read a MAT file with vectors, structures, or Simulink's "structure with time".
 
@@ -428,7 +412,7 @@ def _topics(name: str, content: dict[str, Any]) -> Iterator[tuple[str, Any]]:
 def _clocked(vectors: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """The vector that holds the times, empty where none does, and those beside it."""
     series = {key: one for key, one in vectors.items() if one.ndim == 1 and one.size > 1}
-    called = next((key for key in vectors if key.lower() in _TIMES), None) or clock_of(series)
+    called = next(filter(is_time, vectors), None) or clock_of(series)
     beside = {key: one for key, one in vectors.items() if key != called}
     return (vectors[called] if called else np.empty(0)), beside
 
@@ -436,7 +420,7 @@ def _clocked(vectors: dict[str, np.ndarray]) -> tuple[np.ndarray, dict[str, np.n
 def _fields(vectors: dict[str, np.ndarray], n_times: int) -> Iterator[tuple[str, np.ndarray]]:
     """Vectors, and columns of matrices, as long as the times."""
     for key, value in vectors.items():
-        if key.lower() in _TIMES:
+        if is_time(key):
             continue
         if value.ndim == 1 and value.size == n_times:
             yield key, value

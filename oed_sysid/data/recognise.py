@@ -29,7 +29,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import permutations, product
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -360,28 +360,34 @@ class _Plane:
     pace: float = 0.0  # positions' change for one of the speed
 
 
-@dataclass(frozen=True)
-class _Dive:
-    """A depth by pitch: nats, index, unit and sign of the slope; what is not sure."""
+class _Row(NamedTuple):
+    """One reading of one field: nats, index, unit, sign, whether it is this field for certain."""
 
     score: float
-    depth: int
+    at: int
     unit: str
     sign: int
+    sure: bool
     doubts: tuple[str, ...] = ()
 
 
-# Nats, field, unit, sign, and whether it is this field for certain.
-_Row = tuple[float, int, str, int, bool]
+def _likeliest(rows: Sequence[_Row]) -> _Row:
+    """The best of several rows, with what is not sure of it: its unit, and whether it is meant."""
+    best = max(rows)
+    units = _chances([row.score for row in rows if row.at == best.at])
+    doubts = ("unit",) * bool(units.max() < SURE) + ("field",) * (not best.sure)
+    return best._replace(doubts=doubts)
+
+
 _NOWHERE = _Plane(-1, "", (-1, -1), "", (0.0, 0.0), 0.0)
-_LEVEL = _Dive(0.0, -1, "", 0)
+_LEVEL = _Row(0.0, -1, "", 0, True)
 
 
 def _indices(one: _Angle | None, more: Any) -> list[int]:
     """Fields that an angle and what hangs on it take."""
     every = [] if one is None else [one.angle, one.rate]
     every += [more.speed, *more.axes] if isinstance(more, _Plane) else []
-    every += [more.depth] if isinstance(more, _Dive) else []
+    every += [more.at] if isinstance(more, _Row) else []
     return [i for i in every if i >= 0]
 
 
@@ -750,62 +756,67 @@ class _Work:
         u = u if theta is None else u * np.cos(theta)
         ahead = np.concatenate([self._sum(u * np.cos(psi)), self._sum(u * np.sin(psi))])
         moved = np.concatenate([self._free(x[:, None])[:, 0], self._free(y[:, None])[:, 0]])
-        rows = []
-        for i in self.open_to("v"):
-            if i in self.used or not (options := self.options(i, "v")):
-                continue
-            v = self.columns[:, i]
-            abeam = np.concatenate([self._sum(-v * np.sin(psi)), self._sum(v * np.cos(psi))])
-            rows += self._added(i, options, moved, ahead, abeam, "v")
-        self._best("v", rows, "the positions drift with it")
+
+        def abeam(v: np.ndarray) -> np.ndarray:
+            return np.concatenate([self._sum(-v * np.sin(psi)), self._sum(v * np.cos(psi))])
+
+        self._explain("v", moved, ahead, abeam, "the positions drift with it")
 
     def _sum(self, rate: np.ndarray) -> np.ndarray:
         """Integral of a rate, without mean and trend ``(n,)``."""
         return np.asarray(self._free(_integrals(self.times, rate[:, None]))[:, 0])
 
+    def _explain(
+        self, role: str, target: np.ndarray, base: np.ndarray,
+        moves: Callable[[np.ndarray], np.ndarray], why: str,
+    ) -> None:  # fmt: skip
+        """Take for a role the field that explains best what is left of a motion, if any is good.
+
+        ``moves`` makes of a field's values the motion that they would add to that of ``base``.
+        """
+        rows = [
+            row
+            for i in self.open_to(role)
+            if i not in self.used
+            for row in self._added(i, role, target, base, moves(self.columns[:, i]))
+        ]
+        rows = self._same_units(role, rows)
+        if not rows or max(rows).score < NAMED:
+            return
+        best = _likeliest(rows)
+        rivals = (row.score for row in rows if row.at != best.at)
+        alone = _chances([best.score, max(rivals, default=best.score - 99.0)])[0]
+        doubts = (*best.doubts, *("field",) * bool(alone < SURE))
+        # Sway counts with the heading, heave with the pitch.
+        leading = self.found.get({"v": "psi", "w": "theta"}.get(role, ""))
+        doubts += ("sign",) * (role in "vw" and (leading is None or "sign" in leading.doubts))
+        self._take(role, best.at, best.unit, best.sign, doubts, why)
+
     def _added(
-        self, i: int, options: Mapping[str, float], target: np.ndarray, base: np.ndarray,
-        column: np.ndarray, role: str,
-    ) -> list[_Row]:  # fmt: skip
-        """What a field explains of what is left, by unit: nats, field, unit, sign, sure."""
+        self, i: int, role: str, target: np.ndarray, base: np.ndarray, column: np.ndarray
+    ) -> list[_Row]:
+        """What a field explains of what ``base`` leaves of a motion, by unit."""
         both = np.column_stack([base, column])
         left = target - base * float(base @ target / max(base @ base, 1e-300))
         slope = float(np.linalg.lstsq(both, target, rcond=1e-9)[0][-1])
         rest = target - both @ np.linalg.lstsq(both, target, rcond=1e-9)[0]
         share = 1.0 - float(rest @ rest) / max(float(left @ left), 1e-300)
         rows = []
-        for unit, nats in options.items():
+        for unit, nats in self.options(i, role).items():
             # A small part of the motion is known less well than the whole.
             fits = _match(slope, _factor(unit), 0.15)
             score = nats + _explained(share) + fits
             sure = _certain(share, fits, self._named(i, role))
-            rows.append((score, i, unit, int(np.sign(slope) or 1), sure))
+            rows.append(_Row(score, i, unit, int(np.sign(slope) or 1), sure))
         return rows if share > 0.3 else []
-
-    def _best(self, role: str, rows: Sequence[_Row], why: str) -> None:
-        """Take the best row for a role, where it is any good."""
-        rows = self._same_units(role, rows)
-        if not rows or max(rows)[0] < NAMED:
-            return
-        score, index, unit, sign, sure = max(rows)
-        same = [row for row in rows if row[1] == index]
-        units = _chances([row[0] for row in same])[same.index(max(rows))]
-        rival = max((row[0] for row in rows if row[1] != index), default=score - 99.0)
-        doubts = ("unit",) * bool(units < SURE)
-        doubts += ("field",) * bool(not sure or _chances([score, rival])[0] < SURE)
-        heading = self.found.get("psi")
-        doubts += ("sign",) * (role == "v" and (heading is None or "sign" in heading.doubts))
-        theta = self.found.get("theta")
-        doubts += ("sign",) * (role == "w" and (theta is None or "sign" in theta.doubts))
-        self._take(role, index, unit, sign, doubts, why)
 
     # -- pitch, roll, depth --
 
-    def _attitude(self, role: str, one: _Angle, doubts: tuple[str, ...], dive: _Dive) -> None:
+    def _attitude(self, role: str, one: _Angle, doubts: tuple[str, ...], dive: _Row) -> None:
         """Take an angle and its rate, and with a pitch the depth."""
         doubts = (*doubts, *self._unit_doubts(role, one))
-        if dive.depth >= 0:
-            dive = self._dive(one, self.series("u"), (dive.depth,)) or dive
+        if dive.at >= 0:
+            dive = self._dive(one, self.series("u"), (dive.at,)) or dive
         worlds = list(self._ways(role, one, dive))
         scores = [w[0] for w in worlds]
         unsure = ("sign",) * bool(max(_chances(scores)) < SURE)
@@ -819,11 +830,11 @@ class _Work:
             asked = (*doubts, *unsure, *("field",) * (not one.sure))
             self._take(RATES[role], one.rate, one.rate_unit, turning, asked, said)
         self._take(role, one.angle, one.unit, angle, (*doubts, *unsure), told)
-        if dive.depth >= 0:
+        if dive.at >= 0:
             said = f"it changes with {self.fields[one.angle].name}"
-            self._take("z", dive.depth, dive.unit, z, (*dive.doubts, *unsure), said)
+            self._take("z", dive.at, dive.unit, z, (*dive.doubts, *unsure), said)
 
-    def _ways(self, role: str, one: _Angle, dive: _Dive) -> Iterator[tuple[float, int, int, int]]:
+    def _ways(self, role: str, one: _Angle, dive: _Row) -> Iterator[tuple[float, int, int, int]]:
         """Signs of an angle, of its rate and of the depth that agree with each other: nats, signs.
 
         Where the heading is that of east-north-up, the body's axes are forward-left-up as a rule.
@@ -834,8 +845,8 @@ class _Work:
             score = (-3.0 if angle < 0 else 0.0) + left_up * (-angle)
             score -= 2.5 * (turning * angle < 0)
             z = -dive.sign * angle
-            if dive.depth >= 0:
-                score += self._depth(self.fields[dive.depth], z)
+            if dive.at >= 0:
+                score += self._depth(self.fields[dive.at], z)
             yield score, angle, turning, z
 
     def _depth(self, one: _Field, z: int) -> float:
@@ -857,7 +868,7 @@ class _Work:
 
     def _dive(
         self, theta: _Angle, u: np.ndarray | None = None, among: Sequence[int] | None = None
-    ) -> _Dive | None:
+    ) -> _Row | None:
         """The depth that a pitch explains."""
         angle = self.columns[:, theta.angle] * _factor(theta.unit)
         column = self._sum((1.0 if u is None else u) * np.sin(angle))
@@ -871,14 +882,9 @@ class _Work:
                 # What the heave adds is not asked: ten per cent of the speed.
                 fits = 0.0 if u is None else _match(slope, 1.0 / _factor(unit), 0.1)
                 sure = _certain(share, fits, self._named(i, "z"))
-                rows.append((nats + _explained(share) + fits, i, unit, int(np.sign(slope)), sure))
-        if not rows:
-            return None
-        score, depth, unit, sign, sure = max(rows)
-        same = [row for row in rows if row[1] == depth]
-        units = _chances([row[0] for row in same])[same.index((score, depth, unit, sign, sure))]
-        doubts = ("unit",) * bool(units < SURE) + ("field",) * (not sure)
-        return _Dive(score, depth, unit, sign, doubts)
+                score = nats + _explained(share) + fits
+                rows.append(_Row(score, i, unit, int(np.sign(slope)), sure))
+        return _likeliest(rows) if rows else None
 
     # -- what has a name only --
 
@@ -886,13 +892,10 @@ class _Work:
         """Roles that nothing but name, unit and size tells; commands."""
         theta, u, z = (self.series(role) for role in ("theta", "u", "z"))
         if theta is not None and u is not None and z is not None:
-            base = self._sum(-u * np.sin(theta))
-            rows = []
-            for i in (i for i in self.open_to("w") if i not in self.used):
-                column = self._sum(self.columns[:, i] * np.cos(theta))
-                target = self._free(z[:, None])[:, 0]
-                rows += self._added(i, self.options(i, "w"), target, base, column, "w")
-            self._best("w", rows, "the depth changes with it")
+            dived, target = self._sum(-u * np.sin(theta)), self._free(z[:, None])[:, 0]
+            heaved = np.cos(theta)
+            said = "the depth changes with it"
+            self._explain("w", target, dived, lambda w: self._sum(w * heaved), said)
         for angle in RATES:
             if angle not in self.found:
                 self._by_name(angle)
@@ -917,12 +920,8 @@ class _Work:
             "psi": (q * np.sin(phi) / np.cos(theta), np.cos(phi) / np.cos(theta)),
         }[angle]
         left = self._free(target[:, None])[:, 0] - self._sum(others)
-        role = RATES[angle]
-        rows: list[_Row] = []
-        for i in (i for i in self.open_to(role) if i not in self.used):
-            column = self._sum(self.columns[:, i] * factor)
-            rows += self._added(i, self.options(i, role), left, zero, column, role)
-        self._best(role, rows, f"it is the rate of {self.found[angle].field}")
+        role, said = RATES[angle], f"it is the rate of {self.found[angle].field}"
+        self._explain(role, left, zero, lambda rate: self._sum(rate * factor), said)
         # Through the other angles their doubtful signs are its own.
         others = (one for one in self.found.values() if one.role in (*RATES, "q", "r"))
         if role in self.found and any("sign" in one.doubts for one in others):
@@ -932,25 +931,20 @@ class _Work:
 
     def _by_name(self, role: str) -> None:
         """Take the field that is called so."""
-        rows: list[_Row] = [
-            (nats, i, unit, 1, True)
+        rows = [
+            _Row(nats, i, unit, 1, True)
             for i, one in enumerate(self.fields)
             if i not in self.used and one.hint == role
             for unit, nats in self.options(i, role).items()
         ]
         if not rows:
             return
-        rows = self._same_units(role, rows)
-        best = max(rows)
-        _, index, unit, _, _ = best
-        same = [row for row in rows if row[1] == index]
-        unsure = _chances([row[0] for row in same])[same.index(best)] < SURE
-        several = len({row[1] for row in rows}) > 1
-        doubts = ("unit",) * bool(unsure) + ("field",) * several
+        best = _likeliest(self._same_units(role, rows))
+        doubts = (*best.doubts, *("field",) * (len({row.at for row in rows}) > 1))
         # Forward, down and clockwise are usual; of other axes a name does not tell the direction.
         doubts += ("sign",) * (role in ("v", "w", "p", "q", "r", "y"))
-        sign = -1 if role == "z" and _is_up(self.fields[index].name) else 1
-        self._take(role, index, unit, sign, doubts, "its name and size")
+        sign = -1 if role == "z" and _is_up(self.fields[best.at].name) else 1
+        self._take(role, best.at, best.unit, sign, doubts, "its name and size")
 
     def _same_units(self, role: str, rows: Sequence[_Row]) -> list[_Row]:
         """A logger mostly writes quantities of one kind in one unit."""
@@ -960,7 +954,7 @@ class _Work:
             for other, one in self.found.items()
             if TABLE["roles"][other][0] == needed and not {"unit", "field"} & {*one.doubts}
         }
-        return [(row[0] + 1.5 * (row[2] in known), *row[1:]) for row in rows]
+        return [row._replace(score=row.score + 1.5 * (row.unit in known)) for row in rows]
 
     def result(self, doubts: tuple[str, ...] = ()) -> Recognised:
         """The guesses, in the usual order of symbols."""

@@ -169,10 +169,7 @@ def fetch(path: str) -> Path:
         If it is unknown, damaged, or cannot be downloaded; the message says
         what to do by hand.
     """
-    return _fetch(describe(path), data_folder())
-
-
-def _fetch(file: DataFile, folder: Path) -> Path:
+    file, folder = describe(path), data_folder()
     place = folder / file.path
     if place.is_file():
         if _digest(place.read_bytes()) != file.sha256:

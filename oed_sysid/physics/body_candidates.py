@@ -11,9 +11,10 @@ from typing import Any
 
 from oed_sysid.physics import signals
 from oed_sysid.physics.base import Effect, Force, amplitude
-from oed_sysid.physics.candidates import FOSSEN, SEA_WATER_DENSITY, listed
+from oed_sysid.physics.candidates import SEA_WATER_DENSITY, listed
 from oed_sysid.physics.frames import UNITS, VELOCITIES, plus, times
 from oed_sysid.physics.rigid_body import RigidBody
+from oed_sysid.physics.table import FOSSEN
 
 
 def underwater_vehicle_effects(

@@ -13,9 +13,9 @@ from typing import Any
 
 from oed_sysid.physics import forces, signals
 from oed_sysid.physics.base import Effect, Force, amplitude
+from oed_sysid.physics.table import FOSSEN
 from oed_sysid.text import expressions, notation
 
-FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
 SEA_WATER_DENSITY = 1025.0  # kg/m3, at 15 degrees Celsius and 3.5 per cent salinity
 
 _SETS = tomllib.loads(Path(__file__).with_name("candidates.toml").read_text(encoding="utf-8"))

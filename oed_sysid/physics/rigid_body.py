@@ -42,13 +42,12 @@ from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.frames import Matrix, Place, cross, minus, plus, text_of, times
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.physics.table import SNAME, hull_derivatives
+from oed_sysid.physics.table import FOSSEN, SNAME, hull_derivatives
 from oed_sysid.runtime.display import counted
 from oed_sysid.text import expressions, notation
 
 Number = float | Parameter
 
-FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
 PROPULSION = FOSSEN.replace("control,", "control, ch. 9,")
 PRESTERO = "Prestero (2001), Verification of a six-degree of freedom simulation model, MIT."
 NORMALS: Mapping[str, Place] = {"horizontal": (0, 0, -1), "vertical": (0, 1, 0)}

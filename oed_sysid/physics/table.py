@@ -42,6 +42,8 @@ from oed_sysid.text.units import parse_header, to_si
 _TABLE = tomllib.loads(Path(__file__).with_name("effects.toml").read_text(encoding="utf-8"))
 #: Citations by the names that rows use.
 SOURCES: Mapping[str, str] = _TABLE.pop("sources")
+#: Cited by effects of rigid bodies.
+FOSSEN = "Fossen (2011), Handbook of marine craft hydrodynamics and motion control, Wiley."
 SNAME = "SNAME (1950), Technical and Research Bulletin 1-5."
 ABKOWITZ = SOURCES["ABKOWITZ"]
 #: Source of a term that fits and is no physics with a name.

@@ -13,7 +13,7 @@ import hashlib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import casadi as ca
@@ -377,9 +377,7 @@ def digest(entry: Table | Function) -> tuple[str, ...]:
 def symbolic_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., ca.SX]]:
     """Tables and functions as functions of CasADi symbols."""
     return {
-        name: entry.symbolic
-        if isinstance(entry, Function)
-        else lambda *x, table=entry: _symbolic_table(table, *x)
+        name: entry.symbolic if isinstance(entry, Function) else partial(_symbolic_table, entry)
         for name, entry in entries.items()
     }
 
@@ -387,9 +385,7 @@ def symbolic_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., ca.S
 def numeric_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., np.ndarray]]:
     """Tables and functions as functions of numbers or arrays."""
     return {
-        name: entry.evaluate
-        if isinstance(entry, Function)
-        else lambda *x, table=entry: interpolate(table, *x)
+        name: entry.evaluate if isinstance(entry, Function) else partial(interpolate, entry)
         for name, entry in entries.items()
     }
 

@@ -18,7 +18,7 @@ spreads, so that only what can be derived is checked.
 from __future__ import annotations
 
 import ast
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import lru_cache
@@ -26,6 +26,7 @@ from functools import lru_cache
 from oed_sysid.errors import ModelError
 from oed_sysid.text import expressions
 from oed_sysid.text.expressions import CONSTANTS, NUMERIC, walk
+from oed_sysid.text.typeset import Product
 from oed_sysid.text.units import Dimension
 
 # Of a unit; beyond it a text is a mistake, and exact fractions grow without end.
@@ -255,15 +256,17 @@ class _Walk:
         return f"({text})" if is_sum else text
 
     def _product(self, node: ast.BinOp) -> Dimension:
-        factors = list(_factors(node))
-        numbers = [(factor, power) for factor, power in factors if id(factor) in self.numbers]
+        product = Product()
+        product.multiply(node)
+        known = self.numbers
         form = self._numbers(
-            [factor for factor, power in numbers if power > 0],
-            [factor for factor, power in numbers if power < 0],
+            [factor for factor in product.above if id(factor) in known],
+            [factor for factor in product.below if id(factor) in known],
         )
-        for factor, power in factors:
-            if id(factor) not in self.numbers:
-                form = form * self.of(factor) if power > 0 else form / self.of(factor)
+        for factor in (factor for factor in product.above if id(factor) not in known):
+            form = form * self.of(factor)
+        for factor in (factor for factor in product.below if id(factor) not in known):
+            form = form / self.of(factor)
         return form
 
     def _power(self, node: ast.BinOp) -> Dimension:
@@ -309,18 +312,6 @@ class _Walk:
                     f"{self.units.dimension(other)}. Check the units of the parameters."
                 )
         return first
-
-
-def _factors(node: ast.expr, power: int = 1) -> Iterator[tuple[ast.expr, int]]:
-    """Factors of a product, with -1 for what divides."""
-    match node:
-        case ast.BinOp(op=ast.Mult() | ast.Div()):
-            yield from _factors(node.left, power)
-            yield from _factors(node.right, -power if isinstance(node.op, ast.Div) else power)
-        case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
-            yield from _factors(node.operand, power)
-        case _:
-            yield node, power
 
 
 @lru_cache(maxsize=4096)

@@ -41,6 +41,18 @@ class Product:
     above: list[ast.expr] = field(default_factory=list)
     below: list[ast.expr] = field(default_factory=list)
 
+    def multiply(self, node: ast.expr, *, above: bool = True) -> None:
+        """Multiply by the factors of an expression, or divide by them."""
+        match node:
+            case ast.BinOp(op=ast.Mult() | ast.Div()):
+                self.multiply(node.left, above=above)
+                self.multiply(node.right, above=above is isinstance(node.op, ast.Mult))
+            case ast.UnaryOp(op=ast.USub() | ast.UAdd()):
+                self.negative ^= isinstance(node.op, ast.USub)
+                self.multiply(node.operand, above=above)
+            case _:
+                (self.above if above else self.below).append(node)
+
 
 def terms(node: ast.expr, negative: bool = False) -> list[Product]:
     """Flatten a sum into signed products."""
@@ -54,23 +66,8 @@ def terms(node: ast.expr, negative: bool = False) -> list[Product]:
         case ast.UnaryOp(op=ast.UAdd()):
             return terms(node.operand, negative)
     product = Product(negative)
-    _collect(node, product, above=True)
+    product.multiply(node)
     return [product]
-
-
-def _collect(node: ast.expr, product: Product, *, above: bool) -> None:
-    match node:
-        case ast.BinOp(op=ast.Mult()):
-            _collect(node.left, product, above=above)
-            _collect(node.right, product, above=above)
-        case ast.BinOp(op=ast.Div()):
-            _collect(node.left, product, above=above)
-            _collect(node.right, product, above=not above)
-        case ast.UnaryOp(op=ast.USub()):
-            product.negative = not product.negative
-            _collect(node.operand, product, above=above)
-        case _:
-            (product.above if above else product.below).append(node)
 
 
 class Printer(ABC):
