@@ -23,11 +23,11 @@ from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.misfit import OutputMisfit, Signal, output_misfit, regimes
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.result import LogCheck
-from oed_sysid.evidence.study import Study
+from oed_sysid.evidence.study import Study, total_error
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
-from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
+from oed_sysid.likelihood.noise_levels import credible_levels, given_levels, root_mean_square
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.prediction import WAYS, Initial, Prediction, predict
 from oed_sysid.likelihood.start_guess import (
@@ -632,20 +632,11 @@ class Forecasts:
     @property
     def overall(self) -> float:
         """Relative error over all outputs."""
-        finite = self.relative[np.isfinite(self.relative)]
-        if self.failed:
-            return np.inf
-        return float(np.sqrt(np.mean(finite**2))) if len(finite) else np.nan
+        return np.inf if self.failed else total_error(self.relative)
 
     def _rms(self, parts: Sequence[np.ndarray]) -> np.ndarray:
-        result = _rms(np.vstack([part.reshape(-1, part.shape[2]) for part in parts]))
+        result = root_mean_square([part.reshape(-1, part.shape[2]) for part in parts])
         return np.where(np.isfinite(result), np.inf, result) if self.failed else result
-
-
-def _rms(values: np.ndarray) -> np.ndarray:
-    """Root mean square along the first axis of what is finite; NaN where nothing is."""
-    count = np.isfinite(values).sum(axis=0)
-    return np.sqrt(np.nansum(values**2, axis=0) / np.where(count > 0, count, np.nan))
 
 
 def forecasts(

@@ -27,6 +27,7 @@ from scipy.special import fdtrc
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import FALSE_CLAIMS, clear_score
+from oed_sysid.evidence.study import total_error
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.information import (
@@ -233,10 +234,10 @@ def output_misfit(
     )
     return OutputMisfit(
         output=output,
-        rmse=_rms(pooled),
+        rmse=total_error(pooled),
         sigma=sigma,
         bias=_mean(pooled[seen]),
-        record_rmse=tuple(map(_rms, residuals)),
+        record_rmse=tuple(map(total_error, residuals)),
         n_samples=int(seen.sum()),
         coverage=_mean(np.concatenate(inside_band)[seen]),
         tests=tuple(map(whiteness if in_time else _apart, tested)),
@@ -297,17 +298,12 @@ def _mean(values: np.ndarray) -> float:
     return float(np.mean(values)) if values.size else np.nan
 
 
-def _rms(values: np.ndarray) -> float:
-    seen = values[~np.isnan(values)]
-    return float(np.sqrt(np.mean(seen**2))) if len(seen) else np.nan
-
-
 def _windows(times: np.ndarray, residual: np.ndarray, window: float) -> np.ndarray:
     """Root mean square in equal windows of about this length; NaN where nothing was measured."""
     duration = times[-1] - times[0]
     count = max(1, round(float(duration / window)))
     index = np.minimum(((times - times[0]) / duration * count).astype(int), count - 1)
-    return np.array([_rms(residual[index == i]) for i in range(count)])
+    return np.array([total_error(residual[index == i]) for i in range(count)])
 
 
 def _apart(residual: np.ndarray) -> Whiteness:

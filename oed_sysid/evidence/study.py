@@ -493,7 +493,7 @@ def _once(
 
 
 def total_error(rms: np.ndarray) -> float:
-    """Root mean square over the outputs that were measured."""
+    """Root mean square of what was measured, over outputs or samples; NaN without any."""
     seen = ~np.isnan(rms)
     return float(np.sqrt(np.mean(rms[seen] ** 2))) if seen.any() else np.nan
 
