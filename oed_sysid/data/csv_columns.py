@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from oed_sysid.data.record import TIME_ADVICE, time_fault, wrap_fault
+from oed_sysid.data.record import TIME_ADVICE, check_wraps, time_fault
 from oed_sysid.errors import DataError, UnitWarning, closest, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.text.csv_table import Table, time_stamp
@@ -223,7 +223,15 @@ class Columns:
                 f"{self._where(index, infinite[0])}: output {channel.name!r} is infinite "
                 f"({infinite.size} such rows). Leave the cell empty for a missing sample."
             )
-        self._check_wraps(index, channel, values)
+        check_wraps(
+            channel,
+            values,
+            self._where(index),
+            raw=self.table.values[:, index],
+            unit=self.units.get(channel.name) or self.parsed[index][1] or channel.unit,
+            at=lambda row: f"in row {self.table.row_numbers[row]}",
+            advice='declare Output("{}", "rad", wrap=True) in the problem',
+        )
         present = values[np.isfinite(values)]
         if present.size > 1 and np.ptp(present) == 0.0:
             self.suspicions.append(
@@ -231,21 +239,6 @@ class Columns:
                 f"all {present.size} rows: it tells nothing. Is the sensor connected?"
             )
         return values
-
-    def _check_wraps(self, index: int, channel: Output, values: np.ndarray) -> None:
-        """Refuse an angle that jumps by full turns without being declared to."""
-        if channel.wrap or channel.unit != "rad":
-            return
-        fault = wrap_fault(
-            channel.name,
-            values,
-            raw=self.table.values[:, index],
-            unit=self.units.get(channel.name) or self.parsed[index][1] or channel.unit,
-            at=lambda row: f"in row {self.table.row_numbers[row]}",
-            advice='declare Output("{}", "rad", wrap=True) in the problem',
-        )
-        if fault:
-            raise DataError(f"{self._where(index)} {fault}")
 
     def has(self, channel: Output) -> bool:
         """Whether an output has a column, be it empty."""

@@ -209,15 +209,11 @@ def recognise(log: Log) -> Recognised:
     psi = a.cap [deg], within one turn: it jumps by a turn of 360 deg, and is the integral of a.ch1.
     r = a.ch1 [deg/min] reversed: it is the rate of a.cap.
     """
-    works = [_Work(log, unit) for unit in _time_units(log)]
+    units = TIMES if log.clock_unit is None else (log.clock_unit,)
+    works = [_Work(log, unit) for unit in units]
     best = max(works, key=lambda one: one.score)
     chance = _chances([one.score for one in works])[works.index(best)]
     return best.result(("unit",) * bool(chance < SURE))
-
-
-def _time_units(log: Log) -> Iterable[str]:
-    """Units in which the clock of a log may count."""
-    return TIMES if log.clock_unit is None else (log.clock_unit,)
 
 
 # -- the log on a grid -------------------------------------------------------------------
@@ -691,7 +687,8 @@ class _Work:
         """Ways in which a heading may count (clockwise, back, from east), with their nats."""
         one = self.fields[angle.angle]
         # A compass counts 0 to 360 clockwise; a yaw angle may be of east-north-up.
-        compass = (one.jumps == 360.0 and one.low >= 0.0) + NAMED * is_compass(one.name)
+        is_compass = meaning(one.name)[0] == "psi" and "compass" in groups_of(one.name)
+        compass = (one.jumps == 360.0 and one.low >= 0.0) + NAMED * is_compass
         for sense, nats in ((0, compass), (1, -3.0), (2, -1.5)):
             way = 1 if sense == 0 else -1
             r = angle.sign * way
@@ -968,11 +965,6 @@ class _Work:
                 for one in found
             )
         return Recognised(found, self.time_unit, doubts)
-
-
-def is_compass(name: str) -> bool:
-    """Whether a name is that of a compass's heading, not just of a yaw angle."""
-    return meaning(name)[0] == "psi" and "compass" in groups_of(name)
 
 
 def _is_up(name: str) -> bool:

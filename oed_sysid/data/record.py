@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from oed_sysid.errors import DataError, located
-from oed_sysid.physics.channels import Channels
+from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import as_html, counted
 
 # -- angles that wrap ------------------------------------------------------------------
@@ -165,23 +165,26 @@ def clear_wraps(values: np.ndarray) -> tuple[float, np.ndarray] | None:
     return None
 
 
-def wrap_fault(
-    name: str,
+def check_wraps(
+    channel: Input | Output,
     values: np.ndarray,
+    where: str,
     *,
     raw: np.ndarray | None = None,
     unit: str = "rad",
     at: Callable[[int], str] = "at index {}".format,
     advice: str = 'declare Output("{}", "rad", wrap=True)',
-) -> str:
-    """What is wrong with an angle that wraps, and what to do; empty where nothing is.
+) -> None:
+    """Refuse an output in rad that jumps by full turns without being declared to wrap.
 
     Parameters
     ----------
-    name : str
-        Output.
+    channel : Input or Output
+        Inputs may jump.
     values : ndarray (n_samples,)
-        Its series, rad.
+        Its series, in the channel's unit.
+    where : str
+        Words for the series, with which the message begins.
     raw : ndarray (n_samples,), optional
         The series as logged, in its ``unit``.
     unit : str
@@ -190,20 +193,27 @@ def wrap_fault(
         Words for the place of a sample.
     advice : str
         What declares an angle that wraps, with the name in braces.
+
+    Raises
+    ------
+    DataError
+        If it does; the message says where, and what to do.
     """
-    found = clear_wraps(values)
-    if found is None:
-        return ""
+    if not isinstance(channel, Output) or channel.wrap or channel.unit != "rad":
+        return
+    if (found := clear_wraps(values)) is None:
+        return
     (period, after), raw = found, values if raw is None else raw
-    row, advice = int(after[0]), advice.format(name)
+    row, advice = int(after[0]), advice.format(channel.name)
     last = raw[:row][np.isfinite(raw[:row])][-1]
     times = "once" if after.size == 1 else f"{after.size} times, first"
-    jump = f"jumps by a full turn {times} {at(row)}, from {last:.6g} to {raw[row]:.6g} {unit}. "
+    jump = f"{where} jumps by a full turn {times} {at(row)}, "
+    jump += f"from {last:.6g} to {raw[row]:.6g} {unit}. "
     if period == TURN:
-        return f"{jump}The angle is wrapped: {advice}."
-    return (
-        f"{jump}The jump is 360 {unit}, so these are degrees: write the header as '{name} [deg]', "
-        f"and {advice}."
+        raise DataError(f"{jump}The angle is wrapped: {advice}.")
+    raise DataError(
+        f"{jump}The jump is 360 {unit}, so these are degrees: write the header as "
+        f"'{channel.name} [deg]', and {advice}."
     )
 
 
@@ -360,12 +370,11 @@ class Record:
         """Unwrap the angles that are declared to wrap; refuse others that do. Works in place."""
         notes, done = list(self.notes), list(self.continuous)
         for column, output in enumerate(self.channels.outputs):
-            if output.unit != "rad" or output.name in done:
-                continue
             values = outputs[:, column]
+            if output.name in done:
+                continue
             if not output.wrap:
-                if fault := wrap_fault(output.name, values):
-                    raise DataError(f"Record {self.name!r}: output {output.name!r} {fault}")
+                check_wraps(output, values, f"Record {self.name!r}: output {output.name!r}")
                 continue
             whole = unwrapped(values, times=self.times)
             jumps = int(np.sum(np.abs(np.diff((whole - values)[np.isfinite(values)])) > 1.0))

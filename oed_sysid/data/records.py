@@ -21,9 +21,9 @@ from oed_sysid.data.record import (
     GAP,
     MINIMUM_SAMPLES,
     Record,
+    check_wraps,
     empty_outputs,
     unwrapped,
-    wrap_fault,
 )
 from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
@@ -160,13 +160,14 @@ class _Import:
         values = source.sign * to_si(source.factor * (series.values - source.trim), stated)[0]
         if source.delay:
             self.notes.append(f"{name} was moved {source.delay:g} s towards the beginning.")
-        wraps = not isinstance(channel, Output) or source.wrap or channel.wrap
-        fault = "" if wraps or channel.unit != "rad" else wrap_fault(
-            name, values, at=lambda row: f"at {series.times[row]:.2f} s",
-            advice="add  wrap = true  to [outputs.{}]",
-        )  # fmt: skip
-        if fault:
-            raise DataError(f"{source.field!r} {fault}")
+        if not source.wrap:
+            check_wraps(
+                channel,
+                values,
+                repr(source.field),
+                at=lambda row: f"at {series.times[row]:.2f} s",
+                advice="add  wrap = true  to [outputs.{}]",
+            )
         present = np.isfinite(values)
         if not present.any():
             raise DataError(f"{source.field!r} of {log.path.name} holds no number.")

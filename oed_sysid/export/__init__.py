@@ -14,10 +14,9 @@ from functools import partial
 from pathlib import Path
 
 from oed_sysid.errors import ModelError, located
+from oed_sysid.export import scripts
 from oed_sysid.export.c_code import example_test, header, source, write_fmu
 from oed_sysid.export.program import Program, identifier, program_of
-from oed_sysid.export.scripts import control_text, matlab_text, python_text, write_casadi
-from oed_sysid.export.symbolic import latex_text, module_text
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.replay import replayed
 from oed_sysid.physics.model import Model
@@ -29,15 +28,15 @@ Text = Callable[[Program, Path], str]
 # Texts of a kind by the ends of their files' names; of C they need one another's names.
 TEXTS: dict[str, dict[str, Text]] = {
     "c": {".h": header, ".c": source, "_test.c": example_test},
-    "python": {".py": python_text},
-    "matlab": {".m": matlab_text},
-    "control": {"_linear.py": control_text},
-    "sympy": {"_sympy.py": module_text, ".tex": latex_text},
-    "latex": {".tex": latex_text},
+    "python": {".py": scripts.python_text},
+    "matlab": {".m": scripts.matlab_text},
+    "control": {"_linear.py": scripts.control_text},
+    "sympy": {"_sympy.py": scripts.module_text, ".tex": scripts.latex_text},
+    "latex": {".tex": scripts.latex_text},
 }
 # Kinds that are more than texts.
 WRITERS: dict[str, Callable[[Program, Path], tuple[Path, ...]]] = {
-    "casadi": write_casadi,
+    "casadi": scripts.write_casadi,
     "fmu": write_fmu,
     "fmu3": partial(write_fmu, version="3.0"),
 }
@@ -95,7 +94,7 @@ def export(
         return WRITERS[kind](program, place)
     texts = TEXTS[kind]
     if kind == "control":
-        texts = {"_linear.py": partial(control_text, trim=trim)}
+        texts = {"_linear.py": partial(scripts.control_text, trim=trim)}
     written = {file: texts[tail](program, file) for tail, file in _files(program, kind, place)}
     if not program.is_plain:  # what people called things, where code cannot carry it
         names = next(iter(written)).with_suffix(".json")
