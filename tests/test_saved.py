@@ -234,17 +234,17 @@ FILES: dict[str, tuple[bytes, str]] = {
     "binary": (bytes(range(256)), "binary data"),
     "zeros": (b"\0" * 100, "nor any JSON"),
     "pickle": (b"\x80\x04\x95\x00", "a Python pickle"),
-    "Excel": (b"PK\x03\x04\xff\xfe", "a ZIP or Excel file"),
+    "Excel": (b"PK\x03\x04\xff\xfe", "an Excel workbook, or another ZIP archive"),
     "picture": (b"\x89PNG\r\n\x1a\n\xff", "a picture"),
-    "compressed": (b"\x1f\x8b\x08\xff", "a compressed file"),
-    "UTF-16": ("{}".encode("utf-16"), "UTF-16"),
+    "compressed": (b"\x1f\x8b\x08\xff", "a gzip archive"),
+    "UTF-16": ("{}".encode("utf-16"), "text in another encoding"),
     "list": (b"[1, 2]", "holds a list"),
     "number": (b"3", "holds a number"),
     "text in JSON": (b'"fit"', "holds a text"),
     "null": (b"null", "holds a null"),
     "nested too deeply": (b"[" * 100_000 + b"]" * 100_000, "nested too deeply"),
     "number too long": (b'{"a": ' + b"9" * 5000 + b"}", "number"),
-    "empty object": (b"{}", "an object with nothing"),
+    "empty object": (b"{}", "an object with nothing in it"),
     "another package's": (b'{"nbformat": 4, "cells": []}', "'nbformat', 'cells'"),
     "format of the future": (but(format=7, made={"version": "3.1"}), "written by oed_sysid 3.1"),
     "format as text": (but(format="2"), "format '2'"),
@@ -281,12 +281,12 @@ def test_good_file_is_read(tmp_path: Path) -> None:
     assert Fit.load(tmp_path / "fit.json").values == FIT.values
 
 
-@pytest.mark.parametrize(("name", "word"), [("none.json", "No such file"), ("", "is a folder")])
+@pytest.mark.parametrize(("name", "word"), [("none.json", "There is no file"), ("", "is a folder")])
 def test_what_is_no_file_is_named(tmp_path: Path, name: str, word: str) -> None:
     """A file that is not there, and a folder, are said in words."""
     with pytest.raises(DataError, match=word):
         Fit.load(tmp_path / name)
-    with pytest.raises(DataError, match="no name of a file"):
+    with pytest.raises(DataError, match="There is no file"):
         Fit.load("a\0b")
 
 

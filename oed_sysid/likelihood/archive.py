@@ -34,8 +34,9 @@ import numpy as np
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, OedSysidError
 from oed_sysid.likelihood.estimate import Estimate
-from oed_sysid.runtime.files import write_text
+from oed_sysid.runtime.files import read_bytes, write_text
 from oed_sysid.runtime.version import __version__
+from oed_sysid.text.csv_table import kind_of
 
 
 def encode(value: Any) -> Any:
@@ -257,7 +258,7 @@ def _at(place: str) -> str:
 
 
 def _listed(item: Mapping) -> str:
-    return ", ".join(f"{key!r:.30}" for key in list(item)[:4]) or "nothing in it"
+    return ", ".join(f"{key!r:.30}" for key in list(item)[:5]) or "nothing in it"
 
 
 def _is_length(number: object) -> bool:
@@ -352,19 +353,11 @@ def read_result(path: str | Path, kind: str) -> tuple[Any, dict[str, Any]]:
         If the file is missing, damaged, or something else; the message says which.
     """
     data = read_json(path)
-    if _is_of_format_1(data):
-        return data["fit"], {}
     fault = next(_faults_of_head(data, kind), None)
     if fault is not None:
         raise DataError(f"{path} {fault}")
-    return data["content"], data["made"]
-
-
-def _is_of_format_1(data: Any) -> bool:
-    """Whether this is what version 0.1 wrote: a fit without a head."""
-    if not isinstance(data, dict) or type(data.get("format")) is not int:
-        return False
-    return data["format"] == 1 and "fit" in data
+    # Version 0.1 wrote a fit without a head.
+    return (data["fit"], {}) if data["format"] == 1 else (data["content"], data["made"])
 
 
 def _faults_of_head(data: Any, kind: str) -> Iterator[str]:
@@ -389,6 +382,8 @@ def _faults_of_head(data: Any, kind: str) -> Iterator[str]:
     for key in ("fit",) if version < FORMAT else ("kind", "made", "sha256", "content"):
         if key not in data:
             yield f"is of format {version} but has no {key!r}: a part of it is missing. {AGAIN}"
+    if version < FORMAT:
+        return
     if not isinstance(made, dict):
         yield f"does not say who made it: its 'made' is no object. {wanted}"
     if data["kind"] != kind:
@@ -469,7 +464,16 @@ def read_json(path: str | Path) -> Any:
     DataError
         If it cannot be read, or is not JSON.
     """
-    text = _text_of(path)
+    raw = read_bytes(path)
+    if not raw.strip():
+        raise DataError(f"{path} is empty. {AGAIN}")
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        what, _ = kind_of(raw) or ("binary data, or text in another encoding", "")
+        raise DataError(
+            f"{path} is no text file (UTF-8), so it is not a saved result but {what}."
+        ) from None
     if text.lstrip().startswith("<"):
         raise DataError(
             f"{path} is a page to read in a browser; it holds no model. Give the file that --save "
@@ -489,49 +493,8 @@ def read_json(path: str | Path) -> Any:
         raise DataError(f"{path} holds a number that cannot be read ({error}).") from None
 
 
-def _text_of(path: str | Path) -> str:
-    """The text of a file of at most 4 GB."""
-    place, largest = Path(path), 4 * 1024**3
-    if "\0" in str(path):
-        raise DataError(f"{str(path)!r} is no name of a file.")
-    try:
-        if place.is_dir():
-            raise DataError(f"{path} is a folder. Give the file.")
-        if place.stat().st_size > largest:
-            raise DataError(f"{path} has more than {largest >> 30} GB: that is no saved result.")
-        raw = place.read_bytes()
-    except OSError as error:
-        raise DataError(f"{path} cannot be read: {error.strerror or error}.") from None
-    if not raw.strip():
-        raise DataError(f"{path} is empty. {AGAIN}")
-    try:
-        return raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        raise DataError(
-            f"{path} is no text file (UTF-8), so it is not a saved result but {_likely(raw)}."
-        ) from None
-
-
 _WORDS = {list: "list", str: "text", int: "number", float: "number", bool: "truth value"}
 _WORDS[type(None)] = "null"
-
-
-_BEGINNINGS = {
-    b"PK": "a ZIP or Excel file",
-    b"\x89PNG": "a picture",
-    b"\x80": "a Python pickle",
-    b"\x1f\x8b": "a compressed file (unpack it first)",
-    b"\xff\xfe": "UTF-16 text",
-    b"\xfe\xff": "UTF-16 text",
-    b"\x89HDF": "an HDF5 file",
-    b"MATLAB": "a MATLAB file",
-}
-
-
-def _likely(raw: bytes) -> str:
-    return next(
-        (words for start, words in _BEGINNINGS.items() if raw.startswith(start)), "binary data"
-    )
 
 
 def is_numbers_of_fit(data: Any) -> bool:
@@ -549,8 +512,7 @@ def _foreign(data: Mapping[str, Any], wanted: str) -> str:
     if isinstance(data.get("oed_sysid"), dict):
         command = data["oed_sysid"].get("command", "")
         return f"holds what --json of `{command!s:.80}` wrote, not a saved fit. {wanted}"
-    keys = ", ".join(f"{key!r:.30}" for key in list(data)[:5]) or "nothing"
-    return f"does not hold a saved fit but an object with {keys}. {wanted}"
+    return f"does not hold a saved fit but an object with {_listed(data)}. {wanted}"
 
 
 def _digest(content: Any) -> str:

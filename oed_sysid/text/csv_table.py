@@ -214,11 +214,15 @@ def _text(path: Path) -> str:
     return _decoded(path, files.read_bytes(path))
 
 
+def kind_of(content: bytes) -> tuple[str, str] | None:
+    """What a file that is no text begins like, and what to do with it for a table."""
+    return next(((what, do) for start, what, do in _KINDS if content.startswith(start)), None)
+
+
 def _decoded(path: Path, content: bytes) -> str:
     """Text of the bytes of a file, in the encoding that they are in."""
-    for start, what, advice in _KINDS:
-        if content.startswith(start):
-            raise DataError(f"{path.name} is {what}, not a table. {advice}.")
+    if kind := kind_of(content):
+        raise DataError(f"{path.name} is {kind[0]}, not a table. {kind[1]}.")
     for mark, encoding in _MARKS:
         if content.startswith(mark):
             try:
