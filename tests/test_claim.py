@@ -289,11 +289,8 @@ def test_moves_of_the_filter_are_derivatives_of_the_step() -> None:
     """Transition and force gain equal central differences of a tight adaptive integrator."""
     data = dataset(0, N3, 1)
     model = (SHIP + CUBIC).with_values({"K": 0.5, "T": 4.0, "n3": N3})
-    nothing = np.zeros(2, dtype=bool)
     noise = NoiseModel(NOISE, np.zeros(2), np.array([1e-3]), 1.0, 2.0, ("psi", "r"), ("force r",))
-    levels = Levels.of(
-        noise, noise, ["disturbance_force_r"], white=nothing, colour=nothing, force=nothing[:1]
-    )
+    levels = Levels.of(noise, noise)
     problem = Filtered(model, data, levels)
     unknowns = problem.point([data[0].outputs[0]]).unknowns
     part = problem.passes(unknowns, columns=False, gains=True, moves=True)[0]

@@ -568,10 +568,9 @@ def _levels(*, own_times: bool) -> Levels:
     return Levels.of(
         noise,
         unit,
-        ["disturbance_force_Z", "disturbance_actuator_ds"],
         white=np.array([True, False]),
         colour=np.array([False, True]),
-        force=np.array([True, True]),
+        force=True,
         own_times=own_times,
     )
 

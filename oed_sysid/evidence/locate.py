@@ -378,8 +378,7 @@ class _Bench:
         white = np.maximum(fit.noise.white, LEAST_WHITE * unit.white)
         unknown = np.array([output.noise_std is None for output in model.outputs])
         noise = NoiseModel.white_only(white, model.output_names)
-        none = np.zeros(len(white), dtype=bool)
-        levels = Levels.of(noise, noise, (), white=unknown, colour=none, force=none[:0])
+        levels = Levels.of(noise, noise, white=unknown)
         known = fit.problem.known_starts if pieces == 1 else None
         problem = Filtered(model, dataset, levels, kernel=_kernel(fit), known_starts=known)
         point = problem.point(initial, local)
@@ -455,10 +454,9 @@ class _Bench:
         return Levels.of(
             begin,
             replace(begin, colour=np.full(len(colour), size)),
-            [disturbance(one).name for one in acting],
             white=self.unknown,
             colour=colour,
-            force=np.ones(len(acting), dtype=bool),
+            force=True,
             times=CORRELATION_TIMES,
         )
 

@@ -24,7 +24,7 @@ follows the motion (:mod:`oed_sysid.evidence.residual_forces`).
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -272,7 +272,7 @@ def _sensor_time(study: Study, fit: FilteredSolution) -> float | None:
     noise = fit.noise
     if not noise.has_colour:
         return None
-    white = noise.with_levels(noise.sensors, 0 * noise.colour, noise.force)
+    white = replace(noise, white=noise.sensors, colour=0 * noise.colour)
     if _lost(fit, study.with_levels(fit, study.levels(white, study.train))) < REMAINDER_LIMIT:
         return None
     loudest = int(np.argmax(noise.colour / noise.white))

@@ -79,11 +79,10 @@ class Levels:
         cls,
         noise: NoiseModel,
         unit: NoiseModel,
-        disturbances: Sequence[str],
         *,
-        white: np.ndarray,
-        colour: np.ndarray,
-        force: np.ndarray,
+        white: np.ndarray | bool = False,
+        colour: np.ndarray | bool = False,
+        force: np.ndarray | bool = False,
         own_times: bool = False,
         least_white: float | np.ndarray = 0.0,
         most_colour: float | np.ndarray = np.inf,
@@ -95,10 +94,9 @@ class Levels:
         Parameters
         ----------
         noise, unit : NoiseModel
-        disturbances : sequence of str
-            Parameters that are the disturbances, as many as ``noise`` has forces.
-        white, colour, force : ndarray of bool
-            Which levels are unknown; ``colour`` also says which outputs may have it.
+        white, colour, force : ndarray of bool, optional
+            Which levels are unknown, by default none; ``colour`` also says which outputs may have
+            it.
         own_times : bool
             Whether every unknown disturbance and colour has a time of its own; else all share one.
         least_white : ndarray (n_outputs,), optional
@@ -111,6 +109,8 @@ class Levels:
             What is known of each sea of ``noise``; what they leave out is unknown. By default
             nothing is.
         """
+        white, colour = (np.broadcast_to(one, noise.white.shape) for one in (white, colour))
+        force = np.broadcast_to(force, noise.force.shape)
         coloured = np.flatnonzero(colour | (noise.colour > 0))
         of_colour = colour[coloured]
         floor = np.maximum(WHITE_FLOOR, (least_white / unit.white) ** 2)
@@ -154,8 +154,8 @@ class Levels:
         add(SEA_DAMPING, np.flatnonzero(free), damping, *np.log(DAMPING))
         table = np.array(rows, dtype=float).reshape(-1, 7).T
         entries = tuple(zip(*table[:2].astype(int).tolist(), strict=True))
-        of_seas = disturbance_names([place for sea in noise.seas for place in sea.places])
-        names = (*disturbances[: len(noise.force)], *of_seas)
+        at_sea = [place for sea in noise.seas for place in sea.places]
+        names = disturbance_names((*noise.places, *at_sea))
         return cls(noise, unit, entries, coloured, names, *table[2:])
 
     def __len__(self) -> int:

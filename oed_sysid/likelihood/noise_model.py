@@ -233,10 +233,6 @@ class NoiseModel:
             places=tuple(place for place, one in zip(self.places, chosen, strict=True) if one),
         )
 
-    def with_levels(self, white: np.ndarray, colour: np.ndarray, force: np.ndarray) -> NoiseModel:
-        """Return the same model with other levels."""
-        return replace(self, white=white, colour=colour, force=force)
-
     def at_most(self, sensors: np.ndarray) -> NoiseModel:
         """Return the same model with sensors whose standard deviation is no larger than given."""
         share = np.minimum(1.0, sensors / np.maximum(self.sensors, 1e-300))

@@ -28,7 +28,6 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import disturbance_names
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
 # Share of the level of process noise that is left to it; chosen on cases with physics hidden, no
@@ -77,17 +76,12 @@ def _weak(fit: Fit, white: Fit) -> Fit | None:
         force=WEAK * noise.force,
         seas=tuple(sea.with_levels(WEAK * sea.level) for sea in noise.seas),
     )
-    nothing = np.zeros(len(noise.white), dtype=bool)
-    names, none = disturbance_names(noise.places), np.zeros(len(noise.force), dtype=bool)
-    levels = Levels.of(
-        weak, weak, names, white=nothing, colour=nothing, force=none, seas=weak.seas
-    ).held()
-    problem = Filtered(white.model, fit.dataset, levels)
+    problem = Filtered(white.model, fit.dataset, Levels.of(weak, weak, seas=weak.seas))
     try:
         found = solve_filtered(problem, problem.point(white.initial_states, white.local_values))
         if found is None:
             return None
-        label = f"{fit.estimator}, for replay"
+        label, nothing = f"{fit.estimator}, for replay", np.zeros(len(noise.white), dtype=bool)
         result = summarise_filtered(found, Procedure(label, nothing, found.iterations, began))
     except np.linalg.LinAlgError:
         return None

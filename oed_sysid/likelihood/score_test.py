@@ -202,7 +202,6 @@ class Setting:
                 places=noise.places,
                 seas=tuple(s.with_levels(natural(s.places, s.level)) for s in noise.seas),
             ),
-            disturbance_names(noise.places),
             # Where colour is admitted, the white level has to make room for it.
             white=self.estimated | colour,
             colour=colour,
@@ -360,14 +359,7 @@ def _score_at(
     n_forces, n_outputs = len(quiet.force), len(quiet.white)
     one = replace(quiet, force=np.ones(n_forces), colour=quiet.white)
     # Where every level but the white ones is zero, times have no slope.
-    levels = Levels.of(
-        quiet,
-        one,
-        disturbance_names(quiet.places),
-        white=np.ones(n_outputs, dtype=bool),
-        colour=np.full(n_outputs, setting.colour),
-        force=np.ones(n_forces, dtype=bool),
-    ).only_variances()
+    levels = Levels.of(quiet, one, white=True, colour=setting.colour, force=True).only_variances()
     problem = Filtered(model, dataset, levels, kernel=kernel)
     found = problem.passes(problem.point(start.initial, start.local).unknowns, levels_only=True)
     vast = ScoreTest(np.inf, time, quiet, one)
@@ -415,20 +407,14 @@ def excluded_inputs(
     """
     model = model.with_values(dict(start.values))
     quiet = NoiseModel.white_only(setting.white, model.output_names)
-    nothing, found = np.zeros(len(setting.white), dtype=bool), []
+    found = []
     # A log that shows no noise of its own says nothing against it.
     for place in (one for one in setting.inputs if np.isfinite(setting.most_input[one.name])):
         none = quiet.with_places([place.name], 0.0)
         shown = replace(none, force=np.array([setting.most_input[place.name] / TWOFOLD]))
-        levels = Levels.of(
-            none,
-            shown,
-            disturbance_names([place.name]),
-            white=nothing,
-            colour=nothing,
-            force=np.ones(1, dtype=bool),
+        problem = Filtered(
+            model, setting.dataset, Levels.of(none, shown, force=True), kernel=kernel
         )
-        problem = Filtered(model, setting.dataset, levels, kernel=kernel)
         begin = problem.point(start.initial, start.local).unknowns[:-1]
         costs = [problem.objective(np.append(begin, part**2)) for part in (0.0, 0.5, 1.0)]
         # Each unknown has taken a square from the residuals, as it would from those of more noise.
