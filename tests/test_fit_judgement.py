@@ -25,6 +25,7 @@ from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood import multiple_shooting
 from oed_sysid.likelihood.departures import estimate_delays
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import (
@@ -572,7 +573,12 @@ def test_a_failed_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPat
     def fails(*_args: object, **_options: object) -> None:
         raise np.linalg.LinAlgError("Eigenvalues did not converge")
 
-    for failure in (fails, lambda *_args, **_options: None):
+    def diverges(*args: Any, **options: Any) -> Any:
+        end = real(*args, **options)
+        return replace(end, now=nowhere(end.problem, end.point), reason="diverged")
+
+    real = multiple_shooting.fit_disturbed
+    for failure in (fails, diverges):
         monkeypatch.setattr(multiple_shooting, "fit_disturbed", failure)
         fit = MultipleShooting().fit(SHIP, data)
         assert fit.values == pytest.approx(white.values, rel=1e-6)

@@ -35,10 +35,10 @@ from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.fit import MOST_DRAWN
-from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, solve_filtered
+from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.random_forces import FEW_STEPS, Begun
+from oed_sysid.likelihood.random_forces import FEW_STEPS, begun, solved
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 from oed_sysid.text.units import shown_unit
@@ -383,7 +383,7 @@ class _Bench:
         problem = Filtered(model, dataset, levels, kernel=_kernel(fit), known_starts=known)
         point = problem.point(initial, local)
         quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
-        if quiet is None:
+        if quiet.finite is None:
             return None
         return cls(quiet, (_apart(problem, point), _apart(problem, quiet.point)), unknown)
 
@@ -393,28 +393,28 @@ class _Bench:
         All take a few steps; of those whose gain is no chance, the likeliest and those that their
         equations promise to bring near it go on to the end.
         """
-        looked = ((place, self._begun(place).solved(FEW_STEPS, tolerance=NEAR)) for place in where)
-        found = [Evidence(place, self.quiet, fit or self.quiet) for place, fit in looked]
+        looked = ((one, solved(self._begun(one), FEW_STEPS, tolerance=NEAR)) for one in where)
+        found = [Evidence(place, self.quiet, fit.finite or self.quiet) for place, fit in looked]
         found.sort(key=lambda part: -part.reach)
         least = CLEAR
         for index, part in enumerate(found):
             if part.fit.reason == "iterations" and part.reach > least:
-                end = Begun.after(part.fit).solved(MOST_STEPS, tolerance=NEAR)
-                found[index] = replace(part, fit=end or part.fit)
+                end = solved(part.fit, MOST_STEPS, tolerance=NEAR)
+                found[index] = replace(part, fit=end.finite or part.fit)
             least = max(least, found[index].gain - GROUP_WIDTH)
         return sorted(found, key=lambda part: -part.gain)
 
-    def _begun(self, place: Place) -> Begun:
+    def _begun(self, place: Place) -> Iterate:
         """The likeliest level at values of the fit with disturbance forces, or of the quiet one.
 
         The latter is asked where the former explains less than white noise alone does.
         """
         best = self._likeliest(place, self.starts[0])
-        if best.objective < self.quiet.objective:
+        if best.cost < self.quiet.cost:
             return best
-        return min(best, self._likeliest(place, self.starts[1]), key=lambda one: one.objective)
+        return min(best, self._likeliest(place, self.starts[1]), key=lambda one: one.cost)
 
-    def _likeliest(self, place: Place, others: np.ndarray) -> Begun:
+    def _likeliest(self, place: Place, others: np.ndarray) -> Iterate:
         """The likeliest of some decades of a level, from where the records begin to tell of it."""
         # At variance zero its information says of which variance the records begin to tell.
         first = self.quiet.problem.with_levels(self._levels(place, 1.0))
@@ -427,12 +427,12 @@ class _Bench:
         )
         # The standard error of a variance is told^-1/2; its root is the level.
         size = told**-0.25 if told > 0 else 1.0
-        best: Begun | None = None
+        best: Iterate | None = None
         while True:
             problem = self.quiet.problem.with_levels(self._levels(place, size))
             unknowns = np.concatenate([others, problem.levels.vector(problem.levels.noise)])
-            now = Begun.at(problem, unknowns)
-            if best is not None and not now.objective < best.objective:
+            now = begun(problem, unknowns)
+            if best is not None and not now.cost < best.cost:
                 return best
             best, size = now, 10.0 * size
 

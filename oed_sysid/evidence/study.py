@@ -195,7 +195,7 @@ class Study:
             estimated=~np.isfinite(levels),
         )
         best = fit_disturbed(model, setting, starts, test, kernel=kernel, polish=0)
-        if best is None:
+        if best.finite is None:
             raise SimulationError(
                 f"Model {model.name!r} diverges on the training records from every start that was "
                 "tried. Check signs and units of its values, or bound its parameters."
@@ -272,7 +272,7 @@ class Study:
         """A fit to the training records again, with other levels unknown."""
         problem = self.as_in(found, levels, self.train)
         point = problem.point(found.initial, found.local)
-        return solve_filtered(problem, point, max_iterations=8, tolerance=0.01, polish=0)
+        return solve_filtered(problem, point, max_iterations=8, tolerance=0.01, polish=0).finite
 
     def estimate(
         self,
@@ -317,7 +317,7 @@ class Study:
         point = problem.point(start.initial, start.local)
         return solve_filtered(
             problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
-        )
+        ).finite
 
     def without_forces(
         self, effects: Sequence[Effect], values: Mapping[str, float]
@@ -328,7 +328,7 @@ class Study:
     def settle(self, found: FilteredSolution) -> FilteredSolution:
         """Estimate once more, colours of sensors and own times of disturbances admitted."""
         again = solve_filtered(found.problem, found.point, max_iterations=25, polish=0)
-        again = found if again is None or again.objective > found.objective else again
+        again = min(again, found, key=lambda one: one.objective)
         again = with_input_noise(with_colour(again, self.setting), self.setting)
         return with_own_times(again, self.setting)
 
@@ -363,8 +363,9 @@ class Study:
 
     def polished(self, found: FilteredSolution) -> FilteredSolution:
         """A fit at the optimum of the filter as it is, with errors of that."""
-        again = solve_filtered(found.problem, found.point, max_iterations=2, polish=2)
-        return again if again is not None else found
+        return (
+            solve_filtered(found.problem, found.point, max_iterations=2, polish=2).finite or found
+        )
 
     def result(self, found: FilteredSolution, label: str) -> Fit:
         """The fit of a model that was found and polished."""
@@ -407,7 +408,7 @@ class Study:
             return None
         point = problem.point(alone.initial, alone.local)
         solution = solve_filtered(problem, point, max_iterations=20, tolerance=0.01, polish=0)
-        if solution is None:
+        if solution.finite is None:
             return None
         total = solution.matrix + np.diag(problem.limits.prior_weight)
         both = eliminate(total, shared, np.arange(len(shared), problem.layout.n_unknowns))
@@ -460,7 +461,8 @@ class Study:
         shared = np.arange(len(problem.layout.shared))
         point = problem.point(initial, local)
         held = problem.holding(shared, point.unknowns[shared])
-        return solve_filtered(held, point, max_iterations=15, tolerance=tolerance, polish=0)
+        end = solve_filtered(held, point, max_iterations=15, tolerance=tolerance, polish=0)
+        return end.finite
 
     def runs(self, found: FilteredSolution, dataset: Dataset) -> tuple[WholeRun, ...]:
         """Whole runs of the model on its own, start states and values of each record fitted."""

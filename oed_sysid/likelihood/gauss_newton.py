@@ -46,7 +46,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property, partial
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -162,9 +162,9 @@ Trust = Callable[[np.ndarray, np.ndarray, np.ndarray, np.ndarray], tuple[np.ndar
 
 
 def nowhere(problem: Any, point: Point) -> Iterate:
-    """A point at which the model diverges: of infinite cost, and without equations."""
+    """A point at which the model diverges: of infinite cost, with equations that tell nothing."""
     n = problem.limits.lower.size
-    nothing = Equations(np.full((n, n), np.nan), np.full(n, np.nan), np.inf)
+    nothing = Equations(np.zeros((n, n)), np.zeros(n), np.inf)
     return Iterate(problem, point, np.inf, partial(_told, nothing))
 
 
@@ -524,6 +524,11 @@ class Solution:
     reason: str
 
     @property
+    def finite(self) -> Self | None:
+        """The same where it has a finite cost, else None."""
+        return self if np.isfinite(self.cost) else None
+
+    @property
     def problem(self) -> Any:
         """What was minimised."""
         return self.now.problem
@@ -574,7 +579,7 @@ class Solution:
         """The same end where the noise levels are those of another problem."""
         lin, point = self.now.linearisation, self.point
         now = linearised(shooting, point, lin) if lin else self.problem.rated(shooting).at(point)
-        return replace(self, now=now) if np.isfinite(now.cost) else self
+        return replace(self, now=now).finite or self
 
 
 def solve(
@@ -678,7 +683,7 @@ def solve_filtered(
     polish: int = POLISH_STEPS,
     callback: Callable[[Progress], None] | None = None,
     begin: Iterate | None = None,
-) -> FilteredSolution | None:
+) -> FilteredSolution:
     """Minimise the likelihood of innovations: frozen gain first, then the filter as it is.
 
     Parameters
@@ -697,15 +702,10 @@ def solve_filtered(
         Called after each iteration.
     begin : Iterate, optional
         The start at frozen gain, where another solution ended there.
-
-    Returns
-    -------
-    FilteredSolution or None
-        None where the filter diverges at the start.
     """
     begin = begin or whitened(problem, point)
     if not np.isfinite(begin.cost):
-        return None
+        return FilteredSolution(begin, 0, "diverged")
     control = StepControl(FEW, MOST_DAMPING, NEAR, differentiated)
     descent = Descent(begin, whitened, Convergence(tolerance), control, problem.trusted)
     fall = max(LEAST_FALL, FALL_TOLERANCES * tolerance)

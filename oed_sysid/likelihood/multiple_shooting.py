@@ -467,7 +467,7 @@ class MultipleShooting:
                 )
             except np.linalg.LinAlgError:  # equations without numbers: no way on from there
                 continue
-            if solution is None:
+            if solution.finite is None:
                 continue
             iterations = fit.iterations + solution.iterations
             how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)

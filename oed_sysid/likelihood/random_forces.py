@@ -22,7 +22,7 @@ likelier. Forces of first order on top are asked last, because a wrong shape let
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +40,9 @@ from oed_sysid.likelihood.gauss_newton import (
     NEAR,
     POLISH_STEPS,
     FilteredSolution,
+    Iterate,
     Progress,
+    differentiated,
     solve_filtered,
 )
 from oed_sysid.likelihood.information import autocorrelation
@@ -67,44 +69,29 @@ PROMISED = 2.0
 # Steps with white noise before process noise is asked for, and with forces of first order before a
 # sea is: without it they do not converge.
 FIRST_STEPS = 8
+# Ends from which no search goes on.
+HOME = ("converged", "diverged")
 # Probability of a test above its threshold where no sea acts.
 FALSE_SEA = 0.005
 
 
-@dataclass(frozen=True, eq=False)
-class Begun:
-    """A problem and where it begins."""
+def begun(problem: Filtered, unknowns: np.ndarray) -> Iterate:
+    """A problem begun at some unknowns, of which the cost alone is evaluated."""
+    return differentiated(problem, Point(unknowns, ()))
 
-    problem: Filtered
-    point: Point
-    objective: float
 
-    @classmethod
-    def at(cls, problem: Filtered, unknowns: np.ndarray) -> Begun:
-        """A problem begun at some unknowns."""
-        return cls(problem, Point(unknowns, ()), problem.objective(unknowns))
-
-    @classmethod
-    def after(cls, found: FilteredSolution) -> Begun:
-        """A problem begun where a solution of it ended."""
-        return cls(found.problem, found.point, found.objective)
-
-    def solved(
-        self,
-        most: int,
-        progress: Callable[[Progress], None] | None = None,
-        *,
-        tolerance: float = FROZEN_TOLERANCE,
-    ) -> FilteredSolution | None:
-        """The end of at most so many steps."""
-        return solve_filtered(
-            self.problem,
-            self.point,
-            max_iterations=most,
-            tolerance=tolerance,
-            polish=0,
-            callback=progress,
-        )
+def solved(
+    begin: Iterate | FilteredSolution,
+    most: int,
+    progress: Callable[[Progress], None] | None = None,
+    *,
+    tolerance: float = FROZEN_TOLERANCE,
+) -> FilteredSolution:
+    """The end of at most so many steps at frozen gain."""
+    where = begin.problem, begin.point
+    return solve_filtered(
+        *where, max_iterations=most, tolerance=tolerance, polish=0, callback=progress
+    )
 
 
 def fit_disturbed(
@@ -116,7 +103,7 @@ def fit_disturbed(
     kernel: FilterKernel | None = None,
     polish: int = POLISH_STEPS,
     progress: Callable[[Progress], None] | None = None,
-) -> FilteredSolution | None:
+) -> FilteredSolution:
     """Estimate parameters, start states and noise together.
 
     Colour of sensors is admitted only where innovations without it are correlated from
@@ -137,21 +124,16 @@ def fit_disturbed(
     polish : int
         See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
     progress : callable, optional
-
-    Returns
-    -------
-    FilteredSolution or None
-        None where the filter diverges from every start.
     """
-    begun = [
+    beginnings = [
         _begun(model, setting, start, noise, test.unit, kernel)
         for count, noise in enumerate(_noises(setting, test))
         for start in starts
         if not count or start.noise is None
     ]
-    best = _stayed(begun, starts) or _raced_to_sea(begun, setting, progress)
-    if best is None:
-        return None
+    best = _stayed(beginnings, starts) or _raced_to_sea(beginnings, setting, progress)
+    if best.finite is None:
+        return best
     for step in (with_colour, with_input_noise, with_own_times):
         best = step(best, setting)
     return _polished(best, polish) if polish else best
@@ -175,17 +157,15 @@ def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
 
 
 def _raced_to_sea(
-    begun: Sequence[Begun], setting: Setting, progress: Callable[[Progress], None] | None
-) -> FilteredSolution | None:
+    beginnings: Sequence[Iterate], setting: Setting, progress: Callable[[Progress], None] | None
+) -> FilteredSolution:
     """The likeliest end with forces of first order, or with a sea where there is one."""
-    best = _raced(begun, min(setting.max_iterations, FIRST_STEPS), progress)
-    best = None if best is None else with_sea(best, setting)
-    left = setting.max_iterations - FIRST_STEPS
-    if best is not None and best.reason == "iterations" and left > 0:
-        again = Begun.after(best).solved(left, progress)
-        if again is not None:
-            return replace(again, iterations=best.iterations + again.iterations)
-    return best
+    best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
+    best, left = with_sea(best, setting), setting.max_iterations - FIRST_STEPS
+    if best.reason != "iterations" or left <= 0:
+        return best
+    again = solved(best, left, progress)
+    return replace(again, iterations=best.iterations + again.iterations)
 
 
 def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
@@ -194,8 +174,6 @@ def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
     again = solve_filtered(
         found.problem, found.point, max_iterations=more, polish=polish, begin=found.now
     )
-    if again is None:
-        return found
     stood = not more and again.reason == "iterations"
     reason = found.reason if stood else again.reason
     return replace(again, iterations=again.iterations + found.iterations, reason=reason)
@@ -211,7 +189,7 @@ def _begun(
     begin: NoiseModel,
     unit: NoiseModel,
     kernel: FilterKernel | None,
-) -> Begun:
+) -> Iterate:
     """The likeliest levels, again after some steps of everything else; or those of an earlier fit.
 
     Levels and time would otherwise first follow the misfit of wrong values, and then come back.
@@ -226,16 +204,14 @@ def _begun(
     )
     point = problem.point(start.initial, start.local, own)
     if start.noise is not None:
-        return Begun.at(problem, point.unknowns)
+        return begun(problem, point.unknowns)
     others = point.unknowns[: problem.layout.levels.start]
     first, decades = _likeliest_level(problem, others, setting, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
     held = problem.with_levels(levels)
     found = solve_filtered(held, Point(others, ()), max_iterations=2, polish=0)
-    if found is None:
-        return first
     later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decades)
-    return min(first, later, key=lambda one: one.objective)
+    return min(first, later, key=lambda one: one.cost)
 
 
 def _likeliest_level(
@@ -244,25 +220,24 @@ def _likeliest_level(
     setting: Setting,
     begin: NoiseModel,
     near: tuple[int, ...] | None = None,
-) -> tuple[Begun, tuple[int, ...]]:
+) -> tuple[Iterate, tuple[int, ...]]:
     """Point with the likeliest decade of each level at given other unknowns, and the decades.
 
-    The objective is flat where the levels do nothing yet, falls, and rises where they are too
+    The likelihood is flat where the levels do nothing yet, rises, and falls where they are too
     large: strides find the valley of all together, then each goes its own way by single decades,
     because where values are far off nothing tells the proportions that the levels begin with.
     ``near`` are decades where they are known.
     """
     free = np.flatnonzero(~np.isin(begin.places, setting.known))
-    tried: dict[tuple[int, ...], Begun] = {}
+    tried: dict[tuple[int, ...], Iterate] = {}
 
     def attempt(decades: tuple[int, ...]) -> float:
         if decades not in tried:
             force = begin.force.copy()
             force[free] *= 10.0 ** np.array(decades)
             levels = problem.levels.vector(replace(begin, force=force))
-            unknowns = np.concatenate([others, levels])
-            tried[decades] = Begun.at(problem, unknowns)
-        return tried[decades].objective
+            tried[decades] = begun(problem, np.concatenate([others, levels]))
+        return 2.0 * tried[decades].cost
 
     best = _together(attempt, len(free)) if near is None else near
     every = np.ones(len(free), dtype=int)
@@ -313,57 +288,53 @@ def _carried(begin: NoiseModel, earlier: NoiseModel, setting: Setting) -> NoiseM
     return found.only(np.isin(begin.places, (*earlier.places, *setting.known)))
 
 
-def _stayed(begun: Sequence[Begun], starts: Sequence[Start]) -> FilteredSolution | None:
+def _stayed(beginnings: Sequence[Iterate], starts: Sequence[Start]) -> FilteredSolution | None:
     """The beginning itself, where an earlier fit ended and steps promise next to nothing."""
-    if len(begun) > 1 or starts[0].noise is None:
+    if len(beginnings) > 1 or starts[0].noise is None:
         return None
-    found = begun[0].solved(0)
-    near = found is not None and found.promise <= NEAR
-    return replace(found, reason="converged") if found is not None and near else None
+    found = solved(beginnings[0], 0)
+    return replace(found, reason="converged").finite if found.promise <= NEAR else None
 
 
 def _raced(
-    begun: Sequence[Begun], most: int, progress: Callable[[Progress], None] | None
-) -> FilteredSolution | None:
+    beginnings: Sequence[Iterate], most: int, progress: Callable[[Progress], None] | None
+) -> FilteredSolution:
     """The likeliest end from several beginnings, the leader after a first look first.
 
     Where a beginning arrives at the same likelihood as another, they are one.
     """
-    apart: list[Begun] = []
-    for one in sorted(begun, key=lambda one: one.objective):
-        if not apart or one.objective - apart[-1].objective > WORTH:
+    apart: list[Iterate] = []
+    for one in sorted(beginnings, key=lambda one: one.cost):
+        if not apart or 2.0 * (one.cost - apart[-1].cost) > WORTH:
             apart.append(one)
     if len(apart) == 1:
-        return apart[0].solved(most, progress)
+        return solved(apart[0], most, progress)
     return _first_home(
-        (one.solved(min(FEW_STEPS, most), progress) for one in apart),
-        lambda one: Begun.after(one).solved(most, progress),
+        [solved(one, min(FEW_STEPS, most), progress) for one in apart],
+        lambda one: solved(one, most, progress),
     )
 
 
 def _first_home(
-    looked: Iterable[FilteredSolution | None],
-    on: Callable[[FilteredSolution], FilteredSolution | None],
-) -> FilteredSolution | None:
+    looked: Sequence[FilteredSolution],
+    on: Callable[[FilteredSolution], FilteredSolution],
+) -> FilteredSolution:
     """The likeliest of some ends; after the leader only what promises to overtake goes on."""
-    best: FilteredSolution | None = None
-    for one in sorted((one for one in looked if one is not None), key=lambda one: one.cost):
-        if best is not None and one.cost - one.promise >= best.cost:
-            continue
-        end = one if one.reason == "converged" else on(one)
-        if end is not None and (best is None or end.cost < best.cost):
-            best = end
+    leader, *others = sorted(looked, key=lambda one: one.cost)
+    best = leader if leader.reason in HOME else on(leader)
+    for one in others:
+        if one.cost - one.promise < best.cost:
+            end = one if one.reason in HOME else on(one)
+            best = min(best, end, key=lambda one: one.cost)
     return best
 
 
 # -- kinds of noise that are admitted ------------------------------------------------
 
 
-def _worth(found: FilteredSolution, again: FilteredSolution | None) -> FilteredSolution:
+def _worth(found: FilteredSolution, again: FilteredSolution) -> FilteredSolution:
     """The later fit where it is clearly likelier, else the one before."""
-    if again is None or found.objective - again.objective < WORTH:
-        return found
-    return again
+    return found if found.objective - again.objective < WORTH else again
 
 
 @dataclass(frozen=True, eq=False)
@@ -525,7 +496,7 @@ def with_colour(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         white=np.where(vanished, white, noise.white),
         colour=np.where(vanished, 0.0, noise.colour),
     )
-    return moved(found, posed(found, setting, noise, has & ~vanished), most) or found
+    return moved(found, posed(found, setting, noise, has & ~vanished), most).finite or found
 
 
 def _has_colour(found: FilteredSolution) -> np.ndarray:
@@ -563,10 +534,8 @@ def _instead(found: FilteredSolution, setting: Setting, inputs: Sequence[str]) -
     alone = replace(alone, force=np.append(alone.force[: -len(inputs)], shown))
     again = moved(found, posed(found, setting, alone), setting.max_iterations)
     # As Akaike weighs unknowns (1974).
-    fewer = len(found.problem.levels) - len(again.problem.levels) if again is not None else 0
-    if again is None or again.objective > found.objective + 2.0 * fewer:
-        return found
-    return again
+    fewer = len(found.problem.levels) - len(again.problem.levels)
+    return found if again.objective > found.objective + 2.0 * fewer else again
 
 
 def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolution:
@@ -576,8 +545,7 @@ def with_own_times(found: FilteredSolution, setting: Setting) -> FilteredSolutio
     if not levels.shares_a_time or lasting < 2:
         return found
     problem = posed(found, setting, noise, own_times=True)
-    still = moved(found, problem, 0)
-    if still is None or 2.0 * still.promise < WORTH:
+    if 2.0 * moved(found, problem, 0).promise < WORTH:
         return found
     return _worth(found, moved(found, problem, setting.max_iterations))
 
@@ -638,14 +606,14 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         The same one where no sea is clearly likelier.
     """
     known = setting.sea
-    if known is None or found.noise.seas:
+    if known is None or found.noise.seas or found.finite is None:
         return found
     places = known.places or setting.at_sea
-    if not places:
+    period = places and (known.period or _likeliest_period(found, setting, places))
+    if not period:
         return found
-    period = known.period or _likeliest_period(found, setting, places)
-    best = period and _at_sea(found, setting, known.filled(_calm(places, period)), known)
-    if not best:
+    best = _at_sea(found, setting, known.filled(_calm(places, period)), known)
+    if best.finite is None:
         return found
     if setting.seas:
         return best
@@ -667,8 +635,8 @@ def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Sett
     problem = posed(found, setting, found.noise, own_times=own, longest_hold=most)
     for steps in (0, setting.max_iterations):
         first = moved(found, problem, steps)
-        rival = found if first is None or first.objective > found.objective else first
-        promised = max(one.promise for one in (rival, first) if one is not None)
+        rival = min(first, found, key=lambda one: one.objective)
+        promised = max(rival.promise, first.promise)
         if rival.objective - 2.0 * promised - sea.objective >= 2.0 * WORTH:
             return True
     return False
@@ -711,7 +679,7 @@ def _again(
     noise: NoiseModel,
     known: Sea,
     most: int,
-) -> FilteredSolution | None:
+) -> FilteredSolution:
     """Some steps of a race with another noise model; of its sea what ``known`` leaves out.
 
     They end where next to nothing is left.
@@ -740,9 +708,7 @@ def _tested(
     return scored.gain(wide, [f"sea {place} level" for place in places])[0]
 
 
-def _at_sea(
-    found: FilteredSolution, setting: Setting, sea: Sea, known: Sea
-) -> FilteredSolution | None:
+def _at_sea(found: FilteredSolution, setting: Setting, sea: Sea, known: Sea) -> FilteredSolution:
     """Estimate a sea in place of forces of first order.
 
     Parameters
@@ -754,11 +720,6 @@ def _at_sea(
         Where it begins; its levels only where ``known`` says them.
     known : Sea
         What is known of it.
-
-    Returns
-    -------
-    FilteredSolution or None
-        None where the filter diverges.
     """
     first = found.noise
     # A force of first order and a sea in one place would share its variance: one at a time.
@@ -767,27 +728,25 @@ def _at_sea(
         sea = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
-    begun = _again(found, setting, replace(alone, seas=(sea,)), held, FIRST_STEPS)
-    if begun is None:
-        return None
-    noise, free = begun.noise, replace(known, shape=None)
+    near = _again(found, setting, replace(alone, seas=(sea,)), held, FIRST_STEPS)
+    if near.finite is None:
+        return near
+    noise, free = near.noise, replace(known, shape=None)
     shaped = [replace(noise.seas[0], shape=s) for s in ([known.shape] if known.shape else SHAPES)]
     looked: list[FilteredSolution] = []
     for one in shaped:
         # A shape that promises too little at its first look wins no race.
-        look = _again(begun, setting, replace(noise, seas=(one,)), free, 0) if looked else begun
+        look = _again(near, setting, replace(noise, seas=(one,)), free, 0) if looked else near
         least = min((end.cost for end in looked), default=np.inf)
-        if look is not None and look.cost - PROMISED * look.promise < least:
-            end = _again(begun, setting, replace(noise, seas=(one,)), free, FEW_STEPS)
-            looked += [] if end is None else [end]
+        if look.cost - PROMISED * look.promise < least:
+            looked.append(_again(near, setting, replace(noise, seas=(one,)), free, FEW_STEPS))
 
     def to_the_end(one: FilteredSolution) -> FilteredSolution:
         most = setting.max_iterations
-        end = solve_filtered(one.problem, one.point, max_iterations=most, polish=0, begin=one.now)
-        return one if end is None else end
+        return solve_filtered(one.problem, one.point, max_iterations=most, polish=0, begin=one.now)
 
     best = _first_home(looked, to_the_end)
-    return best if best is None or best.promise < FROZEN_TOLERANCE else to_the_end(best)
+    return best if best.promise < FROZEN_TOLERANCE else to_the_end(best)
 
 
 def _likeliest_sea(found: FilteredSolution, setting: Setting, alone: NoiseModel, sea: Sea) -> Sea:

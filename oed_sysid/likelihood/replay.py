@@ -79,7 +79,7 @@ def _weak(fit: Fit, white: Fit) -> Fit | None:
     problem = Filtered(white.model, fit.dataset, Levels.of(weak, weak, seas=weak.seas))
     try:
         found = solve_filtered(problem, problem.point(white.initial_states, white.local_values))
-        if found is None:
+        if found.finite is None:
             return None
         label, nothing = f"{fit.estimator}, for replay", np.zeros(len(noise.white), dtype=bool)
         result = summarise_filtered(found, Procedure(label, nothing, found.iterations, began))

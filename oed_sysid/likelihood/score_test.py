@@ -247,7 +247,7 @@ def posed(
 
 def moved(
     found: FilteredSolution, problem: Filtered, most: int, tolerance: float = FROZEN_TOLERANCE
-) -> FilteredSolution | None:
+) -> FilteredSolution:
     """Estimate again from a solution with other levels unknown, in at most so many steps."""
     others = found.point.unknowns[: found.problem.layout.levels.start]
     point = Point(np.concatenate([others, problem.levels.vector()]), ())
