@@ -419,10 +419,10 @@ def passes(model: Model, train: Dataset, effects: Sequence[Any]) -> None:
 
     places = chosen_places(model, "all")
     white = np.array([output.noise_std for output in model.outputs])
-    setting = Setting.of(train, places, white, np.ones(len(white), dtype=bool))
+    setting = Setting(model, train, places, white, np.ones(len(white), dtype=bool))
     joined = fitting_candidates(model, effects)
     start = [np.nan_to_num(record.outputs[0]) for record in train]
-    noise = replace(setting.noise(model, 1.0), force=np.full(len(places), 0.3))
+    noise = replace(setting.noise(1.0), force=np.full(len(places), 0.3))
     unit = replace(noise, force=np.ones(len(places)))
     free = setting.levels(train, noise, unit, np.zeros(len(white), dtype=bool))
     n_samples = sum(record.n_samples for record in train)

@@ -38,9 +38,9 @@ def score_of(data: Dataset, model: Model = SHIP, *, colour: bool = True) -> Scor
     fit = WHITE.fit(model, data)
     places = chosen_places(model, "all")
     declared = np.zeros(len(fit.sigma), dtype=bool)
-    setting = Setting(data, places, fit.sigma, declared, colour=colour)
+    setting = Setting(fit.model, data, places, fit.sigma, declared, colour=colour)
     start = Start({}, fit.initial_states, fit.local_values)
-    return score_test(fit.model, setting, start)
+    return score_test(setting, start)
 
 
 @pytest.mark.parametrize("count", [10, *slow(40)])

@@ -166,6 +166,7 @@ class Study:
         # Without disturbance forces, what is slow and far above a sensor's high-frequency content
         # is structure.
         setting = Setting(
+            model,
             train,
             places,
             white,
@@ -177,10 +178,10 @@ class Study:
             seas=seas_in(disturbances),
         )
         effects = fitting_candidates(model, candidates)
-        kernel = _kernel(model, effects, setting)
+        setting = replace(setting, kernel=_kernel(model, effects, setting))
         plain, end = _white_fit(model, train)
         starts = [_nominal_start(model, train, white), *([] if end is None else [end])]
-        test = _best_test(model, setting, starts, kernel)
+        test = _best_test(setting, starts)
         level = np.where(np.isin(test.noise.places, absent), 0.0, test.noise.force)
         test = replace(test, noise=replace(test.noise, force=level))
         study = cls(
@@ -191,10 +192,10 @@ class Study:
             validation=validation,
             setting=setting,
             unit=test.unit,
-            kernel=kernel,
+            kernel=setting.kernel,
             estimated=~np.isfinite(levels),
         )
-        best = fit_disturbed(model, setting, starts, test, kernel=kernel, polish=0)
+        best = fit_disturbed(setting, starts, test, polish=0)
         if best.finite is None:
             raise SimulationError(
                 f"Model {model.name!r} diverges on the training records from every start that was "
@@ -580,14 +581,12 @@ def _nominal_start(model: Model, dataset: Dataset, white: np.ndarray) -> Start:
     return Start(model.values, own, local)
 
 
-def _best_test(
-    model: Model, setting: Setting, starts: Sequence[Start], kernel: FilterKernel
-) -> ScoreTest:
+def _best_test(setting: Setting, starts: Sequence[Start]) -> ScoreTest:
     """Levels to begin with: from the last start, the fitted one, where the model runs there."""
     tests, errors = [], []
     for start in reversed(starts):
         try:
-            tests.append(score_test(model, setting, start, kernel))
+            tests.append(score_test(setting, start))
         except SimulationError as error:
             errors.append(error)
         if tests and np.isfinite(tests[-1].gain):

@@ -570,7 +570,7 @@ def structural_identifiability(
         )
     # Rank may drop at special values; the largest one met is that of almost all values.
     best = max(found, key=lambda information: information.rank)
-    _, values, _ = best._svd
+    _, values, _, _ = best._svd
     margin = values[best.rank - 1] / values[0] if best.rank else 0.0
     return Structure(
         names,

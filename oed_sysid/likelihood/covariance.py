@@ -750,7 +750,10 @@ def errors_of_windows(problem: Windows, point: Point, coloured: str) -> Errors:
     alone = _linearised_tests(shooting, np.flatnonzero(tests).tolist(), unknowns)
     scattered = alone is not None and (coloured == "always" or alone.stray(covariance))
     scores = [told[i][1] for i in np.flatnonzero(~tests)]
-    middle = prior + _middle(problem, point, scores, matrices[~tests].sum(axis=0))
+    white = matrices[~tests].sum(axis=0)
+    # From the residuals where windows are few.
+    few = problem.n_windows < ENOUGH * n_shared
+    middle = prior + (_inflation(problem, point) * white if few else sum(map(_summed, scores)))
     if alone is not None:
         middle += alone.of_tests(covariance, scattered=scattered)
     return Errors(information, sandwich(covariance, middle), sources, use, scattered)
@@ -775,15 +778,6 @@ def _told_by_records(problem: Windows, point: Point) -> list[tuple[np.ndarray, n
         rows = rows[np.argsort(rows[:, 0]), 1:]
         told.append((onto @ matrix @ onto.T, rows @ onto.T))
     return told
-
-
-def _middle(
-    problem: Windows, point: Point, scores: Sequence[np.ndarray], told: np.ndarray
-) -> np.ndarray:
-    """Covariance of the summed scores of the windows; from the residuals where they are few."""
-    if problem.n_windows < ENOUGH * len(told):
-        return _inflation(problem, point) * told
-    return sum(map(_summed, scores), np.zeros_like(told))
 
 
 def _linearised_tests(shooting: Shooting, tests: list[int], unknowns: np.ndarray) -> Scores | None:

@@ -42,6 +42,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
+from typing import TypeVar
 
 import numpy as np
 
@@ -53,6 +54,7 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
+Departed = TypeVar("Departed", Delay, ActuatorStart)
 # Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
 # one value is not another, or a signal is no noise.
 CLEAR, CLEARLY = 4.5, 3.0
@@ -210,14 +212,16 @@ def _is_coloured(fit: Estimate) -> bool:
     return any(some < COLOUR_LIMIT * n for some, n in fit.effective_samples().values())
 
 
-def clear_delay(fit: Estimate, delays: Sequence[Delay]) -> Delay | None:
+def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:
+    """Departures that are significant, and, where residuals are coloured, worth a word."""
+    clear = [one for one in found if abs(one.size) > CLEAR * one.std]
+    least = DELAY_SHARE if clear and _is_coloured(fit) else -np.inf
+    return [one for one in clear if one.share > least]
+
+
+def clear_delay(fit: Estimate) -> Delay | None:
     """The one delay that explains most, if it is significant and worth a word."""
-    clear = [d for d in delays if abs(d.seconds) > CLEAR * d.std]
-    if not clear:
-        return None
-    if _is_coloured(fit):
-        clear = [d for d in clear if d.share > DELAY_SHARE]
-    return max(clear, key=lambda d: d.gain, default=None)
+    return max(_clear(fit, estimate_delays(fit)), key=lambda one: one.gain, default=None)
 
 
 def values_of(fit: Estimate, index: int) -> np.ndarray:
@@ -272,11 +276,8 @@ def estimate_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
 
 
 def clear_starts(fit: Estimate) -> tuple[ActuatorStart, ...]:
-    """Starts that are not the first command, and, where residuals are coloured, worth a word."""
-    clear = [one for one in estimate_starts(fit) if abs(one.size) > CLEAR * one.std]
-    if _is_coloured(fit):
-        clear = [one for one in clear if one.share > DELAY_SHARE]
-    return tuple(clear)
+    """Starts that are clearly not the first command."""
+    return tuple(_clear(fit, estimate_starts(fit)))
 
 
 def _memories(model: Model) -> list[tuple[Effect, str, list[int]]]:

@@ -65,6 +65,11 @@ class Delay:
     gain: float
     share: float
 
+    @property
+    def size(self) -> float:
+        """The delay, s."""
+        return self.seconds
+
 
 @dataclass(frozen=True)
 class ActuatorStart:

@@ -281,30 +281,30 @@ class Filtered(Posed):
         measured: np.ndarray | None = None,
     ) -> FilterPass:
         """Filter one record."""
-        record = self.records[index]
-        part = self.kernel.filter(
-            record.times,
-            record.inputs,
-            self.values(unknowns, index),
-            self.initial_state(unknowns, index),
-            record.outputs if measured is None else measured,
-            self._noise_in(index, noise),
-            active=self.active,
-            passing=self.passing,
-            **wanted,
-            longest_step=step_within(record.times, self.longest_hold),
-        )
+        record, run = self.records[index], self._run(unknowns, index, noise, measured)
+        kept = {"active": self.active, "passing": self.passing}
+        part = self.kernel.filter(*run, **kept, **wanted, longest_step=self._longest_step(index))
         return _white_alone(part, self.levels.entries) if record.independent else part
 
-    def _noise_in(self, index: int, noise: Disturbed) -> Disturbed:
-        """Noise of one record: white alone where nothing links its samples."""
-        if not self.records[index].independent:
-            return noise
-        return replace(
-            noise,
-            variance=np.zeros_like(noise.variance),
-            colour_variance=np.zeros_like(noise.colour_variance),
-        )
+    def _run(
+        self,
+        unknowns: np.ndarray,
+        index: int,
+        noise: Disturbed,
+        measured: np.ndarray | None = None,
+    ) -> tuple[Any, ...]:
+        """Times, inputs, values, start states, measurements and noise of one record."""
+        record = self.records[index]
+        if record.independent:  # nothing links its samples
+            nothing = np.zeros_like(noise.variance), np.zeros_like(noise.colour_variance)
+            noise = replace(noise, variance=nothing[0], colour_variance=nothing[1])
+        values, own = self.values(unknowns, index), self.initial_state(unknowns, index)
+        outputs = record.outputs if measured is None else measured
+        return record.times, record.inputs, values, own, outputs, noise
+
+    def _longest_step(self, index: int) -> float | None:
+        """Longest time over which disturbances are held along one record, s."""
+        return step_within(self.records[index].times, self.longest_hold)
 
     def replayed(
         self,
@@ -331,19 +331,10 @@ class Filtered(Posed):
         noise = wide.levels.disturbed(wide.noise(unknowns))
 
         def one(index: int) -> tuple[np.ndarray, bool]:
-            record, part = self.records[index], found[index]
-            assert part.gains is not None
-            return wide.kernel.replay(
-                record.times,
-                record.inputs,
-                wide.values(unknowns, index),
-                wide.initial_state(unknowns, index),
-                record.outputs,
-                self._noise_in(index, noise),
-                part.gains,
-                active=self.active,
-                longest_step=step_within(record.times, self.longest_hold),
-            )
+            run, gains = wide._run(unknowns, index, noise), found[index].gains
+            assert gains is not None
+            step = self._longest_step(index)
+            return wide.kernel.replay(*run, gains, active=self.active, longest_step=step)
 
         results = both_cores(one, range(len(self.records)))
         return [part for part, _ in results] if all(ok for _, ok in results) else None

@@ -81,26 +81,28 @@ class Information:
         return scaled / self.scales[:, None] / self.scales
 
     @cached_property
-    def _svd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Column norms, singular values and right vectors of the equilibrated factor."""
+    def _svd(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Column norms, singular values and right vectors of the equilibrated factor.
+
+        And which of these directions the data see.
+        """
         norms = np.linalg.norm(self.factor, axis=0)
         safe = np.where(norms > 0, norms, 1.0)
         _, values, vectors = np.linalg.svd(self.factor / safe, full_matrices=True)
         padded = np.zeros(len(self.names))
         padded[: len(values)] = values
-        return safe, padded, vectors
+        seen = padded > NULL_TOLERANCE * max(padded.max(initial=0.0), 1e-300)
+        return safe, padded, vectors, seen
 
     @property
     def rank(self) -> int:
         """Number of directions that the data see."""
-        _, values, _ = self._svd
-        return int(np.sum(values > NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)))
+        return int(np.sum(self._svd[3]))
 
     @cached_property
     def covariance(self) -> np.ndarray:
         """Cramer-Rao bound, shape ``(n, n)``; infinite along null directions."""
-        norms, values, vectors = self._svd
-        seen = values > NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)
+        norms, values, vectors, seen = self._svd
         inner = vectors[seen].T * values[seen] ** -1.0
         covariance = inner @ inner.T
         scale = self.scales / norms
@@ -130,24 +132,20 @@ class Information:
         rows = np.vstack([self.factor, other.factor * (self.scales / other.scales)])
         return Information.from_jacobian(self.names, rows / self.scales, self.scales)
 
-    def null_directions(self, labels: Sequence[str] | None = None) -> tuple[str, ...]:
+    def null_directions(self) -> tuple[str, ...]:
         """Name, in words, every combination of unknowns that the data do not see."""
-        norms, values, vectors = self._svd
-        labels = list(labels or self.names)
+        norms, _, vectors, seen = self._svd
         words = []
-        limit = NULL_TOLERANCE * max(values.max(initial=0.0), 1e-300)
-        for value, vector in zip(values, vectors, strict=True):
-            if value > limit:
-                continue
+        for vector in vectors[~seen]:
             # Relative change of each unknown along the direction.
             change = vector / norms * self.scales
             share = np.abs(vector)
             members = [i for i in np.argsort(-share) if share[i] > 0.05]
             if len(members) == 1:
-                words.append(f"{labels[members[0]]} does not influence any output")
+                words.append(f"{self.names[members[0]]} does not influence any output")
                 continue
             lead = change[members[0]]
-            ratios = ", ".join(f"{labels[i]}: {change[i] / lead:+.3g}" for i in members)
+            ratios = ", ".join(f"{self.names[i]}: {change[i] / lead:+.3g}" for i in members)
             words.append(f"free to move together ({ratios})")
         return tuple(words)
 

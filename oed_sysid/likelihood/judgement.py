@@ -61,7 +61,6 @@ from oed_sysid.likelihood.departures import (
     change_of_outputs,
     clear_delay,
     clear_starts,
-    estimate_delays,
     other_way,
     outputs_of,
 )
@@ -459,7 +458,7 @@ def _delay(fit: Estimate) -> Iterator[Found]:
     # Disturbance forces absorb a delay: then what was found before them counts.
     best = None if fit.process_noise is None else fit.process_noise.delay
     if best is None and _own_residuals(fit):
-        best = clear_delay(fit, estimate_delays(fit))
+        best = clear_delay(fit)
     if best is not None:
         yield Found(best.seconds, best.signal, facts={
             "verb": "is logged" if best.kind == "output" else "acts",

@@ -9,10 +9,9 @@ from functools import partial
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
-from oed_sysid.likelihood.departures import CLEARLY, clear_delay, clear_starts, estimate_delays
+from oed_sysid.likelihood.departures import CLEARLY, clear_delay, clear_starts
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
@@ -23,7 +22,6 @@ from oed_sysid.likelihood.estimator import (
     check_levels,
     check_positive,
 )
-from oed_sysid.likelihood.filtered import disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
 from oed_sysid.likelihood.integration import resolved
@@ -389,21 +387,20 @@ class MultipleShooting:
         if places is None:
             return fit, None
         setting = self._setting(fit, task, places, declared)
-        kernel = filter_kernel(disturbed_model(task.model, setting.disturbances))
-        starts = _starts(fit, task, setting)
+        starts = _starts(fit, setting)
         try:
-            test = _score(fit, task, setting, starts[0], kernel, carried, tests=tests)
+            test = _score(fit, setting, starts[0], carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         excluded: tuple[str, ...] = ()
         if setting.inputs and test.gain < np.inf:
-            excluded = excluded_inputs(task.model, setting, starts[0], kernel)
+            excluded = excluded_inputs(setting, starts[0])
         fit = replace(fit, process_noise=ProcessNoiseTest(test.gain, inputs=excluded))
         if tests and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
         begun = (starts,) if carried is None else ([carried], starts)
-        found = self._likelier(fit, task, setting, begun, test, kernel)
+        found = self._likelier(fit, task, setting, begun, test)
         if found is None:
             return _failed(fit, "diverged"), None
         if tests and _no_likelier(found, fit):
@@ -437,6 +434,7 @@ class MultipleShooting:
         inputs = [place for place in every_place(task.model) if place.stage == "actuator"]
         seas = seas_in(self.disturbances)
         return Setting(
+            task.model,
             fit.dataset,
             places,
             np.where(task.how.estimated, np.minimum(fit.sigma, floor), fit.sigma),
@@ -456,15 +454,12 @@ class MultipleShooting:
         setting: Setting,
         begun: Sequence[Sequence[Start]],
         test: ScoreTest,
-        kernel: FilterKernel,
     ) -> Fit | None:
         """The first fit with process noise that is likelier, else the last; None if all fail."""
         found = None
         for starts in begun:
             try:
-                solution = fit_disturbed(
-                    task.model, setting, starts, test, kernel=kernel, progress=self.progress
-                )
+                solution = fit_disturbed(setting, starts, test, progress=self.progress)
             except np.linalg.LinAlgError:  # equations without numbers: no way on from there
                 continue
             if solution.finite is None:
@@ -622,29 +617,23 @@ def _failed(fit: Fit, code: str) -> Fit:
     return replace(fit, process_noise=replace(fit.process_noise, failed=code))
 
 
-def _starts(fit: Fit, task: _Task, setting: Setting) -> list[Start]:
+def _starts(fit: Fit, setting: Setting) -> list[Start]:
     """Where a fit with process noise begins: at the white fit, and where that may be far off."""
     here = Start(fit.model.values, fit.initial_states, fit.local_values)
     # Residuals beyond noise may have bent the values far off by what the fit takes for noise.
     left = np.nan_to_num(np.array(list(fit.rms.values())) / setting.white, posinf=np.inf)
     if np.isfinite(fit.cost) and left.max() <= CLEARLY:
         return [here]
-    begin = Shooting(task.model, fit.dataset, setting.white, known_starts=task.known_starts)
+    known, model = setting.known_starts, setting.model
+    begin = Shooting(model, fit.dataset, setting.white, known_starts=known)
     unknowns = begin.start_unknowns()
     own_states = [begin.initial_state(unknowns, i) for i in range(len(begin.records))]
-    nominal = Start(task.model.values, own_states, [{}] * len(own_states))
+    nominal = Start(model.values, own_states, [{}] * len(own_states))
     return [here, nominal] if np.isfinite(fit.cost) else [nominal]
 
 
 def _score(
-    fit: Fit,
-    task: _Task,
-    setting: Setting,
-    start: Start,
-    kernel: FilterKernel,
-    carried: Start | None,
-    *,
-    tests: bool,
+    fit: Fit, setting: Setting, start: Start, carried: Start | None, *, tests: bool
 ) -> ScoreTest:
     """The score test at a white fit; where it only ``tests``, noisier sensors are asked first.
 
@@ -656,24 +645,23 @@ def _score(
     if (sizes > 1.0).any():
         # White noise above the declared level is no process noise.
         noisier = replace(quiet, white=np.maximum(sizes, 1.0) * quiet.white)
-        test = score_test(task.model, noisier, start, kernel)
+        test = score_test(noisier, start)
         if test.gain < CLEAR:
             return test
     if carried is not None and carried.noise is not None:
         noise = carried.noise
         times = np.unique(noise.force_time[(noise.force > 0) & (noise.force_time > 0)]).tolist()
-        test = score_test(task.model, quiet, start, kernel, times=times)
+        test = score_test(quiet, start, times=times)
         if test.gain >= CLEAR:
             return test
-    return score_test(task.model, quiet, start, kernel)
+    return score_test(quiet, start)
 
 
 def _before_absorbed(fit: Fit, asked: ProcessNoiseTest) -> ProcessNoiseTest:
     """The test at the white fit, with delays and starts of actuators that the forces absorb."""
     if not fit.names:
         return asked
-    late, elsewhere = clear_delay(fit, estimate_delays(fit)), clear_starts(fit)
-    return replace(asked, delay=late, actuator_starts=elsewhere)
+    return replace(asked, delay=clear_delay(fit), actuator_starts=clear_starts(fit))
 
 
 def _left(fit: Fit, before: np.ndarray) -> Dataset | None:

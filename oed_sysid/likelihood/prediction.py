@@ -358,19 +358,15 @@ def _spread(
     shooting, answer = run.shooting, None
     layout, shared, others = shooting.layout, run.shared, run.others
     n_own = layout.n_own
-    gain, own_variance = np.zeros((len(others), len(shared))), np.zeros(n_own)
+    gain = np.zeros((len(others), len(shared)))
     if way == "fit":
         # Estimated anew for every value of the shared parameters, and noisy itself.
         answer, other_covariance = run.answer()
         outer = (run.jacobian[:, :, shared] * run.weights()[:, :, None]).reshape(-1, len(shared))
         gain = answer @ outer
     else:
-        if way == "first":
-            stds = shooting.guess_std[0, :n_own]
-            own_variance = np.where(np.isfinite(stds), stds, 0.0) ** 2
-        elif known is not None:
-            own_variance = known.std[0] ** 2
-        other_covariance = np.diag([*own_variance, *np.zeros(len(layout.local))])
+        std = shooting.guess_std[0, :n_own] if known is None else known.std[0]
+        other_covariance = np.diag([*np.nan_to_num(std) ** 2, *np.zeros(len(layout.local))])
     # Of the shared unknowns, from that of the values of shared parameters.
     slopes = layout.shared_values(run.unknowns)[1]
     spread = Spread(

@@ -30,7 +30,7 @@ from scipy.optimize import brentq
 from scipy.special import comb
 from scipy.stats import chi2
 
-from oed_sysid.compiled.filtering import FilterKernel, FilterPass
+from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.departures import TWOFOLD
@@ -51,7 +51,6 @@ from oed_sysid.likelihood.noise_model import SHAPES, STEPS_OF_PERIOD, NoiseModel
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.score_test import TIMES, ScoreTest, Setting, Start, moved, posed
 from oed_sysid.likelihood.shooting import Point
-from oed_sysid.physics.model import Model
 
 # Gain in twice the log-likelihood from which another kind of noise is worth its freedom, twice that
 # of a sea, whose choice among periods and shapes may be worth two or three nats. Below, two starts
@@ -95,12 +94,10 @@ def solved(
 
 
 def fit_disturbed(
-    model: Model,
     setting: Setting,
     starts: Sequence[Start],
     test: ScoreTest,
     *,
-    kernel: FilterKernel | None = None,
     polish: int = POLISH_STEPS,
     progress: Callable[[Progress], None] | None = None,
 ) -> FilteredSolution:
@@ -112,21 +109,18 @@ def fit_disturbed(
 
     Parameters
     ----------
-    model : Model
     setting : Setting
-        With the records.
+        With the model and the records.
     starts : sequence of Start
         Values and start states to begin at; the likeliest wins.
     test : ScoreTest
         Where levels begin.
-    kernel : FilterKernel, optional
-        Of a larger model.
     polish : int
         See :func:`~oed_sysid.likelihood.gauss_newton.solve_filtered`.
     progress : callable, optional
     """
     beginnings = [
-        _begun(model, setting, start, noise, test.unit, kernel)
+        _begun(setting, start, noise, test.unit)
         for count, noise in enumerate(_noises(setting, test))
         for start in starts
         if not count or start.noise is None
@@ -182,30 +176,16 @@ def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
 # -- where it begins ---------------------------------------------------------------
 
 
-def _begun(
-    model: Model,
-    setting: Setting,
-    start: Start,
-    begin: NoiseModel,
-    unit: NoiseModel,
-    kernel: FilterKernel | None,
-) -> Iterate:
+def _begun(setting: Setting, start: Start, begin: NoiseModel, unit: NoiseModel) -> Iterate:
     """The likeliest levels, again after some steps of everything else; or those of an earlier fit.
 
     Levels and time would otherwise first follow the misfit of wrong values, and then come back.
     """
     own = begin if start.noise is None else _carried(begin, start.noise, setting)
-    problem = Filtered(
-        model.with_values(dict(start.values)),
-        setting.dataset,
-        setting.as_in(setting.dataset, own, unit),
-        kernel=kernel,
-        known_starts=setting.known_starts,
-    )
-    point = problem.point(start.initial, start.local, own)
+    problem, unknowns = setting.problem(start, setting.as_in(setting.dataset, own, unit))
     if start.noise is not None:
-        return begun(problem, point.unknowns)
-    others = point.unknowns[: problem.layout.levels.start]
+        return begun(problem, unknowns)
+    others = unknowns[: problem.layout.levels.start]
     first, decades = _likeliest_level(problem, others, setting, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
     held = problem.with_levels(levels)

@@ -28,12 +28,12 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterKernel
+from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.disturbances import Place, disturbance
-from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.gauss_newton import (
     FROZEN_TOLERANCE,
     FilteredSolution,
@@ -63,6 +63,7 @@ class Setting:
 
     Attributes
     ----------
+    model : Model
     dataset : Dataset
     places : sequence of Place
         Where disturbances may act.
@@ -86,8 +87,11 @@ class Setting:
         Whether others are looked for.
     max_iterations : int
         Of each step of the search.
+    kernel : FilterKernel, optional
+        Of a larger model; by default of the model with all disturbances.
     """
 
+    model: Model
     dataset: Dataset
     places: Sequence[Place]
     white: np.ndarray
@@ -101,6 +105,25 @@ class Setting:
     seas: Sequence[Sea] = ()
     any_sea: bool = False
     max_iterations: int = 40
+    kernel: FilterKernel | None = None
+
+    def problem(
+        self, start: Start, levels: Levels, dataset: Dataset | None = None
+    ) -> tuple[Filtered, np.ndarray]:
+        """Likelihood of the model at the values of a start, and the unknowns there."""
+        problem = Filtered(
+            self.model.with_values(dict(start.values)),
+            dataset or self.dataset,
+            levels,
+            kernel=self._filter,
+            known_starts=self.known_starts,
+        )
+        return problem, problem.point(start.initial, start.local).unknowns
+
+    @cached_property
+    def _filter(self) -> FilterKernel:
+        """One filter for all disturbances that may be asked for."""
+        return self.kernel or filter_kernel(disturbed_model(self.model, self.disturbances))
 
     @cached_property
     def _seen(self) -> tuple[np.ndarray, np.ndarray]:
@@ -155,7 +178,7 @@ class Setting:
         shortest = SHORTEST * min(record.sample_time for record in dataset)
         return shortest, max(LONGEST * min(record.duration for record in dataset), 4.0 * shortest)
 
-    def noise(self, model: Model, time: float) -> NoiseModel:
+    def noise(self, time: float) -> NoiseModel:
         """White noise, and disturbances of zero level."""
         nothing = np.zeros_like(self.white)
         return NoiseModel(
@@ -164,7 +187,7 @@ class Setting:
             np.zeros(len(self.places)),
             time,
             np.array([0.0 if place.stage == "actuator" else time for place in self.places]),
-            model.output_names,
+            self.model.output_names,
             tuple(place.name for place in self.places),
         )
 
@@ -300,30 +323,20 @@ class ScoreTest:
     unit: NoiseModel
 
 
-def score_test(
-    model: Model,
-    setting: Setting,
-    start: Start,
-    kernel: FilterKernel | None = None,
-    *,
-    times: Sequence[float] = (),
-) -> ScoreTest:
+def score_test(setting: Setting, start: Start, *, times: Sequence[float] = ()) -> ScoreTest:
     """Test at a white fit whether forces act or sensors are coloured.
 
     Parameters
     ----------
-    model : Model
     setting : Setting
     start : Start
         Where the white fit ended.
-    kernel : FilterKernel, optional
-        Of a larger model.
     times : sequence of float, optional
         Correlation times that are tried, s; by default :data:`TIMES`, in samples.
     """
     records = setting.dataset
     sample = float(np.median([record.sample_time for record in records]))
-    look = partial(_score_at, model.with_values(dict(start.values)), setting, start, kernel)
+    look = partial(_score_at, setting, start)
     tried = [look(records, time) for time in times or [count * sample for count in TIMES]]
     best = max(tried, key=lambda one: one.gain)
     if np.isfinite(best.gain):
@@ -334,8 +347,8 @@ def score_test(
         if np.isfinite(found.gain):
             return replace(found, gain=np.inf)
     raise SimulationError(
-        f"Model {model.name!r} diverges within {HEADS[-1]} samples of the start of a record. "
-        "Check signs and units of its values, or bound its parameters."
+        f"Model {setting.model.name!r} diverges within {HEADS[-1]} samples of the start of a "
+        "record. Check signs and units of its values, or bound its parameters."
     )
 
 
@@ -347,21 +360,14 @@ def _head(record: Record, length: int) -> Record:
     )
 
 
-def _score_at(
-    model: Model,
-    setting: Setting,
-    start: Start,
-    kernel: FilterKernel | None,
-    dataset: Dataset,
-    time: float,
-) -> ScoreTest:
-    quiet = setting.noise(model, time)
+def _score_at(setting: Setting, start: Start, dataset: Dataset, time: float) -> ScoreTest:
+    quiet = setting.noise(time)
     n_forces, n_outputs = len(quiet.force), len(quiet.white)
     one = replace(quiet, force=np.ones(n_forces), colour=quiet.white)
     # Where every level but the white ones is zero, times have no slope.
     levels = Levels.of(quiet, one, white=True, colour=setting.colour, force=True).only_variances()
-    problem = Filtered(model, dataset, levels, kernel=kernel)
-    found = problem.passes(problem.point(start.initial, start.local).unknowns, levels_only=True)
+    problem, unknowns = setting.problem(start, levels, dataset)
+    found = problem.passes(unknowns, levels_only=True)
     vast = ScoreTest(np.inf, time, quiet, one)
     if not all(part.ok for part in found):
         return vast
@@ -392,9 +398,7 @@ def _score_at(
     )
 
 
-def excluded_inputs(
-    model: Model, setting: Setting, start: Start, kernel: FilterKernel | None = None
-) -> tuple[str, ...]:
+def excluded_inputs(setting: Setting, start: Start) -> tuple[str, ...]:
     """Inputs whose log is as white as noise would be, and whose noise the records exclude.
 
     At a white fit, where noise of the level that the log shows, and of half of it, is clearly less
@@ -402,20 +406,17 @@ def excluded_inputs(
 
     Parameters
     ----------
-    model, setting, start, kernel
+    setting, start
         As of :func:`score_test`.
     """
-    model = model.with_values(dict(start.values))
-    quiet = NoiseModel.white_only(setting.white, model.output_names)
+    quiet = NoiseModel.white_only(setting.white, setting.model.output_names)
     found = []
     # A log that shows no noise of its own says nothing against it.
     for place in (one for one in setting.inputs if np.isfinite(setting.most_input[one.name])):
         none = quiet.with_places([place.name], 0.0)
         shown = replace(none, force=np.array([setting.most_input[place.name] / TWOFOLD]))
-        problem = Filtered(
-            model, setting.dataset, Levels.of(none, shown, force=True), kernel=kernel
-        )
-        begin = problem.point(start.initial, start.local).unknowns[:-1]
+        problem, begin = setting.problem(start, Levels.of(none, shown, force=True))
+        begin = begin[:-1]
         costs = [problem.objective(np.append(begin, part**2)) for part in (0.0, 0.5, 1.0)]
         # Each unknown has taken a square from the residuals, as it would from those of more noise.
         if min(costs[1:]) > costs[0] + CLEAR + len(begin):

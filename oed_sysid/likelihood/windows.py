@@ -262,18 +262,11 @@ class Windows:
             # Parameters that are unknown as logarithms: the chain rule, on both sides.
             gram = gram * scale[:, None] * scale
         if record.independent:
-            wide = self.from_start(by_unknowns)
+            # A window that begins from its given start: its columns by the unknown parameters.
+            wide = np.eye(gram.shape[1])[:, n_full:]
+            wide[:n_full, :-1] = by_unknowns[:, shooting.layout.n_own :]
             gram = wide.T @ gram @ wide
         return gram
-
-    def from_start(self, by_unknowns: np.ndarray) -> np.ndarray:
-        """Columns of a window that begins from its given start, by the unknown parameters."""
-        by_free = by_unknowns[:, self.shooting.layout.n_own :]
-        n_full, n_free = by_free.shape
-        wide = np.zeros((n_full + n_free + 1, n_free + 1))
-        wide[:n_full, :-1] = by_free
-        wide[n_full:] = np.eye(n_free + 1)
-        return wide
 
     def paths(self, point: Point) -> list[tuple[np.ndarray, np.ndarray]]:
         """Outputs and states of the windows, put together per record.
