@@ -42,7 +42,7 @@ from oed_sysid.evidence.score import two_sided
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.smoother import Path
 from oed_sysid.physics import sensor_bias, sensor_lag, sensor_scale
 from oed_sysid.physics.table import POLYNOMIAL

@@ -31,7 +31,7 @@ from oed_sysid.compiled.filtering import (
 )
 from oed_sysid.design import assess_limits
 from oed_sysid.likelihood.filtered import active_components, disturbed_model
-from oed_sysid.likelihood.levels import Levels
+from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.realisation import simulate_at_sea
 from oed_sysid.likelihood.smoother import Path
 

@@ -36,8 +36,7 @@ from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, Iterate, solve_filtered
-from oed_sysid.likelihood.levels import Levels
-from oed_sysid.likelihood.noise_model import NoiseModel
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.random_forces import FEW_STEPS, begun, solved
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict

@@ -41,10 +41,9 @@ from oed_sysid.likelihood.filtered import Filtered, Knowledge, disturbed_model
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FROZEN_TOLERANCE, FilteredSolution, solve_filtered
 from oed_sysid.likelihood.integration import resolved
-from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import credible_levels, given_levels
-from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
+from oed_sysid.likelihood.noise_model import Disturbances, Levels, NoiseModel, Sea, seas_in
 from oed_sysid.likelihood.projection import eliminate
 from oed_sysid.likelihood.random_forces import (
     Start,

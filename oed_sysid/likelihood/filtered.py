@@ -31,8 +31,7 @@ from oed_sysid.compiled.filtering import (
 )
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.disturbances import DISTURBANCE, Place, disturbance
-from oed_sysid.likelihood.levels import Levels
-from oed_sysid.likelihood.noise_model import NoiseModel, step_within
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel, step_within
 from oed_sysid.likelihood.shooting import Follows, Point
 from oed_sysid.likelihood.unknowns import KnownStarts, Posed
 from oed_sysid.physics import Effect
@@ -45,6 +44,8 @@ FARTHEST, LONGER = 10.0, 3.0
 # Ratio of periods of a sea that are tried, and most that one changes in a step: a wave of bandwidth
 # 0.3 is half as strong at the next one.
 NEXT_PERIOD = 1.4
+# Times, inputs, values, start states, measurements and noise of one record.
+Run = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Disturbed]
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,8 +283,13 @@ class Filtered(Posed):
     ) -> FilterPass:
         """Filter one record."""
         record, run = self.records[index], self._run(unknowns, index, noise, measured)
-        kept = {"active": self.active, "passing": self.passing}
-        part = self.kernel.filter(*run, **kept, **wanted, longest_step=self._longest_step(index))
+        part = self.kernel.filter(
+            *run,
+            active=self.active,
+            passing=self.passing,
+            longest_step=self._longest_step(index),
+            **wanted,
+        )
         return _white_alone(part, self.levels.entries) if record.independent else part
 
     def _run(
@@ -292,7 +298,7 @@ class Filtered(Posed):
         index: int,
         noise: Disturbed,
         measured: np.ndarray | None = None,
-    ) -> tuple[Any, ...]:
+    ) -> Run:
         """Times, inputs, values, start states, measurements and noise of one record."""
         record = self.records[index]
         if record.independent:  # nothing links its samples

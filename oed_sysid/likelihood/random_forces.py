@@ -353,7 +353,7 @@ class _Scored:
         wide : Filtered
             The same problem with these variances among its levels.
         names : sequence of str
-            Theirs, as :attr:`~oed_sysid.likelihood.levels.Levels.names` has them.
+            Theirs, as :attr:`~oed_sysid.likelihood.noise_model.Levels.names` has them.
 
         Returns
         -------

@@ -26,8 +26,8 @@ from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
-from oed_sysid.likelihood.levels import Levels
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
 # Share of the level of process noise that is left to it; chosen on cases with physics hidden, no

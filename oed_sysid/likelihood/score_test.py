@@ -39,9 +39,15 @@ from oed_sysid.likelihood.gauss_newton import (
     FilteredSolution,
     solve_filtered,
 )
-from oed_sysid.likelihood.levels import LONGEST, SHORTEST, Levels
 from oed_sysid.likelihood.noise_levels import credible_levels, shown_in_log
-from oed_sysid.likelihood.noise_model import NoiseModel, Sea, disturbance_names
+from oed_sysid.likelihood.noise_model import (
+    LONGEST,
+    SHORTEST,
+    Levels,
+    NoiseModel,
+    Sea,
+    disturbance_names,
+)
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.likelihood.unknowns import KnownStarts
