@@ -338,11 +338,6 @@ class Estimate:
         return tuple(errors / std for errors, std in self._one_step)
 
     @property
-    def tests_alone(self) -> bool:
-        """Whether there are independent tests only, whose signals are those of a towed model."""
-        return self.dataset.only_tests
-
-    @property
     def series(self) -> tuple[np.ndarray, ...]:
         """As :attr:`whitened`, NaN throughout records whose samples have no order."""
         return tuple(

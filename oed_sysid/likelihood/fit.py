@@ -490,7 +490,7 @@ class Fit(estimate.Estimate):
             self.model.outputs, self.sigma, self.sigma_estimated, self.rms.values(),
             self.effective_samples().values(), strict=True,
         ):  # fmt: skip
-            if not total and self.tests_alone:
+            if not total and self.dataset.only_tests:
                 continue
             factor, unit = shown_unit(output.unit)  # angles are read in degrees
             origin = ("estimated" if estimated else "given") if total else "not measured"
@@ -586,7 +586,7 @@ class Fit(estimate.Estimate):
     def _still_inputs(self) -> list[str]:
         spans = np.ptp(np.vstack([record.inputs for record in self.dataset]), axis=0)
         names = zip(self.model.input_names, spans, strict=True)
-        return [name for name, span in names if span == 0.0 and not self.tests_alone]
+        return [name for name, span in names if span == 0.0 and not self.dataset.only_tests]
 
     def _correlated_pairs(self) -> list[str]:
         correlation = np.tril(self.correlation, -1)

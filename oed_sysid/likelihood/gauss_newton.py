@@ -52,7 +52,6 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Blocks
 from oed_sysid.likelihood.filtered import Filtered
-from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step, gain_within, inverse_of
 from oed_sysid.likelihood.shooting import Follows, Linearisation, Point, Shooting
@@ -569,11 +568,6 @@ class Solution:
         """Measured less model ``(n_times, n_outputs)``, per record."""
         lin = self.now.linearisation
         return self.problem.residuals(self.point) if lin is None else lin.residuals
-
-    @property
-    def levels(self) -> np.ndarray:
-        """Noise levels that the residuals show, unknowns counted, ``(n_outputs,)``."""
-        return residual_levels(self.residuals, self.problem.n_unknowns)
 
     def rated(self, shooting: Shooting) -> Solution:
         """The same end where the noise levels are those of another problem."""

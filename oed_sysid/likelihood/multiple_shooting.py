@@ -562,7 +562,8 @@ def _with_noise(end: Solution, estimated: np.ndarray, minimise: Minimiser) -> So
         return end
     least = EXACT * signal_spread(shooting.dataset)
     for _ in range(12):  # three or four suffice as a rule
-        sigma = np.where(estimated, np.maximum(end.levels, least), shooting.sigma)
+        shown = residual_levels(end.residuals, end.problem.n_unknowns)
+        sigma = np.where(estimated, np.maximum(shown, least), shooting.sigma)
         change = float(np.max(np.abs(np.log(sigma / shooting.sigma))))
         shooting = shooting.having(sigma=sigma)
         if change < 1e-3 or end.reason == "interrupted":

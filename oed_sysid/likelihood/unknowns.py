@@ -229,11 +229,6 @@ class KnownStarts:
                 mean[index, position], std[index, position] = value, error
         return cls(mean, std)
 
-    def of_series(self, dataset: Dataset) -> bool:
-        """Whether something is known of a record that is a series in time."""
-        series = [not record.independent for record in dataset]
-        return bool(np.isfinite(self.std[series]).any())
-
     def described(self, model: Model) -> tuple[dict[str, tuple[float, float]], ...]:
         """Value and error of every state that is not free, per record."""
         return tuple(

@@ -131,11 +131,6 @@ class WholeRun:
         diverged = np.isinf(found.cost)
         return cls.at(shooting, point.unknowns if diverged else found.point.unknowns)
 
-    @classmethod
-    def part(cls, shooting: Shooting, unknowns: np.ndarray, index: int) -> WholeRun:
-        """One record of a fit of several, at its unknowns."""
-        return cls.at(*shooting.part([index], unknowns))
-
     @property
     def record(self) -> Record:
         """The record."""
@@ -555,7 +550,10 @@ def without_process_noise(
             begin[columns] = run.unknowns[run.shooting.layout.record_columns(0)]
         points.append(shooting.continuous(begin))
     found = [
-        tuple(WholeRun.part(shooting, end.point.unknowns, i) for i in range(len(fit.dataset)))
+        tuple(
+            WholeRun.at(*shooting.part([index], end.point.unknowns))
+            for index in range(len(fit.dataset))
+        )
         for point in points
         if np.isfinite((end := solve(shooting, point)).cost)
     ]

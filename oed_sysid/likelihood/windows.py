@@ -31,6 +31,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
@@ -420,7 +421,8 @@ def wide_start(shooting: Shooting, point: Point) -> Point:
 
 def check_horizon(shooting: Shooting, horizon: float) -> None:
     """Raise an error where a horizon is shorter than one step, or start states are stated."""
-    series = [record for record in shooting.records if not record.independent]
+    in_time = [not record.independent for record in shooting.records]
+    series = compress(shooting.records, in_time)
     longest = max((record.sample_time for record in series), default=0.0)
     if not horizon >= 0.99 * longest:
         raise DataError(
@@ -428,7 +430,7 @@ def check_horizon(shooting: Shooting, horizon: float) -> None:
             "step; horizon=None predicts whole records."
         )
     known = shooting.known_starts
-    if known is not None and known.of_series(shooting.dataset):
+    if known is not None and np.isfinite(known.std[in_time]).any():
         raise ModelError(
             "start_states are those of whole records; windows of a horizon begin from states of "
             "their own. Drop one of the two."
