@@ -24,6 +24,7 @@ from oed_sysid.compiled.filtering import (
     SEA_PERIOD,
     SEA_VARIANCE,
     WHITE_VARIANCE,
+    Along,
     Disturbed,
     FilterKernel,
     FilterPass,
@@ -147,10 +148,10 @@ def test_compiled_filter_is_the_interpreted_one(
     own = np.array([1.5, 0.02, 0.0, 0.05, 2.0])
 
     def run(filter_: FilterKernel) -> FilterPass:
+        along = Along(times, inputs, values, own, measured, noise, longest_step=longest_step)
         return filter_.filter(
-            times, inputs, values, own, measured, noise, names=("X_uu",), levels=levels,
-            rows=True, gains=True, moves=True, longest_step=longest_step,
-        )  # fmt: skip
+            along, names=("X_uu",), levels=levels, rows=True, gains=True, moves=True
+        )
 
     assert_same(run(kernel), run(interpreted(kernel)))
 
@@ -170,17 +171,12 @@ def test_replay_repeats_the_filter_and_shows_what_a_value_changes(
     moved[kernel.model.parameter_names.index("X_uu")] += step
     slopes = []
     for filter_ in (kernel, interpreted(kernel)):
-        found = filter_.filter(
-            times, inputs, values, own, measured, noise, names=("X_uu",), own_columns=False,
-            rows=True, gains=True, longest_step=longest_step,
-        )  # fmt: skip
+        along = Along(times, inputs, values, own, measured, noise, longest_step=longest_step)
+        found = filter_.filter(along, names=("X_uu",), own_columns=False, rows=True, gains=True)
         assert found.gains is not None
         assert found.rows is not None
         same, other = (
-            filter_.replay(
-                times, inputs, at, own, measured, noise, found.gains, longest_step=longest_step
-            )
-            for at in (values, moved)
+            filter_.replay(replace(along, values=at), found.gains) for at in (values, moved)
         )
         assert same[1]
         assert other[1]
@@ -201,11 +197,10 @@ def ship_run(
     times = np.arange(0.0, 12.0, 0.2)
     inputs = 0.3 * np.sign(np.sin(times))[:, None]
     measured = 0.01 * rng.standard_normal((len(times), 2))
-    return kernel.filter(
-        times, inputs, kernel.model.value_vector, np.array([0.1, 0.01]), measured, noise,
-        names=names, active=active_components(kernel.model, model), rows=True,
-        levels=((FORCE_VARIANCE, 0), (FORCE_TIME, -1), (WHITE_VARIANCE, 1)),
-    )  # fmt: skip
+    own, active = np.array([0.1, 0.01]), active_components(kernel.model, model)
+    along = Along(times, inputs, kernel.model.value_vector, own, measured, noise, active)
+    levels = ((FORCE_VARIANCE, 0), (FORCE_TIME, -1), (WHITE_VARIANCE, 1))
+    return kernel.filter(along, names=names, rows=True, levels=levels)
 
 
 def ship_noise(**changes: object) -> Disturbed:
@@ -262,9 +257,8 @@ def linear_pass(noise: Disturbed, own: np.ndarray = START, **options: object) ->
     values = kernel.model.value_vector
     if "K" in options:
         values[kernel.model.parameter_names.index("K")] = options.pop("K")
-    return kernel.filter(
-        times, inputs, values, own, measured, noise, longest_step=0.2, **options  # type: ignore[arg-type]
-    )  # fmt: skip
+    along = Along(times, inputs, values, own, measured, noise, longest_step=0.2)
+    return kernel.filter(along, **options)  # type: ignore[arg-type]
 
 
 def remembered(
@@ -546,7 +540,7 @@ def test_a_model_that_leaves_the_numbers_is_said_to() -> None:
     times = np.arange(0.0, 40.0, 0.2)
     args = (times, np.full((200, 1), 1.0), wild, np.array([0.0, 3.0]))
     for one in (kernel, interpreted(kernel)):
-        found = one.filter(*args, np.full((200, 2), np.nan), ship_noise())
+        found = one.filter(Along(*args, np.full((200, 2), np.nan), ship_noise()))
         assert not found.ok
         assert 0 <= found.failed_at < 200
         assert found.objective == np.inf

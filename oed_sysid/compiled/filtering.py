@@ -314,6 +314,56 @@ def _with_mean(angles: np.ndarray, damping: float, turn: int) -> tuple[np.ndarra
 
 
 @dataclass(frozen=True, eq=False)
+class Along:
+    """One record and what a model is along it.
+
+    Attributes
+    ----------
+    times : ndarray (n_times,)
+    inputs : ndarray (n_times, n_inputs)
+    values : ndarray (n_parameters,)
+        Of all parameters; disturbances are set by the filter.
+    own : ndarray (n_own,)
+        The model's own states at the first sample.
+    measured : ndarray (n_times, n_outputs)
+        NaN where missing.
+    noise : Disturbed
+    active : sequence of int, optional
+        Components of the full state that are uncertain; all by default.
+    passing : sequence of int
+        Components besides these that are certain, and only pass derivatives on.
+    longest_step : float, optional
+        Longest time over which disturbances are held, s; the median sample time by default.
+    """
+
+    times: np.ndarray
+    inputs: np.ndarray
+    values: np.ndarray
+    own: np.ndarray
+    measured: np.ndarray
+    noise: Disturbed
+    active: Sequence[int] | np.ndarray | None = None
+    passing: Sequence[int] | np.ndarray = ()
+    longest_step: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("times", "inputs", "values", "measured"):
+            object.__setattr__(self, name, *doubles(getattr(self, name)))
+
+    @property
+    def record(self) -> Commands:
+        """Times and inputs."""
+        return self.times, self.inputs
+
+    @property
+    def hold(self) -> float:
+        """Longest time over which disturbances are held, s."""
+        if self.longest_step is not None:
+            return float(self.longest_step)
+        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
+
+
+@dataclass(frozen=True, eq=False)
 class FilterPass:
     """What one pass over one record returns.
 
@@ -375,27 +425,17 @@ class InterpretedFilter:
     Parameters
     ----------
     model : Model
-    values : ndarray (n_parameters,)
+    along : Along
     z0 : ndarray (n_full,)
         Full state at the first sample.
     kept : sequence of int
         Components of it that are uncertain, then those that only pass derivatives on.
-    noise : Disturbed
-    longest_step : float
-        Longest time over which disturbances are held, s.
     """
 
-    def __init__(
-        self,
-        model: Model,
-        values: np.ndarray,
-        z0: np.ndarray,
-        kept: np.ndarray,
-        noise: Disturbed,
-        longest_step: float,
-    ) -> None:
-        self.code, self.noise, self.longest_step = interpreted(model), noise, longest_step
-        self.z, self.values, self.kept = z0.copy(), values.copy(), kept
+    def __init__(self, model: Model, along: Along, z0: np.ndarray, kept: np.ndarray) -> None:
+        self.code, self.noise, self.longest_step = interpreted(model), along.noise, along.hold
+        self.record, self.measured, noise = along.record, along.measured, along.noise
+        self.z, self.values, self.kept = z0.copy(), along.values.copy(), kept
         names = model.free_names
         self.position = [model.parameter_names.index(name) for name in noise.disturbances]
         n_full = len(z0)
@@ -409,15 +449,14 @@ class InterpretedFilter:
         self.memory: dict[tuple[float, float], np.ndarray] = {}
         self.mean = np.zeros(self.size)
 
-    def replay(
-        self, record: Commands, measured: np.ndarray, gains: np.ndarray, innovations: np.ndarray
-    ) -> int:
+    def replay(self, gains: np.ndarray, innovations: np.ndarray) -> int:
         """Innovations at the gains of an earlier pass; -1, or the sample that is not finite."""
+        measured = self.measured
         for k in range(len(measured)):
             if not np.isfinite(self.z).all():
                 return k
             self._let_act()
-            y = self.code.sample(self.z, record, k, self.values)[0]
+            y = self.code.sample(self.z, self.record, k, self.values)[0]
             # Corrections of earlier outputs of this sample count for the later ones, to first
             # order.
             delta = np.zeros(self.size)
@@ -430,15 +469,13 @@ class InterpretedFilter:
                 delta += gain * e
                 innovations[k, i] = e
             self._correct(delta)
-            for step, steps, lengths in self._parts(record[0], k):
-                self._advance(record, k, (step, steps), None)
+            for step, steps, lengths in self._parts(k):
+                self._advance(k, (step, steps), None)
                 self.mean[self.extra] = self._over(lengths)[0] @ self.mean[self.extra]
         return -1
 
     def filter(
         self,
-        record: Commands,
-        measured: np.ndarray,
         first: np.ndarray,
         chosen: np.ndarray,
         levels: Sequence[tuple[int, int]],
@@ -465,20 +502,21 @@ class InterpretedFilter:
                 self.d_p[level, self.extra, self.extra] = unit
         self.gram = np.zeros((nx + nl + 1,) * 2)
         self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
-        for k in range(len(measured)):
-            if not np.isfinite(self.z).all() or not self._measure(record, k, measured[k]):
+        for k, measured in enumerate(self.measured):
+            if not np.isfinite(self.z).all() or not self._measure(k, measured):
                 return k
-            for step, steps, lengths in self._parts(record[0], k):
-                self._predict(record, k, (step, steps), lengths)
+            for step, steps, lengths in self._parts(k):
+                self._predict(k, (step, steps), lengths)
         found.gram[:] = self.gram
         sums[0][:], sums[1][:] = [*self.slope, *self.information.ravel()], self.total
         return -1
 
-    def _parts(self, times: np.ndarray, k: int) -> list[tuple[int, int, tuple[float, float]]]:
+    def _parts(self, k: int) -> list[tuple[int, int, tuple[float, float]]]:
         """Steps from sample ``k`` on over which disturbances are held; none after the last.
 
         Each with its length and that of the step behind it.
         """
+        times = self.record[0]
         if k + 1 == len(times):
             return []
         counts, lengths = steps_between(times[k : k + 3], self.longest_step)
@@ -517,22 +555,20 @@ class InterpretedFilter:
         self.z[self.kept] += delta[: self.na]
         self.mean[self.na :] += delta[self.na :]
 
-    def _advance(
-        self, record: Commands, k: int, part: tuple[int, int], s: np.ndarray | None
-    ) -> np.ndarray | None:
+    def _advance(self, k: int, part: tuple[int, int], s: np.ndarray | None) -> np.ndarray | None:
         """Move the state, and sensitivities ``s``, over one part of the time to the next sample."""
         self._let_act()
         if part[0] == 0:  # sensor memory moves on with what is known after the measurement
-            _, self.z, _, d_after = self.code.sample(self.z, record, k, self.values)
+            _, self.z, _, d_after = self.code.sample(self.z, self.record, k, self.values)
             s = None if s is None else chained(d_after, s)
-        self.z, s = self.code.move(self.z, s, record, k, self.values, part)
+        self.z, s = self.code.move(self.z, s, self.record, k, self.values, part)
         return s
 
-    def _measure(self, record: Commands, k: int, measured: np.ndarray) -> bool:
+    def _measure(self, k: int, measured: np.ndarray) -> bool:
         """Correct by one sample, one output at a time; whether everything is finite."""
         noise, found, na, m = self.noise, self.found, self.na, self.m
         self._let_act()
-        y, _, dy, _ = self.code.sample(self.z, record, k, self.values)
+        y, _, dy, _ = self.code.sample(self.z, self.record, k, self.values)
         if found.moves is not None:
             found.moves[k, len(self.inside) :] = self.p[na:m][:, self.inside]
         width = self.d_mean.shape[1]
@@ -589,14 +625,10 @@ class InterpretedFilter:
         self.total += np.log(s), e**2 / s
         return q
 
-    def _predict(
-        self, record: Commands, k: int, part: tuple[int, int], lengths: tuple[float, float]
-    ) -> None:
+    def _predict(self, k: int, part: tuple[int, int], lengths: tuple[float, float]) -> None:
         """Mean, covariance, columns and tangents over one part of the time to the next sample."""
         na, m, extra, n_full = self.na, self.m, self.extra, len(self.z)
-        s = self._advance(
-            record, k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices))
-        )
+        s = self._advance(k, part, np.eye(n_full, n_full + len(self.code.graph.free_indices)))
         assert s is not None
         phi, by_time, by_damping = self._over(lengths)
         f = np.zeros((self.size, self.size))
@@ -672,44 +704,24 @@ class FilterKernel(Kernel):
 
     def filter(
         self,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        values: np.ndarray,
-        own: np.ndarray,
-        measured: np.ndarray,
-        noise: Disturbed,
+        along: Along,
         *,
         names: Sequence[str] = (),
         own_columns: bool = True,
-        active: Sequence[int] | np.ndarray | None = None,
-        passing: Sequence[int] | np.ndarray = (),
         levels: Sequence[tuple[int, int]] = (),
         rows: bool = False,
         gains: bool = False,
         moves: bool = False,
-        longest_step: float | None = None,
     ) -> FilterPass:
         """Filter one record.
 
         Parameters
         ----------
-        times : ndarray (n_times,)
-        inputs : ndarray (n_times, n_inputs)
-        values : ndarray (n_parameters,)
-            Of all parameters; disturbances are set by the filter.
-        own : ndarray (n_own,)
-            The model's own states at the first sample.
-        measured : ndarray (n_times, n_outputs)
-            NaN where missing.
-        noise : Disturbed
+        along : Along
         names : sequence of str
             Parameters with a column.
         own_columns : bool
             Whether the own start states have columns, which come first.
-        active : sequence of int, optional
-            Components of the full state that are uncertain; all by default.
-        passing : sequence of int
-            Components besides these that are certain, and only pass derivatives on.
         levels : sequence of (kind, index)
             Levels with tangents, ``FORCE_VARIANCE`` and its like; index -1 is the time of all.
             A ``SEA_VARIANCE`` counts among narrow-band disturbances, ``SEA_PERIOD`` and
@@ -720,16 +732,14 @@ class FilterKernel(Kernel):
             Whether to return gains, for :meth:`replay`.
         moves : bool
             Whether to return transitions and covariances, for a smoother.
-        longest_step : float, optional
-            Longest time over which disturbances are held, s; the median sample time by default.
         """
-        n = len(times)
-        begun = self._begun(times, inputs, values, own, measured, active, passing, longest_step)
-        times, inputs, values, measured, z0, dz0, kept, longest_step = begun
+        n, noise = len(along.times), along.noise
+        z0, dz0, kept = self._begun(along)
         chosen = np.array([self._free[name] for name in names], dtype=int)
         random = [self._free[name] for name in noise.acting]
         self._check_processes(noise)
-        n_active = len(kept) - len(passing)
+        n_passing = len(along.passing)
+        n_active = len(kept) - n_passing
         own_states = range(self.n_own if own_columns else 0)
         first = dz0[np.ix_(kept, [*own_states, *(self.n_own + chosen)])]
         kinds, indices = np.array([*levels], dtype=np.intc).reshape(-1, 2).T.copy()
@@ -760,9 +770,8 @@ class FilterKernel(Kernel):
             return replace(found, log_variance=sums[0], square=sums[1], failed_at=failed)
 
         if self.library is None:
-            slow = InterpretedFilter(self.model, values, z0, kept, noise, longest_step)
-            record, sums = (times, inputs), (level, total)
-            return done(slow.filter(record, measured, first, chosen, levels, n_active, found, sums))
+            slow = InterpretedFilter(self.model, along, z0, kept)
+            return done(slow.filter(first, chosen, levels, n_active, found, (level, total)))
         columns = np.full(max(self.n_free, 1), -1, dtype=np.intc)
         parameter, disturbance = n_active, n_active + len(chosen)
         columns[chosen] = parameter + np.arange(len(chosen))
@@ -770,35 +779,23 @@ class FilterKernel(Kernel):
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
-        which, memory = _lengths(times, longest_step, noise)
+        which, memory = _lengths(along)
         x0, white, variance, memory = doubles(first, noise.white, noise.stationary, memory)
         owner = noise.owner
         sizes = (n_random, len(owner), first.shape[1], len(levels))
-        work = np.empty(self.library.kernel_filter_work(n_active, len(passing), *sizes))
-        h_max = float(self.model.step)
+        work = np.empty(self.library.kernel_filter_work(n_active, n_passing, *sizes))
         failed = call(
-            self.library.kernel_filter, n, times, inputs, values, h_max, longest_step,
-            z0, n_active, len(passing), kept, first.shape[1], len(chosen), parameter, disturbance,
-            columns, x0, n_random, len(random), positions, acting, noise.sea, white,
-            len(coloured), coloured, len(owner), owner, variance, which, memory, measured,
-            len(levels), kinds, indices, found.gram, level, found.innovations,
-            found.variances, found.rows, found.path, found.gains, found.moves, total, work,
+            self.library.kernel_filter, n, along.times, along.inputs, along.values,
+            float(self.model.step), along.hold, z0, n_active, n_passing, kept, first.shape[1],
+            len(chosen), parameter, disturbance, columns, x0, n_random, len(random),
+            positions, acting, noise.sea, white, len(coloured), coloured, len(owner), owner,
+            variance, which, memory, along.measured, len(levels), kinds, indices,
+            found.gram, level, found.innovations, found.variances, found.rows, found.path,
+            found.gains, found.moves, total, work,
         )  # fmt: skip
         return done(failed)
 
-    def replay(
-        self,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        values: np.ndarray,
-        own: np.ndarray,
-        measured: np.ndarray,
-        noise: Disturbed,
-        gains: np.ndarray,
-        *,
-        active: Sequence[int] | np.ndarray | None = None,
-        longest_step: float | None = None,
-    ) -> tuple[np.ndarray, bool]:
+    def replay(self, along: Along, gains: np.ndarray) -> tuple[np.ndarray, bool]:
         """Innovations of other values at the gains of an earlier pass.
 
         What a change of the model does to the innovations at frozen gain, without derivatives
@@ -806,8 +803,8 @@ class FilterKernel(Kernel):
 
         Parameters
         ----------
-        times, inputs, values, own, measured, noise, active, longest_step
-            As of :meth:`filter`.
+        along : Along
+            Without components that only pass derivatives on.
         gains : ndarray (n_times, n_outputs, 2, n)
             As a pass with the same active components, disturbances and colours has kept them.
 
@@ -818,47 +815,30 @@ class FilterKernel(Kernel):
         ok : bool
             Whether everything stayed finite.
         """
-        n = len(times)
-        begun = self._begun(times, inputs, values, own, measured, active, (), longest_step)
-        times, inputs, values, measured, z0, _, kept, longest_step = begun
+        n, noise = len(along.times), along.noise
+        z0, _, kept = self._begun(along)
         innovations = np.full((n, self.n_outputs), np.nan)
         if self.library is None:
-            slow = InterpretedFilter(self.model, values, z0, kept, noise, longest_step)
-            failed = slow.replay((times, inputs), measured, gains, innovations)
+            failed = InterpretedFilter(self.model, along, z0, kept).replay(gains, innovations)
             return innovations, failed < 0
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
-        which, memory = _lengths(times, longest_step, noise)
+        which, memory = _lengths(along)
         memory, gains = doubles(memory, gains)
         mean, delta = np.empty((2, gains.shape[-1]))
-        h_max = float(self.model.step)
         failed = call(
-            self.library.kernel_replay, n, times, inputs, values, h_max, longest_step,
-            z0, len(kept), kept, len(positions), positions, len(coloured), coloured,
-            len(noise.owner), which, memory, measured, gains, innovations, mean, delta,
+            self.library.kernel_replay, n, along.times, along.inputs, along.values,
+            float(self.model.step), along.hold, z0, len(kept), kept, len(positions), positions,
+            len(coloured), coloured, len(noise.owner), which, memory, along.measured,
+            gains, innovations, mean, delta,
         )  # fmt: skip
         return innovations, failed < 0
 
-    def _begun(
-        self,
-        times: np.ndarray,
-        inputs: np.ndarray,
-        values: np.ndarray,
-        own: np.ndarray,
-        measured: np.ndarray,
-        active: Sequence[int] | np.ndarray | None,
-        passing: Sequence[int] | np.ndarray,
-        longest_step: float | None,
-    ) -> tuple[Any, ...]:
-        """What both loops take: the record, its first full state, kept components, longest step."""
-        times, inputs, values, measured = doubles(times, inputs, values, measured)
-        inputs = inputs.reshape(len(times), self.n_inputs)
-        z0, dz0 = self.start(own, inputs[0], values, times[0])
-        active = np.arange(self.n_full) if active is None else active
-        kept = np.ascontiguousarray([*active, *passing], dtype=np.intc)
-        if longest_step is None:
-            longest_step = float(np.median(np.diff(times))) if len(times) > 1 else 1.0
-        return times, inputs, values, measured, z0, dz0, kept, float(longest_step)
+    def _begun(self, along: Along) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """First full state, its derivatives, and the components that are kept."""
+        z0, dz0 = self.start(along.own, along.inputs[0], along.values, along.times[0])
+        active = range(self.n_full) if along.active is None else along.active
+        return z0, dz0, np.ascontiguousarray([*active, *along.passing], dtype=np.intc)
 
     def _check_processes(self, noise: Disturbed) -> None:
         for name in noise.acting:
@@ -942,20 +922,18 @@ def steps_between(times: np.ndarray, longest_step: float) -> tuple[np.ndarray, n
     return counts, (intervals / counts).round(12)
 
 
-def _lengths(
-    times: np.ndarray, longest_step: float, noise: Disturbed
-) -> tuple[np.ndarray, np.ndarray]:
+def _lengths(along: Along) -> tuple[np.ndarray, np.ndarray]:
     """Which transitions the steps before each next sample have, the last of them last; and these.
 
     ``(n_times - 1, 2)`` of those over all pairs of a length and the one behind it.
     """
-    lengths, own = np.unique(steps_between(times, longest_step)[1], return_inverse=True)
+    lengths, own = np.unique(steps_between(along.times, along.hold)[1], return_inverse=True)
     # A pair is one number: rows of two are sorted a hundred times as slowly.
     pairs = own * len(lengths) + np.stack([own, np.append(own[1:], own[-1:])])
     different, which = np.unique(pairs, return_inverse=True)
     inner, last = lengths[np.array(np.divmod(different, len(lengths)))]
     which = which.reshape(pairs.shape).T
-    return np.ascontiguousarray(which, dtype=np.intc), noise.memory(inner, last)
+    return np.ascontiguousarray(which, dtype=np.intc), along.noise.memory(inner, last)
 
 
 _CACHE: dict[tuple[str, float], FilterKernel] = {}

@@ -177,7 +177,8 @@ class Study:
             seas=seas_in(disturbances),
         )
         effects = fitting_candidates(model, candidates)
-        setting = replace(setting, kernel=_kernel(model, effects, setting))
+        kernel = _kernel(model, effects, setting)
+        setting = replace(setting, kernel=kernel)
         plain, end = _white_fit(model, train)
         starts = [_nominal_start(model, train, white), *([] if end is None else [end])]
         test = _best_test(setting, starts)
@@ -191,7 +192,7 @@ class Study:
             validation=validation,
             setting=setting,
             unit=test.unit,
-            kernel=setting.kernel,
+            kernel=kernel,
             estimated=~np.isfinite(levels),
         )
         best = fit_disturbed(setting, starts, test, polish=0)

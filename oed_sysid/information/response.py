@@ -31,7 +31,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import filter_kernel
+from oed_sysid.compiled.filtering import Along, filter_kernel
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DesignError, located
@@ -265,11 +265,10 @@ class Innovations:
         measured = np.where(play.present, nominal.outputs, np.nan)
         if outputs is not None:
             measured[:, [name not in outputs for name in model.output_names]] = np.nan
-        run = (play.times, play.inputs, values, play.initial)
-        swept = kernel.filter(
-            *run, measured, random, names=free, rows=True, gains=changes is not None,
-            longest_step=held,
-        )  # fmt: skip
+        along = Along(
+            play.times, play.inputs, values, play.initial, measured, random, longest_step=held
+        )
+        swept = kernel.filter(along, names=free, rows=True, gains=changes is not None)
         if not swept.ok or swept.rows is None:
             raise DesignError(
                 f"The filter of run {play.name!r} diverges. Check levels and times of the "
@@ -284,9 +283,8 @@ class Innovations:
         for change in np.moveaxis(changes, 2, 0):
             # Small, so that the filter stays on the nominal trajectory, where it is linear.
             share = TANGENT / max(float(np.abs(change / white).max()), 1.0)
-            innovations, _ = kernel.replay(
-                *run, measured + share * change, random, swept.gains, longest_step=held
-            )
+            moving = replace(along, measured=measured + share * change)
+            innovations, _ = kernel.replay(moving, swept.gains)
             # A model that had the change would lower the innovations by it.
             moved.append(-innovations[seen] / share / roots)
         return np.column_stack([rows, *moved]), nominal.outputs

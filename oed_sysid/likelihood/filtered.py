@@ -24,6 +24,7 @@ import numpy as np
 from oed_sysid.compiled.filtering import (
     SEA_PERIOD,
     WHITE_VARIANCE,
+    Along,
     Disturbed,
     FilterKernel,
     FilterPass,
@@ -44,8 +45,6 @@ FARTHEST, LONGER = 10.0, 3.0
 # Ratio of periods of a sea that are tried, and most that one changes in a step: a wave of bandwidth
 # 0.3 is half as strong at the next one.
 NEXT_PERIOD = 1.4
-# Times, inputs, values, start states, measurements and noise of one record.
-Run = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray, Disturbed]
 
 
 @dataclass(frozen=True, eq=False)
@@ -282,35 +281,33 @@ class Filtered(Posed):
         measured: np.ndarray | None = None,
     ) -> FilterPass:
         """Filter one record."""
-        record, run = self.records[index], self._run(unknowns, index, noise, measured)
-        part = self.kernel.filter(
-            *run,
-            active=self.active,
-            passing=self.passing,
-            longest_step=self._longest_step(index),
-            **wanted,
-        )
-        return _white_alone(part, self.levels.entries) if record.independent else part
+        along = self._along(unknowns, index, noise, measured)
+        part = self.kernel.filter(replace(along, passing=self.passing), **wanted)
+        independent = self.records[index].independent
+        return _white_alone(part, self.levels.entries) if independent else part
 
-    def _run(
+    def _along(
         self,
         unknowns: np.ndarray,
         index: int,
         noise: Disturbed,
         measured: np.ndarray | None = None,
-    ) -> Run:
-        """Times, inputs, values, start states, measurements and noise of one record."""
+    ) -> Along:
+        """One record, with the model and the noise along it."""
         record = self.records[index]
         if record.independent:  # nothing links its samples
             nothing = np.zeros_like(noise.variance), np.zeros_like(noise.colour_variance)
             noise = replace(noise, variance=nothing[0], colour_variance=nothing[1])
-        values, own = self.values(unknowns, index), self.initial_state(unknowns, index)
-        outputs = record.outputs if measured is None else measured
-        return record.times, record.inputs, values, own, outputs, noise
-
-    def _longest_step(self, index: int) -> float | None:
-        """Longest time over which disturbances are held along one record, s."""
-        return step_within(self.records[index].times, self.longest_hold)
+        return Along(
+            record.times,
+            record.inputs,
+            self.values(unknowns, index),
+            self.initial_state(unknowns, index),
+            record.outputs if measured is None else measured,
+            noise,
+            self.active,
+            longest_step=step_within(record.times, self.longest_hold),
+        )
 
     def replayed(
         self,
@@ -337,10 +334,12 @@ class Filtered(Posed):
         noise = wide.levels.disturbed(wide.noise(unknowns))
 
         def one(index: int) -> tuple[np.ndarray, bool]:
-            run, gains = wide._run(unknowns, index, noise), found[index].gains
+            gains, hold = found[index].gains, self.longest_hold
             assert gains is not None
-            step = self._longest_step(index)
-            return wide.kernel.replay(*run, gains, active=self.active, longest_step=step)
+            along = wide._along(unknowns, index, noise)
+            step = step_within(along.times, hold)
+            along = replace(along, active=self.active, longest_step=step)
+            return wide.kernel.replay(along, gains)
 
         results = both_cores(one, range(len(self.records)))
         return [part for part, _ in results] if all(ok for _, ok in results) else None
