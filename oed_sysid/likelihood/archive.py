@@ -382,9 +382,13 @@ def _faults_of_head(data: Any, kind: str) -> Iterator[str]:
     for key in ("fit",) if version < FORMAT else ("kind", "made", "sha256", "content"):
         if key not in data:
             yield f"is of format {version} but has no {key!r}: a part of it is missing. {AGAIN}"
-    if version < FORMAT:
-        return
-    if not isinstance(made, dict):
+    if version == FORMAT:
+        yield from _faults_of_whole(data, kind, wanted)
+
+
+def _faults_of_whole(data: dict[str, Any], kind: str, wanted: str) -> Iterator[str]:
+    """What a result with all its parts does not have."""
+    if not isinstance(data["made"], dict):
         yield f"does not say who made it: its 'made' is no object. {wanted}"
     if data["kind"] != kind:
         yield f"holds a {data['kind']!r:.40}, expected a {kind}."

@@ -313,7 +313,9 @@ class MultipleShooting:
         shooting, minimise = task.shooting, self._minimiser(task.shooting)
         patience = FIRST_STEPS if carried is None else KNOWN
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
-        end = self._solve(shooting, point, first, near=carried is not None)
+        end = first(shooting, point) if carried else self._solve(shooting, point, first)
+        if carried and end.reason == "diverged":
+            end = self._solve(shooting, point, first)
         return _with_noise(end, task.how.estimated, minimise)
 
     def _summary(self, task: _Task, end: Solution, *, weighed: bool = True) -> Fit:
@@ -409,7 +411,9 @@ class MultipleShooting:
         # Noise of inputs was asked for beside these forces and in their place.
         absent = [p.channel for p in setting.inputs if not found.noise.level(p.name)[0]]
         asked = ProcessNoiseTest(test.gain, inputs=tuple(absent))
-        return fit, replace(found, process_noise=_before_absorbed(fit, asked), model=model)
+        if fit.names:  # delays and starts of actuators, which the forces absorb
+            asked = replace(asked, delay=clear_delay(fit), actuator_starts=clear_starts(fit))
+        return fit, replace(found, process_noise=asked, model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
         """Where process noise may act; None where there is no such place."""
@@ -489,22 +493,20 @@ class MultipleShooting:
             callback=self.progress,
         )
 
-    def _solve(
-        self, shooting: Shooting, point: Point, minimise: Minimiser, *, near: bool
-    ) -> Solution:
+    def _solve(self, shooting: Shooting, point: Point, minimise: Minimiser) -> Solution:
         """Iterate from near, from far, or from both, and return the better end."""
         if self.start == "near" or self.horizon is not None:
             return minimise(shooting, point)
         ends, begin = list[Solution](), shooting.misfit(point)
-        if near or (self.start != "wide" and begin <= FAR):
+        if self.start != "wide" and begin <= FAR:
             ends.append(minimise(shooting, point))
             # A local minimum is worth a second attempt only if the start was doubtful.
-            if ends[0].reason != "diverged" and (near or _trusted(begin, shooting, ends[0])):
+            if _trusted(begin, shooting, ends[0]):
                 return ends[0]
         try:
             ends.append(minimise(shooting, wide_start(shooting, point)))
         except KeyboardInterrupt:
-            if not ends or ends[0].reason == "diverged":
+            if not any(end.finite for end in ends):
                 raise
             return replace(ends[0], reason="interrupted")
         if self.start != "wide" and len(ends) == 1 and not _explains(shooting, ends[0]):
@@ -656,13 +658,6 @@ def _score(
         if test.gain >= CLEAR:
             return test
     return score_test(quiet, start)
-
-
-def _before_absorbed(fit: Fit, asked: ProcessNoiseTest) -> ProcessNoiseTest:
-    """The test at the white fit, with delays and starts of actuators that the forces absorb."""
-    if not fit.names:
-        return asked
-    return replace(asked, delay=clear_delay(fit), actuator_starts=clear_starts(fit))
 
 
 def _left(fit: Fit, before: np.ndarray) -> Dataset | None:

@@ -155,7 +155,8 @@ def _raced_to_sea(
 ) -> FilteredSolution:
     """The likeliest end with forces of first order, or with a sea where there is one."""
     best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
-    best, left = with_sea(best, setting), setting.max_iterations - FIRST_STEPS
+    best = best if best.finite is None else with_sea(best, setting)
+    left = setting.max_iterations - FIRST_STEPS
     if best.reason != "iterations" or left <= 0:
         return best
     again = solved(best, left, progress)
@@ -586,14 +587,14 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
         The same one where no sea is clearly likelier.
     """
     known = setting.sea
-    if known is None or found.noise.seas or found.finite is None:
+    if known is None or found.noise.seas:
         return found
     places = known.places or setting.at_sea
-    period = places and (known.period or _likeliest_period(found, setting, places))
-    if not period:
+    period = known.period or _likeliest_period(found, setting, places)
+    if not (places and period):
         return found
-    best = _at_sea(found, setting, known.filled(_calm(places, period)), known)
-    if best.finite is None:
+    best = _at_sea(found, setting, known.filled(_calm(places, period)), known).finite
+    if best is None:
         return found
     if setting.seas:
         return best
@@ -626,11 +627,9 @@ def _likeliest_period(
     found: FilteredSolution, setting: Setting, places: Sequence[str]
 ) -> float | None:
     """Period of the largest test, s; None where no sea is declared and none shows."""
-    tried = periods(found)
-    if setting.seas and not tried:
-        return found.problem.records[0].duration / 8
+    tried = periods(found) if places else []
     if not tried:
-        return None
+        return found.problem.records[0].duration / 8 if setting.seas else None
     # Held over as many steps of a sample as a wave needs: those of one number have one filter.
     sample = max(record.sample_time for record in found.problem.records)
     steps = [max(int(np.ceil(STEPS_OF_PERIOD * sample / one - 1e-6)), 1) for one in tried]

@@ -29,7 +29,6 @@ from oed_sysid.likelihood.start_guess import (
     kinematic_states,
     measured_columns,
     measured_states,
-    state_series,
 )
 from oed_sysid.likelihood.unknowns import KnownStarts, Posed, node_maps
 from oed_sysid.physics.model import Model
@@ -270,10 +269,31 @@ class Shooting(Posed):
         return unknowns
 
     def state_guess(self, unknowns: np.ndarray, record: int) -> np.ndarray:
-        """Full state at every sample, measured where possible, ``(n_times, n_full)``."""
+        """Guess of the full state at every sample, ``(n_times, n_full)``.
+
+        Measured states follow their measurement; the others are simulated from them, in short
+        pieces, so that wild parameters cannot carry them far.
+        """
         values, (z0, _) = self.values(unknowns, record), self.full_start(unknowns, record)
         measured, data = self._series[record], self.records[record]
-        return state_series(self.kernel, data, values, z0, self.state_scale, measured)
+        n = len(data.times)
+        series = np.empty((n, len(z0)))
+        if len(measured) < len(z0):
+            starts = cut(data, None)
+            z = z0
+            for first, stop in zip(starts, [*starts[1:], n - 1], strict=True):
+                part = slice(first, stop + 1)
+                run = self.kernel.run(data.times[part], data.inputs[part], values, z)
+                # A wild start value must not carry nonsense from piece to piece.
+                tame = np.abs(run.states) < 1e3 * (1 + np.abs(z) + self.state_scale)
+                series[part] = np.where(tame, run.states, z)
+                z = series[stop].copy()
+                for state, column in measured.items():
+                    z[state] = column[stop]
+        for state, column in measured.items():
+            series[1:, state] = column[1:]
+        series[0] = z0
+        return series
 
     def start_point(self, unknowns: np.ndarray | None = None) -> Point:
         """Nodes from the measurements where a state is measured, else by simulation.

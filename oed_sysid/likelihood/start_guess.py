@@ -14,7 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.physics.model import Model
@@ -343,55 +342,3 @@ def smooth(series: np.ndarray) -> np.ndarray:
     )
     # Point reflection at the ends keeps a straight line straight.
     return np.convolve(padded, np.full(5, 0.2), mode="valid")
-
-
-def state_series(
-    kernel: Kernel,
-    record: Record,
-    values: np.ndarray,
-    z0: np.ndarray,
-    scale: np.ndarray,
-    measured: dict[int, np.ndarray],
-) -> np.ndarray:
-    """Guess of the full state at every sample.
-
-    Measured states follow their measurement; the others are simulated from
-    them, in short pieces, so that wild parameters cannot carry them far.
-
-    Parameters
-    ----------
-    kernel : Kernel
-        Of the model.
-    record : Record
-        What was measured.
-    values : ndarray (n_parameters,)
-        All parameter values.
-    z0 : ndarray (n_full,)
-        Full state at the first sample.
-    scale : ndarray (n_full,)
-        Typical magnitudes of the full state.
-    measured : dict
-        As :func:`measured_states` returns it.
-
-    Returns
-    -------
-    ndarray (n_times, n_full)
-    """
-    n = len(record.times)
-    series = np.empty((n, len(z0)))
-    if len(measured) < len(z0):
-        starts = cut(record, None)
-        z = z0
-        for first, stop in zip(starts, [*starts[1:], n - 1], strict=True):
-            part = slice(first, stop + 1)
-            run = kernel.run(record.times[part], record.inputs[part], values, z)
-            # A wild start value must not carry nonsense from piece to piece.
-            tame = np.abs(run.states) < 1e3 * (1 + np.abs(z) + scale)
-            series[part] = np.where(tame, run.states, z)
-            z = series[stop].copy()
-            for state, column in measured.items():
-                z[state] = column[stop]
-    for state, column in measured.items():
-        series[1:, state] = column[1:]
-    series[0] = z0
-    return series
