@@ -297,17 +297,6 @@ def verdict_table(found: Sequence[Verdict]) -> list[str]:
     return _markdown(("problem", "other", *(f"noise {level:g}" for level in levels)), table)
 
 
-def as_csv(rows: Iterable[Row]) -> str:
-    """Return one line per row with all its numbers."""
-    buffer = io.StringIO()
-    names = [field.name for field in fields(Row)]
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(names)
-    for row in rows:
-        writer.writerow([getattr(row, name) for name in names])
-    return buffer.getvalue()
-
-
 def _markdown(heads: Iterable[str], rows: Iterable[Iterable[str]]) -> list[str]:
     """Lines of a Markdown table."""
     heads = tuple(heads)
@@ -436,7 +425,12 @@ class Benchmark:
 
     def to_csv(self) -> str:
         """Return one line per row, for a spreadsheet."""
-        return as_csv(self.rows)
+        buffer = io.StringIO()
+        names = [field.name for field in fields(Row)]
+        writer = csv.writer(buffer, lineterminator="\n")
+        writer.writerow(names)
+        writer.writerows([getattr(row, name) for name in names] for row in self.rows)
+        return buffer.getvalue()
 
     to_dict = as_dict("rows", verdicts=lambda self: self.verdicts())
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -293,8 +293,6 @@ class DifferentialSwarm(TrajectorySearch):
         of the least one, or from it by less than this number.
     scale, initial, seed, n_workers
         See :class:`TrajectorySearch`.
-    progress : callable or None
-        Called with the generation and the least cost.
 
     References
     ----------
@@ -310,7 +308,6 @@ class DifferentialSwarm(TrajectorySearch):
     draw: str = "particle"
     distinct: bool = False
     tolerance: float = 1e-8
-    progress: Callable[[int, float], None] | None = None
 
     def __post_init__(self) -> None:
         check_choice("draw", self.draw, UPDATES)
@@ -334,16 +331,13 @@ class DifferentialSwarm(TrajectorySearch):
         values = cost(best)
         history = [float(values.min())]
         converged = False
-        generation = 0
-        for generation in range(1, self.n_generations + 1):
+        for _ in range(self.n_generations):
             moved = self._moved(best, best[np.argmin(values)], rng)
             moved = redrawn(moved, best, cost.lower, cost.upper, rng)
             found = cost(moved)
             better = found < values
             best[better], values[better] = moved[better], found[better]
             history.append(float(values.min()))
-            if self.progress is not None:
-                self.progress(generation, history[-1])
             gap = values.max() - values.min()
             converged = bool(gap <= max(self.tolerance * values.min(), 1e-300))
             converged |= bool(values.max() <= self.tolerance**2)
@@ -358,7 +352,9 @@ class DifferentialSwarm(TrajectorySearch):
                 f"the swarm has not gathered yet in {', '.join(wide)}. Raise n_generations, "
                 "narrow the bounds, or start MultipleShooting from here with warm=fit.",
             )
-        return cost.ended(best[np.argmin(values)], generation, status, history=np.array(history))
+        return cost.ended(
+            best[np.argmin(values)], len(history) - 1, status, history=np.array(history)
+        )
 
     def _moved(self, best: np.ndarray, leader: np.ndarray, rng: np.random.Generator) -> np.ndarray:
         """New positions ``(n_particles, n_free)``."""
