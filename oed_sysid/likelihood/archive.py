@@ -284,6 +284,8 @@ def _number(entry: Any) -> Any:
 
 # Of the file; raised when older programs could not read it.
 FORMAT = 2
+# What a file of each format holds beside its number.
+PARTS = {1: ("fit",), 2: ("kind", "made", "sha256", "content")}
 
 
 def made_by(
@@ -379,7 +381,7 @@ def _faults_of_head(data: Any, kind: str) -> Iterator[str]:
             f"is of format {version}, written by oed_sysid {by!s:.20}. This is {__version__}, "
             f"which reads formats up to {FORMAT}: update it."
         )
-    for key in ("fit",) if version < FORMAT else ("kind", "made", "sha256", "content"):
+    for key in PARTS[version]:
         if key not in data:
             yield f"is of format {version} but has no {key!r}: a part of it is missing. {AGAIN}"
     if version == FORMAT:

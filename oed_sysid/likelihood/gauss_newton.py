@@ -192,10 +192,13 @@ def gathered(shooting: Shooting, point: Point) -> Iterate:
     matrix, right = np.zeros((n, n)), np.zeros(n)
     squares = closed = defect = 0.0
     follows = []
-    for index, starts in enumerate(shooting.starts):
+    for index, (record, starts) in enumerate(zip(shooting.records, shooting.starts, strict=True)):
         z0, dz0 = shooting.full_start(point.unknowns, index)
         nodes = np.vstack([z0[None], point.nodes[index]])
-        blocks = shooting.gathered(point.unknowns, index, nodes, starts)
+        blocks = shooting.kernel.gather(
+            record.times, record.inputs, shooting.values(point.unknowns, index), nodes,
+            record.outputs, shooting.sigma, starts=starts, linked=True,
+        )  # fmt: skip
         slopes = shooting.slopes(point.unknowns, index)
         n_own = shooting.layout.n_own
         part = None if blocks is None else _condensed(blocks, nodes, dz0, n_own, slopes)

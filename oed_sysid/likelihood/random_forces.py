@@ -634,8 +634,14 @@ def _likeliest_period(
     sample = max(record.sample_time for record in found.problem.records)
     steps = [max(int(np.ceil(STEPS_OF_PERIOD * sample / one - 1e-6)), 1) for one in tried]
     scored = {count: _Scored.at(found, sample / count) for count in set(steps)}
-    each = zip(tried, steps, strict=True)
-    tests = [_tested(scored[count], found, setting, places, one) for one, count in each]
+    own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
+    tests = []
+    for one, count in zip(tried, steps, strict=True):
+        # What resonators of this period would gain at variance zero.
+        calm = _calm(places, one)
+        noise, known = replace(found.noise, seas=(calm,)), [replace(calm, levels=None)]
+        wide = posed(found, setting, noise, own_times=own, seas=known)
+        tests.append(scored[count].gain(wide, names)[0])
     shows = max(tests) >= threshold(len(places), len(tried))
     return tried[int(np.argmax(tests))] if setting.seas or shows else None
 
@@ -670,21 +676,6 @@ def _again(
 def _calm(places: Sequence[str], period: float) -> Sea:
     """A sea of level zero."""
     return Sea(period, bandwidth=0.3, levels=dict.fromkeys(places, 0.0), shape="velocity")
-
-
-def _tested(
-    scored: _Scored,
-    found: FilteredSolution,
-    setting: Setting,
-    places: Sequence[str],
-    period: float,
-) -> float:
-    """Gain of resonators of a period at variance zero."""
-    nothing = _calm(places, period)
-    own, noise = _own_times(found, found.noise), replace(found.noise, seas=(nothing,))
-    known = [replace(nothing, levels=None)]
-    wide = posed(found, setting, noise, own_times=own, seas=known)
-    return scored.gain(wide, [f"sea {place} level" for place in places])[0]
 
 
 def _at_sea(found: FilteredSolution, setting: Setting, sea: Sea, known: Sea) -> FilteredSolution:

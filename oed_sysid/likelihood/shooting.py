@@ -19,7 +19,7 @@ from typing import Any
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Blocks, Kernel, Run, kernel
+from oed_sysid.compiled.kernels import Kernel, Run, kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.likelihood.estimate import Estimate
@@ -237,23 +237,6 @@ class Shooting(Posed):
             starts=None if nodes is None else self.starts[record],
             sensitivities=sensitivities,
         )
-
-    def gathered(
-        self,
-        unknowns: np.ndarray,
-        record: int,
-        nodes: np.ndarray,
-        starts: np.ndarray,
-        *,
-        stop: int | None = None,
-        linked: bool = True,
-    ) -> Blocks | None:
-        """Normal equations of the segments of a record that begin at ``starts``, up to ``stop``."""
-        data, values = self.records[record], self.values(unknowns, record)
-        return self.kernel.gather(
-            data.times[:stop], data.inputs[:stop], values, nodes, data.outputs[:stop],
-            self.sigma, starts=starts, linked=linked,
-        )  # fmt: skip
 
     def start_unknowns(self) -> np.ndarray:
         """Start values: parameters of the model, initial states from the data."""

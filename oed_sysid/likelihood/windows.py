@@ -251,9 +251,11 @@ class Windows:
         record, n_full = shooting.records[part.record], shooting.kernel.n_full
         z0, by_unknowns = shooting.full_start(unknowns, part.record)
         nodes = z0[None] if record.independent else at
-        blocks = shooting.gathered(
-            unknowns, part.record, nodes, part.starts, stop=part.stop, linked=False
-        )
+        seen, values = slice(part.stop), shooting.values(unknowns, part.record)
+        blocks = shooting.kernel.gather(
+            record.times[seen], record.inputs[seen], values, nodes, record.outputs[seen],
+            shooting.sigma, starts=part.starts, linked=False,
+        )  # fmt: skip
         if blocks is None:
             return None
         gram = blocks.gram[part.counted]
