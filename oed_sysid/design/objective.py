@@ -16,12 +16,10 @@ from oed_sysid.design.criteria import eliminate, soft_minimum
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
+from oed_sysid.experiments.trajectory import RUNAWAY
 from oed_sysid.information.bound import unknowns
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import in_chunks
-
-# Relative sensitivities beyond this, in noise units, belong to a trajectory that runs away.
-_DIVERGED = 1e9
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +121,7 @@ class VehicleInformation:
             rows[:, :, position] = moved
             nodes.append(states[self.edges])
         rows /= self.sigma[:, None]
-        if not np.abs(rows).max() < _DIVERGED:
+        if not np.abs(rows).max() < RUNAWAY:
             return None
         signals = np.hstack([run.states, run.outputs])
         return Evaluation(rows, signals, run.states[self.edges], chains, tuple(nodes))

@@ -64,9 +64,10 @@ from oed_sysid.experiments.simulation import simulate
 from oed_sysid.information.noise import noise_of
 from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.likelihood.gauss_newton import ROUNDING
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
-from oed_sysid.testing.problem_contract import CENTRAL, ROUNDING, STEP, refuse, unkept
+from oed_sysid.testing.problem_contract import CENTRAL, STEP, refuse, unkept
 
 # -- the contract of an estimator ------------------------------------------------------
 

@@ -53,8 +53,6 @@ from oed_sysid.physics.model import Model
 
 # Step of finite differences, in typical sizes, and what central ones leave, relative.
 STEP = CENTRAL = 1e-5
-# Rounding of sums, of eigenvalues and of inverses, relative.
-ROUNDING = 1e-8
 
 
 def check_effect(
