@@ -242,9 +242,12 @@ def test_named_physics_leads_its_group(term: str, unit: str, group: tuple[str, .
     train, test = dataset(11, -15.0), dataset(12, -15.0)
     series = replace(CUBIC, source=POLYNOMIAL)
     drag = Force("drag", {"r": term}, (Parameter("n_d", 0.0, unit, scale=1.0),))
-    step = improve(SHIP, train, test, candidates=[series, drag], terms=False).steps[0]
-    assert step.group[: len(group)] == group
-    assert step.added == group[0]
+    heave = Force("heave", {"w": "n_w*w"}, (Parameter("n_w", 0.0, "1/s", scale=1.0),))
+    found = improve(SHIP, train, test, candidates=[series, drag, heave], terms=False)
+    assert found.steps[0].group[: len(group)] == group
+    assert found.steps[0].added == group[0]
+    # A candidate on signals of other vehicles is not asked, and named.
+    assert [note for note in found.notes if "cannot take" in note and "heave" in note]
 
 
 def test_zero_is_no_bound_of_an_amplitude_that_cannot_be_negative() -> None:

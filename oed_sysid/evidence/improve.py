@@ -169,6 +169,9 @@ def improve(
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
+    asked = {one.name for one in study.candidates} | {one.name for one in model.effects}
+    if unasked := [one.name for one in candidates if one.name not in asked]:
+        told = [*told, f"Not asked, since the model cannot take them: {', '.join(unasked)}."]
     notes = [*ready.notes, *left_out, *told]
     run = _Run(Search(max_effects, tell, keep, notes), ready.whole, terms)
     end = run.whole(study, base)
