@@ -36,6 +36,7 @@ import numpy as np
 from oed_sysid.data.log import TABLE, Log, Series, groups_of, meaning, symbol_of
 from oed_sysid.data.mapping import LogMapping, Source
 from oed_sysid.data.record import TURN, clear_wraps, unwrapped
+from oed_sysid.errors import DataError
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import align, as_dict
 from oed_sysid.text.units import converts, is_unit, parse_header, shown_unit, to_si
@@ -115,7 +116,9 @@ class Recognised:
     doubts: tuple[str, ...] = ()
 
     def __getitem__(self, role: str) -> Guess:
-        return next(one for one in self.guesses if one.role == role)
+        if (found := self.get(role)) is None:
+            raise DataError(f"No field was recognised as {role!r}.")
+        return found
 
     def get(self, role: str) -> Guess | None:
         """The field of a role, if there is one."""
@@ -787,6 +790,9 @@ class _Work:
         # Sway counts with the heading, heave with the pitch.
         leading = self.found.get({"v": "psi", "w": "theta"}.get(role, ""))
         doubts += ("sign",) * (role in "vw" and (leading is None or "sign" in leading.doubts))
+        # What explains a motion in a unit that is in doubt is itself in doubt.
+        bases = (self.found.get(one) for one in {"v": "uxy", "w": "uz"}.get(role, ""))
+        doubts += ("unit",) * any(one is not None and "unit" in one.doubts for one in bases)
         self._take(role, best.at, best.unit, best.sign, doubts, why)
 
     def _added(

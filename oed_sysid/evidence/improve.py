@@ -169,10 +169,7 @@ def improve(
     begin = partial(Study.begin, model, train, test, candidates, known_noise=known_noise)
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
-    asked = {one.name for one in study.candidates} | {one.name for one in model.effects}
-    if unasked := [one.name for one in candidates if one.name not in asked]:
-        told = [*told, f"Not asked, since the model cannot take them: {', '.join(unasked)}."]
-    notes = [*ready.notes, *left_out, *told]
+    notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
     run = _Run(Search(max_effects, tell, keep, notes), ready.whole, terms)
     end = run.whole(study, base)
     if disturbances == "auto" and _hidden_by_forces(end):
@@ -277,6 +274,13 @@ class _Run:
             f"without them are {here / there:.2g} times better."
         )
         return _Ended(state, base, first, last, self._left(state), None)
+
+
+def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:
+    """A note on candidates that the model cannot take."""
+    known = {one.name for one in (*study.candidates, *study.base.effects)}
+    left = [one.name for one in candidates if one.name not in known]
+    return [f"Not asked, since the model cannot take them: {', '.join(left)}."] if left else []
 
 
 def _hidden_by_forces(end: _Ended) -> bool:
