@@ -115,7 +115,7 @@ def test_other_files_are_refused(tmp_path, content: str) -> None:  # type: ignor
     path.write_text(content)
     with pytest.raises(DataError, match="saved fit"):
         Fit.load(path)
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError, match="There is no file"):
         Fit.load(tmp_path / "absent.json")
 
 
