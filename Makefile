@@ -8,8 +8,10 @@ STAMP := $(VENV)/.installed
 # One process per core below; threads inside each would only compete.
 export OMP_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
+# Empty: the first process keeps the bytecode that the hundreds after it would otherwise make anew.
+export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: setup demo test test-slow test-all benchmark docs clean
+.PHONY: setup demo types site test test-slow test-all benchmark docs clean
 
 setup: $(STAMP)
 
@@ -33,8 +35,14 @@ test: export OED_SYSID_SITE ?= text
 test: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	# Neither of the two uses a second core.
+	$(MAKE) --no-print-directory -j 2 types site
 	$(BIN)/pytest -n 2 --dist worksteal -m "not slow" tests oed_sysid --doctest-modules --doctest-ignore-import-errors
+
+types: setup
+	$(BIN)/mypy
+
+site: setup
 	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs out/site
 
 test-slow: setup
@@ -54,8 +62,7 @@ test-all: setup test test-slow
 benchmark: setup
 	$(BIN)/python -m benchmarks
 
-docs: setup
-	$(BIN)/sphinx-build -q -W --keep-going -j auto -b html docs out/site
+docs: site
 
 clean:
 	rm -rf build dist out .pytest_cache .mypy_cache .ruff_cache
