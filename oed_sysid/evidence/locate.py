@@ -414,26 +414,30 @@ class _Bench:
         return min(best, self._likeliest(place, self.starts[1]), key=lambda one: one.cost)
 
     def _likeliest(self, place: Place, others: np.ndarray) -> Iterate:
-        """The likeliest of some decades of a level, from where the records begin to tell of it."""
-        # At variance zero its information says of which variance the records begin to tell.
+        """The likeliest of some decades of a level, about what its score at zero says."""
         first = self.quiet.problem.with_levels(self._levels(place, 1.0))
         nothing = np.concatenate([others, first.levels.vector(first.levels.noise)])
         nothing[first.layout.levels.start] = 0.0
-        told = sum(
-            float(part.level_information[0, 0] + part.gram[0, 0])
-            for part in first.passes(nothing, levels_only=True)
-            if part.ok
-        )
-        # The standard error of a variance is told^-1/2; its root is the level.
-        size = told**-0.25 if told > 0 else 1.0
-        best: Iterate | None = None
-        while True:
-            problem = self.quiet.problem.with_levels(self._levels(place, size))
-            unknowns = np.concatenate([others, problem.levels.vector(problem.levels.noise)])
-            now = begun(problem, unknowns)
-            if best is not None and not now.cost < best.cost:
-                return best
-            best, size = now, 10.0 * size
+        parts = [part for part in first.passes(nothing, levels_only=True) if part.ok]
+        told = sum(float(part.level_information[0, 0] + part.gram[0, 0]) for part in parts)
+        score = -sum(float(part.level_slope[0] + part.gram[0, -1]) for part in parts)
+        # The standard error of a variance is told^-1/2: the records tell of no less.
+        least = told**-0.25 if told > 0 else 1.0
+        size = max(least, np.sqrt(max(score, 0.0) / told)) if told > 0 else 1.0
+
+        def at(level: float) -> Iterate:
+            problem = self.quiet.problem.with_levels(self._levels(place, level))
+            levels = problem.levels.vector(problem.levels.noise)
+            return begun(problem, np.concatenate([others, levels]))
+
+        middle = best = at(size)
+        for factor in (10.0, 0.1):
+            level = factor * size
+            while level >= least and (now := at(level)).cost < best.cost:
+                best, level = now, factor * level
+            if best is not middle:
+                break
+        return best
 
     def _levels(self, place: Place, size: float) -> Levels:
         """The level and time of one place unknown, and what nobody declared of the sensors."""

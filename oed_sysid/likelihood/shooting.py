@@ -366,11 +366,11 @@ class Shooting(Posed):
         n = self.layout.n_unknowns
         matrix, right = np.zeros((n, n)), np.zeros(n)
         for index, columns in enumerate(self._columns):
-            scaled, weights = self.scaled(lin.residuals[index])
+            # Residuals once the defects are closed, to first order, and weights of a robust loss
+            # there, as of iteratively reweighted least squares.
+            scaled, weights = self.scaled(lin.residuals[index] - lin.offsets[index])
             root = np.sqrt(weights)
-            # Residuals once the defects are closed, to first order.
-            # Weights of a robust loss as of iteratively reweighted least squares.
-            target = root * (scaled - lin.offsets[index] / self.sigma)
+            target = root * scaled
             jacobian = lin.jacobians[index] * (root / self.sigma)[:, :, None]
             flat = jacobian.reshape(-1, jacobian.shape[2])
             matrix[np.ix_(columns, columns)] += flat.T @ flat
