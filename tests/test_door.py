@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from marks import slow
 
 from benchmarks import door
 from oed_sysid import load_problem, new_problem
@@ -73,10 +74,11 @@ def test_heading_from_east_becomes_one_from_north() -> None:
     np.testing.assert_allclose(record.output("psi"), s["psi"], atol=0.02)
 
 
-def test_foreign_logs_are_read_or_asked(tmp_path: Path) -> None:
-    """Of five logs of the examination with seeds of their own little is wrong, most is right."""
+@pytest.mark.parametrize("count", [3, *slow(10)])
+def test_foreign_logs_are_read_or_asked(tmp_path: Path, count: int) -> None:
+    """Of logs of the examination with seeds of their own little is wrong, most is right."""
     verdicts = []
-    for number in range(5):
+    for number in range(count):
         verdicts += door.examined(tmp_path, np.random.default_rng([5, number]), number)
     right, wrong = (sum(v == what for _, v, _ in verdicts) for what in ("right", "wrong"))
     assert right > 0.75 * len(verdicts)

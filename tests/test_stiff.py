@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -285,6 +286,7 @@ def rubbing(step: float = 0.2) -> Model:
     )
 
 
+@cache
 def slid(seed: int, n: int = 400) -> Dataset:
     """Pushes in steps, integrated by SciPy with error control, and noise."""
     rng, times = np.random.default_rng(seed), 0.2 * np.arange(n)
@@ -301,19 +303,19 @@ def slid(seed: int, n: int = 400) -> Dataset:
 def test_estimates_do_not_hang_on_the_step() -> None:
     """Intervals hold although the model's step resolves no friction; one that does is kept."""
     errors, estimator = [], MultipleShooting(disturbances="none")
-    for seed in range(12):
-        fit = estimator.fit(rubbing(), slid(seed))
+    fits = [estimator.fit(rubbing(), slid(seed)) for seed in range(8)]
+    for fit in fits:
         errors.append([(fit.values[k] - v) / fit.std_errors[k] for k, v in FRICTION.items()])
         assert fit.model.step < 0.2
         assert fit.integration is not None
         assert fit.integration.step == 0.2
         assert fit.integration.shift > BIAS
     scaled = np.array(errors)
-    # Means of twelve scatter by 0.29; with the step as given one is at three.
+    # Means of eight scatter by 0.35; with the step as given one is at three.
     assert np.abs(scaled.mean(axis=0)).max() < 1.0
     assert np.mean(np.abs(scaled) < TWO_SIDED_95) > 0.8
     fine = estimator.fit(rubbing(0.2 / 64), slid(0))
-    again = estimator.fit(rubbing(), slid(0))
+    again = fits[0]
     assert fine.integration is None
     for name, error in fine.std_errors.items():
         assert abs(again.values[name] - fine.values[name]) < BIAS * error
