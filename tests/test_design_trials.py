@@ -130,7 +130,7 @@ def test_campaign_learns_from_each_run() -> None:
     truth = ship()
     nominal = truth.with_values({"b": 0.08, "d": 0.55, "c": 1.0})
     rng = np.random.default_rng(2)
-    search = Search(Levels(12), n_starts=1, n_candidates=10, n_steps=6, n_workers=1)
+    search = Search(Levels(12), n_starts=1, n_candidates=5, n_steps=3, n_workers=1)
     stages = campaign(
         nominal, Trial(LIMITS, duration=40.0, sample_time=0.5, name="run"),
         lambda experiment: simulate(truth, replace(experiment, limits=Limits()), rng=rng), 2,
@@ -604,9 +604,16 @@ def test_vehicles_are_the_same_wherever_they_are_simulated() -> None:
     assert afar[1] == ranges
 
 
-def test_a_cluster_that_does_not_answer_is_named() -> None:
+def test_a_cluster_that_does_not_answer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     """Nobody waits for long, and the address is in the message."""
-    pytest.importorskip("distributed")
+    distributed = pytest.importorskip("distributed")
+
+    def impatient(address: str, timeout: float) -> object:
+        assert timeout <= 10.0
+        return client(address, timeout=0.05 * timeout)
+
+    client = distributed.Client
+    monkeypatch.setattr(distributed, "Client", impatient)
     with (
         pytest.raises(ParallelError, match=r"tcp://127\.0\.0\.1:9"),
         spread_over("tcp://127.0.0.1:9"),

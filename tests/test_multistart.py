@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
+from marks import slow
 from scipy.optimize import brentq
 from yaw_vehicle import NOISE, yaw_data, yaw_model
 
@@ -58,10 +59,11 @@ def test_many_starts_find_the_deepest_valley(data: Dataset) -> None:
     assert best.attempts.start_values[0] == {"omega": 0.8}
 
 
-def test_processes_and_a_store_change_nothing(data: Dataset, tmp_path: Path) -> None:
-    """Two processes return what one does; a second call calculates nothing."""
+@pytest.mark.parametrize("n_jobs", [1, *slow(2)])
+def test_processes_and_a_store_change_nothing(data: Dataset, tmp_path: Path, n_jobs: int) -> None:
+    """Two processes, as of all cells, return what one does; a second call calculates nothing."""
     told: list[CellProgress] = []
-    plan = Multistart(n_starts=4, n_jobs=2, store=tmp_path, progress=told.append)
+    plan = Multistart(n_starts=4, n_jobs=n_jobs, store=tmp_path, progress=told.append)
     first = plan.fit(OSCILLATOR, data)
     again = plan.fit(OSCILLATOR, data)
     here = Multistart(n_starts=4, n_jobs=1).fit(OSCILLATOR, data)

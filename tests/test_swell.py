@@ -177,7 +177,7 @@ def test_a_fit_lends_the_sea_that_it_found(tmp_path: Path) -> None:
 def test_the_direction_stands_on_the_card_and_in_the_levels(tmp_path: Path) -> None:
     """A design in a swell: forces of this heading, and how the run has to begin."""
     told, card = tmp_path / "told.json", tmp_path / "card.txt"
-    words = ["design", "remus_diving_plane", "--duration", "20", "--certainty", "0"]
+    words = ["design", "remus_diving_plane", "--duration", "8", "--certainty", "0"]
     given = ["--sea", "swell=0.3m,8s,330deg", "--card", str(card), "--json", str(told)]
     assert main([*words, *given, "--quiet"]) == 0
     assert "begin with the swell from 30 deg to port of the bow" in card.read_text()
