@@ -392,7 +392,7 @@ def test_found_without_a_name(kind: str) -> None:
     start = [0.3, 0.0] if hard else [0.5, 0.0, 0.3]
     train, test = (
         Dataset(tuple(run(model, rates, start, commands, seed) for seed in seeds))
-        for seeds in ((1, 3), (4,))
+        for seeds in ((1,) if hard else (1, 3), (4,))
     )
     assert kind in {effect.name for effect in usual_effects(model, train)}
     found = improve(model, train, test)
