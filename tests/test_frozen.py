@@ -72,8 +72,9 @@ def claim(found: Any) -> dict[str, Any]:
     }
 
 
+@pytest.mark.slow
 def test_claim_on_the_shipped_vehicle() -> None:
-    """The hidden drag of the diving vehicle."""
+    """The hidden drag of the diving vehicle; the claims of a turning ship are frozen next."""
     check("improve", AUV, claim(improved_diver()), FILTERED)
 
 
