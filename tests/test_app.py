@@ -9,6 +9,7 @@ import socket
 import sys
 import time
 import zipfile
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +35,7 @@ from app_pages import (  # noqa: F401
     went,
 )
 
-from oed_sysid import Fit, OedSysidError, load_problem, read_csv, write_csv
+from oed_sysid import Dataset, Fit, OedSysidError, load_problem, read_csv, write_csv
 from oed_sysid.app import pages
 from oed_sysid.app.choices import likely_test, read_uploads, simulated
 from oed_sysid.app.jobs import Desk, Request
@@ -436,7 +437,8 @@ def test_uploads_are_limited_and_stay_in_their_folder(ship: Path, monkeypatch) -
 
 def test_job_is_done_once_and_kept(study: Study, tmp_path: Path) -> None:
     """Asking twice does it once, and the result outlives the desk; each study has its own job."""
-    request = Request.of(study, TASKS["check"], {})
+    train = Dataset([record.window(0.0, 20.0) for record in study.training()][:1])
+    request = Request.of(replace(study, train=train), TASKS["check"], {})
     first = Desk(tmp_path)
     job = first.ask("one", "check", request)
     assert first.ask("one", "check", request) is job
@@ -494,18 +496,16 @@ def test_job_that_fails_says_why(study: Study, tmp_path: Path) -> None:
     desk = Desk(tmp_path)
     alone = Study(study.source, "default", study.problem, study.train, None)
     wrong = desk.ask("one", "compare", Request.of(alone, TASKS["compare"], {}))
-    wrong.ended.wait(PATIENCE)
-    assert (wrong.state, wrong.result) == ("failed", None)
-    assert "validation record" in wrong.failure
     broken = desk.ask("one", "broken", Request.of(study, operator.truediv, {}))
-    broken.ended.wait(PATIENCE)
-    assert "Unexpected error: TypeError" in broken.failure
     killed = desk.ask("one", "improve", Request.of(study, TASKS["improve"], {"max_effects": 2}))
     deadline = time.monotonic() + PATIENCE
     while killed._process is None and time.monotonic() < deadline:
         time.sleep(0.05)
     killed._process.kill()
-    killed.ended.wait(PATIENCE)
+    desk.wait()
+    assert (wrong.state, wrong.result) == ("failed", None)
+    assert "validation record" in wrong.failure
+    assert "Unexpected error: TypeError" in broken.failure
     assert "ended without a result" in killed.failure
 
 
