@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from marks import slow
+from plain_pages import plain_pages  # noqa: F401
 
 from oed_sysid import Fit, load_problem, new_problem, simulate, write_csv
 from oed_sysid.cli import BAD_INPUT, DONE, NO_RESULT, UNEXPECTED, main

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 import typer
 from marks import slow
+from plain_pages import plain_pages  # noqa: F401
 from test_walks import mapping_of, write_log
 
 from oed_sysid import list_problems, new_problem

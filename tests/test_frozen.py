@@ -22,6 +22,7 @@ from golden_cases import (
 )
 from golden_files import FILTERED, check, shape
 from marks import slow
+from plain_pages import plain_pages  # noqa: F401
 from test_walks import mapping_of, write_log
 from turning_ship import CANDIDATES, SHIP, dataset, improved
 
