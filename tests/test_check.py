@@ -55,10 +55,10 @@ def dives() -> tuple:
     return problem, Dataset(runs)
 
 
-def diving_log(*faults: Fault, seed: int = 0, colour: float = 0.0) -> Dataset:
+def diving_log(*faults: Fault, seed: int = 0, colour: float = 0.0, n_records: int = 3) -> Dataset:
     """A log of the diving plane with faults."""
     rng = np.random.default_rng(seed)
-    return log(DIVER, motions(DIVER, rng), faults, colour, rng)
+    return log(DIVER, motions(DIVER, rng)[:n_records], faults, colour, rng)
 
 
 def ship_log(*faults: Fault, seed: int = 0, colour: float = 0.0) -> Dataset:
@@ -190,7 +190,7 @@ def test_lag_of_all_but_the_positions_is_said_of_them() -> None:
 
 def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
     """What kinematics cannot tell apart is named as a group."""
-    data = diving_log()
+    data = diving_log(n_records=2)
     records = []
     for record in data:
         u, w = record.output("u"), record.output("w")
@@ -208,7 +208,7 @@ def test_bias_of_pitch_and_misalignment_are_one_group() -> None:
 def test_sensor_effect_of_the_model_is_no_alarm() -> None:
     """A bias that the model allows for is told, but does not make the log suspect."""
     model = DIVER.model + sensor_bias("bias_q", "q", "rad/s", scale=0.01)
-    data = diving_log(Fault("bias", ("q",), 0.008))
+    data = diving_log(Fault("bias", ("q",), 0.008), n_records=2)
     records = tuple(replace(record, channels=model.channels) for record in data)
     found = check(Dataset(records), model, inputs=False)
     assert found.ok
@@ -244,8 +244,8 @@ def test_faults_of_one_record_are_named_there(kind, name, size, change) -> None:
 
 def test_rate_of_a_clock_is_told_from_a_delay() -> None:
     """A depth whose clock runs one per cent slow: 0.9 s at the end, none at the beginning."""
-    data = diving_log()
-    for number in range(3):
+    data = diving_log(n_records=2)
+    for number in range(2):
         times = data[number].times - data[number].times[0]
         data = changed(
             data, number, "z", lambda y, t, times=times: np.interp(0.99 * times, times, y)
@@ -301,7 +301,7 @@ def test_a_fit_counts_what_was_measured() -> None:
 
 def test_what_was_tested_is_said() -> None:
     """Every signal and fault has a row; sizes are those that a fault of that size shows from."""
-    found = check(diving_log(), DIVER.model)
+    found = check(diving_log(n_records=2), DIVER.model)
     rows = {(one.fault, one.signal): one for one in found.judged}
     assert rows["bias", "q"].state == "tested"
     assert rows["bias", "z"].state == "not tested"
@@ -309,7 +309,7 @@ def test_what_was_tested_is_said() -> None:
     assert rows["sign", "fin"].state == "not tested"
     assert "fin" in found.verdict
     assert "What was tested" in found.report()
-    spoilt = check(diving_log(Fault("bias", ("q",), 0.006)), DIVER.model)
+    spoilt = check(diving_log(Fault("bias", ("q",), 0.006), n_records=2), DIVER.model)
     assert {(o.fault, o.signal) for o in spoilt.judged if o.state == "found"} == {("bias", "q")}
 
 
