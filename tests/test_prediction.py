@@ -372,7 +372,7 @@ def test_band_follows_the_uncertainty_of_the_fit() -> None:
     )
     data = Dataset((simulate(CART, run, rng=np.random.default_rng(3)),))
     fit = EquationError(coloured="never").fit(CART, data)
-    polar = speed_polar(fit, wind_speed=5.0, angles=ANGLES, sheets=SHEETS, n_draws=200)
+    polar = speed_polar(fit, wind_speed=5.0, angles=ANGLES, sheets=SHEETS, n_draws=100)
     share = fit.std_errors["drag"] / fit.values["drag"]
     low, high = polar.interval(0.95)
     assert (high - low) / polar.speeds == pytest.approx(2 * 1.96 * share / 2, rel=0.2)
