@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from oed_sysid.evidence.compare import Comparison
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.likelihood.fit import Fit
+    from oed_sysid.likelihood.noise_model import Disturbances
     from oed_sysid.physics.base import Effect
     from oed_sysid.runtime.display import Figure, Report
 
@@ -100,11 +101,14 @@ class Study:
         return "given" if self.known_noise else "auto"
 
     @property
-    def acting(self) -> str | tuple[str, ...]:
+    def acting(self) -> Disturbances:
         """Where disturbance forces may act, as estimators take it."""
         if self.disturbances in ("auto", "none", "all"):
             return self.disturbances
-        return tuple(name.strip() for name in self.disturbances.split(",") if name.strip())
+        from oed_sysid.likelihood.noise_model import Sea
+
+        names = (name.strip() for name in self.disturbances.split(","))
+        return tuple(Sea() if name == "sea" else name for name in names if name)
 
     def without_records(self) -> Study:
         """Return the problem alone."""

@@ -718,12 +718,18 @@ class Logbook:
         stored = found.folder / _FIT
         fit = Fit.load(stored) if stored.is_file() else None
         if fit is None or len(tuple(fit.dataset)) != len(found.records):
-            fit = MultipleShooting().fit(model, found.dataset())
+            fit = found.estimator.fit(model, found.dataset())
         return replace(found, fit=fit)
 
     def dataset(self) -> Dataset:
         """All records."""
         return read_csv([self.folder / name for name in self.records], self.model.channels)
+
+    @property
+    def estimator(self) -> MultipleShooting:
+        """What estimates from the records; where a swell was expected, it is told that one acts."""
+        swell = self.sea is not None and self.sea.seas
+        return MultipleShooting(disturbances=Sea() if swell else "auto")
 
     @property
     def hours_used(self) -> float:
@@ -760,7 +766,7 @@ class Logbook:
             self, records=(*self.records, name), runs=(*self.runs, self.proposed or ""),
             proposed=None,
         )  # fmt: skip
-        fit = MultipleShooting().fit(self.model, longer.dataset())
+        fit = self.estimator.fit(self.model, longer.dataset())
         fit.save(self.folder / _FIT)
         longer = replace(longer, fit=fit)
         longer.write()
