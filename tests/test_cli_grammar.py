@@ -186,6 +186,24 @@ def test_picture_of_a_result(line: str, dives: Path, monkeypatch, capfd) -> None
     assert (pixels < 0.9).any(axis=2).mean() > 0.01
 
 
+def test_a_log_that_no_equation_judges_is_drawn_itself(dives: Path, monkeypatch, capfd) -> None:
+    """Where a check has no residuals its picture is the log; in Python it is an error in words."""
+    from oed_sysid import check, load_problem, read_csv
+    from oed_sysid.errors import DataError
+    from oed_sysid.results import figure_check
+
+    monkeypatch.chdir(dives)
+    name, picture = "nomoto_sparse_heading", dives / "log.png"
+    line = f"simulate {name} --experiment zigzag_15_15 --out heading.csv"
+    assert main(line.split()) == DONE
+    assert main(f"check {name} heading.csv --picture {picture}".split()) == DONE
+    assert picture.stat().st_size > 10_000
+    problem = load_problem(name)
+    found = check(read_csv(dives / "heading.csv", problem.model.channels), problem)
+    with pytest.raises(DataError, match="figure_record"):
+        figure_check(found)
+
+
 def test_every_result_can_be_drawn_and_silenced() -> None:
     """--quiet belongs to every command, --picture to all whose result is more than text."""
     words = {name: {w for p in one.params for w in p.opts} for name, one in commands().items()}

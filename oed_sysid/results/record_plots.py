@@ -158,7 +158,17 @@ def figure_check(found: LogCheck, *, n_shown: int = 3) -> Figure:
     -------
     Figure
         What was drawn on; the labels of its axes are what they show, in words.
+
+    Raises
+    ------
+    DataError
+        If no equation relates the signals.
     """
+    if not found.balances:
+        raise DataError(
+            "No equation relates the signals of these records, so there are no residuals to draw. "
+            "Draw the records themselves: figure_record."
+        )
     names = found.records[:n_shown]
     n = len(found.balances)
     figure, axes = draw.new_figure(n, len(names), size=(1.2 + 3.4 * len(names), 0.6 + 1.9 * n))
