@@ -173,7 +173,7 @@ class Task:
             file.write(np.array(sizes, dtype=np.intc).tobytes())
             for part in parts:
                 file.write(np.asarray(part, dtype=float).tobytes())
-        words = [program, k._library._name, data, str(REPEATS)]
+        words = [program, k.library._name, data, str(REPEATS)]
         told = subprocess.run(words, check=True, capture_output=True, text=True).stdout.split()
         return float(told[0]), float(told[1])
 
