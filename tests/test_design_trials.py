@@ -558,17 +558,17 @@ def test_a_card_is_made_of_any_run_and_names_the_side_of_each_order() -> None:
     shape = Piecewise("rudder", [0.0, 5.0, 20.0], [0.0, 0.1, -0.2])
     run = Experiment("steps", shape, duration=40.0, sample_time=0.5, constants={"thrust": 9.0})
     page = TrialCard.of(model, run).document()
-    conditions, orders = (section.tables[0].rows for section in page.sections[:2])
     # What a run begins from stands on the page as in the text.
-    assert tuple(conditions) == page.head
+    assert page.head
     assert all(escape(value) in page.html() for _, value in page.head)
+    orders = page.sections[0].tables[0].rows
     assert [row[1] for row in orders[:2]] == [
         "rudder to 6 deg to port", "rudder to 11 deg to starboard",
     ]  # fmt: skip
     # A tenth of a degree more is no order for people.
     shape = Piecewise("rudder", [0.0, 5.0, 12.0, 20.0], [0.0, 0.1, 0.102, -0.2])
     run = Experiment("more", shape, duration=40.0, sample_time=0.5, constants={"thrust": 9.0})
-    assert TrialCard.of(model, run).document().sections[1].tables[0].rows == orders
+    assert TrialCard.of(model, run).document().sections[0].tables[0].rows == orders
     # The speed that the equations hold is that of the approach, in knots of 1852 m/h.
     held = replace(model, parameters=(Parameter("U", 5.144, "m/s", fixed=True),))
     (start,) = (said for what, said in TrialCard.of(held, run).document().head if "start" in what)

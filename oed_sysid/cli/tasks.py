@@ -247,11 +247,12 @@ def check(study: Study, show: Shown) -> Outcome:
     records = study.records()  # a fault between the two, such as the same run in both, as well
     found = oed_sysid.check(records, study.problem)
     # Where no equation relates the signals, the log itself is what there is to see.
-    drawn = ("figure_check", found) if found.balances else ("figure_record", next(iter(records)))
+    log = Figure("figure_record", next(iter(records)), "")
     return Outcome(
         found, found.document(), found.to_dict(),
         partial(found.document, records, title=study.problem.title),
-        Figure(*drawn, ""), status=_status([], suspect=found.suspect),
+        Figure("figure_check", found, "") if found.balances else log,
+        status=_status([], suspect=found.suspect),
     )  # fmt: skip
 
 

@@ -128,12 +128,6 @@ class TrialCard:
         run, safe, tracks = self.experiment, self.assurance, self.tracks
         drawings = [Figure("plot_orders", self, "Orders over time.", size=(7.2, 2.6))]
         room = [] if tracks is None else tracks.words()
-        conditions = tuple(self._conditions())
-        begin = Section(
-            "Before the first order",
-            only="page",
-            tables=(Table(("", ""), conditions, words=(0, 1)),),
-        )
         if tracks is not None:
             caption = f"Where the run goes: {'; '.join(room)}."
             drawings.append(Figure("plot_tracks", tracks, caption, size=(5.4, 4.6)))
@@ -142,14 +136,13 @@ class TrialCard:
             subtitle=f"Sea-trial card of {run.name!r}",
             headline=f"SEA TRIAL CARD   {run.name}   ({self.model.name})",
             warnings=self.warnings,
-            head=conditions,
+            head=tuple(self._conditions()),
             numbers=(
                 ("length", f"{run.duration:g} s"),
                 ("limits kept", "-" if safe is None else f"{safe.probability:.1%}"),
                 ("stopped", "-" if safe is None else f"{safe.any_fires:.1%}"),
             ),
             sections=(
-                begin,
                 self._orders(),
                 self._motion(),
                 Section("WATCH", self._watch(), heading=True, indent=2),
