@@ -10,8 +10,20 @@ import numpy as np
 import pytest
 
 from benchmarks.truth import MASSES, TRUE, rates
-from oed_sysid import Experiment, Fit, Input, Model, Output, Parameter, State, load_problem
+from oed_sysid import (
+    Experiment,
+    Fit,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    State,
+    load_problem,
+)
 from oed_sysid.cli import BAD_INPUT, main
+from oed_sysid.cli.study import Study
+from oed_sysid.design.decision import Logbook
 from oed_sysid.errors import DesignError, ModelError
 from oed_sysid.experiments.manoeuvres import Piecewise
 from oed_sysid.information import sea_noise
@@ -183,3 +195,20 @@ def test_the_direction_stands_on_the_card_and_in_the_levels(tmp_path: Path) -> N
     assert "begin with the swell from 30 deg to port of the bow" in card.read_text()
     assert main(["rank", "catamaran", "--sea", "swell=0.3m,8s,030deg", "--quiet"]) == 0
     assert main(["rank", "sailboat", "--sea", "swell=0.3m,8s,030deg", "--quiet"]) == BAD_INPUT
+
+
+def test_a_campaign_for_a_swell_estimates_with_a_sea(tmp_path: Path) -> None:
+    """A swell that was planned for is declared, nothing of it but that it acts; else all is asked.
+
+    On the command line `sea` says the same beside names of equations.
+    """
+    model = body()
+    calm = sea_noise(model, "still", ())
+    swell = replace(calm, seas=(Sea(period=8.0, bandwidth=0.2, levels={"Z": 0.3}),))
+    for expected, told in ((None, "auto"), (calm, "auto"), (swell, Sea())):
+        campaign = Logbook(tmp_path, model, "body", None, (), {}, None, expected)
+        assert campaign.estimator == MultipleShooting(disturbances=told)
+    problem = load_problem("remus_diving_plane")
+    study = Study("remus_diving_plane", "default", problem, disturbances="Z, sea")
+    assert study.acting == ("Z", Sea())
+    assert replace(study, disturbances="auto").acting == "auto"

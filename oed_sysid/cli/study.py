@@ -49,7 +49,8 @@ class Study:
     known_noise : bool
         Whether the declared noise levels are trusted.
     disturbances : str
-        Where disturbance forces may act: ``"auto"``, ``"none"``, ``"all"`` or names of equations.
+        Where disturbance forces may act: ``"auto"``, ``"none"``, ``"all"``, or names of equations
+        and ``sea``, by commas.
     saved : mapping of str to Fit
         Fits at hand, by the names of the files that the commands keep them in.
     """
