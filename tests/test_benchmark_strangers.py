@@ -17,11 +17,13 @@ from benchmarks.strangers import (
     Stranger,
     accepted,
     candidates,
+    drawn,
     nominal,
     shown,
     table,
     whitened,
 )
+from oed_sysid import Dataset, improve
 from oed_sysid.experiments.simulation import simulate_inputs
 
 
@@ -82,7 +84,9 @@ def test_all_and_nothing_else_is_accepted() -> None:
     assert accepted({"effects": [], "steps": []})
 
 
-@pytest.mark.parametrize(("seed", "cases"), [(20261126, 111), (20261127, 73), (20261128, 120)])
+@pytest.mark.parametrize(
+    ("seed", "cases"), [(20261126, 111), (20261127, 73), (20261128, 120), (20261129, 47)]
+)
 def test_the_page_has_the_rates_of_the_store(seed: int, cases: int) -> None:
     """Every rate of the page is that of the stored cases of its seed."""
     stored = [json.loads(line) for line in STORE.read_text("utf-8").splitlines()]
@@ -90,3 +94,12 @@ def test_the_page_has_the_rates_of_the_store(seed: int, cases: int) -> None:
     assert len(rows) == cases
     page = Path(__file__).parents[1] / "docs" / "diagnosis.md"
     assert table(rows) in page.read_text("utf-8")
+
+
+@pytest.mark.slow
+def test_terms_are_asked_where_only_a_logged_input_is_noisy() -> None:
+    """A case in which noise of the input stands in the place of every force comes to a verdict."""
+    _, model, (*train, last), offered = drawn(20261129, 13)
+    found = improve(model, Dataset(tuple(train)), Dataset((last,)), candidates=offered)
+    assert all(place.startswith("actuator") for place in found.fit.noise.places)
+    assert found.remains.kind

@@ -101,8 +101,8 @@ def let_in(
     """
     old, noise = fit.problem, fit.noise if noise is None else noise
     known = dict(zip(unit.places, unit.force, strict=True))
-    more = [place for place in unit.places if place not in noise.places] if noise.seas else []
-    noise = replace(  # a sea stands in the place of forces
+    more = [place for place in unit.places if place not in noise.places]
+    noise = replace(  # a sea, or noise of a logged input, stands in the place of forces
         noise,
         force=np.append(noise.force, np.zeros(len(more))),
         force_time=np.append(noise.force_time, [unit.level(place)[1] for place in more]),
