@@ -52,9 +52,10 @@ def steered(law, duration: float, rng: np.random.Generator, quiet: float = 1.0) 
 HELM = CourseControl("delta", 1.0, 12.0, 0.3, limit=0.5, rate=0.2)
 
 
-def test_a_helmsman_is_identified() -> None:
+@pytest.mark.parametrize("duration", [100.0, *slow(300.0)])
+def test_a_helmsman_is_identified(duration: float) -> None:
     """Gains of a course law come back from the log that it made."""
-    log = steered(HELM, 100.0, np.random.default_rng(0))
+    log = steered(HELM, duration, np.random.default_rng(0))
     found = CourseControl.of(log, "delta")
     assert found.gain == pytest.approx(1.0, rel=0.15)
     assert found.damping == pytest.approx(12.0, rel=0.15)

@@ -147,11 +147,11 @@ def test_a_later_fit_goes_on_with_the_sea(at_sea: Fit) -> None:
         assert abs(again.values[name] - at_sea.values[name]) < 0.1 * at_sea.std_errors[name]
 
 
+@pytest.mark.parametrize("seed", [0, 1, *slow(2)])
 @pytest.mark.parametrize("force", ["", "gusts"])
-def test_no_sea_is_claimed_without_waves(force: str) -> None:
+def test_no_sea_is_claimed_without_waves(force: str, seed: int) -> None:
     """White noise and a first-order process are no sea."""
-    for seed in range(2):
-        assert not MultipleShooting().fit(SHIP, records(force, seed)).noise.seas
+    assert not MultipleShooting().fit(SHIP, records(force, seed)).noise.seas
 
 
 def test_a_declared_period_is_held_and_the_rest_estimated() -> None:
@@ -447,11 +447,12 @@ def test_no_wave_is_found_where_there_is_none(problem: object, sizes: dict[str, 
         assert found.needed_by(score) > threshold_forces(len(sizes), score.freedom)
 
 
-def test_chance_of_the_best_frequency() -> None:
+@pytest.mark.parametrize("count", [100, *slow(200)])
+def test_chance_of_the_best_frequency(count: int) -> None:
     """In white noise the best line passes what a claim needs no oftener than it should."""
     t = np.arange(0.0, 600.0, 1.0)
     trials = 0.5 * 600.0 / (2 * np.pi)
-    strict, loose, count = 0, 0, 100
+    strict, loose = 0, 0
     for seed in range(count):
         noise = np.random.default_rng([9, seed]).standard_normal((len(t), 1))
         (omega, *_) = lines([t], [noise], 0.4, 0.9)

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from marks import slow
 from scipy.integrate import solve_ivp
 
 from oed_sysid.compiled.kernels import Kernel
@@ -300,10 +301,11 @@ def slid(seed: int, n: int = 400) -> Dataset:
     return Dataset((Record("slide", times, pushes[:, None], outputs, rubbing().channels),))
 
 
-def test_estimates_do_not_hang_on_the_step() -> None:
+@pytest.mark.parametrize("count", [8, *slow(12)])
+def test_estimates_do_not_hang_on_the_step(count: int) -> None:
     """Intervals hold although the model's step resolves no friction; one that does is kept."""
     errors, estimator = [], MultipleShooting(disturbances="none")
-    fits = [estimator.fit(rubbing(), slid(seed)) for seed in range(8)]
+    fits = [estimator.fit(rubbing(), slid(seed)) for seed in range(count)]
     for fit in fits:
         errors.append([(fit.values[k] - v) / fit.std_errors[k] for k, v in FRICTION.items()])
         assert fit.model.step < 0.2
@@ -311,7 +313,7 @@ def test_estimates_do_not_hang_on_the_step() -> None:
         assert fit.integration.step == 0.2
         assert fit.integration.shift > BIAS
     scaled = np.array(errors)
-    # Means of eight scatter by 0.35; with the step as given one is at three.
+    # Means of eight scatter by 0.35, of twelve by 0.29; with the step as given one is at three.
     assert np.abs(scaled.mean(axis=0)).max() < 1.0
     assert np.mean(np.abs(scaled) < TWO_SIDED_95) > 0.8
     fine = estimator.fit(rubbing(0.2 / 64), slid(0))
