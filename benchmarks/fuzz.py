@@ -16,7 +16,6 @@ import random
 import sys
 import tempfile
 import time
-import traceback
 import warnings
 from collections import Counter
 from collections.abc import Callable
@@ -25,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.harness import ROOT, command, known, markdown
+from benchmarks.harness import ROOT, command, known, markdown, places_of
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
@@ -277,9 +276,7 @@ def run(n_inputs: int, *, seed: int = 0, shares: dict[str, float] = SHARES) -> T
                 except OedSysidError:
                     pass
                 except Exception as error:
-                    frame = traceback.extract_tb(error.__traceback__)[-1]
-                    place = f"{Path(frame.filename).name}:{frame.lineno}"
-                    kind = (name, type(error).__name__, place)
+                    kind = (name, type(error).__name__, places_of(error)[-1])
                     tally.uncaught[kind] += 1
                     tally.examples.setdefault(kind, number)
                 if time.perf_counter() - began > SLOW:

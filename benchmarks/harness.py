@@ -14,6 +14,7 @@ import platform
 import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cache
@@ -142,6 +143,12 @@ class Store:
         with self.path.open("a", encoding="utf-8") as file:
             for row in rows:
                 file.write(json.dumps({**row, "revision": revision("benchmarks")}) + "\n")
+
+
+def places_of(error: BaseException) -> list[str]:
+    """Where an error went through: files without their folders, which differ between machines."""
+    frames = traceback.extract_tb(error.__traceback__)
+    return [f"{Path(one.filename).name}:{one.lineno}" for one in frames]
 
 
 def run_cases(

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import signal
 import time
-import traceback
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import Row, Store, markdown, run_cases, write_page
+from benchmarks.harness import Row, Store, markdown, places_of, run_cases, write_page
 from oed_sysid import Dataset, Model, improve
 from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.physics import Effect
@@ -149,8 +148,7 @@ def searched(
             )
         told = read(found)
     except Exception as error:
-        text = "".join(traceback.format_exception(error))
-        told = {"error": f"{type(error).__name__}: {error}", "traceback": text[-4000:]}
+        told = {"error": f"{type(error).__name__}: {error}", "traceback": places_of(error)}
     told["seconds"] = time.perf_counter() - began
     told["processor_seconds"] = time.process_time() - processor
     return found, told
