@@ -46,7 +46,7 @@ def of(found: Improvement) -> Numbers:
             part: dict(zip(names, rms, strict=True)) for part, rms in found.base_rms.items()
         },
         "after": {part: dict(zip(names, rms, strict=True)) for part, rms in after.items()},
-        "spread": dict(zip(names, found.yardstick.spread, strict=True)),
+        "spread": dict(zip(names, found.yardstick.spread["train"], strict=True)),
         "notes": list(found.notes),
     }
 

@@ -11,6 +11,7 @@ import time
 import tomllib
 import webbrowser
 from contextlib import suppress
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -86,6 +87,8 @@ def start(problem: str | None = None, *, port: int = 8501, browser: bool = True)
     os.environ[SECRET] = secret
     address = f"http://localhost:{port}/?key={secret}"
     print(f"Open {address}", flush=True)
+    # What the first page needs is read while server and browser start.
+    threading.Thread(target=import_module, args=("oed_sysid.app.frame",), daemon=True).start()
     if browser:
         threading.Thread(target=_open, args=(address, port), daemon=True).start()
     main(given, prog_name="streamlit", standalone_mode=False)

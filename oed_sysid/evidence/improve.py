@@ -356,7 +356,7 @@ def _result(
         remains=_whole(end.left, fits[-1], study.validation, log),
         parameters=parameter_table(fits[-1]),
         base_rms=rms[0],
-        yardstick=Yardstick.of(study.train, sigma),
+        yardstick=Yardstick.of(study.train, study.validation, sigma),
         rejected=_rejected(state),
         proposed=()
         if end.proposals is None

@@ -46,18 +46,19 @@ class Yardstick:
     outputs : tuple of Output
     sigma : ndarray (n_outputs,)
         Noise levels.
-    spread : ndarray (n_outputs,)
-        Standard deviation of each signal over the training records.
+    spread : Errors
+        Standard deviation of each signal over these records.
     """
 
     outputs: tuple[Output, ...]
     sigma: np.ndarray
-    spread: np.ndarray
+    spread: Errors
 
     @classmethod
-    def of(cls, dataset: Dataset, sigma: np.ndarray) -> Yardstick:
-        """Yardstick of the training records."""
-        return cls(dataset.channels.outputs, sigma, signal_spread(dataset))
+    def of(cls, train: Dataset, test: Dataset | None, sigma: np.ndarray) -> Yardstick:
+        """Yardstick of training and validation records, each with the spread of its own signals."""
+        spread = {"train": signal_spread(train)} | ({"test": signal_spread(test)} if test else {})
+        return cls(train.channels.outputs, sigma, spread)
 
     def table(self, before: Errors, after: Errors | None) -> display.Table:
         """Errors of the nominal and the improved model, in units and per cent of the signal."""
@@ -68,7 +69,7 @@ class Yardstick:
             factor, unit = angle_aware(1.0, output.unit)
             for kind, records in (("train", "training"), ("test", "validation")):
                 if not np.isnan(before[kind][index]):  # measured
-                    errors = (self._cell(one[kind][index], index) for one in models.values())
+                    errors = (self._cell(kind, one, index) for one in models.values())
                     noise = f"{factor * self.sigma[index]:.2g}"
                     rows.append((output.name, records, *errors, noise, unit))
         return display.Table(("output", "records", *models, "noise", "unit"), rows, words=(1,))
@@ -77,7 +78,8 @@ class Yardstick:
         """Where noise levels are from, if nobody declared them."""
         unknown = [output.name for output in self.outputs if output.noise_std is None]
         lines = [
-            "Errors are root mean squares over whole records, in per cent of the signal's spread."
+            "Errors are root mean squares over whole records, in per cent of the signal's spread in "
+            "these."
         ]
         if unknown:
             lines.append(
@@ -86,11 +88,12 @@ class Yardstick:
             )
         return lines
 
-    def _cell(self, error: float, index: int) -> str:
+    def _cell(self, kind: str, errors: Errors, index: int) -> str:
+        error = errors[kind][index]
         if not np.isfinite(error):
             return "diverges" if np.isinf(error) else "-"
         value, _ = angle_aware(error, self.outputs[index].unit)
-        share = error / self.spread[index]
+        share = error / self.spread[kind][index]
         percent = f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
         return f"{value:.3g} ({percent})"
 
