@@ -26,6 +26,7 @@ from oed_sysid.evidence.check import (
     check,
     corrected_copies,
     quick_check,
+    rank_axes,
     with_estimates,
 )
 from oed_sysid.evidence.contrasts import fitted_law, laws
@@ -1011,3 +1012,33 @@ def test_log_without_equations_says_so() -> None:
     assert found.ok
     assert "no equation" in found.verdict
     assert any("phi" in text for text in found.unchecked)
+
+
+@pytest.mark.parametrize("problem", [SHIP.model, None], ids=["by the model", "by standard names"])
+@pytest.mark.parametrize(
+    ("fault", "undone"),
+    [
+        ({"r": ("r", -1.0)}, "r with the other sign"),
+        ({"u": ("v", -1.0), "v": ("u", 1.0)}, "u and v turned by 90 deg"),
+        ({"x": ("y", 1.0), "y": ("x", 1.0)}, "x and y in each other's column"),
+        ({}, "as read"),
+    ],
+    ids=lambda one: one if isinstance(one, str) else "",
+)
+def test_signs_and_axes_are_ranked(
+    problem: Model | None, fault: dict[str, tuple[str, float]], undone: str
+) -> None:
+    """The way in which signals agree stands first, whatever was done to their axes."""
+    records = []
+    for record in ship_log():
+        names = record.channels.output_names
+        outputs = record.outputs.copy()
+        for name, (other, sign) in fault.items():
+            outputs[:, names.index(name)] = sign * record.output(other)
+        records.append(record.with_outputs(outputs))
+    ranked = rank_axes(Dataset(tuple(records)), problem)
+    # Velocities turned one way are positions turned the other way, but for their noise.
+    assert undone in [one.says for one in ranked[:3]]
+    read = next(one.statistic for one in ranked if one.says == "as read")
+    assert read == 0.0
+    assert (ranked[0].statistic > 100.0) == bool(fault)

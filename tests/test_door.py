@@ -217,7 +217,9 @@ def test_import_says_what_it_read_and_keeps_the_mapping(tmp_path: Path) -> None:
     log.write_text("\n".join(["temps,cap,vitesse de lacet", *rows]))
     facts = tmp_path / "told.json"
     assert main(["import", str(log), "--json", str(facts)]) == DONE
-    told = {one["role"]: one for one in json.loads(facts.read_text())["guesses"]}
+    content = json.loads(facts.read_text())
+    assert content["axes"][0]["says"] == "as read"
+    told = {one["role"]: one for one in content["guesses"]}
     assert (told["psi"]["unit"], told["r"]["unit"]) == ("rad", "rad/s")
     for name, more in (("first", []), ("again", ["--map", str(tmp_path / "first/mapping.toml")])):
         assert main(["import", str(log), "--out", str(tmp_path / name), *more]) == DONE

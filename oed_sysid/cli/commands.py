@@ -25,6 +25,7 @@ from oed_sysid.runtime.files import check_place, write_text
 if TYPE_CHECKING:
     from oed_sysid.baselines.fourier import FourierStream
     from oed_sysid.cli.terminal import Shown
+    from oed_sysid.data.dataset import Dataset
     from oed_sysid.data.logs import Log, LogMapping
     from oed_sysid.design import Candidate
     from oed_sysid.experiments.experiment import Experiment
@@ -210,9 +211,26 @@ def _told(
     if told.doubts:
         say(f"Please confirm: the clock counts in {told.time_unit}.")
     if out is None:
+        axes = _axes(oed_sysid.import_log(found, made, channels).dataset, problem)
         say(f"Next: oed-sysid import {shlex.quote(str(log))} --out data   (and the mapping there)")
-        store({"log": str(log), "kind": found.kind, **told.to_dict()})
+        store({"log": str(log), "kind": found.kind, **told.to_dict(), "axes": axes})
     return made
+
+
+# Ways to read signs and axes that are printed.
+_RANKED = 8
+
+
+def _axes(dataset: Dataset, problem: Problem | None) -> list[dict[str, Any]]:
+    """Say how likely other signs and axes are than those that were read; the same as plain data."""
+    from oed_sysid.evidence.check import rank_axes
+
+    ranked = rank_axes(dataset, problem)
+    if ranked:
+        rows = [(f"{one.statistic:.0f}", one.says) for one in ranked[:_RANKED]]
+        say("Signs and axes, ranked by the log check (2ΔlnL of the equations between signals):")
+        say("\n".join(Table(("2ΔlnL", "read as"), rows, words=(1,)).lines()))
+    return [one.to_dict() for one in ranked]
 
 
 def _import(
@@ -238,10 +256,11 @@ def _import(
     for file, record in zip(files, dataset, strict=True):
         rate = record.n_samples / max(record.duration, 1e-9)
         say(f"{file}: {record.duration:.1f} s, {record.n_samples} rows ({rate:.3g} per second)")
+    axes = _axes(dataset, problem)
     say(checked.report())
     draw(Figure("figure_record", dataset.records[0], ""), asked("picture"))
     facts = {"log": str(log.path), "files": list(map(str, files)), "notes": list(result.notes)}
-    store({**facts, "check": checked.to_dict()}, records=[dataset])
+    store({**facts, "axes": axes, "check": checked.to_dict()}, records=[dataset])
     if checked.suspect:
         raise typer.Exit(SUSPECT)
 

@@ -30,8 +30,8 @@ The equations come from the model's own text, or follow from standard names of s
 from __future__ import annotations
 
 from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
-from itertools import product
+from dataclasses import dataclass, replace
+from itertools import chain, product
 from time import perf_counter
 
 import numpy as np
@@ -41,7 +41,13 @@ from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
-from oed_sysid.evidence.relations import Relation, names_of, relations, spare_signals
+from oed_sysid.evidence.relations import (
+    Relation,
+    names_of,
+    relations,
+    spare_signals,
+    standard,
+)
 from oed_sysid.evidence.result import (
     Balance,
     Correction,
@@ -61,6 +67,7 @@ from oed_sysid.evidence.words import (
     judged_row,
     misfit_finding,
     said,
+    say_reading,
     screen_findings,
 )
 from oed_sysid.experiments.problem import Problem
@@ -70,6 +77,7 @@ from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
+from oed_sysid.runtime.display import as_dict
 
 __all__ = [
     "Balance",
@@ -77,9 +85,11 @@ __all__ = [
     "Finding",
     "Judged",
     "LogCheck",
+    "RankedAxes",
     "check",
     "corrected_copies",
     "quick_check",
+    "rank_axes",
     "signal_check",
     "why_not_more",
 ]
@@ -135,8 +145,7 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
     faults, traces = screened(traces)
     equations = _told_of(equations, faults)
     related, balances, ended = list[Finding](), tuple[Balance, ...](), None
-    bad = kinds_that_are("bad samples")
-    clean = [t.blank(marked(faults, t.name, bad)) for t in traces]
+    clean = _clean(traces, faults)
     if equations:
         faults, related, balances, ended = _related(dataset, model, clean, equations, faults)
     late = jitter(clean)
@@ -158,6 +167,98 @@ def check(dataset: Dataset, problem: Problem | Model, *, inputs: bool = True) ->
         _answered(asked, findings),
         perf_counter() - began,
     )
+
+
+def _clean(traces: Sequence[Trace], faults: Sequence[Fault]) -> list[Trace]:
+    """Traces without the samples that screens found to be bad."""
+    bad = kinds_that_are("bad samples")
+    return [trace.blank(marked(faults, trace.name, bad)) for trace in traces]
+
+
+@dataclass(frozen=True)
+class RankedAxes:
+    """One way to read signs and axes of a log.
+
+    Parameters
+    ----------
+    says : str
+        What would be otherwise than it was read.
+    statistic : float
+        Likelihood-ratio statistic (twice the logarithm of the likelihood ratio) of the equations
+        between the signals, against the log as it was read.
+
+    Examples
+    --------
+    As :func:`rank_axes` returns them.
+
+    >>> RankedAxes("r with the other sign", 812.4).to_dict()
+    {'says': 'r with the other sign', 'statistic': 812.4}
+    """
+
+    says: str
+    statistic: float
+
+    to_dict = as_dict("says", "statistic")
+
+
+# What is ranked: signs, columns of one quantity, axes that are turned, directions counted from.
+_OF_AXES = ("sign", "swap", "frame", "offset", "misalignment")
+
+
+def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple[RankedAxes, ...]:
+    """Rank the signs and axes that a log may have, by how well its signals then agree.
+
+    Parameters
+    ----------
+    dataset : Dataset
+        Records as they were read.
+    problem : Problem or Model, optional
+        What the signals are; by default standard names (SNAME) and the kinematics of a rigid body
+        tell.
+
+    Returns
+    -------
+    tuple of RankedAxes
+        The likeliest first, the log as it was read among them with 0. What lies as high as the
+        first cannot be told from it by these signals. Empty where no equation relates them.
+
+    Examples
+    --------
+    A yaw rate whose axis points the other way:
+
+    >>> from oed_sysid import Channels, Output, Record
+    >>> rng, t = np.random.default_rng(0), np.arange(400) * 0.2
+    >>> rows = np.column_stack([0.5 * np.sin(0.2 * t), -0.1 * np.cos(0.2 * t)])
+    >>> channels = Channels((), (Output("psi", "rad"), Output("r", "rad/s")))
+    >>> noisy = rows + 0.002 * rng.standard_normal(rows.shape)
+    >>> for one in rank_axes(Dataset((Record("a", t, [], noisy, channels),))):
+    ...     print(f"{one.statistic:6.0f}  {one.says}")
+       717  psi with the other sign
+       717  r with the other sign
+         0  as read
+    """
+    model = problem.model if isinstance(problem, Problem) else problem
+    traces = [Trace.of(record, {}) for record in dataset]
+    equations = (
+        tuple(standard(dataset.channels.outputs))
+        if model is None
+        else _equations(dataset, model, traces)
+    )
+    faults, traces = screened(traces)
+    question = Question(_told_of(equations, faults), ())
+    if not question.relations:
+        return ()
+    clean, units = _clean(traces, faults), units_of(traces)
+    coarse = [trace.thinned(2 * contrasts.MOST_BLOCKS) for trace in clean]
+    ways = contrasts.readings(clean, question.relations)
+    turned = contrasts.turned_axes(names_of(question.relations), units)
+    now = contrasts.evidence(coarse, question).sum()
+    found = {"as read": 0.0}
+    for one in chain(ways, turned):
+        if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
+            undone = [undo(trace, (one.correction,), question.relations) for trace in coarse]
+            found[say_reading(one)] = float(contrasts.evidence(undone, question).sum() - now)
+    return tuple(RankedAxes(*one) for one in sorted(found.items(), key=lambda one: -one[1]))
 
 
 def _answered(asked: Sequence[Judged], findings: Sequence[Finding]) -> tuple[Judged, ...]:

@@ -1086,6 +1086,14 @@ def _axes(
             yield Reading(turn, f"{90 * quarter} deg")
 
 
+def turned_axes(names: Iterable[str], units: Mapping[str, str]) -> Iterator[Reading]:
+    """Pairs of signals of one kind whose axes are turned by quarters of a turn in their plane."""
+    for pair, quarter in product(combinations(names, 2), (1, 2, 3)):
+        if units[pair[0]] == units[pair[1]] in ("m", "m/s", "rad/s"):
+            turn = Correction("misalignment", pair, quarter * math.pi / 2.0)
+            yield Reading(turn, f"{90 * quarter} deg")
+
+
 def plain_readings(
     groups: Iterable[tuple[str, ...]], units: Mapping[str, str]
 ) -> Iterator[Reading]:

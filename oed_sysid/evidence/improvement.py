@@ -78,8 +78,8 @@ class Yardstick:
         """Where noise levels are from, if nobody declared them."""
         unknown = [output.name for output in self.outputs if output.noise_std is None]
         lines = [
-            "Errors are root mean squares over whole records, in per cent of the signal's spread in "
-            "these."
+            "Errors are root mean squares over whole records, in per cent of the signal's spread "
+            "in these."
         ]
         if unknown:
             lines.append(

@@ -25,7 +25,7 @@ from __future__ import annotations
 
 import contextlib
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
@@ -159,7 +159,9 @@ def relations(
     stated += [(o.name, o.source, False) for o in outputs if o.source not in shown]
     declared = [_declared(model, *one, measured) for one in stated]
     found = tuple(filter(None, declared))
-    return (*found, *_standard(model, set(spare), outputs, {r.target for r in found}))
+    # Where the model has an equation for one of these states, it knows better.
+    taken = {*model.kinematics, *(r.target for r in found)}
+    return (*found, *standard(outputs, set(spare), taken))
 
 
 def _kinematics(model: Model, measured: Mapping[str, str]) -> list[tuple[str, str]]:
@@ -226,16 +228,14 @@ def _needed(
     return None if called - set(expressions.FUNCTIONS) else (used, found)
 
 
-def _standard(
-    model: Model, spare: set[str], outputs: Sequence[Output], related: set[str]
+def standard(
+    outputs: Sequence[Output], spare: Set[str] = frozenset(), taken: Set[str] = frozenset()
 ) -> Iterator[Relation]:
-    """Equations of a rigid body for signals with standard names and units."""
+    """Equations of a rigid body for signals with standard names and units, save ``taken`` ones."""
     plain = {o.name: o.unit for o in outputs if o.expression in (None, o.name)}
     known = (spare & STANDARD_UNITS.keys()) - {o.name for o in outputs}
     known |= {name for name, unit in plain.items() if STANDARD_UNITS.get(name) == unit}
-    # Where the model has an equation for one of these states, it knows better.
-    wanted = known - set(model.kinematics) - related
-    for target in (one for one in _TABLE["equations"] if one in wanted):
+    for target in (one for one in _TABLE["equations"] if one in known - taken):
         names, text = _fullest(target, known)
         if text:
             signals = tuple(n for n in names if n in expressions.names(text))

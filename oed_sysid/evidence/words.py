@@ -77,9 +77,10 @@ def _rival(row: str, signals: tuple[str, ...], **words: str) -> str:
 # -- other readings --------------------------------------------------------------------------
 
 
-def _say_reading(one: Reading) -> str:
+def say_reading(one: Reading) -> str:
     """Another reading in a few words, for lists of rivals."""
     row = "twice" if "twice" in one.meaning else one.correction.kind
+    row = "turned" if row == "misalignment" else row
     return _rival(row, one.correction.signals, meaning=one.meaning)
 
 
@@ -183,7 +184,7 @@ class Log:
             "frames": self._frame(names),
             "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
         }  # fmt: skip
-        row, others = "twice" if twice else fix.kind, tuple(map(_say_reading, one.rivals))
+        row, others = "twice" if twice else fix.kind, tuple(map(say_reading, one.rivals))
         if self._is_input(names[0]):
             row, others = f"input {row}", (*others, NOMINAL)
         return said(

@@ -104,6 +104,16 @@ class Row(Generic[Kind]):
     symbols: Mapping[str, str] | None = None
     example: str = ""
 
+    def documented(self, said: str) -> str:
+        """What a constructor says of itself, with what it returns and an example."""
+        terms = self.derivative or "; ".join(self.terms.values()) or "as given"
+        stage, told = self.kind.stage, inspect.cleandoc(said)
+        made = f"{self.kind.__name__}\n    ``{terms}``, which shows in {self.needs}. {self.source}"
+        lines = [told, f"Returns\n-------\n{made}"]
+        if ">>>" not in told:
+            lines.append(f"Examples\n--------\n>>> {self.example}.stage\n{stage!r}")
+        return "\n\n".join(lines)
+
     def effect(self, arguments: Mapping[str, Any], derived: Mapping[str, Any]) -> Effect:
         """The effect for the arguments of a constructor and what follows from them."""
         # What the constructor worked out goes before the argument of the same name.
@@ -194,6 +204,7 @@ def row(
             return make(bound.arguments, function(*args, **kwargs) or {})
 
         construct.__signature__ = stated  # type: ignore[attr-defined]
+        construct.__doc__ = own.documented(function.__doc__ or "")
         LIBRARY[function.__name__] = Entry(own, construct)
         return construct
 
