@@ -9,7 +9,6 @@ public names, and one for each name, from its docstring. Warnings are errors.
 from __future__ import annotations
 
 import ast
-import inspect
 import os
 import subprocess
 import sys
@@ -25,6 +24,7 @@ sys.path.insert(0, str(HERE))
 
 import constants  # noqa: E402
 import execute  # noqa: E402
+import public_names  # noqa: E402
 
 from oed_sysid.runtime.version import __version__  # noqa: E402
 
@@ -67,71 +67,14 @@ nb_merge_streams = True
 html_title = f"oed_sysid {release}"
 html_show_sphinx = False
 
-PACKAGES = {
-    "oed_sysid": "At the top level",
-    "oed_sysid.physics": "Effects",
-    "oed_sysid.physics.bodies": "Rigid bodies",
-    "oed_sysid.experiments.manoeuvres": "Manoeuvres",
-    "oed_sysid.experiments.simulation": "Simulation",
-    "oed_sysid.data.logs": "Logs in",
-    "oed_sysid.evidence.check": "Checks of logs",
-    "oed_sysid.baselines": "Estimators",
-    "oed_sysid.information": "Sensitivity",
-    "oed_sysid.design": "Design of trials",
-    "oed_sysid.evidence": "Missing physics",
-    "oed_sysid.export": "Models out",
-    "oed_sysid.testing": "Contracts for extensions",
-    "oed_sysid.baselines.benchmark": "Benchmark of estimators",
-    "oed_sysid.results": "Pictures and reports",
-}
-# Results and parts that users meet without importing them by name.
-RESULTS = {
-    "oed_sysid.evidence": (
-        "compare.Comparison",
-        "compare.Diagnosis",
-        "improvement.Improvement",
-        "improvement.Step",
-        "locate.Located",
-        "rank.Ranking",
-        "remainder.Remains",
-    ),
-    "oed_sysid.likelihood": (
-        "fit.Fit",
-        "estimate.Status",
-        "judgement.Concern",
-        "prediction.Prediction",
-        "captive.CaptiveTests",
-        "noise_model.NoiseModel",
-        "disturbances.Place",
-    ),
-}
-MORE = {"oed_sysid.likelihood": "Results of an estimation"}
-
-
-def public(package: str, taken: set[int]) -> list[str]:
-    """Public classes and functions of a package that no page has yet."""
-    module = import_module(package)
-    found = []
-    for name in [*getattr(module, "__all__", ()), *RESULTS.get(package, ())]:
-        part, _, last = name.rpartition(".")
-        thing = getattr(import_module(f"{package}.{part}") if part else module, last)
-        # What has another name as well is documented under its own.
-        own = getattr(thing, "__name__", last) == last
-        if callable(thing) and own and id(thing) not in taken:
-            taken.add(id(thing))
-            found.append(name)
-    return sorted(found, key=str.lower)
-
 
 def write_reference() -> None:
     """One page for each package; a name stands on the page of the package that defines it."""
     folder = HERE / "reference"
     folder.mkdir(exist_ok=True)
-    taken: set[int] = set()
-    # The top level last: it only hands on what others define.
-    named = {package: public(package, taken) for package in reversed(PACKAGES | MORE)}
+    named = public_names.named()
     pages = []
-    for package, title in (PACKAGES | MORE).items():
+    for package, title in (public_names.PACKAGES | public_names.MORE).items():
         if not named[package]:
             continue
         pages.append(package.replace(".", "_"))
@@ -216,7 +159,6 @@ def drawn() -> dict[str, tuple[str, str]]:
 
 
 DRAWN = drawn()
-LIBRARY = import_module("oed_sysid.physics").LIBRARY
 
 
 def _picture(name: str) -> list[str]:
@@ -231,42 +173,11 @@ def _picture(name: str) -> list[str]:
     ]  # fmt: skip
 
 
-def _effect(name: str, has_example: bool) -> list[str]:
-    """What the row of the library says of an effect, and its example at work."""
-    row = LIBRARY[name].row
-    effect = eval(row.example, vars(import_module("oed_sysid.physics")))
-    sizes = [f"``{one.name}`` [{one.unit or '-'}]" for one in effect.parameters]
-    terms = textwrap.shorten(str(effect.terms), 200, placeholder=" ...")
-    example = ("", ".. rubric:: Example", "", f">>> {row.example}.terms", terms)
-    return [
-        "", f"Shows in: {effect.needs}. Source: {row.source}", "",
-        ":returns: What acts at this stage, absent at zero. Parameters of the example: "
-        f"{', '.join(sizes)}.",
-        f":rtype: {row.kind.__name__}",
-        ":raises ModelError: If a name or a unit is none, or there is no such derivative.",
-        *(() if has_example else example), "",
-    ]  # fmt: skip
-
-
-def _returned(function: Any, summary: str) -> list[str]:
-    """The type that a function states; its first sentence says what that is."""
-    kind = inspect.signature(function).return_annotation
-    if kind in (None, "None", inspect.Signature.empty):
-        return []
-    said = summary.removeprefix("Return ")
-    words = [] if said == summary else [f":returns: {said[0].upper()}{said[1:]}"]
-    return ["", *words, f":rtype: ``{kind}``", ""]
-
-
 def _complete(app: Any, what: str, name: str, thing: Any, options: Any, lines: list[str]) -> None:
-    """Add to a docstring what pictures and the table of effects know."""
+    """Add to a docstring the picture that a function draws."""
     last = name.rpartition(".")[2]
     if last in DRAWN and ".results." in f"{name}.":
         lines += _picture(last)
-    elif last in LIBRARY and thing is LIBRARY[last].constructor:
-        lines += _effect(last, any(">>>" in line for line in lines))
-    if what == "function" and not any(line.startswith((":return", ":rtype")) for line in lines):
-        lines += _returned(thing, lines[0])
 
 
 def setup(app: Any) -> None:

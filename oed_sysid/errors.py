@@ -18,7 +18,16 @@ _Result = TypeVar("_Result")
 
 
 class OedSysidError(ValueError):
-    """Base class of all errors raised on purpose by this package."""
+    """Base class of all errors raised on purpose by this package.
+
+    Examples
+    --------
+    >>> try:
+    ...     raise OedSysidError("Name a record.")
+    ... except OedSysidError as error:
+    ...     print(error)
+    Name a record.
+    """
 
 
 class DataError(OedSysidError):

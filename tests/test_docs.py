@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import os
 import re
 import runpy
 import shlex
 import sys
+import textwrap
 import warnings
 from pathlib import Path
 
@@ -219,6 +222,27 @@ def test_every_drawing_function_has_a_picture() -> None:
     drawn = set(re.findall(r"report\.(\w+)\(", (ROOT / "docs" / "gallery.py").read_text("utf-8")))
     public = {name for name in results.__all__ if name.startswith(("plot_", "figure_"))}
     assert not public - drawn
+
+
+def test_every_public_name_is_documented(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of each: what it is; of a function what it returns and raises; an example or a picture."""
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    from public_names import found_at, named
+
+    lacking = []
+    for package, names in named().items():
+        for name in names:
+            thing, last = found_at(package, name), name.rpartition(".")[2]
+            said = inspect.cleandoc(thing.__doc__ or "")
+            drawn = last.startswith(("plot_", "figure_"))  # the gallery has them
+            wanted = [] if drawn else [r"^Examples$|>>> "]
+            if inspect.isfunction(thing):
+                code = ast.parse(textwrap.dedent(inspect.getsource(thing))).body[0]
+                raises = any(isinstance(node, ast.Raise) for node in ast.walk(code))
+                gives = inspect.signature(thing).return_annotation not in (None, "None")
+                wanted += ["^(Returns|Yields)$"] * gives + ["^Raises$|:class:.*Error"] * raises
+            lacking += [(name, one) for one in wanted if not re.search(one, said, re.MULTILINE)]
+    assert not lacking
 
 
 NOTEBOOKS = sorted((ROOT / "examples" / "notebooks").glob("*.ipynb"))

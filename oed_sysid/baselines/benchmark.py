@@ -90,6 +90,10 @@ class Row:
         ``rmse_determined`` of each run alone.
     world : str
         What the records hold that no model says.
+
+    Examples
+    --------
+    What :func:`measure` makes of the runs of one setting.
     """
 
     problem: str
@@ -135,6 +139,11 @@ class Verdict:
     so: no run, or of five and more that mean with its two standard errors, leaves
     the range of 10 %. What is neither is ``undecided``. ``ratio`` is the other's
     error over ours.
+
+    Examples
+    --------
+    >>> Verdict("ship", 1.0, 1, "multiple_shooting", "ekf", "better", 1.8).outcome
+    'better'
     """
 
     problem: str
@@ -150,7 +159,17 @@ class Verdict:
 
 
 def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
-    """Aggregate runs over seeds; rows keep the order of settings, the best first in each."""
+    """Aggregate runs over seeds; rows keep the order of settings, the best first in each.
+
+    Returns
+    -------
+    tuple of Row
+
+    Examples
+    --------
+    >>> measure([])
+    ()
+    """
     # Estimators are compared within a setting only: problem, sampling, noise and world.
     settings: dict[tuple[str, int, float, str], dict[str, list[Outcome]]] = {}
     for outcome in outcomes:
@@ -175,7 +194,18 @@ def logarithms_of_ratios(others: Sequence[float], own: Sequence[float]) -> np.nd
 
 
 def verdicts(rows: Sequence[Row], ours: str) -> tuple[Verdict, ...]:
-    """Compare one estimator with all others that can treat the problem."""
+    """Compare one estimator with all others that can treat the problem.
+
+    Returns
+    -------
+    tuple of Verdict
+        One for each setting and other estimator.
+
+    Examples
+    --------
+    >>> verdicts([], "multiple_shooting")
+    ()
+    """
     mine = {row.setting: row for row in rows if row.estimator == ours and not row.refused}
     found = []
     for row in rows:
@@ -392,6 +422,11 @@ class Benchmark:
     ----------
     outcomes : tuple of Outcome
         In the order of the grid.
+
+    Examples
+    --------
+    >>> Benchmark(()).outcomes
+    ()
     """
 
     outcomes: tuple[Outcome, ...]
@@ -474,10 +509,21 @@ def benchmark(
     progress : callable, optional
         Called after every run.
 
+    Returns
+    -------
+    Benchmark
+        With one outcome for each run of the grid.
+
     Raises
     ------
     OedSysidError
         If a name is unknown, or a problem cannot be benchmarked.
+
+    Examples
+    --------
+    >>> found = benchmark(["nomoto_sparse_heading"], ["heading_differences"], noise=(0.0,), seeds=1)
+    >>> [one.cell.estimator for one in found.outcomes]
+    ['heading_differences']
     """
     if seeds < 1 or min(sampling, default=0) < 1:
         raise ProblemError("Give at least one seed, and sampling factors of 1 or more.")

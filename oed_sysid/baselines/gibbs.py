@@ -219,6 +219,11 @@ class GibbsRegression(RegressionEstimator):
     Chen, Deng & Xu (2023), Ship Engineering 45(2), doi
     10.13788/j.cnki.cbgc.2023.02.11; Gelman et al. (2013), Bayesian data
     analysis, 3rd ed., ch. 11.
+
+    Examples
+    --------
+    >>> GibbsRegression(n_draws=500, burn_in=100).name
+    'Gibbs sampling (joint draws, 4 x 500)'
     """
 
     n_draws: int = 2000

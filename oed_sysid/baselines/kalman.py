@@ -90,6 +90,11 @@ class JointKalmanFilter(Baseline):
     Merwe (2000), The unscented Kalman filter for nonlinear estimation, AS-SPCC;
     Arasaratnam & Haykin (2009), Cubature Kalman filters, IEEE TAC 54, for the rule
     that ``reach`` departs from.
+
+    Examples
+    --------
+    >>> JointKalmanFilter("unscented").name
+    'unscented Kalman filter of states and parameters'
     """
 
     kind: str = "extended"

@@ -132,6 +132,11 @@ class TotalLeastSquares(RegressionEstimator):
     ----------
     Van Huffel & Vandewalle (1991), The total least squares problem, SIAM,
     ch. 10 (generalised TLS).
+
+    Examples
+    --------
+    >>> TotalLeastSquares(window=15).name
+    'total least squares (local derivatives)'
     """
 
     rule: str = "local"
@@ -283,6 +288,11 @@ class HeadingDifferences(Baseline):
     Han, Bai, Yu & Lian (2023), Ship Science and Technology 45(7), doi
     10.3404/j.issn.1672-7649.2023.07.017, eq. 11-15, with the sign of the
     second regressor corrected.
+
+    Examples
+    --------
+    >>> HeadingDifferences("central").name
+    'heading differences (central)'
     """
 
     scheme: str = "forward"

@@ -448,6 +448,11 @@ class OnlineRegression(RegressionEstimator):
     ----------
     Xu, Zou & Yin (2012), On-line identification by incremental LS-SVM, J. Ship
     Mechanics 16(3).
+
+    Examples
+    --------
+    >>> OnlineRegression(rule="simpson").name
+    'online regression (C 30000)'
     """
 
     C: float = WEIGHT

@@ -30,6 +30,11 @@ class OutputError:
     ----------
     Ljung (1999), System identification: theory for the user, sec. 7.2 (output-
     error models).
+
+    Examples
+    --------
+    >>> OutputError(loss="student").name
+    'output error (single shooting)'
     """
 
     noise: str | Sequence[float] = "auto"

@@ -300,6 +300,11 @@ class DifferentialSwarm(TrajectorySearch):
     differential swarm, J. Ship Mechanics 15(4); equal to barebones differential
     evolution with personal bests: Omran, Engelbrecht & Salman (2009), European
     J. Operational Research 196.
+
+    Examples
+    --------
+    >>> DifferentialSwarm(30, 50, draw="dimension").name
+    'differential swarm (30 particles, 50 generations)'
     """
 
     n_particles: int = 60
@@ -398,6 +403,11 @@ class DifferentialEvolution(TrajectorySearch):
     References
     ----------
     Storn & Price (1997), J. Global Optimization 11.
+
+    Examples
+    --------
+    >>> DifferentialEvolution(30, 50, seed=1).name
+    'differential evolution (30 members)'
     """
 
     n_particles: int = 60
@@ -445,6 +455,11 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
     References
     ----------
     Hansen & Ostermeier (2001), Evolutionary Computation 9.
+
+    Examples
+    --------
+    >>> CovarianceMatrixAdaptation(n_generations=50, seed=1).name
+    'CMA-ES'
     """
 
     n_particles: int | None = None
@@ -492,6 +507,11 @@ class ParticleSwarm(TrajectorySearch):
     ----------
     Kennedy & Eberhart (1995), Particle swarm optimization, IEEE Int. Conf.
     Neural Networks.
+
+    Examples
+    --------
+    >>> ParticleSwarm(30, 50, seed=1).name
+    'particle swarm (30 particles)'
     """
 
     n_particles: int = 60

@@ -241,6 +241,11 @@ class LeastSquaresSVM(RegressionEstimator):
     ----------
     Xu, Zou, Yin & Cao (2012), Identification of an AUV in the diving plane by
     LS-SVM, J. Hydrodynamics 24(5), doi 10.1016/S1001-6058(11)60299-0.
+
+    Examples
+    --------
+    >>> LeastSquaresSVM(C="cross-validated", scale="unit").name
+    'LS-SVM (primal, C cross-validated, simpson derivatives)'
     """
 
     apart: ClassVar[bool] = False
@@ -321,6 +326,11 @@ class SupportVectorRegression(RegressionEstimator):
     ----------
     Smola & Schölkopf (2004), A tutorial on support vector regression,
     Statistics and Computing 14; solver: Fan et al. (2008), LIBLINEAR.
+
+    Examples
+    --------
+    >>> SupportVectorRegression(epsilon=0.01).name
+    'support vector regression (C 100, epsilon 0.01)'
     """
 
     C: float = 100.0  # of data scaled to one: errors outweigh the size of coefficients

@@ -111,6 +111,11 @@ def log_of(table: Any, *, name: str = "table") -> Log:
     name : str
         Name of the topic.
 
+    Returns
+    -------
+    Log
+        With one field for each numeric column.
+
     Examples
     --------
     >>> import pandas

@@ -352,6 +352,10 @@ class Log:
     ------
     DataError
         If there is no numeric field.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.data.formats.open_log` returns; see there.
     """
 
     path: Path

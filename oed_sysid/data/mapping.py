@@ -239,6 +239,12 @@ class Source:
         Value of an input that was not logged.
     interpolation : str or None
         Of an input without a problem: ``"hold"`` or ``"linear"``.
+
+    Examples
+    --------
+    >>> servo = Source("rc.out1", unit="rad", factor=0.001, trim=1500.0)
+    >>> servo.factor * (1600.0 - servo.trim)
+    0.1
     """
 
     field: str = ""
@@ -399,10 +405,24 @@ def _toml(value: Any) -> str:
 def read_mapping(path: str | Path) -> LogMapping:
     """Read a mapping file.
 
+    Returns
+    -------
+    LogMapping
+        Where each channel comes from.
+
     Raises
     ------
     DataError
         If it is no TOML, or says something unknown; the message names the place.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "map.toml"
+    ...     _ = file.write_text('outputs = {psi = {field = "imu.yaw", unit = "deg", wrap = true}}')
+    ...     print(read_mapping(file).outputs["psi"].field)
+    imu.yaw
     """
     place = Path(path)
     try:

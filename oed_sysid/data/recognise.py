@@ -83,6 +83,11 @@ class Guess:
         What should be asked: ``field``, ``unit``, ``sign``.
     why : str
         What told it.
+
+    Examples
+    --------
+    >>> Guess("r", "gyro.z", "deg/s", sign=-1, doubts=("sign",)).to_dict()["sign"]
+    -1
     """
 
     role: str
@@ -109,6 +114,10 @@ class Recognised:
         Unit in which the clock counts.
     doubts : tuple of str
         What should be asked of the clock: ``unit`` or nothing.
+
+    Examples
+    --------
+    What :func:`recognise` returns; see there.
     """
 
     guesses: tuple[Guess, ...]
@@ -1019,6 +1028,16 @@ def draft(
     -------
     LogMapping or None
         None where no output is found; inputs that are not found are constant zeros.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from oed_sysid.data.log import assemble
+    >>> t = np.arange(0.0, 400.0, 0.5)
+    >>> heading = (20.0 + 150.0 * np.sin(0.02 * t)) % 360.0
+    >>> log = assemble(Path("a.csv"), "", {"a": (t, {"cap": heading})})
+    >>> draft(log).outputs["psi"].unit
+    'deg'
     """
     found = found or recognise(log)
     sources = {one.role: source_of(one) for one in found.guesses}

@@ -45,6 +45,10 @@ class Imported:
         One record per manoeuvre.
     notes : tuple of str
         What was kept, interpolated, left out.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.data.records.import_log` returns; see there.
     """
 
     dataset: Dataset

@@ -80,6 +80,10 @@ class TrialCard:
         What the run will tell.
     length : float or None
         Of the vehicle, m: the sea room is told in lengths, too.
+
+    Examples
+    --------
+    ``design.sea_trial_card()`` writes one; see :func:`~oed_sysid.design.design_experiment`.
     """
 
     model: Model

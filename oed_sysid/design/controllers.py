@@ -80,6 +80,19 @@ def played(model: Model, experiment: Experiment) -> Experiment:
         The nominal vehicle.
     experiment : Experiment
         Any; one without feedback is returned as it is.
+
+    Returns
+    -------
+    Experiment
+        Without feedback.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> run = next(iter(ship.experiments.values()))
+    >>> played(ship.model, run).name == run.name
+    True
     """
     if not experiment.reacts:
         return experiment
@@ -129,6 +142,17 @@ def write_controller(
     DesignError
         If the kind is unknown, the run has another feedback than zigzags, or a signal is not one
         that autopilots know.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> run = next(iter(ship.experiments.values()))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = write_controller(Path(folder) / "run.txt", ship.model, run, "words")
+    ...     print(file.read_text().splitlines()[0])
+    zigzag_15_15: 40 s, a decision every 0.01 s.
     """
     located(DesignError, "This package has no controller", [kind], KINDS)
     plan = plan_of(model, experiment, aborts)
@@ -376,6 +400,12 @@ class Servo:
         Commands at the two ends, SI units.
     lowest, highest : int
         Pulses there, microseconds; the lower may be the longer one.
+
+    Examples
+    --------
+    >>> servo = Servo(1, np.radians(-35.0), np.radians(35.0))
+    >>> servo.lowest, servo.highest
+    (1100, 1900)
     """
 
     channel: int
@@ -454,6 +484,18 @@ def write_overrides(
     ------
     DesignError
         If a servo belongs to no input, two share a channel, or none is given.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> t, servo = np.arange(3.0), Servo(1, -0.6, 0.6)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     rows = np.array([[0.0], [0.3], [0.3]])
+    ...     file = write_overrides(Path(folder) / "a.csv", ship, t, rows, servos={"delta": servo})
+    ...     print(file.read_text().splitlines())
+    ['time [ms],chan1_raw [us]', '0.0,1500.0', '1000.0,1700.0', '2000.0,1700.0']
     """
     lacking = f"Model {model.name!r} has no input"
     columns = located(DesignError, lacking, servos, model.input_names)
@@ -494,6 +536,12 @@ def write_bag(path: str | Path, model: Model, times: np.ndarray, inputs: np.ndar
         If the folder exists.
     DataError
         If rosbags is not installed.
+
+    Examples
+    --------
+    Of a run ``design.experiment`` on its samples::
+
+        write_bag("run_bag", design.model, design.trajectory.times, design.trajectory.inputs)
     """
     place = Path(path)
     if place.exists():

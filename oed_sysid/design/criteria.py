@@ -167,6 +167,13 @@ class Setting:
         Standard deviations of the noise of the outputs.
     shifts : Shifts or None
         Absent effects that a criterion asks for: the last columns of that matrix.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> Setting(ship, tuple(ship.free_names), np.ones(2), np.ones(1)).names
+    ('T', 'K')
     """
 
     model: Model
@@ -178,7 +185,13 @@ class Setting:
 
 @runtime_checkable
 class Criterion(Protocol):
-    """Contract of criteria."""
+    """Contract of criteria.
+
+    Examples
+    --------
+    >>> DOptimal().name
+    'D'
+    """
 
     @property
     def name(self) -> str:
@@ -209,7 +222,17 @@ def _smallest(matrix: np.ndarray) -> tuple[float, np.ndarray]:
 
 @dataclass(frozen=True)
 class DOptimal:
-    """Smallest volume of the confidence ellipsoid: log det of the information."""
+    """Smallest volume of the confidence ellipsoid: log det of the information.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> setting = Setting(ship, ("K", "T"), np.ones(2), np.ones(1))
+    >>> value, _ = DOptimal().bind(setting)(np.diag([1.0, 4.0]))
+    >>> round(float(value), 3)  # log(1 * 4)
+    1.386
+    """
 
     name: str = "D"
 
@@ -220,7 +243,17 @@ class DOptimal:
 
 @dataclass(frozen=True)
 class AOptimal:
-    """Smallest mean squared relative error: minus log of the mean of the bound's diagonal."""
+    """Smallest mean squared relative error: minus log of the mean of the bound's diagonal.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> setting = Setting(ship, ("K", "T"), np.ones(2), np.ones(1))
+    >>> value, _ = AOptimal().bind(setting)(np.diag([1.0, 4.0]))
+    >>> round(float(value), 3)  # minus the logarithm of (1 + 1/4)/2
+    0.47
+    """
 
     name: str = "A"
 
@@ -231,7 +264,17 @@ class AOptimal:
 
 @dataclass(frozen=True)
 class EOptimal:
-    """Shortest longest axis of the ellipsoid: log of the smallest eigenvalue."""
+    """Shortest longest axis of the ellipsoid: log of the smallest eigenvalue.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> setting = Setting(ship, ("K", "T"), np.ones(2), np.ones(1))
+    >>> value, _ = EOptimal().bind(setting)(np.diag([1.0, 4.0]))
+    >>> round(float(value), 3)  # log(1)
+    0.0
+    """
 
     name: str = "E"
 
@@ -248,6 +291,15 @@ class DsOptimal:
     ----------
     interest : sequence of str
         Parameters of interest.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> setting = Setting(ship, ("K", "T"), np.ones(2), np.ones(1))
+    >>> value, _ = DsOptimal(["T"]).bind(setting)(np.diag([1.0, 4.0]))
+    >>> round(float(value), 3)  # log(4): K is of no interest
+    1.386
     """
 
     interest: Sequence[str]
@@ -301,6 +353,12 @@ class VOptimal(_Prediction):
     ----------
     manoeuvres : sequence of Experiment
         What is to be predicted well, such as a turning circle.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> VOptimal([*load_problem("nomoto_sparse_heading").experiments.values()]).name
+    'V (mean prediction)'
     """
 
     name: str = "V (mean prediction)"
@@ -319,6 +377,12 @@ class GOptimal(_Prediction):
     ----------
     manoeuvres : sequence of Experiment
         What is to be predicted well.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> GOptimal([*load_problem("nomoto_sparse_heading").experiments.values()]).name
+    'G (worst prediction)'
     """
 
     name: str = "G (worst prediction)"
@@ -348,6 +412,10 @@ class ByShifts(Criterion, Protocol):
 
     They are bound to a setting with these shifts, and see the information on
     ``[parameters, shifts]``.
+
+    Examples
+    --------
+    :class:`Discriminate` and :class:`Detect` are such criteria.
     """
 
     def shifts(self, nominal: Model) -> Shifts:
@@ -410,6 +478,12 @@ class Discriminate:
     models, *Technometrics* 7 (1965) 307-323.
     A. C. Atkinson, V. V. Fedorov, The design of experiments for discriminating
     between two rival models, *Biometrika* 62 (1975) 57-70.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import cubic_damping, quadratic_drag
+    >>> Discriminate([quadratic_drag("two", "N", "r"), cubic_damping("three", "N", "r")]).name
+    'discrimination of two, three'
     """
 
     rivals: Sequence[Effect | Model]
@@ -552,6 +626,12 @@ class Detect:
         Amplitude of effects without a value, as a share of their scale.
     false_claims : float
         Share of false claims over all candidates.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import quadratic_drag
+    >>> Detect([quadratic_drag("drag", "N", "r", scale=0.1)], worst=True).name
+    'smallest chance to show 1 effects'
     """
 
     candidates: Sequence[Effect]
@@ -652,6 +732,12 @@ class Detection:
         Probability that a search claims it.
     least : float
         Share of the size that shows with a probability of 0.9 after the run.
+
+    Examples
+    --------
+    >>> told = Detection("drag", {"E_drag": 0.1}, 2.0, 14.0, before=0.1, after=0.86, least=1.1)
+    >>> told.after
+    0.86
     """
 
     name: str

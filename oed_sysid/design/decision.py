@@ -86,7 +86,12 @@ IMMATERIAL = 0.1
 
 @runtime_checkable
 class Goal(Protocol):
-    """Contract of goals: linear functions of the parameters, and how well they have to be known."""
+    """Contract of goals: linear functions of the parameters, and how well they have to be known.
+
+    Examples
+    --------
+    :class:`ParameterGoal` and :class:`PredictionGoal` are such goals.
+    """
 
     @property
     def name(self) -> str:
@@ -112,6 +117,11 @@ class ParameterGoal:
     parameter : str
     tolerance : float
         Standard error over value.
+
+    Examples
+    --------
+    >>> ParameterGoal("M_uw", 0.05).tolerance
+    0.05
     """
 
     parameter: str
@@ -155,6 +165,13 @@ class PredictionGoal:
     output : str
     tolerance : float
         In the output's unit, at the worst time.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> run = next(iter(load_problem("nomoto_sparse_heading").experiments.values()))
+    >>> PredictionGoal(run, "psi", np.radians(2.0)).output
+    'psi'
     """
 
     experiment: Experiment
@@ -281,6 +298,10 @@ class Decision:
         one included.
     contradiction : Contradiction or None
         Why the errors must not be believed; None where nothing says so.
+
+    Examples
+    --------
+    What :func:`decide` returns; see there.
     """
 
     model: Model
@@ -417,6 +438,13 @@ def decide(
     ------
     DesignError
         Without goals or candidates.
+
+    Examples
+    --------
+    After a fit, among the runs of a programme::
+
+        goals = goals_of(fit.model, {"all": 0.05})
+        print(decide(fit, programme.candidates, goals, rng=np.random.default_rng(0)).report())
     """
     began = time.perf_counter()
     if not goals or not candidates:
@@ -622,7 +650,19 @@ class _Outlook:
 
 
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:
-    """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free."""
+    """Return goals of parameters, ``{"M_uw": 0.05}``; ``"all"`` stands for each that is free.
+
+    Returns
+    -------
+    tuple of ParameterGoal
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> [goal.parameter for goal in goals_of(ship, {"all": 0.05})]
+    ['T', 'K']
+    """
     names = [p.name for p in model.free_parameters if not p.per_record]
     located(DesignError, _no_goal(model), given, (*names, "all"))
     each = [(n, t) for key, t in given.items() for n in (names if key == "all" else [key])]

@@ -402,6 +402,10 @@ class Stage:
         What was measured.
     fit : Fit
         All records up to here together.
+
+    Examples
+    --------
+    One of those that :func:`campaign` returns.
     """
 
     design: Design
@@ -453,6 +457,14 @@ def campaign(
     DesignError
         If a run does not determine the parameters, so that nothing can be
         designed on its result.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> trial = Trial(ship.limits, 60.0, 1.0)
+    >>> campaign(ship.model, trial, measure=None, n_runs=0, design=design_experiment)
+    ()
     """
     chosen = estimator or MultipleShooting(disturbances="none", noise="given")
     nominal: Model | Fit = model

@@ -66,6 +66,11 @@ class Knowledge:
     spread : float or None
         Relative half-width of uniform draws of vehicles that are possible; None draws from what
         is known (prior standard deviations, or the fit).
+
+    Examples
+    --------
+    >>> Knowledge(prior=None, start="known").start
+    'known'
     """
 
     prior: str | Information | None = "auto"

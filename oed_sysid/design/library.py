@@ -81,6 +81,10 @@ class Reference:
         Priors included, as for the design.
     note : str
         How it was made smaller to keep the limits; empty if it was not.
+
+    Examples
+    --------
+    One of ``design_experiment(...).references``; see :func:`~oed_sysid.design.design_experiment`.
     """
 
     name: str
@@ -156,6 +160,13 @@ class Candidate:
         Time that it takes with everything around it, s.
     kept : float
         Share of the drawn vehicles on which it kept its limits.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> run = next(iter(load_problem("nomoto_sparse_heading").experiments.values()))
+    >>> Candidate(run, "zigzag", cost=1200.0).cost
+    1200.0
     """
 
     experiment: Experiment
@@ -212,6 +223,13 @@ def candidate_runs(
     ------
     DesignError
         If no run keeps the limits.
+
+    Examples
+    --------
+    The zigzags that keep the limits of a problem::
+
+        runs = candidate_runs(problem.model, problem.experiments.values(), limits=problem.limits,
+                              rng=np.random.default_rng(0), kinds=("zigzag",))
     """
     located(DesignError, "The library has no kind of run", kinds, KINDS)
     found: list[Candidate] = []
@@ -270,6 +288,11 @@ class ZigZags:
     ----------
     feedback : str
         Attitude on which the command reverses; by default the first that the vehicle has.
+
+    Examples
+    --------
+    >>> ZigZags(feedback="psi").feedback
+    'psi'
     """
 
     feedback: str = ""

@@ -66,6 +66,11 @@ class Budget:
         Between two runs, s.
     sensors : mapping of str to float, optional
         Outputs that need not be measured, and what each costs, h. All subsets are tried.
+
+    Examples
+    --------
+    >>> Budget(hours=6.0, turnaround=900.0).hours
+    6.0
     """
 
     hours: float | None = None
@@ -95,6 +100,11 @@ class ProgrammeSearch:
         Vehicles on which limits are checked.
     n_rounds : int
         Rounds of refined commands.
+
+    Examples
+    --------
+    >>> ProgrammeSearch(kinds=("zigzag", "circle"), n_rounds=0).kinds
+    ('zigzag', 'circle')
     """
 
     durations: Sequence[float] | None = None
@@ -163,6 +173,14 @@ def design_programme(
     ------
     DesignError
         If no run keeps the limits, or none fits.
+
+    Examples
+    --------
+    Six hours of runs that keep the limits of a problem::
+
+        found = design_programme(problem.model, problem.experiments.values(), limits=problem.limits,
+                                 budget=Budget(hours=6.0), rng=np.random.default_rng(0))
+        print(found.report())
     """
     began = time.perf_counter()
     tell = progress or (lambda words: None)

@@ -166,6 +166,10 @@ class Design(_Accuracy):
         Accuracy on other vehicles that are possible, if asked for.
     chances : tuple of Detection
         For :class:`~oed_sysid.design.Detect`: how surely each candidate effect would show.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.design.design_experiment` returns; see there.
     """
 
     experiment: Experiment
@@ -378,6 +382,11 @@ class Standard:
         Time of the programme they are compared with.
     errors : mapping of str to float
         Relative errors after the programme's own time.
+
+    Examples
+    --------
+    >>> Standard(("zigzag_20_20",), 9.0, 3.0, {"K": 0.02}).hours
+    9.0
     """
 
     names: tuple[str, ...]
@@ -449,6 +458,10 @@ class Programme(_Accuracy):
         For discrimination: expected ``2 dlogL`` of the first rival over the second.
     chances : tuple of Detection
         For effects to be detected: how surely each would show.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.design.design_programme` returns; see there.
     """
 
     model: Model

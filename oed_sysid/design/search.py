@@ -165,7 +165,13 @@ _INWARD = 0.85
 
 @dataclass(frozen=True)
 class Progress:
-    """What a design search reports."""
+    """What a design search reports.
+
+    Examples
+    --------
+    >>> Progress(start=0, round=3, value=12.5, excess=0.0).value
+    12.5
+    """
 
     start: int
     round: int

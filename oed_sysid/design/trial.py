@@ -56,6 +56,12 @@ class Trial:
         Where states or outputs have to be at the end, for a return to the start.
     name : str
         Name of the experiment.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> Trial(load_problem("nomoto_sparse_heading").limits, 120.0, 1.0).duration
+    120.0
     """
 
     limits: Limits
@@ -148,6 +154,11 @@ class Search:
         Starts that are refined, rough manoeuvres tried, steps of refinement.
     n_workers : int, optional
         Threads; by default one per core, at most four.
+
+    Examples
+    --------
+    >>> Search(n_starts=1, n_candidates=10).n_steps
+    40
     """
 
     family: Parametrisation | ZigZags = Levels()  # noqa: RUF009 (frozen)

@@ -289,6 +289,12 @@ class Robust:
     L. Pronzato, E. Walter, Robust experiment design via stochastic
     approximation, *Mathematical Biosciences* 75 (1985) 103-120: expectation;
     and Robust experiment design via maximin optimization, 89 (1988) 161-176.
+
+    Examples
+    --------
+    >>> from oed_sysid.design import DOptimal
+    >>> Robust(DOptimal(), spread=0.2, worst=True).n_sets
+    6
     """
 
     criterion: Criterion
@@ -434,6 +440,11 @@ class Caution:
     M. C. Campi, S. Garatti, A sampling-and-discarding approach to
     chance-constrained optimization, *J. Optimization Theory and Applications*
     148 (2011) 257-280.
+
+    Examples
+    --------
+    >>> Caution(0.9, spread=0.3).probability
+    0.9
     """
 
     probability: float = 0.95

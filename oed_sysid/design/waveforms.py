@@ -43,6 +43,13 @@ class Grid:
         Range of each, and its value before the experiment.
     rates : ndarray (n_inputs,)
         Largest slopes, per second; infinite for none.
+
+    Examples
+    --------
+    >>> ends = np.array([0.35])
+    >>> grid = Grid(np.arange(5.0), ("rudder",), -ends, ends, 0.0 * ends, np.array([np.inf]))
+    >>> grid.inputs, grid.times.size
+    (('rudder',), 5)
     """
 
     times: np.ndarray
@@ -129,7 +136,12 @@ class Shape(Protocol):
 
 @runtime_checkable
 class Parametrisation(Protocol):
-    """Contract of families of commands."""
+    """Contract of families of commands.
+
+    Examples
+    --------
+    :class:`Levels`, :class:`Multisines` and :class:`Pulses` are such families.
+    """
 
     @property
     def name(self) -> str:
@@ -150,6 +162,11 @@ class Levels:
         at most 60.
     interpolation : {"hold", "linear"}
         Steps, or a broken line through the levels.
+
+    Examples
+    --------
+    >>> Levels(12, interpolation="linear").n_levels
+    12
     """
 
     n_levels: int | None = None
@@ -252,6 +269,11 @@ class Pulses:
     ----------
     n_blocks : int
         Blocks one after another in the duration.
+
+    Examples
+    --------
+    >>> Pulses(2).n_blocks
+    2
     """
 
     n_blocks: int = 3
@@ -327,6 +349,11 @@ class Multisines:
     forbidden : sequence of (low, high)
         Bands, Hz, in which there must be no line: a structural mode, a slosh
         period, the waves of the day.
+
+    Examples
+    --------
+    >>> Multisines(8, forbidden=[(0.1, 0.2)]).n_lines
+    8
     """
 
     n_lines: int = 12

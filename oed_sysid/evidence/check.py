@@ -340,6 +340,15 @@ def quick_check(dataset: Dataset, model: Problem | Model) -> LogCheck:
         The records.
     model : Problem or Model
         What the signals are.
+
+    Returns
+    -------
+    LogCheck
+        As of :func:`check`.
+
+    Examples
+    --------
+    See :func:`check`.
     """
     return check(dataset, model)
 
@@ -356,6 +365,14 @@ def signal_check(dataset: Dataset) -> LogCheck:
     -------
     LogCheck
         As :func:`check`, without any equation between signals.
+
+    Examples
+    --------
+    >>> from oed_sysid import Channels, Output, Record
+    >>> channels, t = Channels((), (Output("r", "rad/s"),)), np.arange(300) * 0.1
+    >>> record = Record("run", t, [], 0.02 * np.ones((300, 1)), channels)
+    >>> print(signal_check(Dataset((record,))).verdict)
+    Nothing wrong was seen in single signals; no equation relates them.
     """
     began = perf_counter()
     faults, traces = screened([Trace.of(record, {}) for record in dataset])

@@ -126,6 +126,10 @@ class Comparison:
         Noise levels that all models are measured with.
     notes : tuple of str
         What to keep in mind.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.evidence.compare` returns; see there.
     """
 
     dataset: Dataset
@@ -465,6 +469,10 @@ class Diagnosis:
         The nominal model.
     location : Located
     ranking : Ranking
+
+    Examples
+    --------
+    What :func:`~oed_sysid.evidence.diagnose` returns; see there.
     """
 
     model: Model

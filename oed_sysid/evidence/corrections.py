@@ -243,6 +243,12 @@ def corrected_copies(
     -------
     copies : Dataset
     done : tuple of str
+
+    Examples
+    --------
+    Of a log, the problem that says what its signals are, and what its check found::
+
+        copies, done = corrected_copies(dataset, problem, check(dataset, problem))
     """
     model = problem.model if isinstance(problem, Problem) else problem
     mine = {*dataset.channels.output_names, *dataset.channels.input_names}
@@ -306,6 +312,16 @@ def why_not_more(found: LogCheck) -> str:
     ----------
     found : LogCheck
         Result of :func:`~oed_sysid.evidence.check`.
+
+    Returns
+    -------
+    str
+        Empty where they are undone.
+
+    Examples
+    --------
+    >>> why_not_more(LogCheck((), ("run_1",)))
+    ''
     """
     still = found.named("unexplained")
     if still is None:

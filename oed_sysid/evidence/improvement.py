@@ -128,6 +128,10 @@ class Step:
         The fit after the step.
     rms : dict
         The same errors of each output in its unit, ``train`` and ``test``, ``(n_outputs,)``.
+
+    Examples
+    --------
+    One of ``improve(...).steps``; see :func:`~oed_sysid.evidence.improve`.
     """
 
     effect: Effect
@@ -189,6 +193,10 @@ class Improvement:
         records would not have shown. None where the first was the last.
     decisions : tuple of Claim
         Everything that was asked, with every term of the decision.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.evidence.improve` returns; see there.
     """
 
     model: Model

@@ -88,6 +88,10 @@ class Located:
     by_motion : str
         Of independent tests, which no disturbance links, where the model fails as a function of
         motions and inputs, in words; empty for time series.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.evidence.locate` returns; see there.
     """
 
     places: tuple[Place, ...]

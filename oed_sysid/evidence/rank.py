@@ -89,6 +89,10 @@ class Ranking:
         By evidence.
     residual : ndarray (n_rows,)
         Whitened residual, existing unknowns projected out.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.evidence.rank_effects` returns; see there.
     """
 
     scores: tuple[Score, ...]

@@ -115,6 +115,10 @@ class Remains:
         Forces taken for random that are functions of the motion; None where that was not asked.
     suspect : str
         Why the log contradicts itself; empty where it does not.
+
+    Examples
+    --------
+    ``improve(...).remains``; see :func:`~oed_sysid.evidence.improve`.
     """
 
     forces: float

@@ -69,6 +69,11 @@ class Correction:
         The only record that changes; empty for all of them.
     span : tuple of float
         For ``step`` and ``burst``: share of the record where it begins and ends.
+
+    Examples
+    --------
+    >>> Correction("sign", ("r",), -1.0).key
+    ('sign', ('r',), (), '', 0.0)
     """
 
     kind: str
@@ -121,6 +126,10 @@ class Finding:
         Other explanations that these records cannot tell from this one.
     correction : Correction or None
         How a corrected copy undoes it.
+
+    Examples
+    --------
+    One of ``check(...).findings``; see :func:`~oed_sysid.evidence.check.check`.
     """
 
     kind: str
@@ -175,6 +184,11 @@ class Balance:
     series : tuple of (str, ndarray, ndarray, ndarray)
         Record, times ``(n_blocks,)``, residual before and after ``(n_blocks,)``: the signal
         minus the integral of the other signals.
+
+    Examples
+    --------
+    >>> Balance("psi' = r", before=0.62, after=0.05, target="psi", unit="rad").after
+    0.05
     """
 
     relation: str
@@ -203,6 +217,11 @@ class Judged:
         ``tested``, ``found`` or ``not tested``.
     says : str
         From which size on the fault would have been seen, or why it could not be tested.
+
+    Examples
+    --------
+    >>> Judged("bias", "r", "tested", "from 0.02 deg/s on").state
+    'tested'
     """
 
     fault: str
@@ -238,6 +257,11 @@ class LogCheck:
         What was asked of every signal, and what could not be.
     duration : float
         Time that the check took, s.
+
+    Examples
+    --------
+    >>> LogCheck((), ("run_1",), relations=("psi' = r",)).verdict
+    'The signals agree with each other.'
     """
 
     findings: tuple[Finding, ...]

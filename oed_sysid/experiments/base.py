@@ -157,7 +157,12 @@ RULES: Mapping[str, Rule] = {
 
 
 class Controller(ABC):
-    """The running side of a manoeuvre: gives one command per sample."""
+    """The running side of a manoeuvre: gives one command per sample.
+
+    Examples
+    --------
+    :class:`Stepwise` manoeuvres begin one for every run.
+    """
 
     @abstractmethod
     def command(self, time: float, signals: Mapping[str, float]) -> float:
@@ -177,7 +182,14 @@ class Law(Controller):
 
 @dataclass(frozen=True)
 class Excitation(ABC):
-    """One manoeuvre, or several on different inputs at the same time."""
+    """One manoeuvre, or several on different inputs at the same time.
+
+    Examples
+    --------
+    >>> from oed_sysid.experiments.manoeuvres import TurningCircle
+    >>> isinstance(TurningCircle("rudder", 0.6), Excitation)
+    True
+    """
 
     kind: ClassVar[str]
 
@@ -256,7 +268,14 @@ class Excitation(ABC):
 
 @dataclass(frozen=True)
 class Manoeuvre(Excitation):
-    """A manoeuvre on one commanded channel, ``input``."""
+    """A manoeuvre on one commanded channel, ``input``.
+
+    Examples
+    --------
+    >>> from oed_sysid.experiments.manoeuvres import TurningCircle
+    >>> TurningCircle("rudder", 0.6).input
+    'rudder'
+    """
 
     input: str
 
@@ -322,7 +341,14 @@ class Timed(Manoeuvre):
 
 
 class OpenLoop(Manoeuvre):
-    """A manoeuvre whose command is a function of time only."""
+    """A manoeuvre whose command is a function of time only.
+
+    Examples
+    --------
+    >>> from oed_sysid.experiments.manoeuvres import TurningCircle
+    >>> isinstance(TurningCircle("rudder", 0.6), OpenLoop)
+    True
+    """
 
     @abstractmethod
     def waveform(self) -> Waveform:
@@ -344,7 +370,14 @@ class OpenLoop(Manoeuvre):
 
 
 class Stepwise(Manoeuvre):
-    """A manoeuvre whose command depends on what happened before."""
+    """A manoeuvre whose command depends on what happened before.
+
+    Examples
+    --------
+    >>> from oed_sysid.experiments.manoeuvres import ZigZag
+    >>> isinstance(ZigZag("rudder", 0.35, 0.35), Stepwise)
+    True
+    """
 
     def commands(self, times: Numbers) -> FloatArray:
         """Return the commands ``(n_times,)`` at increasing times ``(n_times,)`` [s].
@@ -376,6 +409,11 @@ def command_all(
         Time [s], later than in the call before.
     signals : mapping of str to float
         Measured signals at that time.
+
+    Returns
+    -------
+    dict of str to float
+        By input, SI.
 
     Examples
     --------

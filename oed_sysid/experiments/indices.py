@@ -46,6 +46,10 @@ class ZigZagIndices:
         value; None if the record ends before.
     period : float or None
         Time from the second to the fourth execute; None with fewer executes.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.experiments.indices.zigzag_indices` returns; see there.
     """
 
     executes: tuple[float, ...]
@@ -107,6 +111,10 @@ class TurningIndices:
     drift : float or None
         Heading minus course in the steady part, positive with the bow inside
         the track.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.experiments.indices.turning_indices` returns; see there.
     """
 
     side: int

@@ -346,6 +346,13 @@ class ReverseSpiral(base.Stepwise, base.Timed):
         Time of the first rate [s].
     neutral : float
         Command about which it moves, held before: 0, or the trim of the command.
+
+    Examples
+    --------
+    >>> run = ReverseSpiral("rudder", [0.01, 0.0, -0.01], hold=120.0, gain=20.0, reset_time=30.0,
+    ...                     limit=0.35)
+    >>> run.feedback
+    ('r',)
     """
 
     kind: ClassVar[str] = "reverse_spiral"

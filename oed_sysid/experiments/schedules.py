@@ -145,6 +145,12 @@ class TurningCircle(Scheduled):
     References
     ----------
     IMO Resolution MSC.137(76), Annex, 4.2.2 (2002): 35 degrees or the maximum.
+
+    Examples
+    --------
+    >>> run = TurningCircle("rudder", 0.6, start=10.0)
+    >>> run.commands([0.0, 20.0])
+    array([0. , 0.6])
     """
 
     kind: ClassVar[str] = "turning_circle"
@@ -184,6 +190,12 @@ class PullOut(Scheduled):
         Largest slope of the command [rad/s]; None lets it jump.
     neutral : float
         Command about which it moves, held before: 0, or the trim of the command.
+
+    Examples
+    --------
+    >>> run = PullOut("rudder", 0.35, start=5.0, turn_duration=60.0)
+    >>> run.commands([0.0, 10.0, 70.0])
+    array([0.  , 0.35, 0.  ])
     """
 
     kind: ClassVar[str] = "pull_out"
@@ -363,6 +375,12 @@ class Spiral(Scheduled):
         Largest slope of the command [rad/s]; None lets it jump.
     neutral : float
         Command about which it moves, held before: 0, or the trim of the command.
+
+    Examples
+    --------
+    >>> run = Spiral("rudder", [0.2, 0.0, -0.2], hold=60.0)
+    >>> run.commands([10.0, 70.0, 130.0])
+    array([ 0.2,  0. , -0.2])
     """
 
     kind: ClassVar[str] = "spiral"
@@ -797,6 +815,11 @@ def schroeder_phases(amplitudes: Numbers) -> FloatArray:
     r"""Return phases ``(n,)`` [rad] that give equally spaced lines a low peak.
 
     .. math:: \varphi_k = -2 \pi \sum_{j<k} (k - j) \, a_j^2 / \sum_j a_j^2
+
+    Returns
+    -------
+    ndarray (n_lines,)
+        Phases, rad.
 
     Examples
     --------

@@ -133,12 +133,24 @@ def trajectory_of(
     noise : ndarray (n_times, n_outputs), optional
         What is added to the outputs before a manoeuvre sees them.
 
+    Returns
+    -------
+    Trajectory
+        States and noise-free outputs at the times of the experiment.
+
     Raises
     ------
     DesignError
         If the experiment does not fit the model, or commands of a loop leave their limits.
     SimulationError
         If the vehicle diverges.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> trajectory_of(ship.model, next(iter(ship.experiments.values()))).state_names
+    ('psi', 'r')
     """
     experiment.check_model(model)
     times = experiment.times

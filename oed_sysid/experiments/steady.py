@@ -45,6 +45,10 @@ class Equilibrium:
         Whether these rates vanish.
     status : str
         What came out, and what to do if there is none.
+
+    Examples
+    --------
+    What :func:`~oed_sysid.experiments.steady.equilibrium` returns; see there.
     """
 
     states: Mapping[str, float]

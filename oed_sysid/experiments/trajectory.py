@@ -44,6 +44,13 @@ class Trajectory:
         Names of the columns.
     failed_at : int
         First sample that is not finite, or -1.
+
+    Examples
+    --------
+    >>> t = np.arange(3.0)
+    >>> run = Trajectory(t, t[:, None], t[:, None], t[:, None], ("delta",), ("psi",), ("psi",))
+    >>> run.ok, run.output("psi")
+    (True, array([0., 1., 2.]))
     """
 
     times: np.ndarray = field(repr=False)

@@ -127,6 +127,13 @@ class Program:
         At its estimated values.
     fit : Fit, optional
         Where these come from.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> program = Program(load_problem("nomoto_sparse_heading").model)
+    >>> program.model.name
+    'first-order Nomoto'
     """
 
     model: Model

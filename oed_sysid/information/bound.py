@@ -312,6 +312,10 @@ class Confirmation:
         Share of runs whose reported 95 % interval holds the truth.
     n_runs, n_failed : int
         Runs, and those whose estimation did not converge (not counted above).
+
+    Examples
+    --------
+    What :func:`confirm_bound` returns; see there.
     """
 
     names: tuple[str, ...]
@@ -390,6 +394,22 @@ def confirm_bound(
         Source of the noise.
     n_runs : int
         Repetitions.
+
+    Returns
+    -------
+    Confirmation
+        Predicted and found errors by parameter.
+
+    Raises
+    ------
+    DesignError
+        If there are too few runs, or too few of their estimations converge.
+
+    Examples
+    --------
+    Of a problem's truth and one of its experiments::
+
+        confirm_bound(problem.true_model(), experiment, rng=np.random.default_rng(0), n_runs=50)
     """
     planned = (experiments,) if isinstance(experiments, Experiment) else tuple(experiments)
     if n_runs < 3:

@@ -43,6 +43,11 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     names : sequence of str, optional
         The set; all by default.
 
+    Returns
+    -------
+    float
+        1 where the sensitivities are orthogonal, infinite where they are dependent.
+
     References
     ----------
     R. Brun, P. Reichert, H. R. Kuensch, Practical identifiability analysis of
@@ -129,6 +134,10 @@ class Subset:
         The collinearity that was allowed.
     reasons : tuple of str
         For every parameter to fix, which others imitate it, and what kind of run would tell.
+
+    Examples
+    --------
+    What :func:`identifiable_subset` returns; see there.
     """
 
     places: tuple[Place, ...]
@@ -246,10 +255,26 @@ def identifiable_subset(
     motions : mapping of str to numpy.ndarray, optional
         States and inputs in the runs ``(n_times,)``, to say which of them keep one ratio.
 
+    Returns
+    -------
+    Subset
+        The set, what each parameter costs, and why the others are left out.
+
     References
     ----------
     R. Brun, P. Reichert, H. R. Kuensch (2001), as above: sets by collinearity.
     A. J. Miller, *Subset Selection in Regression*, 2nd ed. (2002), section 3.8: exchange.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> from oed_sysid.information import information_of
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> run = next(iter(ship.experiments.values()))
+    >>> values = {p.name: p.value for p in ship.model.parameters}
+    >>> found = identifiable_subset(information_of(ship.model, run), values)
+    >>> found.limit
+    15.0
     """
     names = information.names
     sizes = np.array([abs(values.get(n, 0.0)) for n in names])
@@ -468,6 +493,10 @@ class Structure:
         far above 1e-7 means that the verdict is clear.
     n_runs : int
         Random runs for each set of values.
+
+    Examples
+    --------
+    What :func:`structural_identifiability` returns; see there.
     """
 
     names: tuple[str, ...]
@@ -540,10 +569,24 @@ def structural_identifiability(
     start : {"unknown", "known"}
         Whether start states have to be estimated too.
 
+    Returns
+    -------
+    Structure
+        The rank, and the combinations that stay free.
+
     Raises
     ------
     DesignError
         If an input has no range, or no run stays finite.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading").model
+    >>> found = structural_identifiability(ship, inputs={"delta": (-0.3, 0.3)},
+    ...                                    rng=np.random.default_rng(0), n_points=2, n_runs=1)
+    >>> found.rank, len(found.names)
+    (2, 2)
     """
     if missing := [name for name in model.input_names if name not in inputs]:
         raise DesignError(f"The input {missing[0]!r} has no range. Give inputs={{...}} for all.")

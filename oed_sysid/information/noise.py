@@ -88,10 +88,21 @@ def noise_of(
     changed : mapping of str to float, optional
         Levels of a single experiment.
 
+    Returns
+    -------
+    ndarray (n_outputs,)
+        In the outputs' units.
+
     Raises
     ------
     DesignError
         If a level is missing or not positive.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> noise_of(load_problem("nomoto_sparse_heading").model, {"psi": 0.01})
+    array([0.01])
     """
     names = model.output_names
     stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
@@ -300,6 +311,10 @@ def sea_words(noise: NoiseModel) -> str:
     >>> sea_words(replace(quiet, seas=(waves,)))  # doctest: +NORMALIZE_WHITESPACE
     'Z 0.3 in swell of 0.3 m from 30 deg to port of the bow at the start, met every 7.2 s, 20 %
     wide'
+
+    Returns
+    -------
+    str
     """
     parts = [
         f"{place.removeprefix('force ')} {level:.3g}"

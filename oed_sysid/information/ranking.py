@@ -44,6 +44,10 @@ class Sensitivity:
         ``start`` says so).
     error : float
         Relative standard error with all unknowns estimated together.
+
+    Examples
+    --------
+    One of ``rank_parameters(...).rows``; see :func:`rank_parameters`.
     """
 
     name: str
@@ -76,6 +80,10 @@ class SensitivityRanking:
         Behind the errors.
     together : Subset
         Which of them the runs alone determine together, and what each costs.
+
+    Examples
+    --------
+    What :func:`rank_parameters` returns; see there.
     """
 
     rows: tuple[Sensitivity, ...]
@@ -192,6 +200,16 @@ def rank_parameters(
     change : float
         Relative change of each coefficient.
 
+    Returns
+    -------
+    SensitivityRanking
+        Best determined first.
+
+    Raises
+    ------
+    DesignError
+        If the change is zero or not finite.
+
     References
     ----------
     T. Perez, M. Blanke, Mathematical ship modelling for control applications,
@@ -200,6 +218,14 @@ def rank_parameters(
     W. Y. Hwang, Application of system identification to ship maneuvering, PhD
     thesis, MIT (1980), and K. Rhee, K. Kim (1999): relative change of a
     response per relative change of a coefficient.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> found = rank_parameters(ship.model, next(iter(ship.experiments.values())))
+    >>> [row.name for row in found.rows]
+    ['K', 'T']
     """
     if not change or change <= -1:
         raise DesignError(f"change is {change}. Give a relative change such as 0.2.")
@@ -289,6 +315,11 @@ class Drop:
         parameter the data do not notice (Akaike).
     predicted_rms : float
         Root mean square change of the outputs that this means, in noise units.
+
+    Examples
+    --------
+    >>> Drop("N_vvv", cost=0.8, predicted_rms=0.02).cost
+    0.8
     """
 
     name: str
@@ -314,6 +345,10 @@ class Reduction:
         How many were dropped.
     n_samples : int
         Measured samples behind the costs.
+
+    Examples
+    --------
+    What :func:`reduce_model` returns; see there.
     """
 
     model: Model
@@ -369,6 +404,18 @@ def reduce_model(
         are refitted.
     keep : sequence of str
         Parameters that stay in any case, as do those whose bounds leave zero out.
+
+    Returns
+    -------
+    Reduction
+        The smaller model, and what each drop costs.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> reduce_model(ship.model, next(iter(ship.experiments.values()))).n_dropped
+    0
     """
     played = plays(model, runs, initial_states=initial_states)
     expected = RunInformation(model, noise)

@@ -61,6 +61,10 @@ class Response:
         Full states.
     jacobian : ndarray (n_times, n_outputs, n_own + n_free)
         Derivatives of the outputs by own start states, then by free parameters.
+
+    Examples
+    --------
+    What :func:`respond` returns; see there.
     """
 
     outputs: np.ndarray
@@ -82,6 +86,10 @@ class Play:
         Which samples are (or will be) measured.
     noise : mapping of str to float
         Noise levels that differ from the model's in this run.
+
+    Examples
+    --------
+    One of those that :func:`plays` returns; see there.
     """
 
     name: str
@@ -113,6 +121,24 @@ def plays(
     initial_states : sequence of mapping or ndarray (n_own,), optional
         Start states per run; by default those of the experiment, or the
         smoothed first measurements of a record.
+
+    Returns
+    -------
+    tuple of Play
+        One for each run.
+
+    Raises
+    ------
+    DesignError
+        If there is no run, or another number of start states.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> [play] = plays(ship.model, next(iter(ship.experiments.values())))
+    >>> play.inputs.shape
+    (4001, 1)
     """
     listed = (runs,) if isinstance(runs, Experiment | Record) else tuple(runs)
     if not listed:
@@ -133,10 +159,23 @@ def plays(
 def respond(model: Model, play: Play) -> Response:
     """Simulate one run with derivatives.
 
+    Returns
+    -------
+    Response
+        Outputs, states and derivatives.
+
     Raises
     ------
     SimulationError
         If the trajectory diverges, with the state that grew.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> ship = load_problem("nomoto_sparse_heading")
+    >>> [play] = plays(ship.model, next(iter(ship.experiments.values())))
+    >>> respond(ship.model, play).jacobian.shape
+    (4001, 1, 4)
     """
     runner = kernel(model)
     values = model.value_vector

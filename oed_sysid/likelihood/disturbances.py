@@ -46,6 +46,11 @@ class Place:
         Unit of the disturbance, where it can be told.
     channel : str
         Input from which an actuator's signal comes: its name, or the expression that it is.
+
+    Examples
+    --------
+    >>> Place("force", "Z", "N").name
+    'force Z'
     """
 
     stage: str

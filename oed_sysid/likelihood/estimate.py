@@ -28,6 +28,12 @@ class Status:
     at values that must not be used, ``runaway``, ``integration``, ``degenerate``
     (:mod:`oed_sysid.likelihood.judgement`) or ``inconsistent`` (a filter whose errors
     are far from those it states).
+
+    Examples
+    --------
+    >>> status = Status("iterations", "Give it more iterations.")
+    >>> status.ok, str(status)
+    (False, 'iterations: Give it more iterations.')
     """
 
     code: str

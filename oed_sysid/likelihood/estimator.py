@@ -21,7 +21,14 @@ from oed_sysid.physics.model import Model
 
 @runtime_checkable
 class Estimator(Protocol):
-    """Contract of estimators; :func:`oed_sysid.testing.check_estimator` tests it."""
+    """Contract of estimators; :func:`oed_sysid.testing.check_estimator` tests it.
+
+    Examples
+    --------
+    >>> from oed_sysid import MultipleShooting
+    >>> isinstance(MultipleShooting(), Estimator), MultipleShooting().name
+    (True, 'multiple shooting')
+    """
 
     @property
     def name(self) -> str:
@@ -54,6 +61,11 @@ class Solver:
         ``"Y_v*N_r > N_v*Y_r"``; of predicted outputs along every record, ``"z < 25"``, and at its
         ends, ``"start(theta) == 0"``, ``"end(u) > 1.5"``. Those that bind are a concern of the fit;
         standard errors ignore them.
+
+    Examples
+    --------
+    >>> Solver("ipopt", constraints=["K > 0"]).constraints
+    ['K > 0']
     """
 
     method: str = "gauss-newton"

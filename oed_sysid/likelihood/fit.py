@@ -131,6 +131,10 @@ class Fit(estimate.Estimate):
     extras : mapping
         What else an estimator tells of its way, such as the course of a recursion. Nothing in the
         package is decided by it.
+
+    Examples
+    --------
+    What an estimator returns; see :class:`~oed_sysid.likelihood.estimator.Estimator`.
     """
 
     @classmethod

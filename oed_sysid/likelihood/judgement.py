@@ -130,6 +130,12 @@ class Concern:
         (``constraint``, ``finer_step``), the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
+
+    Examples
+    --------
+    >>> one = Concern("few_samples", "", "", 12.0, "12 samples for 4 parameters.")
+    >>> one.kind, one.text
+    ('few_samples', '12 samples for 4 parameters.')
     """
 
     kind: str

@@ -124,6 +124,11 @@ class MultipleShooting:
         length, each from a start state of its own (:mod:`oed_sysid.likelihood.windows`). ``None``
         predicts whole records. A short horizon keeps misfit of structure out of the
         derivatives; disturbance forces are then not looked for.
+
+    Examples
+    --------
+    >>> MultipleShooting(loss="student", disturbances="none").name
+    'multiple shooting, student loss'
     """
 
     interval: float | None = None

@@ -62,6 +62,11 @@ class Multistart:
         It belongs to one model, data set and estimator.
     progress : callable, optional
         Called with a :class:`~oed_sysid.runtime.parallel.CellProgress` after every start.
+
+    Examples
+    --------
+    >>> Multistart(n_starts=5, seed=1).name
+    'multiple shooting, best of 5 starts'
     """
 
     estimator: Estimator = field(default_factory=MultipleShooting)
@@ -189,6 +194,10 @@ class Profile:
     lower_end, upper_end : str
         Why the interval ends there: ``data``, ``bound``, ``open`` or
         ``diverged`` (beyond the end no trajectory is finite).
+
+    Examples
+    --------
+    What :func:`profile` returns.
     """
 
     name: str
@@ -258,6 +267,18 @@ def profile(
     Returns
     -------
     Profile
+
+    Raises
+    ------
+    ModelError
+        If the level is no share between 0 and 1, or the fit has no such parameter.
+
+    Examples
+    --------
+    Of a parameter of a fit, with the interval that the data give it::
+
+        found = profile(fit, "T")
+        found.lower, found.upper
     """
     located(ModelError, "This fit has no shared parameter", [name], fit.names)
     if not 0.0 < level < 1.0:

@@ -181,6 +181,13 @@ class NoiseModel:
         Names, such as ``"q"`` and ``"force Z"`` or ``"actuator fin"``.
     seas : tuple of Sea
         Narrow-band disturbances besides.
+
+    Examples
+    --------
+    >>> noise = NoiseModel(np.array([0.002]), np.zeros(1), np.array([0.01]), force_time=20.0,
+    ...                    outputs=("psi",), places=("force r",))
+    >>> dict(zip(noise.places, noise.force.tolist()))
+    {'force r': 0.01}
     """
 
     white: np.ndarray

@@ -173,6 +173,11 @@ class Prediction:
         Values of per-record parameters, per record.
     caveat : str
         Why the bands are too narrow; empty where nothing says so.
+
+    Examples
+    --------
+    What :meth:`Fit.predict <oed_sysid.likelihood.fit.Fit.predict>` returns; its errors by output
+    are in ``rms``, in the outputs' units.
     """
 
     dataset: Dataset

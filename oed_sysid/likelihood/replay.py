@@ -48,6 +48,12 @@ def replayed(fit: Fit) -> Fit:
         The same where it has no process noise or whole runs are as that would have left them; else
         one whose :attr:`~oed_sysid.likelihood.fit.Fit.purpose` is ``"replay"``: derivatives, errors
         and the search for what is missing keep ``fit``.
+
+    Examples
+    --------
+    Of a fit with process noise, for runs without measurements::
+
+        replayed(fit).save("replay.json")
     """
     if not fit.whole_runs.took_the_work:
         return fit

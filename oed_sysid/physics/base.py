@@ -43,6 +43,11 @@ class ExtraState:
         inputs and parameters, so that no unknown is added.
     unit : str
         SI unit.
+
+    Examples
+    --------
+    >>> ExtraState("lag", "(u_r - lag)/T_lag", "u_r", "m/s").name
+    'lag'
     """
 
     name: str
@@ -68,6 +73,11 @@ class Memory:
         Value before the first step.
     shortest : float
         Shortest step, s, for which an actuator's memory is long enough; zero where any is.
+
+    Examples
+    --------
+    >>> Memory("last", "delta", "0").initial
+    '0'
     """
 
     name: str
@@ -139,6 +149,13 @@ class Effect:
         :mod:`oed_sysid.physics.unknown`.
     functions : tuple of Function
         Functions of CasADi symbols, callable in expressions.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import quadratic_drag
+    >>> drag = quadratic_drag("crossflow", "Z", "w_r")
+    >>> isinstance(drag, Effect), drag.stage, drag.amplitude_names
+    (True, 'force', ('E_crossflow',))
     """
 
     name: str
@@ -355,6 +372,13 @@ class Actuator(Effect):
     An effect that names states of the model, or adds states, acts within the
     equations of motion instead, on what the sampled effects leave: a steering
     engine that slows down under load, a thruster with inertia.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import actuator_lag
+    >>> lag = actuator_lag("rudder_lag", "delta")
+    >>> lag.stage, list(lag.terms)
+    ('actuator', ['delta'])
     """
 
     stage: ClassVar[str] = "actuator"
@@ -362,7 +386,14 @@ class Actuator(Effect):
 
 @dataclass(frozen=True)
 class Environment(Effect):
-    """Current, wind, waves as flow: ``terms`` maps a flow signal to its new value."""
+    """Current, wind, waves as flow: ``terms`` maps a flow signal to its new value.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import current_forward
+    >>> current_forward().stage
+    'environment'
+    """
 
     stage: ClassVar[str] = "environment"
 
@@ -373,6 +404,13 @@ class Force(Effect):
 
     For an axis (``"X"``, ``"Z"``, ``"M"`` ...) the unit is N or N m; for the
     name of a state it is that state's unit per second.
+
+    Examples
+    --------
+    >>> from oed_sysid import Parameter
+    >>> drag = Force("drag", {"X": "-X_uu*u*abs(u)"}, (Parameter("X_uu", 0.0, "kg/m"),))
+    >>> drag.stage, drag.amplitude_names
+    ('force', ('X_uu',))
     """
 
     stage: ClassVar[str] = "force"
@@ -380,7 +418,14 @@ class Force(Effect):
 
 @dataclass(frozen=True)
 class Inertia(Effect):
-    """Mass and added mass: ``terms`` maps ``(axis, state)`` to what is added."""
+    """Mass and added mass: ``terms`` maps ``(axis, state)`` to what is added.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import added_mass_coupling, LIBRARY
+    >>> LIBRARY["added_mass_coupling"].row.kind is Inertia
+    True
+    """
 
     stage: ClassVar[str] = "inertia"
 
@@ -391,6 +436,12 @@ class Sensor(Effect):
 
     Names of outputs mean the signal as it reaches this effect; ``h`` is the
     time since the previous sample.
+
+    Examples
+    --------
+    >>> from oed_sysid.physics import sensor_bias
+    >>> sensor_bias("gyro", "r", "rad/s", scale=0.01).terms
+    {'r': 'r + E_gyro'}
     """
 
     stage: ClassVar[str] = "sensor"
@@ -430,6 +481,11 @@ def amplitude(
         Whether the value differs from record to record.
     description : str
         What the parameter means.
+
+    Returns
+    -------
+    Parameter
+        Free, and zero where no value is given.
 
     Examples
     --------

@@ -51,6 +51,11 @@ def underwater_vehicle_effects(
     step : float
         Shortest integration step in s, for the register of a delay.
 
+    Returns
+    -------
+    tuple of Effect
+        Candidates; their amplitudes are zero.
+
     Examples
     --------
     >>> from oed_sysid.physics.bodies import rigid_body
@@ -120,6 +125,17 @@ def catamaran_effects(
         Hull forces of the nominal model, as above.
     step : float
         Shortest integration step in s.
+
+    Returns
+    -------
+    tuple of Effect
+        Candidates; their amplitudes are zero.
+
+    Examples
+    --------
+    Those of the shipped catamaran::
+
+        load_problem("catamaran").effects
     """
     side = SEA_WATER_DENSITY * draught * length  # half rho times lateral area of two hulls
     port, starboard = thrusts

@@ -82,6 +82,11 @@ def diving_plane_effects(*, step: float = 0.1) -> tuple[Effect, ...]:
     step : float
         Shortest integration step in s, which sizes the register of the delay.
 
+    Returns
+    -------
+    tuple of Effect
+        Candidates; their amplitudes are zero.
+
     Examples
     --------
     >>> effects = diving_plane_effects()
@@ -115,6 +120,16 @@ def surface_ship_effects(
         Density of the water in kg/m3.
     thrust : str
         Actuator signal of the thrust.
+
+    Returns
+    -------
+    tuple of Effect
+        Candidates; their amplitudes are zero.
+
+    Examples
+    --------
+    >>> [effect.name for effect in surface_ship_effects()][:3]
+    ['yaw_crossflow', 'sway_crossflow', 'sway_drift_yaw']
     """
     prime = {"density": density, "length": length, "speed": speed}
     return tuple(
@@ -140,6 +155,16 @@ def roll_effects(*, inertia: float, frequency: float) -> tuple[Effect, ...]:
         Roll inertia with added inertia, in kg m2.
     frequency : float
         Natural frequency in rad/s.
+
+    Returns
+    -------
+    tuple of Effect
+        Candidates; their amplitudes are zero.
+
+    Examples
+    --------
+    >>> [effect.name for effect in roll_effects(inertia=2.0, frequency=1.5)][:3]
+    ['roll_linear_damping', 'roll_quadratic_damping', 'roll_cubic_damping']
     """
     stiffness = inertia * frequency**2
     return tuple(listed("roll", inertia=inertia, frequency=frequency, stiffness=stiffness))
@@ -172,6 +197,16 @@ def mechanical_effects(
         Of a spring that the model holds; only then a dead zone is among the candidates.
     periods : int
         Cogging periods per turn.
+
+    Returns
+    -------
+    tuple of Force
+        Candidates; their amplitudes are zero.
+
+    Examples
+    --------
+    >>> [effect.name for effect in mechanical_effects(force=2.0)][:3]
+    ['viscous_friction', 'coulomb_friction', 'stribeck_friction']
     """
     load, turn, way = ("N m", "rad/s", "rad") if rotates else ("N", "m/s", "m")
     known = {"axis": axis, "position": position, "velocity": velocity, "periods": periods}

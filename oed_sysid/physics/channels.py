@@ -110,6 +110,11 @@ class State:
         Words for reports and plots, for instance ``"heave velocity"``.
     scale : float
         Typical magnitude, in ``unit``; conditions the numerics only.
+
+    Examples
+    --------
+    >>> State("w", "m/s", "heave velocity").label
+    'heave velocity'
     """
 
     name: str
@@ -130,6 +135,11 @@ class Input:
     the last value (a digital command), ``"linear"`` connects the samples (a
     measured angle). ``column`` and ``sign`` map a log that uses another name
     or the opposite sign convention.
+
+    Examples
+    --------
+    >>> Input("rudder", "rad", "rudder angle", column="delta_deg", sign=-1).column
+    'delta_deg'
     """
 
     name: str
@@ -174,6 +184,12 @@ class Output:
     ------
     ModelError
         If something that is not an angle in rad is said to wrap.
+
+    Examples
+    --------
+    >>> compass = Output("psi", "rad", "heading", noise_std=0.002, wrap=True)
+    >>> compass.noise_std
+    0.002
     """
 
     name: str
@@ -204,7 +220,13 @@ class Output:
 
 @dataclass(frozen=True)
 class Channels:
-    """The signals that a record of a model must or may hold."""
+    """The signals that a record of a model must or may hold.
+
+    Examples
+    --------
+    >>> Channels((Input("rudder", "rad"),), (Output("r", "rad/s"),)).output_names
+    ('r',)
+    """
 
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]

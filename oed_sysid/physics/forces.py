@@ -348,7 +348,18 @@ def single_screw_asymmetry(name: str = "single_screw_asymmetry", *, thrust: str 
 
 def rudder_neutral_angle(name: str = "rudder_neutral_angle", signal: str = "delta", *,
                          scale: float = 0.01, value: float = 0.0) -> Actuator:
-    """Rudder angle that keeps a ship straight is not zero: offset of the actual angle."""
+    """Rudder angle that keeps a ship straight is not zero: offset of the actual angle.
+
+    Returns
+    -------
+    Actuator
+        Absent where the angle is zero.
+
+    Examples
+    --------
+    >>> rudder_neutral_angle().terms
+    {'delta': 'delta + E_rudder_neutral_angle'}
+    """
     return actuator_offset(name, signal, scale=scale, value=value)
 
 
@@ -382,6 +393,16 @@ def speed_loss_in_turn(name: str = "speed_loss_in_turn", *, scales: Mapping[str,
     """Added resistance of drift, yaw rate and rudder, quadratic and even.
 
     ``scales`` gives the typical size of any of ``X_vr X_vv X_rr X_deltadelta``.
+
+    Returns
+    -------
+    Force
+        Absent where all its amplitudes are zero.
+
+    Examples
+    --------
+    >>> speed_loss_in_turn(scales={"X_vr": 10.0}).terms
+    {'X': 'E_speed_loss_in_turn_X_vr*v_r*r'}
     """
     return table.derivative_group(
         name, scales, symbols=symbols, description="speed falls in a turn", source=table.ABKOWITZ,
@@ -394,6 +415,16 @@ def nonlinear_yaw_damping(name: str = "nonlinear_yaw_damping", *, axis: str = "N
 
     The linear term belongs to the base model. ``scales`` gives typical sizes of
     ``constant``, ``quadratic`` and ``cubic``; those left out are zero.
+
+    Returns
+    -------
+    Force
+        Absent where all its amplitudes are zero.
+
+    Examples
+    --------
+    >>> nonlinear_yaw_damping(scales={"quadratic": 0.1}).terms
+    {'N': 'E_nonlinear_yaw_damping_N_rr*r**2'}
     """
     factors = {"constant": "0", "quadratic": rate * 2, "cubic": rate * 3}
     return table.derivative_group(

@@ -75,6 +75,10 @@ class RigidBody:
         Roll, pitch and yaw as expressions of the states.
     rotation : tuple of tuple of str
         Rotation matrix from body axes to NED, as texts.
+
+    Examples
+    --------
+    What :func:`rigid_body` returns; see there.
     """
 
     velocities: tuple[str, ...]
@@ -477,6 +481,11 @@ def load_cell(
 
     >>> load_cell("stock", "Y", "rudder").source
     'force("Y", "rudder")'
+
+    Returns
+    -------
+    Output
+        A measured force.
     """
     text = f'force("{axis}")' if effect is None else f'force("{axis}", "{effect}")'
     return Output(name, unit, f"measured force {axis}", text, noise_std=noise_std)
@@ -534,6 +543,11 @@ def rigid_body(
         The latter has no singularity and needs all three rotations.
     position : sequence of str, optional
         Which of ``x y z`` to carry as states; by default all that can change.
+
+    Returns
+    -------
+    RigidBody
+        Parts of a model; give them to :class:`~oed_sysid.physics.model.Model`.
 
     Raises
     ------

@@ -108,8 +108,10 @@ class Row(Generic[Kind]):
         """What a constructor says of itself, with what it returns and an example."""
         terms = self.derivative or "; ".join(self.terms.values()) or "as given"
         stage, told = self.kind.stage, inspect.cleandoc(said)
-        made = f"{self.kind.__name__}\n    ``{terms}``, which shows in {self.needs}. {self.source}"
-        lines = [told, f"Returns\n-------\n{made}"]
+        made = f"``{terms}``, absent at zero. Shows in: {self.needs}. {self.source}"
+        wrong = "ModelError\n    If a name or a unit is none, or there is no such derivative."
+        lines = [told, f"Returns\n-------\n{self.kind.__name__}\n    {made}"]
+        lines.append(f"Raises\n------\n{wrong}")
         if ">>>" not in told:
             lines.append(f"Examples\n--------\n>>> {self.example}.stage\n{stage!r}")
         return "\n\n".join(lines)
@@ -281,6 +283,11 @@ def derivative(
     description, source, needs : str
         Words; by default what the derivative's name says.
 
+    Returns
+    -------
+    Force
+        Stage, term and unit follow from the name.
+
     Examples
     --------
     >>> derivative("crossflow", "Z_absww", parameter="Z_absww", value=-100.0).terms
@@ -327,6 +334,11 @@ def derivative_group(
     symbols, description, source, needs
         See :func:`derivative`.
 
+    Returns
+    -------
+    Force
+        One effect with an amplitude for each derivative.
+
     Examples
     --------
     >>> effect = derivative_group(
@@ -369,6 +381,11 @@ def hull_derivatives(
         See :func:`derivative`.
     extra : mapping
         ``axis -> expression`` of further terms, such as ``{"X": "T - m*q*w"}``.
+
+    Returns
+    -------
+    Force
+        One effect with all derivatives.
 
     Raises
     ------

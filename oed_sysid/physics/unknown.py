@@ -60,6 +60,11 @@ def RandomForce(
 
     >>> RandomForce("Z", level=0.3, time=2.0).noise.place
     'force Z'
+
+    Returns
+    -------
+    Force
+        Absent at level zero.
     """
     words = ("random_force", f"disturbance force in {equation}")
     return _random(Force, equation, words, level, time, known)
@@ -70,6 +75,11 @@ def InputNoise(signal: str, *, level: float = 0.0, known: bool = False) -> Actua
 
     >>> InputNoise("ds", level=0.002).noise.time
     0.0
+
+    Returns
+    -------
+    Actuator
+        Absent at level zero.
     """
     words = ("input_noise", f"noise on the logged {signal}")
     return _random(Actuator, signal, words, level, 0.0, known)
@@ -82,6 +92,11 @@ def SensorDrift(
 
     >>> SensorDrift("q", level=0.001).terms
     {'q': 'q + disturbance_sensor_q'}
+
+    Returns
+    -------
+    Sensor
+        Absent at level zero.
     """
     words = ("sensor_drift", f"wandering zero of {output}")
     return _random(Sensor, output, words, level, time, known)

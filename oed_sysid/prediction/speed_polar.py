@@ -187,6 +187,13 @@ def speed_polar(
     ----------
     Larsson & Eliasson (2000), Principles of yacht design, 2nd ed., ch. 16, for
     velocity prediction by equilibrium.
+
+    Examples
+    --------
+    Of a yacht's fit, with a band from draws of its parameters::
+
+        polar = speed_polar(fit, wind_speed=6.0, angles=np.radians([45, 90, 135]),
+                            sheets=np.radians([10, 30, 60]), rng=np.random.default_rng(0))
     """
     fit, model = asked(fit_or_model)
     names = names or SailingNames()

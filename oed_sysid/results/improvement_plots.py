@@ -148,6 +148,11 @@ def plot_force_found(improvement: Improvement, dataset: Dataset, *, ax: Axes | N
     ax : Axes, optional
         Where to draw.
 
+    Returns
+    -------
+    Axes
+        What was drawn on; its label is what the picture shows, in words.
+
     Raises
     ------
     DataError

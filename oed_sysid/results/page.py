@@ -51,6 +51,11 @@ class Picture:
         What is to be seen, in words, for those who cannot see it.
     chart : Chart, optional
         The same to be pointed at, where a screen can.
+
+    Examples
+    --------
+    >>> Picture("data:image/svg+xml;base64,", "Heading and yaw rate.").caption
+    'Heading and yaw rate.'
     """
 
     source: str
@@ -127,6 +132,12 @@ def page(result: Any, *arguments: Any, **options: Any) -> Report:
     -------
     Report
         Call ``.write("page.html")``.
+
+    Examples
+    --------
+    >>> from oed_sysid.evidence.result import LogCheck
+    >>> print(page(LogCheck((), ("run_1",))).title)
+    Log check
     """
     made: Report = result.document(*arguments, **options)
     return made
@@ -140,10 +151,21 @@ def numbers_page(content: Mapping[str, Any]) -> Report:
     content : mapping
         As JSON returns it.
 
+    Returns
+    -------
+    Report
+        Call ``.write("page.html")``.
+
     Raises
     ------
     DataError
         If it is not what that command writes.
+
+    Examples
+    --------
+    Of the file that ``oed-sysid fit ... --json fit.json`` wrote::
+
+        numbers_page(json.loads(Path("fit.json").read_text())).write("fit.html")
     """
     try:
         return _numbers(content)
@@ -201,7 +223,17 @@ def _number(value: float | None) -> str:
 
 
 def style_sheet() -> str:
-    """Return the rules (CSS) that pages and their parts are drawn with."""
+    """Return the rules (CSS) that pages and their parts are drawn with.
+
+    Returns
+    -------
+    str
+
+    Examples
+    --------
+    >>> style_sheet().count("{") == style_sheet().count("}")
+    True
+    """
     text: str = _environment().get_template("style.css.j2").render()
     return text
 

@@ -59,6 +59,11 @@ class ModelStyle:
 def model_style(index: int) -> ModelStyle:
     """Style of the model at a position in a comparison; the first is the nominal one.
 
+    Returns
+    -------
+    ModelStyle
+        Colour, dashes and hatch.
+
     Examples
     --------
     >>> model_style(0).colour != model_style(1).colour
@@ -80,10 +85,23 @@ def save_figure(figure: Figure, path: str | Path, **settings: Any) -> Path:
     **settings
         Of :meth:`matplotlib.figure.Figure.savefig`.
 
+    Returns
+    -------
+    Path
+        The file.
+
     Raises
     ------
     FileError
         If the ending is no format, or the file cannot be written.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> figure, _ = new_figure(1, 1, size=(2.0, 1.0))
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     print(save_figure(figure, Path(folder) / "empty.svg").name)
+    empty.svg
     """
     formats = figure.canvas.get_supported_filetypes()
     ending = Path(path).suffix.lower().lstrip(".")
@@ -116,7 +134,19 @@ def new_axes(ax: Axes | None, *, size: tuple[float, float] = (6.4, 4.0)) -> Axes
 def new_figure(
     rows: int, columns: int, *, size: tuple[float, float], **layout: object
 ) -> tuple[Figure, np.ndarray]:
-    """Return a figure that pyplot does not keep, and its axes ``(rows, columns)``."""
+    """Return a figure that pyplot does not keep, and its axes ``(rows, columns)``.
+
+    Returns
+    -------
+    figure : Figure
+    axes : ndarray of Axes (rows, columns)
+
+    Examples
+    --------
+    >>> figure, axes = new_figure(2, 1, size=(6.0, 4.0))
+    >>> axes.shape
+    (2, 1)
+    """
     figure = Figure(figsize=size, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.subplots(rows, columns, squeeze=False, **layout)  # type: ignore[call-overload]
@@ -311,6 +341,11 @@ def between(channel: State | Input | Output, values: np.ndarray) -> str:
 
 def finding(picture: Axes | Figure) -> str:
     """What a picture shows, in words.
+
+    Returns
+    -------
+    str
+        Empty where nothing was attached.
 
     Examples
     --------

@@ -251,6 +251,13 @@ class Table:
         Columns to set flush left.
     marked : tuple of int
         Rows to stress.
+
+    Examples
+    --------
+    >>> for line in Table(("name", "share"), [("Z_w", "3 %")]).lines():
+    ...     print(line)
+    name  share
+    Z_w     3 %
     """
 
     headers: Sequence[str]
@@ -304,6 +311,11 @@ class Figure:
     options : mapping
     size : (float, float), optional
         Of a ``plot_x``, inches; None leaves it to the plot.
+
+    Examples
+    --------
+    >>> Figure("figure_record", subject=None, caption="What was measured.").name
+    'figure_record'
     """
 
     name: str
@@ -335,6 +347,13 @@ class Section:
         ``"text"`` or ``"page"`` where only one of them has it.
     beside : bool
         Whether figures stand beside each other where the page is wide enough.
+
+    Examples
+    --------
+    >>> for line in Section("Errors", ("Over whole runs.",), heading=True).lines():
+    ...     print(line)
+    Errors
+    Over whole runs.
     """
 
     title: str = ""

@@ -82,6 +82,11 @@ class EstimatorCheck:
         Largest error without noise, in typical magnitudes of the parameters.
     coverage : float
         Share of the 95 per cent intervals that held the truth; NaN if not asked.
+
+    Examples
+    --------
+    >>> EstimatorCheck(error=2e-5, coverage=0.94).coverage
+    0.94
     """
 
     error: float
@@ -138,6 +143,12 @@ def check_estimator(
     ------
     AssertionError
         With a line for every broken promise.
+
+    Examples
+    --------
+    In a test, of an estimator ``mine`` on a problem's model and experiments::
+
+        check_estimator(mine, problem.true_model(), [*problem.experiments.values()], rng=rng)
     """
     if not isinstance(estimator, Estimator) or not str(estimator.name):
         raise AssertionError("An estimator has a name and fit(model, dataset) -> Fit.")
@@ -255,6 +266,13 @@ def check_criterion(
     ------
     AssertionError
         With a line for every broken promise.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> from oed_sysid.design import DOptimal
+    >>> model = load_problem("nomoto_sparse_heading").model
+    >>> check_criterion(DOptimal(), model, rng=np.random.default_rng(0))
     """
     names = tuple(p.name for p in model.free_parameters if not p.per_record)
     scales = np.array([model.parameter(name).magnitude for name in names])

@@ -101,6 +101,13 @@ def check_effect(
     ------
     AssertionError
         With a line for every broken promise.
+
+    Examples
+    --------
+    >>> from oed_sysid import load_problem
+    >>> problem = load_problem("nomoto_sparse_heading")
+    >>> for effect in problem.effects[:1]:
+    ...     check_effect(effect, problem.model, rng=np.random.default_rng(0))
     """
     probe = _Probe(effect, model, dict(initial or {}), dict(inputs or {}), n_times)
     broken = [*_words(effect), *effect_faults([effect], model)]
@@ -334,6 +341,12 @@ def check_problem(
     ------
     AssertionError
         With a line for every broken promise.
+
+    Examples
+    --------
+    In a test of a folder of one's own::
+
+        check_problem("my_vehicle", rng=np.random.default_rng(0))
     """
     try:
         problem = load_problem(name_or_folder)
