@@ -50,8 +50,9 @@ from oed_sysid.experiments.simulation import simulate
 from oed_sysid.export import KINDS
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.results.chart import Chart, Mark
+from oed_sysid.results.fit_plots import Said
 from oed_sysid.results.improvement_plots import clearest
-from oed_sysid.results.style import COLOURS
+from oed_sysid.results.style import COLOURS, model_style
 
 CHANNELS = Channels(
     (Input("rudder", "rad"),), (Output("psi", "rad", "heading"), Output("r", "rad/s"))
@@ -136,14 +137,16 @@ def test_axes_are_in_degrees_and_share_their_time() -> None:
     t = np.arange(5.0)
     psi = np.linspace(0.0, np.pi, 5)
     record = Record("a", t, np.full((5, 1), 0.1), np.column_stack([psi, 0 * t]), CHANNELS)
-    said = np.column_stack([psi, 0 * t])
-    figure = charts.signals(record, {"nominal": (said, np.full((5, 2), np.radians(1.0)))})
+    rows, noise = np.column_stack([psi, 0 * t]), np.full((5, 2), np.radians(1.0))
+    said = Said(record, rows, noise, 0.0 * rows, noise[0], "nominal", model_style(0))
+    figure = charts.signals(record, [said])
     by_name = {trace.name: trace for trace in reversed(figure.data)}
     np.testing.assert_allclose(by_name["measured"].y, np.degrees(psi))
     band = np.asarray(by_name["95 % (nominal)"].y)
     np.testing.assert_allclose(band[:5] - band[:4:-1], 2 * 1.96, rtol=1e-3)
     titles = [figure.layout[f"yaxis{n}"].title.text for n in ("", 2, 3)]
-    assert titles == ["psi [deg]", "r [deg/s]", "rudder [deg]"]
+    assert titles == ["psi [deg]", "r [deg/s]", "[deg]"]
+    assert [one.text for one in figure.layout.annotations][-1].startswith("rudder")
     assert figure.layout.xaxis.matches == figure.layout.xaxis2.matches == "x3"
 
 

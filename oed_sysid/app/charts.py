@@ -46,13 +46,13 @@ from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.results.chart import Chart, Mark
+from oed_sysid.results.fit_plots import Said, chart_signal, said_of
 from oed_sysid.results.improvement_plots import chart_residual, clearest
-from oed_sysid.results.style import COLOURS, DATA, NEUTRAL, TRUTH, model_style, shown, signal_of
-from oed_sysid.runtime.display import TWO_SIDED_95
+from oed_sysid.results.style import COLOURS, DATA, NEUTRAL, TRUTH, model_style, shown
 from oed_sysid.text.units import shown_unit
 
 MEASURED = "#8a929a"
-COMMANDED = "#6b737b"
+_SYMBOLS = {"s": "square-open", "_": "line-ew-open"}
 DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
 # On dark ground: the first two colours of models, as light as the others.
 _LIT = dict(zip(COLOURS, ("#F08A3C", "#56B4E9"), strict=False))
@@ -74,17 +74,15 @@ def _unit(channel: Input | Output | State) -> str:
     return shown_unit(channel.unit)[1] or "-"
 
 
-def signals(
-    record: Record, models: Mapping[str, tuple[np.ndarray, np.ndarray]] | None = None
-) -> go.Figure:
+def signals(record: Record, models: Sequence[Said] = ()) -> go.Figure:
     """Draw outputs and inputs of a record, and what models say about it, over one axis of time.
 
     Parameters
     ----------
     record : Record
         What was measured.
-    models : mapping of str to (ndarray, ndarray), optional
-        By name: outputs and their standard deviations, ``(n_times, n_outputs)``, SI.
+    models : sequence of Said
+        From :func:`~oed_sysid.results.fit_plots.said_of`.
 
     Returns
     -------
@@ -99,42 +97,9 @@ def signals(
     >>> [round(float(y), 1) for y in signals(record).data[0].y]
     [0.0, 45.0, 90.0, 135.0, 180.0]
     """
-    outputs, inputs = record.channels.outputs, record.channels.inputs
-    rows = len(outputs) + len(inputs)
-    figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
-    kept = slice(None, None, max(-(-record.times.size // _MOST), 1))  # every n-th of a long one
-    for row, channel in enumerate(outputs, start=1):
-        figure.add_scatter(
-            x=record.times[kept], y=signal_of(record, channel)[kept], mode="markers",
-            marker={"size": 3, "color": MEASURED}, name="measured", legendgroup="measured",
-            showlegend=row == 1, row=row, col=1,
-        )  # fmt: skip
-        for index, (name, parts) in enumerate((models or {}).items()):
-            mean, std = (shown(channel, part[kept, row - 1]) for part in parts)
-            for trace in _traces(record.times[kept], mean, std, name, index):
-                figure.add_trace(trace.update(showlegend=row == 1), row=row, col=1)
-    for row, command in enumerate(inputs, start=len(outputs) + 1):
-        shape = "hv" if command.interpolation == "hold" else "linear"
-        figure.add_scatter(
-            x=record.times[kept], y=signal_of(record, command)[kept], mode="lines",
-            line={"color": COMMANDED, "width": 1.5, "shape": shape}, name="commanded",
-            legendgroup="commanded", showlegend=row == len(outputs) + 1, row=row, col=1,
-        )  # fmt: skip
-    _name_rows(figure, (*outputs, *inputs))
-    figure.update_xaxes(title_text="time t [s]", row=rows, col=1)
-    return laid_out(figure, 150 * (rows + 1))
-
-
-def _name_rows(figure: go.Figure, channels: Sequence[Input | Output]) -> None:
-    """Write symbol and unit beside each row, and above it what the signal is called."""
-    for row, signal in enumerate(channels, start=1):
-        words = f"{signal.name} [{_unit(signal)}]"
-        figure.update_yaxes(title_text=words, title_font_size=13, row=row, col=1)
-        if signal.label and signal.label != signal.name:
-            figure.add_annotation(
-                text=signal.label, xref="x domain", yref="y domain", x=0.0, y=1.0, xanchor="left",
-                yanchor="bottom", showarrow=False, font={"size": 12}, row=row, col=1,
-            )  # fmt: skip
+    rows = [*record.channels.outputs, *record.channels.inputs]
+    charts = [chart_signal(record, channel, models) for channel in rows]
+    return drawn(*charts, height=150 * (len(rows) + 1))
 
 
 def line_of_model(index: int) -> tuple[str, str]:
@@ -148,62 +113,78 @@ def lit(colour: str) -> str:
     return _LIT.get(colour, colour) if st.context.theme.type == "dark" else colour
 
 
-def _traces(
-    times: np.ndarray, mean: np.ndarray, std: np.ndarray, name: str, index: int
-) -> Iterator[go.Scatter]:
-    """The band of a model, where it is known, and its line."""
-    colour, dash = line_of_model(index)
-    half, words = TWO_SIDED_95 * std, f"95 % ({name})"
-    if np.isfinite(half).all():
-        red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
-        yield go.Scatter(
-            x=[*times, *times[::-1]], y=[*(mean + half), *(mean - half)[::-1]], fill="toself",
-            fillcolor=f"rgba({red},{green},{blue},0.18)", line={"width": 0}, hoverinfo="skip",
-            name=words, legendgroup=words,
+def drawn(*charts: Chart, height: int = 340) -> go.Figure:
+    """Draw what :class:`~oed_sysid.results.chart.Chart` describes, to zoom and point into.
+
+    Several stand above each other on one axis.
+    """
+    rows, named = len(charts), set[str]()
+    figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
+    for row, chart in enumerate(charts, start=1):
+        place: dict[str, Any] = {"row": row, "col": 1}
+        _axes_of(figure, chart, place)
+        for trace in (one for mark in chart.marks for one in _traces(mark)):
+            first = bool(trace.name) and trace.name not in named
+            named.add(trace.name)
+            figure.add_trace(trace.update(showlegend=first, legendgroup=trace.name), **place)
+    figure.update_xaxes(title_text=plain(charts[-1].x_label), row=rows, col=1)
+    return laid_out(figure, height)
+
+
+def _axes_of(figure: go.Figure, chart: Chart, place: dict[str, Any]) -> None:
+    """What is written along the axes of a chart, and across them."""
+    *words, label = plain(chart.y_label).split("\n")
+    figure.update_yaxes(title_text=label, title_font_size=13, **place)
+    for text in words:
+        figure.add_annotation(
+            text=text, xref="x domain", yref="y domain", x=0.0, y=1.0, xanchor="left",
+            yanchor="bottom", showarrow=False, font={"size": 12}, **place,
         )  # fmt: skip
-    line = {"color": colour, "width": 1.8, "dash": dash}
-    yield go.Scatter(x=times, y=mean, mode="lines", name=name, legendgroup=name, line=line)
-
-
-def drawn(chart: Chart, height: int = 340) -> go.Figure:
-    """Draw what :class:`~oed_sysid.results.chart.Chart` describes, to zoom and point into."""
-    figure = go.Figure()
     if chart.level is not None:
         low, high = chart.level - chart.band, chart.level + chart.band
-        figure.add_hrect(y0=low, y1=high, fillcolor=MEASURED, opacity=0.3, line_width=0)
-        figure.add_hline(y=chart.level, line_width=1, line_color=MEASURED)
-    for mark in chart.marks:
-        figure.add_trace(_trace(mark))
+        figure.add_hrect(y0=low, y1=high, fillcolor=MEASURED, opacity=0.3, line_width=0, **place)
+        figure.add_hline(y=chart.level, line_width=1, line_color=MEASURED, **place)
     if chart.logarithmic:
         values = [digit * 10.0**power for power in range(-3, 7) for digit in (1, 2, 5)]
         texts = [f"{value:g}" for value in values]
         every = np.concatenate([np.asarray(mark.y, float) for mark in chart.marks])
-        span = np.log10([0.8 * np.nanmin(every), 1.7 * np.nanmax(every)])
-        figure.update_yaxes(type="log", tickvals=values, ticktext=texts, range=span.tolist())
+        span = np.log10([0.8 * np.nanmin(every), 1.7 * np.nanmax(every)]).tolist()
+        figure.update_yaxes(type="log", tickvals=values, ticktext=texts, range=span, **place)
     if chart.names:
         ends = [-0.4, len(chart.names) - 0.4]
-        figure.update_xaxes(
-            tickvals=list(range(len(chart.names))), ticktext=chart.names, range=ends
-        )
-    figure.update_xaxes(title_text=plain(chart.x_label))
-    figure.update_yaxes(title_text=plain(chart.y_label))
-    return laid_out(figure, height)
+        ticks = {"tickvals": list(range(len(chart.names))), "ticktext": chart.names}
+        figure.update_xaxes(**ticks, range=ends, **place)
 
 
-def _trace(mark: Mark) -> go.Scatter:
-    """Points of a chart."""
-    cloud = mark.marker == "."
+def _traces(mark: Mark) -> Iterator[go.Scatter]:
+    """The band of a mark, where it has one, and its points."""
+    kept = slice(None, None, max(-(-np.size(mark.x) // _MOST), 1))  # every n-th of many
+    x, y = (np.asarray(one)[kept] for one in (mark.x, mark.y))
+    half = None if mark.half is None else np.asarray(mark.half)[kept]
     colour = MEASURED if mark.colour in (DATA, NEUTRAL, TRUTH) else lit(mark.colour)
+    if half is not None and mark.dashes:
+        if np.isfinite(half).all():
+            yield _band(x, y - half, y + half, colour, mark.band or f"95 % ({mark.label})")
+        half = None
     parts = {"lines": mark.dashes, "markers": mark.marker, "text": any(mark.texts)}
-    symbol = {"s": "square-open"}.get(mark.marker, "circle")
+    dash = DASHES.get(mark.dashes, "longdash") if mark.dashes else "solid"
+    yield go.Scatter(
+        x=x, y=y, name=mark.label, mode="+".join(name for name, there in parts.items() if there),
+        marker={"size": 3 if mark.marker == "." else 9, "color": colour,
+                "symbol": _SYMBOLS.get(mark.marker, "circle"),
+                "opacity": 0.35 if mark.faint else 1.0},
+        line={"color": colour, "width": 1.8, "dash": dash, "shape": "hv" if mark.held else None},
+        error_y={"array": half, "visible": half is not None}, text=list(mark.texts),
+        textposition="top right", hoverinfo="skip" if mark.faint else None,
+    )  # fmt: skip
+
+
+def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, name: str) -> go.Scatter:
+    """What lies between two curves."""
+    red, green, blue = (int(colour[i : i + 2], 16) for i in (1, 3, 5))
     return go.Scatter(
-        x=np.asarray(mark.x), y=np.asarray(mark.y), name=mark.label, showlegend=bool(mark.label),
-        mode="+".join(name for name, there in parts.items() if there),
-        marker={"size": 3 if cloud else 9, "color": colour, "symbol": symbol,
-                "opacity": 0.35 if cloud else 1.0},
-        line={"color": colour, "width": 1.8, "dash": DASHES.get(mark.dashes, "solid")},
-        error_y=None if mark.half is None else {"array": np.asarray(mark.half)},
-        text=list(mark.texts), textposition="top right", hoverinfo="skip" if cloud else None,
+        x=[*x, *x[::-1]], y=[*high, *low[::-1]], fill="toself", name=name, hoverinfo="skip",
+        fillcolor=f"rgba({red},{green},{blue},0.18)", line={"width": 0},
     )  # fmt: skip
 
 
@@ -540,17 +521,13 @@ def tabs_of(outcome: Outcome, train: Dataset | None, key: str) -> Tabs:
     tabs: Tabs = {}
     if found is not None:
         said = "The band holds 95 % of new measurements: uncertain parameters and noise together."
-        rows: dict[str, Any] = {
-            part.label: (part.prediction.outputs, part.prediction.std) for part in found.models
-        }
-        tabs["Signals"] = partial(_signals, found.dataset, rows, said, key)
+        models = {part.label: part.prediction for part in found.models}
+        tabs["Signals"] = partial(_signals, found.dataset, models, said, key)
         if any(map(can_replay, found.dataset)):
             tabs["Replay"] = partial(_replay, found, key)
     elif isinstance(fit := outcome.result, Fit):
-        bands = [np.broadcast_to(fit.sigma, said.shape) for said in fit.predictions]
         said = "The band holds 95 % of the noise."
-        rows = {"nominal": (fit.predictions, bands)}
-        tabs["Signals"] = partial(_signals, fit.dataset, rows, said, key)
+        tabs["Signals"] = partial(_signals, fit.dataset, {"nominal": fit}, said, key)
     return tabs if located is None else tabs | _located(outcome.result, located, train, key)
 
 
@@ -575,9 +552,9 @@ def _record(dataset: Dataset, key: str) -> int:
 
 def _signals(dataset: Dataset, models: Mapping[str, Any], said: str, key: str) -> None:
     """Signals of one record and what models say about them."""
-    index = _record(dataset, key)
-    rows = {name: (mean[index], std[index]) for name, (mean, std) in models.items()}
-    chart(signals(dataset[index], rows), f"chart:{key}")
+    record = dataset[_record(dataset, key)]
+    said_by = said_of([*models.values()], record, [*models])
+    chart(signals(record, said_by), f"chart:{key}")
     st.caption(f"{said} Drag to zoom, double-click to go back; a click on the legend hides a line.")
 
 

@@ -33,7 +33,13 @@ class Mark:
     marker : str
         As matplotlib has them; empty for a line alone, ``"."`` for the dots of all samples.
     half : array_like (n_points,), optional
-        Half of the 95 % interval of each point.
+        Half of the 95 % interval of each point: a band around a line, else bars.
+    band : str
+        What the band holds, in the legend; empty where it has no place there.
+    held : bool
+        Whether a value holds until the next point.
+    faint : bool
+        Whether there are so many points that one alone tells nothing.
     texts : sequence of str
         What is written beside the points.
     """
@@ -45,6 +51,9 @@ class Mark:
     dashes: str = "-"
     marker: str = ""
     half: Any = None
+    band: str = ""
+    held: bool = False
+    faint: bool = False
     texts: Sequence[str] = ()
 
 
@@ -56,7 +65,7 @@ class Chart:
     ----------
     marks : tuple of Mark
     x_label, y_label : str
-        With units.
+        With units; a line before the last one of an upward axis says what it is called.
     finding : str
         What is to be seen, for those who cannot see it.
     level : float, optional
@@ -77,8 +86,16 @@ class Chart:
     logarithmic: bool = False
     names: Sequence[str] = ()
 
-    def on(self, ax: Axes | None = None, *, size: tuple[float, float] = (6.4, 3.6)) -> Axes:
-        """Draw on the given axes, or on those of a new figure (inches)."""
+    def on(
+        self,
+        ax: Axes | None = None,
+        *,
+        size: tuple[float, float] = (6.4, 3.6),
+        legend: int | None = 2,
+    ) -> Axes:
+        """Draw on the given axes, or on those of a new figure (inches), a legend in columns."""
+        # Beside others an axis is too short for words, symbol and unit in one line.
+        y_label = self.y_label if ax else self.y_label.replace("\n", " ")
         ax = draw.new_axes(ax, size=size)
         if self.level is not None:
             low, high = self.level - self.band, self.level + self.band
@@ -92,19 +109,24 @@ class Chart:
         if self.names:
             ax.set_xticks(range(len(self.names)), self.names)
             ax.set_xlim(-0.4, len(self.names) - 0.4)
-        labels = {"xlabel": self.x_label, "ylabel": self.y_label}
+        labels = {"xlabel": self.x_label, "ylabel": y_label}
         grid = "y" if self.names else "both"
-        return draw.done(ax, self.finding, grid=grid, legend=2, **labels)
+        return draw.done(ax, self.finding, grid=grid, legend=legend, **labels)
 
     @staticmethod
     def _mark(ax: Axes, mark: Mark) -> None:
-        cloud = mark.marker == "."
         look: dict[str, Any] = {"color": mark.colour, "label": mark.label or None}
-        look |= {"ls": mark.dashes or "", "marker": mark.marker, "lw": 1.6}
-        look |= {"ms": 1.5, "alpha": 0.35, "rasterized": True} if cloud else {"ms": 6}
-        if mark.half is not None:
+        look |= {"ls": mark.dashes or "", "marker": mark.marker, "lw": 1.5, "ms": 6}
+        look |= {"ms": 2.5, "rasterized": True} if mark.marker == "." else {}
+        look |= {"ms": 1.5, "alpha": 0.35} if mark.faint else {}
+        look |= {"drawstyle": "steps-post"} if mark.held else {}
+        if mark.half is not None and not mark.dashes:
             ax.errorbar(mark.x, mark.y, yerr=mark.half, capsize=3, **look)
         else:
+            if mark.half is not None:
+                ends = np.asarray(mark.y) + np.multiply.outer((-1.0, 1.0), mark.half)
+                band: dict[str, Any] = {"color": mark.colour, "label": mark.band or None}
+                ax.fill_between(mark.x, *ends, alpha=0.25, lw=0, rasterized=True, **band)
             ax.plot(mark.x, mark.y, **look)
         for x, y, text in zip(mark.x, mark.y, mark.texts, strict=False):
             if np.isfinite(y):

@@ -26,6 +26,7 @@ from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.prediction.speed_polar import SpeedPolar
 from oed_sysid.results import style as draw
+from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.runtime.display import TWO_SIDED_95
 
 Source = Fit | Prediction
@@ -103,22 +104,20 @@ def _column(record: Record, output: str) -> tuple[int, Output]:
     return column, record.channels.outputs[column]
 
 
-def draw_output(
-    ax: Axes, data: Record, models: Sequence[Said], output: str, band_label: str = ""
-) -> Axes:
-    """Draw one measured output, and of each model a line with its 95 % band."""
+def chart_output(data: Record, models: Sequence[Said], output: str, band: str = "") -> Chart:
+    """Describe one measured output, and of each model a line with its 95 % band."""
     column, channel = _column(data, output)
     along, words = draw.abscissa(data)
     measured = draw.shown(channel, data.outputs[:, column])
-    ax.plot(along, measured, ".", color=draw.DATA, ms=2.5, label="measured", rasterized=True)
+    marks = [Mark(along, measured, "measured", dashes="", marker=".")]
     for one in models:
         mean = draw.shown(channel, one.mean[:, column])
         half = TWO_SIDED_95 * draw.shown(channel, one.std[:, column])
-        colour = one.look.colour
-        draw.band(ax, data, mean - half, mean + half, colour, label=band_label or None)
-        line = draw.joined(data, one.look.dashes)
-        ax.plot(along, mean, color=colour, lw=1.5, label=one.name, **line)
-    return draw.done(ax, _errors(models, output), xlabel=words, ylabel=draw.label(channel))
+        # Rows of independent tests are marks that nothing joins.
+        line = ("", "_") if data.independent else (one.look.dashes, "")
+        marks.append(Mark(along, mean, one.name, one.look.colour, *line, half, band))
+    said = _errors(models, output) or draw.between(channel, measured)
+    return Chart(tuple(marks), words, draw.label(channel, lines=2), said)
 
 
 def draw_error(ax: Axes, models: Sequence[Said], output: str, *, scaled: bool) -> Axes:
@@ -168,7 +167,7 @@ def plot_prediction(
         What was drawn on; its label is what the picture shows, in words.
     """
     said = said_of(models, record, labels)
-    return draw_output(draw.new_axes(ax), said[0].record, said, output)
+    return chart_output(said[0].record, said, output).on(ax, size=(6.4, 4.0))
 
 
 def plot_prediction_error(
@@ -203,12 +202,22 @@ def _errors(models: Sequence[Said], output: str) -> str:
     return " ".join(said)
 
 
-def draw_input(ax: Axes, record: Record, channel: Input) -> Axes:
-    """Draw one commanded signal of a record, as it acts between samples."""
+def chart_input(record: Record, channel: Input) -> Chart:
+    """Describe one commanded signal of a record, as it acts between samples."""
     along, words = draw.abscissa(record)
-    line = {"color": draw.TRUTH, "lw": 1.0, **draw.stepped(channel), **draw.joined(record)}
-    ax.plot(along, draw.signal_of(record, channel), **line)
-    return draw.done(ax, xlabel=words, ylabel=draw.label(channel))
+    values = draw.signal_of(record, channel)
+    line = ("", "_") if record.independent else ("-", "")
+    held = channel.interpolation == "hold"
+    mark = Mark(along, values, "commanded", draw.TRUTH, *line, held=held)
+    said = draw.between(channel, values)
+    return Chart((mark,), words, draw.label(channel, lines=2), said)
+
+
+def chart_signal(record: Record, channel: Input | Output, models: Sequence[Said] = ()) -> Chart:
+    """Describe one signal of a record, and what models say about it."""
+    if isinstance(channel, Input):
+        return chart_input(record, channel)
+    return chart_output(record, models, channel.name)
 
 
 def figure_fit(fit: Fit, record: str | int = 0, *, style: int = 0) -> Figure:
@@ -252,11 +261,10 @@ def _side_by_side(models: Sequence[Said], titles: tuple[str, str], *, scaled: bo
     figure, axes = draw.new_figure(rows, 2, size=(11.0, 1.1 + 1.55 * rows), sharex=True)
     for (left, right), name in zip(axes, outputs, strict=False):
         words = "" if scaled else "model ± noise (95 %)"
-        draw_output(left, data, models, name, words)
+        chart_output(data, models, name, words).on(left, legend=None)
         draw_error(right, models, name, scaled=scaled)
-        left.set_ylabel(draw.label(_column(data, name)[1], lines=2))
     for ax, command in zip(axes[-1], inputs, strict=False):
-        draw_input(ax, data, command).set_ylabel(draw.label(command, lines=2))
+        chart_input(data, command).on(ax, legend=None)
     for ax in axes[:-1].flat:
         ax.set_xlabel("")
     if len(inputs) == 1:

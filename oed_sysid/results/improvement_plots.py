@@ -387,7 +387,7 @@ def chart_residual(
     factor, unit = scaled(_unit(located, equation), float(np.abs(y).max(initial=0.0)))
     thin = slice(None, None, max(x.size // 4000, 1))  # what a browser draws without stutter
     marks = [
-        Mark(x[thin], factor * y[thin], "every sample", dashes="", marker="."),
+        Mark(x[thin], factor * y[thin], "every sample", dashes="", marker=".", faint=True),
         Mark(centres, factor * means, "mean, 95 %", draw.COLOURS[0], "", "o", factor * half),
     ]
     if found in located.signatures:

@@ -17,7 +17,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.prediction import Prediction
 from oed_sysid.physics.channels import Input
 from oed_sysid.results import style as draw
-from oed_sysid.results.fit_plots import draw_input, draw_output, said_of
+from oed_sysid.results.fit_plots import chart_output, chart_signal, said_of
 from oed_sysid.text.units import shown_unit
 
 
@@ -37,20 +37,15 @@ def figure_record(record: Record) -> Figure:
     Figure
         What was drawn on; the labels of its axes are what they show, in words.
     """
-    _, words = draw.abscissa(record)
     channels = [one for one in record.channels.all if one.name not in record.missing_outputs]
     columns = 1 if len(channels) < 4 else 2
     figure, axes = draw.panels(len(channels), columns, (5.4, 1.9), sharex=True)
     for place, (ax, channel) in enumerate(zip(axes, channels, strict=True)):
-        values = draw.signal_of(record, channel)
-        if isinstance(channel, Input):
-            draw_input(ax, record, channel)
-        else:
-            draw_output(ax, record, (), channel.name)
+        chart_signal(record, channel).on(ax, legend=None)
         lowest = place + columns >= len(channels)
-        said, ylabel = draw.between(channel, values), draw.label(channel, lines=2)
-        draw.done(ax, said, ylabel=ylabel, xlabel=words if lowest else "")
         ax.tick_params(labelbottom=lowest)
+        if not lowest:
+            ax.set_xlabel("")
     return figure
 
 
@@ -291,7 +286,7 @@ def plot_zigzag(
         label=draw.symbol_of(rudder), **draw.stepped(channel),
     )  # fmt: skip
     said_by = said_of(models, record, labels)
-    draw_output(ax, record, said_by, heading)
+    chart_output(record, said_by, heading).on(ax, legend=None)
     headings = [("measured", turned), *((one.name, one.mean[:, column]) for one in said_by)]
     draw.zero(ax)
     said = [f"{record.name}."]

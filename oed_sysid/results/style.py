@@ -287,18 +287,6 @@ def stepped(channel: State | Input | Output) -> dict[str, Any]:
     return {"drawstyle": "steps-post" if held else "default"}
 
 
-def band(
-    ax: Axes, record: Record, low: np.ndarray, high: np.ndarray, colour: str, **look: Any
-) -> None:
-    """Draw a band along a record, or a bar at each of its independent tests."""
-    along, _ = abscissa(record)
-    settings = {"color": colour, "alpha": 0.25, "rasterized": True, **look}
-    if record.independent:
-        ax.vlines(along, low, high, lw=1.5, **settings)
-    else:
-        ax.fill_between(along, low, high, lw=0, **settings)
-
-
 def zero(ax: Axes, half: float = 0.0, words: str | None = None) -> None:
     """Draw the line at zero, and a grey band around it."""
     if half:
