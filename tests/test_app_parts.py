@@ -47,7 +47,6 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.locate import Located, Series
 from oed_sysid.experiments.catalogue import catalogue_folder
 from oed_sysid.experiments.simulation import simulate
-from oed_sysid.export import KINDS
 from oed_sysid.likelihood.disturbances import Place
 from oed_sysid.results.chart import Chart, Mark
 from oed_sysid.results.fit_plots import Said
@@ -240,7 +239,6 @@ def test_saved_fit_and_exports_are_the_fit(outcome: Outcome, tmp_path: Path) -> 
     space: dict = {"__name__": "exported", "__file__": str(module)}
     exec(compile(module.read_text(), module.name, "exec"), space)
     assert space["simulate"](np.arange(3.0), np.full((3, 1), 0.1)).shape[0] == 3
-    assert set(takeaway.KINDS) == set(KINDS)
     with pytest.raises(OedSysidError, match="no export"):
         takeaway.model_archive(fit, "fortran")
 

@@ -21,7 +21,7 @@ from oed_sysid.cli import main
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import equilibrium, linearise, simulate_inputs
-from oed_sysid.export import export, program_of
+from oed_sysid.export import KINDS, export, program_of
 from oed_sysid.export.c_code import self_test
 from oed_sysid.export.program import Example, example
 from oed_sysid.likelihood.fit import Fit
@@ -419,6 +419,9 @@ def test_saved_fits_are_exported_by_the_command(tmp_path: Path, fit: Fit, capsys
         for line in lines:
             assert Path(line.rpartition(": ")[2]).stat().st_size > 100
     assert main(["export", str(saved), "--as", "fortran"]) == 2
-    assert "It has c, python" in capsys.readouterr().err
+    assert "It has fmu3, fmu, c" in capsys.readouterr().err
+    assert main(["export", str(saved)]) == 0
+    listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()[1:]]
+    assert listed == [*KINDS]
     assert main(["export", str(saved), "--as", "control", "--at", "delta"]) == 2
     assert "NAME=VALUE" in capsys.readouterr().err

@@ -19,22 +19,10 @@ from oed_sysid.cli.tasks import TASKS, Played, write_runs
 from oed_sysid.cli.terminal import Shown
 from oed_sysid.design import Design
 from oed_sysid.errors import OedSysidError
-from oed_sysid.export import export
+from oed_sysid.export import KINDS, export
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.runtime.files import make_folder
 
-# Kinds of oed_sysid.export, in words.
-KINDS = {
-    "fmu3": "FMU (FMI 3.0)",
-    "fmu": "FMU (FMI 2.0)",
-    "c": "C (C99, no dependency)",
-    "python": "Python (NumPy only)",
-    "casadi": "CasADi functions",
-    "matlab": "MATLAB / Octave",
-    "control": "linear, python-control",
-    "sympy": "SymPy and LaTeX",
-    "latex": "LaTeX",
-}
 # Endings of a problem folder's files that belong to it, and the largest of them, bytes.
 _OF_A_PROBLEM, _LARGEST = (".py", ".md", ".toml", ".txt"), 5_000_000
 # Reports in the order of the work; effects are kept of those that a search has found.
@@ -185,7 +173,7 @@ def model_archive(fit: Fit, kind: str, trim: Mapping[str, float] | None = None) 
     fit : Fit
         Whose model it is.
     kind : str
-        One of ``KINDS``.
+        One of :data:`oed_sysid.export.KINDS`.
     trim : mapping of str to float, optional
         For ``"control"``: inputs and states of the trim, SI.
 

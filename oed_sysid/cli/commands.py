@@ -342,16 +342,23 @@ def report(
 
 def export(
     fit: Path,
-    kind: str,
+    kind: str = "",
     out: Path = Path("model"),
     at: list[str] | None = None,
 ) -> None:
     """Write a fitted model for another program, with the covariance of its parameters.
 
+    Without --as it lists what it can write.
+
     [bold]Example[/bold]: oed-sysid export better.json --as c --out my_auv_c
     """
+    from oed_sysid.export import KINDS
     from oed_sysid.export import export as export_model
 
+    if not kind:
+        answer("\n".join(Table(("--as", "writes"), [*KINDS.items()], words=(1,)).lines()))
+        store({"kinds": KINDS})
+        return
     trim = numbers("--at", at or (), "NAME=VALUE, such as u=1.5")
     result = oed_sysid.Fit.load(fit)
     files = list(export_model(result, kind, out, trim=trim or None))

@@ -40,7 +40,18 @@ WRITERS: dict[str, Callable[[Program, Path], tuple[Path, ...]]] = {
     "fmu": write_fmu,
     "fmu3": partial(write_fmu, version="3.0"),
 }
-KINDS = ("c", "python", "casadi", "fmu", "fmu3", "matlab", "control", "sympy", "latex")
+#: Kinds of export, in words.
+KINDS = {
+    "fmu3": "FMU (FMI 3.0)",
+    "fmu": "FMU (FMI 2.0)",
+    "c": "C (C99, no dependency)",
+    "python": "Python (NumPy only)",
+    "casadi": "CasADi functions",
+    "matlab": "MATLAB / Octave",
+    "control": "linear, python-control",
+    "sympy": "SymPy and LaTeX",
+    "latex": "LaTeX",
+}
 
 
 def export(
