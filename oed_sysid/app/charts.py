@@ -53,7 +53,7 @@ from oed_sysid.text.units import shown_unit
 
 MEASURED = "#8a929a"
 _SYMBOLS = {"s": "square-open", "_": "line-ew-open"}
-DASHES = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
+DASHES: dict[Any, str] = {"--": "dash", "-": "solid", "-.": "dashdot", ":": "dot"}
 # On dark ground: the first two colours of models, as light as the others.
 _LIT = dict(zip(COLOURS, ("#F08A3C", "#56B4E9"), strict=False))
 # Samples of one line that a browser draws without stutter.
@@ -97,7 +97,7 @@ def signals(record: Record, models: Sequence[Said] = ()) -> go.Figure:
     >>> [round(float(y), 1) for y in signals(record).data[0].y]
     [0.0, 45.0, 90.0, 135.0, 180.0]
     """
-    rows = [*record.channels.outputs, *record.channels.inputs]
+    rows: list[Output | Input] = [*record.channels.outputs, *record.channels.inputs]
     charts = [chart_signal(record, channel, models) for channel in rows]
     return drawn(*charts, height=150 * (len(rows) + 1))
 

@@ -48,7 +48,7 @@ class Mark:
     y: Any
     label: str = ""
     colour: str = draw.DATA
-    dashes: str = "-"
+    dashes: str | tuple[Any, ...] = "-"
     marker: str = ""
     half: Any = None
     band: str = ""
