@@ -99,7 +99,7 @@ def _open_measured(name: str) -> None:
     st.session_state[_OPEN] = False
 
 
-_FROM_LOG = "from a CSV file"
+_FROM_LOG = "from a log"
 # Keys of what pops up; true while it is open.
 _NEW, _OPEN = "new vehicle", "measured data"
 
@@ -109,8 +109,9 @@ def _new_vehicle() -> None:
     st.text_input("Folder to make", key="new:folder", placeholder="~/vehicles/my_ship")
     kind = st.selectbox("Begin with", [*TEMPLATES, _FROM_LOG], key="new:kind")
     if kind == _FROM_LOG:
-        file = st.file_uploader("CSV file with units in its headers", type="csv", key="new:log")
-        if file is not None:
+        words = "Log of any format; what its columns are is told by their numbers"
+        file = st.file_uploader(words, type=list(mapping.ENDINGS), key="new:log")
+        if file is not None and mapping.is_table(file.name):
             names = [parse_header(h)[0] for h in headers(file.getvalue())]
             names = [one for one in names if one.lower() not in TIME_NAMES]
             st.multiselect(
@@ -134,7 +135,7 @@ def _make() -> None:
         if state.get("new:kind") != _FROM_LOG:
             made = new_problem(folder, template=str(state["new:kind"]))
         elif log is None:
-            raise ProblemError("Give the CSV file that the problem is made of.")
+            raise ProblemError("Give the log that the problem is made of.")
         else:
             with tempfile.TemporaryDirectory() as place:
                 file = Path(place) / plain_name(log.name)

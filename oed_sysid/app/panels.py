@@ -189,11 +189,14 @@ def _progress(job: Job) -> None:
         st.rerun()
     left, right = st.columns([5, 1], vertical_alignment="center")
     # Without a share the bar wanders.
-    bar = "" if job.share is None else f' style="width: {100 * job.share:.0f}%"'
-    share = "" if job.share is None else f"{100 * job.share:.0f} % · "
+    bar = share = remaining = ""
+    if job.share is not None and job.end_expected is not None:
+        bar = f' style="width: {100 * job.share:.0f}%"'
+        share = f"{100 * job.share:.0f} % · "
+        remaining = f", about {max(job.end_expected - job.began - job.seconds, 0.0):.0f} s left"
     left.html(
         f'<div class="oed-busy" role="status">{escape(job.doing)} · {share}{job.seconds:.0f} s'
-        f'<div class="bar"><i{bar}></i></div></div>'
+        f'{remaining}<div class="bar"><i{bar}></i></div></div>'
     )
     if right.button("Stop", key="stop"):
         job.stop()
@@ -230,8 +233,10 @@ def show(page: Report, pictures: Pictures, *, glance: bool = False) -> None:
         tabs(parts[:_SHOWN])
         del parts[:_SHOWN]
     if parts:
-        titles = ", ".join(title.partition(":")[0].lower() for title, _ in parts)
-        with st.expander(f"More: {titles}"):
+        titles = [title.partition(":")[0].lower() for title, _ in parts]
+        others = f" and {len(titles) - _SHOWN} more" if len(titles) > _SHOWN + 1 else ""
+        named = titles[:_SHOWN] if others else titles
+        with st.expander(f"More: {', '.join(named)}{others}"):
             tabs(parts)
 
 
