@@ -322,6 +322,8 @@ def say(ax: Axes, finding: str) -> Axes:
 
 def between(channel: State | Input | Output, values: np.ndarray) -> str:
     """Range of a signal, given in the unit that is shown, as a sentence."""
+    if not np.isfinite(values).any():
+        return f"{channel.name} is not measured."
     unit = shown_unit(channel.unit)[1]
     words = f"{channel.name} between {np.nanmin(values):.3g} and {np.nanmax(values):.3g} {unit}"
     return f"{words.rstrip()}."
