@@ -162,7 +162,7 @@ def call(function: Callable[..., int], *arguments: Any) -> int:
     passed: list[Any] = []
     for value in arguments:
         if isinstance(value, np.ndarray):
-            passed.append(ctypes.c_void_p(value.ctypes.data))
+            passed.append(ctypes.c_void_p(value.__array_interface__["data"][0]))
         else:
             passed.append(ctypes.c_double(value) if isinstance(value, float) else value)
     return function(*passed)

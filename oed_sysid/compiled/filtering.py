@@ -56,7 +56,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -140,7 +140,7 @@ class Disturbed:
     def _further(self) -> np.ndarray:
         return np.where(self.turn == 0, 0, np.where(self.turn == FOURTH, 4, 2))
 
-    @property
+    @cached_property
     def owner(self) -> np.ndarray:
         """Process of every disturbance, colour and further state, ``(n,)``."""
         count = np.arange(len(self.variance) + len(self.coloured))
@@ -172,11 +172,13 @@ class Disturbed:
         each = np.arange(own)
         found[:, 0, each, each] = left = np.exp(-lengths[:, None] / times)
         found[:, 1, each, each] = left * lengths[:, None] / times
+        means: dict[tuple[float, float, int], np.ndarray] = {}  # places of a sea share them
         for j in np.flatnonzero(self.turn):
             where = np.flatnonzero(owner == j)
-            found[:, :, where[:, None], where] = step_means(
-                lengths, following, times[j], float(self.damping[j]), int(self.turn[j])
-            )
+            kind = float(times[j]), float(self.damping[j]), int(self.turn[j])
+            if kind not in means:
+                means[kind] = step_means(lengths, following, *kind)
+            found[:, :, where[:, None], where] = means[kind]
         return found
 
 
@@ -314,6 +316,26 @@ def _with_mean(angles: np.ndarray, damping: float, turn: int) -> tuple[np.ndarra
 
 
 @dataclass(frozen=True, eq=False)
+class Steps:
+    """Steps over which disturbances are held, from sample to sample.
+
+    Attributes
+    ----------
+    longest : float
+        s.
+    which : ndarray of int (n_times - 1, 2)
+        Transitions of the steps before each next sample, and of the last of them.
+    lengths, following : ndarray (n_transitions,)
+        Of the step of each transition and of the one behind it, s.
+    """
+
+    longest: float
+    which: np.ndarray
+    lengths: np.ndarray
+    following: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Along:
     """One record and what a model is along it.
 
@@ -356,11 +378,9 @@ class Along:
         return self.times, self.inputs
 
     @property
-    def hold(self) -> float:
-        """Longest time over which disturbances are held, s."""
-        if self.longest_step is not None:
-            return float(self.longest_step)
-        return float(np.median(np.diff(self.times))) if len(self.times) > 1 else 1.0
+    def steps(self) -> Steps:
+        """Steps over which disturbances are held."""
+        return steps_along(self.times.tobytes(), self.longest_step)
 
 
 @dataclass(frozen=True, eq=False)
@@ -433,7 +453,7 @@ class InterpretedFilter:
     """
 
     def __init__(self, model: Model, along: Along, z0: np.ndarray, kept: np.ndarray) -> None:
-        self.code, self.noise, self.longest_step = interpreted(model), along.noise, along.hold
+        self.code, self.noise, self.longest_step = interpreted(model), along.noise, along.steps.longest
         self.record, self.measured, noise = along.record, along.measured, along.noise
         self.z, self.values, self.kept = z0.copy(), along.values.copy(), kept
         names = model.free_names
@@ -779,17 +799,18 @@ class FilterKernel(Kernel):
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         acting = np.array([noise.acting.index(d) for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
-        which, memory = _lengths(along)
+        steps = along.steps
+        memory = noise.memory(steps.lengths, steps.following)
         x0, white, variance, memory = doubles(first, noise.white, noise.stationary, memory)
         owner = noise.owner
         sizes = (n_random, len(owner), first.shape[1], len(levels))
         work = np.empty(self.library.kernel_filter_work(n_active, n_passing, *sizes))
         failed = call(
             self.library.kernel_filter, n, along.times, along.inputs, along.values,
-            float(self.model.step), along.hold, z0, n_active, n_passing, kept, first.shape[1],
+            float(self.model.step), steps.longest, z0, n_active, n_passing, kept, first.shape[1],
             len(chosen), parameter, disturbance, columns, x0, n_random, len(random),
             positions, acting, noise.sea, white, len(coloured), coloured, len(owner), owner,
-            variance, which, memory, along.measured, len(levels), kinds, indices,
+            variance, steps.which, memory, along.measured, len(levels), kinds, indices,
             found.gram, level, found.innovations, found.variances, found.rows, found.path,
             found.gains, found.moves, total, work,
         )  # fmt: skip
@@ -823,13 +844,13 @@ class FilterKernel(Kernel):
             return innovations, failed < 0
         positions = np.array([self._position[d] for d in noise.disturbances], dtype=np.intc)
         coloured = np.ascontiguousarray(noise.coloured, dtype=np.intc)
-        which, memory = _lengths(along)
-        memory, gains = doubles(memory, gains)
+        steps = along.steps
+        memory, gains = doubles(noise.memory(steps.lengths, steps.following), gains)
         mean, delta = np.empty((2, gains.shape[-1]))
         failed = call(
             self.library.kernel_replay, n, along.times, along.inputs, along.values,
-            float(self.model.step), along.hold, z0, len(kept), kept, len(positions), positions,
-            len(coloured), coloured, len(noise.owner), which, memory, along.measured,
+            float(self.model.step), steps.longest, z0, len(kept), kept, len(positions), positions,
+            len(coloured), coloured, len(noise.owner), steps.which, memory, along.measured,
             gains, innovations, mean, delta,
         )  # fmt: skip
         return innovations, failed < 0
@@ -922,18 +943,27 @@ def steps_between(times: np.ndarray, longest_step: float) -> tuple[np.ndarray, n
     return counts, (intervals / counts).round(12)
 
 
-def _lengths(along: Along) -> tuple[np.ndarray, np.ndarray]:
-    """Which transitions the steps before each next sample have, the last of them last; and these.
+@lru_cache(maxsize=64)
+def steps_along(times: bytes, longest: float | None) -> Steps:
+    """Steps along the samples of a record, found once for all of its passes.
 
-    ``(n_times - 1, 2)`` of those over all pairs of a length and the one behind it.
+    Parameters
+    ----------
+    times : bytes
+        Of the samples, doubles.
+    longest : float or None
+        Longest step, s; None for the median sample time.
     """
-    lengths, own = np.unique(steps_between(along.times, along.hold)[1], return_inverse=True)
+    samples = np.frombuffer(times)
+    if longest is None:
+        longest = float(np.median(np.diff(samples))) if len(samples) > 1 else 1.0
+    lengths, own = np.unique(steps_between(samples, longest)[1], return_inverse=True)
     # A pair is one number: rows of two are sorted a hundred times as slowly.
     pairs = own * len(lengths) + np.stack([own, np.append(own[1:], own[-1:])])
     different, which = np.unique(pairs, return_inverse=True)
     inner, last = lengths[np.array(np.divmod(different, len(lengths)))]
-    which = which.reshape(pairs.shape).T
-    return np.ascontiguousarray(which, dtype=np.intc), along.noise.memory(inner, last)
+    which = np.ascontiguousarray(which.reshape(pairs.shape).T, dtype=np.intc)
+    return Steps(float(longest), which, inner, last)
 
 
 _CACHE: dict[tuple[str, float], FilterKernel] = {}

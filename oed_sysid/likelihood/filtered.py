@@ -352,12 +352,16 @@ class Filtered(Posed):
     def gathered(
         self, unknowns: np.ndarray, found: Sequence[FilterPass]
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Matrix and right-hand side from passes with columns, priors excluded."""
+        """Matrix and right-hand side from passes with derivatives, priors excluded.
+
+        Zero for all others where these are by the levels alone.
+        """
         n, levels = self.layout.n_unknowns, self.layout.levels
         matrix, right = np.zeros((n, n)), np.zeros(n)
         scale = self.levels.scale
         for index, part in enumerate(found):
-            where, size = self.columns_of(unknowns, index)
+            # Levels come last, and perhaps alone.
+            where, size = (one[1 - len(part.gram) :] for one in self.columns_of(unknowns, index))
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale

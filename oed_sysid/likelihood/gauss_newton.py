@@ -242,9 +242,12 @@ def _condensed(
     return found, maps, defects
 
 
-def whitened(problem: Filtered, point: Point) -> Iterate:
-    """Evaluate a point with gradients along the filtered path at frozen gain."""
-    found = problem.passes(point.unknowns)
+def whitened(problem: Filtered, point: Point, *, levels_only: bool = False) -> Iterate:
+    """Evaluate a point with gradients along the filtered path at frozen gain.
+
+    With ``levels_only`` the equations tell of the levels of the noise alone.
+    """
+    found = problem.passes(point.unknowns, levels_only=levels_only)
     objective = sum(part.objective for part in found)
     if not np.isfinite(objective):
         return nowhere(problem, point)

@@ -24,26 +24,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import comb
 from scipy.stats import chi2
 
-from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.compiled.filtering import FORCE_VARIANCE, FilterPass
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.covariance import FEWEST
 from oed_sysid.likelihood.departures import TWOFOLD
 from oed_sysid.likelihood.filtered import NEXT_PERIOD, Filtered
 from oed_sysid.likelihood.gauss_newton import (
+    FEW,
     FROZEN_TOLERANCE,
+    MOST_DAMPING,
     NEAR,
     POLISH_STEPS,
+    Convergence,
+    Descent,
     FilteredSolution,
     Iterate,
     Progress,
+    StepControl,
     differentiated,
     solve_filtered,
+    whitened,
 )
 from oed_sysid.likelihood.information import autocorrelation
 from oed_sysid.likelihood.noise_levels import BEYOND, credible_levels
@@ -187,60 +194,66 @@ def _begun(setting: Setting, start: Start, begin: NoiseModel, unit: NoiseModel) 
     if start.noise is not None:
         return begun(problem, unknowns)
     others = unknowns[: problem.layout.levels.start]
-    first, decades = _likeliest_level(problem, others, setting, begin)
+    first = _likeliest_level(problem, others, begin)
     levels = problem.levels.starting(problem.noise(first.point.unknowns)).held()
     held = problem.with_levels(levels)
     found = solve_filtered(held, Point(others, ()), max_iterations=2, polish=0)
-    later, _ = _likeliest_level(problem, found.point.unknowns, setting, begin, decades)
+    later = _likeliest_level(problem, found.point.unknowns, levels.noise, climb=False)
     return min(first, later, key=lambda one: one.cost)
 
 
 def _likeliest_level(
-    problem: Filtered,
-    others: np.ndarray,
-    setting: Setting,
-    begin: NoiseModel,
-    near: tuple[int, ...] | None = None,
-) -> tuple[Iterate, tuple[int, ...]]:
-    """Point with the likeliest decade of each level at given other unknowns, and the decades.
+    problem: Filtered, others: np.ndarray, begin: NoiseModel, *, climb: bool = True
+) -> Iterate:
+    r"""Point with the likeliest level of each force at given other unknowns.
 
     The likelihood is flat where the levels do nothing yet, rises, and falls where they are too
-    large: strides find the valley of all together, then each goes its own way by single decades,
-    because where values are far off nothing tells the proportions that the levels begin with.
-    ``near`` are decades where they are known.
+    large: strides find the valley of all together, if they are to ``climb``. There each variance
+    follows its own score by the expected information, all else held,
+
+    .. math:: d \leftarrow d + I^{-1} s ,
+
+    exact in one step where noise of that shape is all there is (Fisher's scoring), because where
+    values are far off nothing tells the proportions that the levels begin with.
     """
-    free = np.flatnonzero(~np.isin(begin.places, setting.known))
-    tried: dict[tuple[int, ...], Iterate] = {}
+    forces = [index for kind, index in problem.levels.entries if kind == FORCE_VARIANCE]
+    start = problem.layout.levels.start
+    # These come first among the levels.
+    variances = slice(start, start + len(forces))
+    stride = 10.0 ** (2 * STRIDE)
 
-    def attempt(decades: tuple[int, ...]) -> float:
-        if decades not in tried:
-            force = begin.force.copy()
-            force[free] *= 10.0 ** np.array(decades)
-            levels = problem.levels.vector(replace(begin, force=force))
-            tried[decades] = begun(problem, np.concatenate([others, levels]))
-        return 2.0 * tried[decades].cost
+    def at(decade: int) -> np.ndarray:
+        force = begin.force.copy()
+        force[forces] *= 10.0**decade
+        return np.concatenate([others, problem.levels.vector(replace(begin, force=force))])
 
-    best = _together(attempt, len(free)) if near is None else near
-    every = np.ones(len(free), dtype=int)
-    moved = True
-    while moved:
-        moved = False
-        for way in (way * one for one in (every, *np.diag(every)) for way in (-1, 1)):
-            after = tuple(map(int, best + way))
-            while max(after, default=0) <= DECADES + 1 and attempt(after) < attempt(best) - 1.0:
-                best, moved = after, True
-                after = tuple(map(int, best + way))
-    return tried[best], best
+    def these(
+        unknowns: np.ndarray, matrix: np.ndarray, lower: np.ndarray, upper: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds of a step: of these variances a stride, of all else none."""
+        least, most = np.zeros_like(lower), np.zeros_like(upper)
+        most[variances] = (stride - 1.0) * unknowns[variances]
+        least[variances] = (1.0 / stride - 1.0) * unknowns[variances]
+        return np.maximum(lower, least), np.minimum(upper, most)
+
+    begun = Point(at(_likeliest_decade(lambda one: problem.objective(at(one))) if climb else 0), ())
+    evaluate = partial(whitened, levels_only=True)
+    descent = Descent(
+        evaluate(problem, begun), evaluate, Convergence(0.5), StepControl(FEW, MOST_DAMPING), these
+    )
+    if np.isfinite(descent.now.cost):
+        descent.run(FIRST_STEPS)
+    return descent.lowest
 
 
-def _together(attempt: Callable[[tuple[int, ...]], float], count: int) -> tuple[int, ...]:
+def _likeliest_decade(objective: Callable[[int], float]) -> int:
     """The likeliest decade of all levels, by strides up to where they are no longer likelier."""
-    none = best = (0,) * count
+    best, least = 0, np.inf
     for decade in range(0, DECADES + 1, STRIDE):
-        here = (decade,) * count
-        if attempt(here) < attempt(best) - 1.0:
-            best = here
-        elif np.isfinite(attempt(best)) and (best != none or not np.isfinite(attempt(here))):
+        here = objective(decade)
+        if here < least - 1.0:
+            best, least = decade, here
+        elif np.isfinite(least) and (best or not np.isfinite(here)):
             break
     return best
 
