@@ -34,6 +34,7 @@ from oed_sysid.likelihood.noise_levels import (
     residual_levels,
     signal_spread,
     spike_masks,
+    stand_out,
     start_levels,
     without_spikes,
 )
@@ -364,7 +365,8 @@ class MultipleShooting:
             return again
 
         again = without(fit)
-        if not (fit.status.ok or _is_white(again)):
+        outputs = [record.outputs for record in fit.dataset]
+        if not (fit.status.ok or _is_white(again)) and stand_out(outputs):
             # Bent so far that none shows, or by process noise, which no samples take away: first
             # steps that outliers do not bend tell which.
             few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))

@@ -545,6 +545,41 @@ def held_masks(
     return _by_output(whitened, find)
 
 
+def stand_out(outputs: Sequence[np.ndarray]) -> bool:
+    """Whether samples of the records themselves may be spikes, before any fit.
+
+    Alone among their neighbours, jumping or repeated as normal noise of the records' own roughness
+    hardly lets any be. What bends a whole fit is larger.
+
+    Parameters
+    ----------
+    outputs : sequence of ndarray (n_times, n_outputs)
+        Measurements, NaN where missing.
+    """
+    found = []
+
+    def find(_: int, one: _Output) -> None:
+        off = [_off_cubic(values) for values in one.values]
+        steps = [np.diff(values) for values in one.values]
+        every = np.concatenate(steps)
+        if not len(every):
+            return
+        spreads = one.usual, _deviation(np.concatenate(off)), _deviation(every)
+        if min(spreads) <= 0.0:  # of noise nothing is seen
+            found.append(True)
+            return
+        surely = one.surely(RARE / outputs[0].shape[1])
+        longest = _longest(max(int(np.sum(every == 0.0)), 1), len(every))
+        found.append(
+            np.concatenate(one.sizes(off, *spreads[:2])).max() > surely
+            or np.abs(every).max() > surely * spreads[2]
+            or any(stop - first >= longest for part in steps for first, stop in _runs(part == 0.0))
+        )
+
+    _by_output(outputs, find)
+    return any(found)
+
+
 def _deviation(values: np.ndarray) -> float:
     """Standard deviation of normal numbers of mean zero, from the median of their sizes."""
     return NORMAL * float(np.median(np.abs(values)))
