@@ -453,7 +453,8 @@ class InterpretedFilter:
     """
 
     def __init__(self, model: Model, along: Along, z0: np.ndarray, kept: np.ndarray) -> None:
-        self.code, self.noise, self.longest_step = interpreted(model), along.noise, along.steps.longest
+        self.code, self.noise = interpreted(model), along.noise
+        self.longest_step = along.steps.longest
         self.record, self.measured, noise = along.record, along.measured, along.noise
         self.z, self.values, self.kept = z0.copy(), along.values.copy(), kept
         names = model.free_names
