@@ -26,6 +26,7 @@ from oed_sysid.likelihood.gauss_newton import (
     gathered,
     solve,
 )
+from oed_sysid.likelihood.nonlinear_program import _mean_square
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
 from oed_sysid.likelihood.unknowns import Limits
 from oed_sysid.likelihood.windows import CONTROL, Windows, climb, eliminate
@@ -555,6 +556,10 @@ def test_constraints_among_parameters() -> None:
     eliminated = CONDENSED.fit(tied, data)
     assert constrained.cost == pytest.approx(eliminated.cost, abs=1e-3)
     assert constrained.values["T"] == pytest.approx(eliminated.values["T"], rel=1e-3)
+    # So are the errors, which the constraint ties as it does the values.
+    for name in ("K", "T"):
+        assert constrained.std_errors[name] == pytest.approx(eliminated.std_errors[name], rel=1e-2)
+    assert constrained.std_errors["alpha"] == pytest.approx(1.2 * constrained.std_errors["T"])
 
 
 def test_contradictions_are_said() -> None:
@@ -606,15 +611,46 @@ def test_a_path_is_kept_at_every_sample() -> None:
     assert kept.binding[0].beyond == pytest.approx(most - limit, rel=0.3)
 
 
+@pytest.mark.parametrize("beyond", [0.0, 0.5, 3.0, 12.0])
+def test_error_about_a_limit_is_that_of_a_density_cut_off_there(beyond: float) -> None:
+    """By quadrature: from one, where a limit only begins to act, to zero far beyond it."""
+    x = beyond + np.linspace(0.0, 12.0, 200_001)
+    density = np.exp(-0.5 * (x**2 - beyond**2))
+    expected = np.sum((x - beyond) ** 2 * density) / np.sum(density)
+    assert _mean_square(beyond) == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_limit_narrows_the_errors_of_what_it_holds() -> None:
+    """The density of a linear fit cut off at the limit, drawn: mean squares about its corner."""
+    data = yaw_data(4)
+    free = MultipleShooting(noise=NOISE).fit(yaw_model(), data)
+    limit = free.values["T"] - 1.5 * free.std_errors["T"]
+    fit = MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(f"T <= {limit!r}",)))
+    held = fit.fit(yaw_model(), data)
+    drawn = np.random.default_rng(0).multivariate_normal(
+        free.estimates, free.covariance, size=400_000
+    )
+    kept = drawn[drawn[:, held.names.index("T")] <= limit] - held.estimates
+    expected = np.sqrt(np.mean(kept**2, axis=0))
+    stated = np.sqrt(np.diag(held.covariance))
+    assert stated == pytest.approx(expected, rel=0.06)
+    assert stated[held.names.index("T")] < 0.6 * free.std_errors["T"]
+
+
 def test_ends_are_kept() -> None:
     """A start state that is tied has that value; an end keeps its side."""
     data, tied = yaw_data(4), "start(r) == 0.001"
-    first = MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(tied,)))
-    fit = first.fit(yaw_model(), data)
+    plain = replace(CONDENSED, loss="square", disturbances="none")
+    fit = replace(plain, solver=Solver("ipopt", constraints=(tied,))).fit(yaw_model(), data)
     assert fit.status.ok
     assert [float(one[0, 1]) for one in fit.predictions] == pytest.approx(
         [0.001] * len(data.records), abs=1e-7
     )
+    # Errors are those of a fit to which the rate at the start of every record is known.
+    starts = [{"r": 0.001}] * len(data)
+    known = plain.fit(yaw_model(), data, start_states=starts)
+    assert known.cost == pytest.approx(fit.cost, rel=1e-5)
+    assert np.allclose(fit.covariance, known.covariance, rtol=0.02)
     end = min(float(one[-1, 0]) for one in fit.predictions) + 0.002
     both = MultipleShooting(
         noise=NOISE, solver=Solver("ipopt", constraints=(tied, f"end(psi) >= {end!r}"))

@@ -39,7 +39,7 @@ from oed_sysid.likelihood.noise_levels import (
     without_spikes,
 )
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
-from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, binding
+from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, constrained
 from oed_sysid.likelihood.random_forces import (
     FIRST_STEPS,
     Start,
@@ -329,7 +329,7 @@ class MultipleShooting:
         if end.reason == "diverged":
             return fit
         at = end.point.unknowns, end.matrix, end.right
-        return replace(fit, binding=binding(end.shooting, *at, self.solver.constraints))
+        return constrained(fit, end.shooting, *at, self.solver.constraints)
 
     def _weighed(self, fit: Fit, white: Fit, task: _Task, end: Solution) -> Fit:
         """The fit without process noise to its end, its errors with autocorrelated residuals."""
@@ -479,7 +479,7 @@ class MultipleShooting:
             how = replace(task.how, name=f"{self.name}, disturbance forces", iterations=iterations)
             ends = solution.point.unknowns, solution.matrix, solution.right
             found = summarise_filtered(solution, how)
-            found = replace(found, binding=binding(solution.problem, *ends))
+            found = constrained(found, solution.problem, *ends)
             if not _no_likelier(found, fit):
                 break
         return found

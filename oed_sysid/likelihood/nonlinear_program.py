@@ -17,22 +17,35 @@ active with gradient ``a`` is exceeded there, and to first order its value is kn
 .. math:: a'\delta = \lambda\, a' H^{-1} a, \qquad \sigma_g = \sqrt{a' H^{-1} a}
 
 so that Lagrange's multiplier of a single one is :math:`\lambda = a'\delta / \sigma_g^2`.
+
+What a constraint says is known, and errors hold it. Of a normal density beyond whose mean, by
+:math:`d = a'\delta / \sigma_g`, a limit cuts off, the mean square about the limit is
+
+.. math:: m(d) = 1 + d^2 - d \, \varphi(d) / \Phi(-d), \qquad
+    C' = C - (1 - m) \, \frac{C a a' C}{\sigma_g^2},
+
+from one where the constraint only begins to act to zero where it holds like an equation, which
+it is from the first (:math:`m = 0`). Several act one after the other. Bounds of parameters only
+say where a search ended: they leave errors alone.
 """
 
 from __future__ import annotations
 
 import ast
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
 import numpy as np
+from scipy.special import erfcx
 
 from oed_sysid.compiled.graph import Graph, build
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Binding
 from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, exact, nowhere
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Point, Shooting
@@ -443,55 +456,136 @@ def _point(shooting: Shooting, found: np.ndarray) -> Point:
 ACTIVE = 1e-3
 
 
-def binding(
+@dataclass(frozen=True, eq=False)
+class _Active:
+    """A bound or constraint at the end of a search: text, gradient, and whether errors hold it."""
+
+    text: str
+    excess: float
+    gradient: np.ndarray
+    known: bool = False
+
+    @property
+    def is_equation(self) -> bool:
+        """Whether it holds on both sides."""
+        return "==" in self.text
+
+
+def constrained(
+    fit: Fit,
     problem: Shooting | Filtered,
     unknowns: np.ndarray,
     matrix: np.ndarray,
     right: np.ndarray,
     constraints: Sequence[str] = (),
-) -> tuple[Binding, ...]:
-    """Name what binds at the end of a search, the farthest exceeded first.
+) -> Fit:
+    """A fit with what binds it, the farthest exceeded first, and errors that know constraints.
 
     Parameters
     ----------
+    fit : Fit
+        As if nothing did.
     problem : Shooting or Filtered
     unknowns : ndarray (n_unknowns,)
+        At the end of the search.
     matrix, right : ndarray (n_unknowns, n_unknowns), (n_unknowns,)
         Information and half the negative gradient there, priors excluded.
     constraints : sequence of str
-        Among parameters, beside bounds.
+        Beside bounds.
+
+    Returns
+    -------
+    Fit
     """
-    limits, layout, model = problem.limits, problem.layout, problem.model
+    limits = problem.limits
     if not constraints and not np.any((unknowns <= limits.lower) | (unknowns >= limits.upper)):
-        return ()
+        return fit
     total, slope = limits.with_priors(matrix, right, unknowns)
     covariance = inverse_of(total)
     step = covariance @ slope
+    found = list(_bounds(problem, unknowns))
+    if constraints:
+        found += _constraints(problem, unknowns, UserConstraints(problem.model, constraints))
+    result = []
+    for one in found:
+        std = float(np.sqrt(max(float(one.gradient @ covariance @ one.gradient), 0.0)))
+        beyond = float(one.gradient @ step)
+        beyond = abs(beyond) if one.is_equation else beyond
+        if std > 0 and abs(one.excess) < ACTIVE * std and beyond > ACTIVE * std:
+            result.append((Binding(one.text, beyond, std), one))
+    result.sort(key=lambda pair: -pair[0].distance)
+    known = [one for _, one in result if one.known]
+    # An equation is known wherever the optimum of the records lies.
+    known += [one for one in found if one.is_equation and one not in known]
+    scale = problem.layout.shared_values(unknowns)[1]
+    errors = _within(fit.covariance, known, covariance, slope, scale)
+    return replace(fit, covariance=errors, binding=tuple(binding for binding, _ in result))
+
+
+def _within(
+    stated: np.ndarray,
+    known: Sequence[_Active],
+    covariance: np.ndarray,
+    slope: np.ndarray,
+    scale: np.ndarray,
+) -> np.ndarray:
+    """Covariance of the shared parameters where constraints are known.
+
+    Parameters
+    ----------
+    stated : ndarray (n_shared, n_shared)
+        Of the parameters without constraints, the colour of residuals in it.
+    known : sequence of _Active
+    covariance, slope : ndarray (n_unknowns, n_unknowns), (n_unknowns,)
+        Inverse information and half the negative gradient of all unknowns.
+    scale : ndarray (n_shared,)
+        Derivatives of the parameters by their unknowns.
+    """
+    seen = np.flatnonzero(np.isfinite(np.diag(stated)))
+    stated = stated.copy()
+    for one in known:
+        answer = covariance @ one.gradient
+        square = float(one.gradient @ answer)
+        if square <= 0.0:  # said by others
+            continue
+        left = 0.0 if one.is_equation else _mean_square(float(answer @ slope) / np.sqrt(square))
+        # In the shared parameters alone, all others following.
+        shared = (answer[: len(scale)] * scale)[seen]
+        inner = covariance[: len(scale), : len(scale)] * scale[:, None] * scale
+        direction = np.linalg.pinv(inner[np.ix_(seen, seen)], hermitian=True) @ shared
+        own = stated[np.ix_(seen, seen)] @ direction
+        size = float(direction @ own)
+        if size > 0.0:
+            share = float(direction @ shared) / square
+            stated[np.ix_(seen, seen)] -= (1.0 - left) * share / size * np.outer(own, own)
+        covariance = covariance - (1.0 - left) / square * np.outer(answer, answer)
+    return stated
+
+
+def _mean_square(distance: float) -> float:
+    """Mean square about a limit of the part of a standard normal beyond it, ``m`` above."""
+    hazard = np.sqrt(2.0 / np.pi) / erfcx(distance / np.sqrt(2.0))
+    return float(np.clip(1.0 + distance * (distance - hazard), 0.0, 1.0))
+
+
+def _bounds(problem: Shooting | Filtered, unknowns: np.ndarray) -> Iterator[_Active]:
+    """Every bound of a shared parameter."""
+    layout = problem.layout
     columns = layout.record_columns(0)[layout.n_own :]
     values, slopes = layout.parameters(unknowns, 0), layout.slopes(unknowns[columns])
-    found: list[tuple[str, float, np.ndarray]] = []
     for index, name in zip(layout.shared, layout.shared_names, strict=True):
-        parameter = model.parameter(name)
+        parameter = problem.model.parameter(name)
         for sign, limit, relation in ((-1, parameter.lower, ">="), (1, parameter.upper, "<=")):
             gradient = np.zeros(len(unknowns))
             gradient[columns[index]] = sign * slopes[index]
-            text = f"{name} {relation} {limit:.6g}"
-            found.append((text, float(sign * (values[index] - limit)), gradient))
-    if constraints:
-        found += _constrained(problem, unknowns, UserConstraints(model, constraints))
-    result = []
-    for text, level, gradient in found:
-        std = float(np.sqrt(max(float(gradient @ covariance @ gradient), 0.0)))
-        beyond = float(gradient @ step)
-        if std > 0 and abs(level) < ACTIVE * std and beyond > ACTIVE * std:
-            result.append(Binding(text, beyond, std))
-    return tuple(sorted(result, key=lambda one: -one.distance))
+            excess = float(sign * (values[index] - limit))
+            yield _Active(f"{name} {relation} {limit:.6g}", excess, gradient)
 
 
-def _constrained(
+def _constraints(
     problem: Shooting | Filtered, unknowns: np.ndarray, user: UserConstraints
-) -> Iterator[tuple[str, float, np.ndarray]]:
-    """Text, excess and gradient of every constraint; along a path where it is exceeded most."""
+) -> Iterator[_Active]:
+    """Every constraint of the user, along a path where it is exceeded most."""
     model, layout, runner = problem.model, problem.layout, kernel(problem.model)
     place = [model.parameter_names.index(name) for name in layout.free_names]
     for index, record in enumerate(problem.dataset):
@@ -514,4 +608,4 @@ def _constrained(
                 continue
             gradient = np.zeros(len(unknowns))
             gradient[columns] = row * slopes
-            yield f"{text}{where}", excess, gradient
+            yield _Active(f"{text}{where}", excess, gradient, known=True)
