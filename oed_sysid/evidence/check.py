@@ -315,7 +315,8 @@ def _steps(
         Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
         for share, size in zip(shares, fault.sizes, strict=True)
     ]
-    before, after = (contrasts.evidence([one], some).sum() for one in (here, undo(here, fixes)))
+    evidence = contrasts.Evidence(some)
+    before, after = (evidence([one]).sum() for one in (here, undo(here, fixes)))
     return fixes if after > before else []
 
 
@@ -536,7 +537,7 @@ def _balances(
     result = []
     for relation in equations:
         old, new = (
-            [piece for t in traces for piece in contrasts.contrasts(t, (relation,), (), {})]
+            [piece for t in traces for piece in contrasts.contrasts(t, (relation,))]
             for traces in (before, after)
         )
         series = tuple((p.record, p.times, p.series, _same(p, new)) for p in old)

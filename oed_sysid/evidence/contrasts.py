@@ -47,8 +47,9 @@ the Jacobian without which the smallest unit would win.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations, product
 
 import numpy as np
@@ -150,22 +151,29 @@ class Motion:
 
     def __init__(self, trace: Trace, relations: tuple[Relation, ...]) -> None:
         names = [*names_of(relations), *(logged(n) for r in relations for n in r.driven)]
-        self.trace = trace
-        self.raw, _ = trace.filled(n for n in names if n in trace.values)
-        self.values, self.rates = dict(self.raw), dict[str, np.ndarray]()
-        self.right: dict[int, np.ndarray] = {}
-        for index, one in enumerate(relations):
-            if not self.raw.keys() >= {*one.names}:
-                continue
-            right = one({n: self.raw[n] for n in one.signals}, trace.times)
-            self.right[index] = right
+        self.trace, self.elapsed = trace, trace.times - trace.times[0]
+        self.raw = trace.filled(n for n in names if n in trace.values)
+        self.known = {i: r for i, r in enumerate(relations) if self.raw.keys() >= {*r.names}}
+        self.right = {
+            i: r({n: self.raw[n] for n in r.signals}, trace.times) for i, r in self.known.items()
+        }
+
+    @cached_property
+    def rates(self) -> dict[str, np.ndarray]:
+        """Rates of signals, ``(n_times,)`` each."""
+        told = {r.target: self.right[i] for i, r in self.known.items() if r.is_rate}
+        untold = self.raw.keys() - told.keys()
+        return told | {n: np.gradient(hann(self.raw[n], 9), self.trace.times) for n in untold}
+
+    @cached_property
+    def values(self) -> dict[str, np.ndarray]:
+        """Signals, ``(n_times,)`` each."""
+        times, values = self.trace.times, dict(self.raw)
+        for i, one in self.known.items():
             if one.is_rate:
-                predicted = one.integral(trace.times, right[:, None])[:, 0]
-                left = _line(trace.times, self.raw[one.target] - predicted)
-                self.values[one.target], self.rates[one.target] = predicted + left, right
-        for name in self.raw.keys() - self.rates.keys():
-            self.rates[name] = np.gradient(hann(self.raw[name], 9), trace.times)
-        self.elapsed = trace.times - trace.times[0]
+                predicted = one.integral(times, self.right[i][:, None])[:, 0]
+                values[one.target] = predicted + _line(times, self.raw[one.target] - predicted)
+        return values
 
     def has(self, one: Candidate) -> bool:
         """Whether a fault may be in this record."""
@@ -402,14 +410,17 @@ class Piece:
 def contrasts(
     trace: Trace,
     relations: tuple[Relation, ...],
-    faults: Sequence[Candidate],
-    factors: Mapping[str, float],
+    faults: Sequence[Candidate] = (),
+    factors: Mapping[str, float] | None = None,
+    local: Sequence[Candidate] = (),
 ) -> Iterator[Piece]:
     """Contrasts of all equations in one record, and the column of each candidate.
 
     ``factors`` are the scales that were undone, by signal: a contrast is taken in the unit that
-    its left side was logged in, or shrinking a signal would shrink its noise.
+    its left side was logged in, or shrinking a signal would shrink its noise. ``local`` are
+    candidates that may begin anywhere.
     """
+    factors = factors or {}
     motion = Motion(trace, relations)
     every = {k: SHAPES[f.kind](f, motion) for k, f in enumerate(faults) if motion.has(f)}
     for index, right in motion.right.items():
@@ -417,19 +428,21 @@ def contrasts(
         shapes = {k: shape for k, shape in every.items() if shape.keys() & {*relation.names}}
         slopes = _slopes(relation, motion, set().union(*shapes.values()))
         target, zero = trace.values[relation.target], np.zeros(trace.times.size)
-        # Residual, left side, candidates, signals: each is a left side minus an integral.
-        left, inside = [target, target], [right, zero]
+        # Residual, left side, candidates, what begins anywhere: each a left side less an integral.
+        pairs = [(target, right), (target, zero)]
         for shape in shapes.values():
-            left.append(shape.get(relation.target, zero))
-            inside.append(sum((slopes[n] * shape[n] for n in slopes if n in shape), zero))
-        ramps = {("step", n): slope for n, slope in slopes.items()}
-        for name in slopes.keys() & {*relation.driven}:
-            ramps["lost", name] = slopes[name] * motion.raw.get(logged(name), motion.raw[name])
-        left += [*[zero] * len(ramps), motion.elapsed]
-        columns = np.column_stack(left), np.column_stack([*inside, *ramps.values(), zero])
-        factor = factors.get(relation.target, 1.0)
-        keys = [*ramps, ("drift", relation.target)]
-        yield from _pieces(trace, (index, relation), columns, ([*shapes], keys), slopes, factor)
+            inside = sum((slopes[n] * shape[n] for n in slopes if n in shape), zero)
+            pairs.append((shape.get(relation.target, zero), inside))
+        ramps = dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]()
+        for kind, name in ((one.kind, one.signals[0]) for one in local):
+            if kind == "drift" and name == relation.target:
+                ramps[kind, name] = motion.elapsed, zero
+            elif kind != "drift" and name in slopes:
+                own = motion.raw.get(logged(name), motion.raw[name]) if kind == "lost" else 1.0
+                ramps[kind, name] = zero, slopes[name] * own
+        left, inside = (np.column_stack(one) for one in zip(*pairs, *ramps.values(), strict=True))
+        factor, used = factors.get(relation.target, 1.0), ([*shapes], [*ramps])
+        yield from _pieces(trace, (index, relation), (left, inside), used, slopes, factor)
 
 
 def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
@@ -451,7 +464,7 @@ def _pieces(
     (index, relation), (left, inside), (used, keys) = numbered, columns, named
     rated = relation.is_rate
     power = {name: trace.noise[name] ** 2 * _spacing(trace, name) for name in slopes}
-    _, usable = trace.filled(relation.signals)
+    usable = trace.usable(relation.signals)
     for piece in trace.pieces(usable, LEAST):
         times = trace.times[piece]
         rows = np.flatnonzero(np.isfinite(left[piece, 0]))
@@ -509,7 +522,12 @@ def laws(angle: np.ndarray) -> np.ndarray:
 
 
 def fitted_law(
-    power: np.ndarray, basis: np.ndarray, floor: np.ndarray, left: np.ndarray
+    power: np.ndarray,
+    basis: np.ndarray,
+    floor: np.ndarray,
+    left: np.ndarray,
+    begun: np.ndarray | None = None,
+    turns: int = SWEEPS**2,
 ) -> tuple[np.ndarray, np.ndarray]:
     r"""Shares of each kind of noise of largest likelihood, and the variances they make.
 
@@ -525,10 +543,14 @@ def fitted_law(
         Least share of each kind.
     left : numpy.ndarray
         Share of each coefficient that the regression has left, ``(n,)``.
+    begun : numpy.ndarray, optional
+        Shares to begin from.
+    turns : int
+        Steps.
     """
     mean = float(np.mean(power / left)) + 1e-300
-    shares = np.maximum(mean / basis.mean(axis=1) / len(basis), floor)
-    for _ in range(SWEEPS**2):
+    shares = np.maximum(mean / basis.mean(axis=1) / len(basis) if begun is None else begun, floor)
+    for _ in range(turns):
         variance = shares @ basis
         ratio = (basis @ (power / variance**2)) / (basis @ (left / variance))
         shares = np.maximum(shares * ratio, floor)
@@ -552,7 +574,7 @@ def assemble(
     levels: dict[int, np.ndarray] = {}
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
-        shares, variance, law, _ = _noise(mine, faults, nuisance)
+        shares, variance, law = _noise(mine, faults, nuisance)[:3]
         part = shares * law.mean(axis=1)
         active = part > RELATIVE * part.sum()
         # Information on variances of normal coefficients: half the squared relative change of
@@ -586,9 +608,9 @@ def assemble(
 
 
 def _noise(
-    mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray
+    mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray, *, told: bool = False
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Shares, variances and law of one equation's noise, and its information on the left side."""
+    """Shares, variances and law of one equation's noise, and if asked what its left side is told."""
     law = _joint_law(mine)
     y = np.concatenate([p.residual for p in mine])
     target = np.concatenate([p.target for p in mine])
@@ -600,17 +622,21 @@ def _noise(
     floor[len(CORRELATIONS)] = 0.7 * float(np.mean([p.walk for p in mine]))
     ones = np.ones(y.size)
     # From the least noise there can be: under much noise the faults would be taken for it.
-    variance = floor @ law
-    for _ in range(4 if used.size else 1):  # what is left depends on the noise by the faults alone
+    variance, shares = floor @ law, None
+    turns = 4 if used.size else 1  # what is left depends on the noise by the faults alone
+    for _ in range(turns):
         white = matrix / np.sqrt(variance)[:, None]
         # Faults in units of their usual size, with a prior of one.
         inner = np.linalg.inv(white.T @ white + np.eye(used.size))
-        hat = np.einsum("ij,jk,ik->i", white, inner, white)
+        hat = np.einsum("ij,ij->i", white @ inner, white)
         size = inner @ (white.T @ (y / np.sqrt(variance)))
         rest = y - matrix @ size
-        shares, variance = fitted_law(rest**2, law, floor, np.clip(1.0 - hat, 0.05, 1.0))
-    _, alone = fitted_law(target**2, law, floor, ones)
-    about = np.sum(np.log(alone / variance) + 1.0 - rest**2 / variance) - size @ size
+        left = np.clip(1.0 - hat, 0.05, 1.0)
+        shares, variance = fitted_law(rest**2, law, floor, left, shares, SWEEPS**2 // turns)
+    about = 0.0
+    if told:
+        _, alone = fitted_law(target**2, law, floor, ones)
+        about = np.sum(np.log(alone / variance) + 1.0 - rest**2 / variance) - size @ size
     return shares, variance, law, float(about)
 
 
@@ -949,8 +975,12 @@ def search(
     start: Sequence[Correction] = (),
     single: bool = True,
     known: Sequence[Correction] = (),
+    only_linear: bool = False,
 ) -> Result:
-    """Find faults with a size; ``start`` are delays, ``known`` steps to begin from."""
+    """Find faults with a size; ``start`` are delays, ``known`` steps to begin from.
+
+    With ``only_linear`` none is sought where the scores mislead, because readings come first there.
+    """
     relations, n_given = question.relations, len(question.given)
     faults = [*question.given, *question.common, *question.single * single]
     local = question.local if single else ()
@@ -960,7 +990,7 @@ def search(
     for turn in range(SWEEPS):
         near = [*_beside(active, shift)]
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
-        undone, pieces = _linearised(traces, relations, faults, active)
+        undone, pieces = _linearised(traces, relations, faults, active, local)
         if not pieces:
             return Result((), tuple(faults), np.full(len(faults), np.inf))
         now = [faults.index(fault) for fault in active]
@@ -968,6 +998,8 @@ def search(
         system = assemble(pieces, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained = strained if turn else bench.strained(now)
+        if strained and only_linear:
+            return Result((), tuple(faults), bench.visible(now), strained)
         found, seen = scanned(undone, pieces, system, now, local)
         picked = [fault for fault in found if fault not in faults]
         chosen = bench.chosen(now)
@@ -997,12 +1029,13 @@ def _linearised(
     relations: tuple[Relation, ...],
     faults: Sequence[Candidate],
     active: Mapping[Candidate, float],
+    local: Sequence[Candidate],
 ) -> tuple[list[Trace], list[Piece]]:
     """Records with the active faults undone, and their contrasts."""
     undone = [undo(t, [f.correction(s) for f, s in active.items()], relations) for t in traces]
     scales = ((f, s) for f, s in active.items() if f.kind == "scale" and not f.record)
     factors = {f.signals[0]: 1.0 + s for f, s in scales}
-    return undone, [p for t in undone for p in contrasts(t, relations, faults, factors)]
+    return undone, [p for t in undone for p in contrasts(t, relations, faults, factors, local)]
 
 
 def _beside(active: Iterable[Candidate], shift: float) -> Iterator[Candidate]:
@@ -1020,7 +1053,7 @@ def diagnosed(
     known: Sequence[Correction] = (),
 ) -> tuple[list[Reading], Result]:
     """Faults that the equations show: readings first where nothing else is near, then sizes."""
-    plain = search(traces, question, known=known)
+    plain = search(traces, question, known=known, only_linear=True)
     if not plain.strained and not _nearer(traces, question):
         return [], plain
 
@@ -1029,7 +1062,7 @@ def diagnosed(
 
     found, start = misread([undo(t, known, question.relations) for t in traces], question)
     right = mended(found)
-    ends = [search(right, question, known=known) if found else plain]
+    ends = [search(right, question, known=known) if found or plain.strained else plain]
     ends += [search(right, question, start=start, known=known)] if start else []
     best = max(ends, key=lambda end: _worth(end, right, question))
     if named := [reading for one in best.found for reading in _as_units(one)]:
@@ -1041,7 +1074,7 @@ def diagnosed(
 def _worth(end: Result, traces: Sequence[Trace], question: Question) -> float:
     """Information of the equations with the faults of a search undone, less the price of these."""
     left = [undo(t, [one.correction for one in end.found], question.relations) for t in traces]
-    return float(evidence(left, question).sum()) - CLOSE * len(end.found)
+    return float(Evidence(question)(left).sum()) - CLOSE * len(end.found)
 
 
 def _as_units(one: Found) -> list[Reading]:
@@ -1105,15 +1138,39 @@ def plain_readings(
                 yield Reading(Correction("unit", group, factor), meaning)
 
 
-def evidence(traces: Sequence[Trace], question: Question) -> np.ndarray:
-    """Information that each equation gives about its left side, ``(n_relations,)``."""
-    relations, given = question.relations, question.given
-    pieces = [p for t in traces for p in contrasts(t, relations, given, {})]
-    result = np.zeros(len(relations))
-    for index in {p.relation for p in pieces}:
-        mine = [p for p in pieces if p.relation == index]
-        result[index] = _noise(mine, given, np.arange(len(given)))[3]
-    return result
+@dataclass(frozen=True)
+class Evidence:
+    """Information that each equation gives about its left side.
+
+    A reading changes some signals only: an equation whose signals are as they were before tells
+    what it told then, and is not asked again.
+    """
+
+    question: Question
+    told: dict[Hashable, float] = field(default_factory=dict)
+
+    def __call__(self, traces: Sequence[Trace]) -> np.ndarray:
+        """Information in some records, ``(n_relations,)``."""
+        relations, given = self.question.relations, self.question.given
+        keys = [(i, *(_numbers(t, r.names) for t in traces)) for i, r in enumerate(relations)]
+        fresh = [i for i, key in enumerate(keys) if key not in self.told]
+        asked = tuple(relations[i] for i in fresh)
+        pieces = [p for t in traces for p in contrasts(t, asked, given)] if fresh else []
+        for k, i in enumerate(fresh):
+            mine = [p for p in pieces if p.relation == k]
+            about = _noise(mine, given, np.arange(len(given)), told=True)[3] if mine else 0.0
+            self.told[keys[i]] = about
+        return np.array([self.told[key] for key in keys])
+
+
+def _numbers(trace: Trace, names: Iterable[str]) -> tuple[Hashable, ...]:
+    """What an equation reads of some signals, as a key."""
+    here = [n for n in names if n in trace.values]
+    return (
+        *here,
+        *(hash(trace.values[n].tobytes()) for n in here),
+        *(trace.noise[n] for n in here),
+    )
 
 
 def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading], list[Correction]]:
@@ -1128,27 +1185,39 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
     start : list of Correction
         Large delays that compete with readings: their sizes are for :func:`search` to find.
     """
-    coarse, late = _coarse(traces, question), [*_late(question)]
+    relations, late = question.relations, [*_late(question)]
+    coarse, evidence = _coarse(traces, question), Evidence(question)
     found: list[Reading] = []
     for _ in range(3 if question.readings else 0):
-        least, (best, *others) = _scored(coarse, question, late)
+        now = evidence(coarse)
+
+        def told(corrections: Sequence[Correction]) -> float:
+            """What is told more with some faults undone."""
+            changed = [undo(t, corrections, relations) for t in coarse]  # noqa: B023
+            return float(np.sum(evidence(changed) - now))  # noqa: B023
+
+        every = [replace(o, gain=told([o.correction])) for o in (*question.readings, *late)]
+        best, *others = sorted(every, key=lambda one: -one.gain)
         # What chance exceeds rarely, however many readings are tried.
-        limit = 2.0 * math.log((1 + len(others)) / FALSE_CLAIMS)
-        if best.delays and best.gain > limit:
+        limit = 2.0 * math.log(len(every) / FALSE_CLAIMS)
+        if best.gain <= limit:
+            break
+        if best.delays:
             return found, [best.correction]
-        if best.gain < limit + least:
+        sized = [one.correction for one in search(coarse, question, single=False).found]
+        if best.gain < limit + max(0.0, told(sized)):
             break
         close = (o for o in others if not o.delays and o.gain > best.gain - CLOSE)
         found.append(replace(best, rivals=tuple(close)))
-        coarse = [undo(t, (best.correction,), question.relations) for t in coarse]
+        coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
 
 
 def _coarse(traces: Sequence[Trace], question: Question) -> list[Trace]:
     """Traces with fewer samples, unless motion is too fast for these."""
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    lost = evidence(coarse, question) == 0.0
-    told = evidence(traces, question) != 0.0
+    evidence = Evidence(question)
+    lost, told = evidence(coarse) == 0.0, evidence(traces) != 0.0
     return list(traces) if np.any(lost & told) else coarse
 
 
@@ -1159,11 +1228,12 @@ def _nearer(traces: Sequence[Trace], question: Question) -> bool:
     """
     if not question.given:
         return False
-    plain = replace(question, given=())
+    evidence = Evidence(replace(question, given=()))
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    now = evidence(coarse, plain).sum()
-    changed = ([undo(t, (r.correction,), plain.relations) for t in coarse] for r in plain.readings)
-    return any(evidence(other, plain).sum() > now for other in changed)
+    now = evidence(coarse).sum()
+    changed = ([undo(t, (r.correction,), question.relations) for t in coarse]
+               for r in question.readings)  # fmt: skip
+    return any(evidence(other).sum() > now for other in changed)
 
 
 def _late(question: Question) -> Iterator[Reading]:
@@ -1174,27 +1244,6 @@ def _late(question: Question) -> Iterator[Reading]:
         if delay > 2.0 * fault.material:
             for size in (delay, -delay)[: 1 if fault.positive else 2]:
                 yield Reading(Correction(fault.kind, fault.signals, size))
-
-
-def _scored(
-    coarse: Sequence[Trace], question: Question, late: Sequence[Reading]
-) -> tuple[float, list[Reading]]:
-    """What faults with a size tell, and all readings, those that tell most first."""
-    relations, now = question.relations, evidence(coarse, question)
-
-    def told(corrections: Sequence[Correction], mine: Sequence[int]) -> float:
-        changed = [undo(t, corrections, relations) for t in coarse]
-        some = replace(question, relations=tuple(relations[i] for i in mine))
-        return float(np.sum(evidence(changed, some) - now[[*mine]]))
-
-    sized = [one.correction for one in search(coarse, question, single=False).found]
-    least = max(0.0, told(sized, range(len(relations))))
-    scored = []
-    for one in (*question.readings, *late):
-        touched = {*one.correction.signals}
-        mine = [i for i, r in enumerate(relations) if touched & {*r.names}]
-        scored.append(replace(one, gain=told((one.correction,), mine)))
-    return least, sorted(scored, key=lambda one: -one.gain)
 
 
 def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:
@@ -1214,8 +1263,8 @@ def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> lis
         for name in halved.keys() - {relation.target}:
             halved[name][1::2] = np.nan
         slow = replace(trace, values={**trace.values, **halved})
-        twins = list(contrasts(slow, (relation,), (), {}))
-        for i, piece in enumerate(contrasts(trace, (relation,), (), {})):
+        twins = list(contrasts(slow, (relation,)))
+        for i, piece in enumerate(contrasts(trace, (relation,))):
             weight, (left, moved) = piece.weight, piece.changes
             noise = piece.level**2 + piece.walk / (2.0 - 2.0 * np.cos(piece.angle))
             expected = float(weight @ noise)

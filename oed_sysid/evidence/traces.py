@@ -120,40 +120,41 @@ class Trace:
             pushed = np.any(pushed[:n].reshape(-1, group), axis=1)
         return replace(self, times=times, values=values, noise=noise, step=0.0, pushed=pushed)
 
-    def filled(self, names: Iterable[str]) -> tuple[dict[str, np.ndarray], np.ndarray]:
-        """Series joined by cubic splines, and where all of them can be relied on.
-
-        Returns
-        -------
-        series : dict
-            Signal to array ``(n_times,)`` without gaps.
-        usable : ndarray of bool (n_times,)
-            False inside long gaps, before the first or after the last sample, and where a signal
-            is faster than its samples.
-        """
+    def filled(self, names: Iterable[str]) -> dict[str, np.ndarray]:
+        """Series joined by cubic splines, ``(n_times,)``; those with two samples or more."""
         series: dict[str, np.ndarray] = {}
-        usable = np.ones(self.times.size, dtype=bool)
         for name in names:
             values = self.values[name]
-            if name in self.fast:
-                usable[self.pushed] = False
             present = np.flatnonzero(np.isfinite(values))
             if present.size == self.times.size:
                 series[name] = values
-                continue
-            if present.size < 2:
-                return {}, np.zeros_like(usable)
-            series[name] = np.interp(self.times, self.times[present], values[present])
-            if present.size > 3:  # a curve between samples, straight on outside of them
+            elif present.size > 1:
+                series[name] = np.interp(self.times, self.times[present], values[present])
+            if 3 < present.size < self.times.size:  # a curve between samples, straight on outside
                 inside = slice(present[0], present[-1] + 1)
                 curve = CubicSpline(self.times[present], values[present])
                 series[name][inside] = curve(self.times[inside])
+        return series
+
+    def usable(self, names: Iterable[str]) -> np.ndarray:
+        """Where signals can be relied on, ``(n_times,)`` of bool.
+
+        Not inside long gaps, before the first or after the last sample, nor where a signal is
+        faster than its samples.
+        """
+        usable = np.ones(self.times.size, dtype=bool)
+        for name in names:
+            present = np.flatnonzero(np.isfinite(self.values[name]))
+            if name in self.fast:
+                usable[self.pushed] = False
+            if present.size < 2:
+                return np.zeros_like(usable)
             steps = np.diff(self.times[present])
             limit = GAP * max(float(np.median(steps)), self.step)
             usable[: present[0]] = usable[present[-1] + 1 :] = False
             for k in np.flatnonzero(steps > limit):
                 usable[present[k] + 1 : present[k + 1]] = False
-        return series, usable
+        return usable
 
     def pieces(self, usable: np.ndarray, least: int) -> list[slice]:
         """Stretches of usable samples between gaps in time, of at least ``least`` samples."""
