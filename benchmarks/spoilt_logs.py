@@ -465,10 +465,11 @@ def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> Non
 
 
 def _lagged(t: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A lag of first order of half a second, by Euler's rule."""
+    """A lag of first order that delays by half a second in the mean, by Euler's backward rule."""
     answer = y.copy()
     for i in range(1, y.size):
-        answer[i] = answer[i - 1] + (t[i] - t[i - 1]) / 0.5 * (y[i] - answer[i - 1])
+        h = t[i] - t[i - 1]
+        answer[i] = answer[i - 1] + h / (0.5 + h) * (y[i] - answer[i - 1])
     return answer
 
 

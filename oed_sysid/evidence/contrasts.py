@@ -525,11 +525,11 @@ def fitted_law(
     power: np.ndarray,
     basis: np.ndarray,
     floor: np.ndarray,
-    left: np.ndarray,
+    left: np.ndarray | float = 1.0,
     begun: np.ndarray | None = None,
     turns: int = SWEEPS**2,
-) -> tuple[np.ndarray, np.ndarray]:
-    r"""Shares of each kind of noise of largest likelihood, and the variances they make.
+) -> np.ndarray:
+    r"""Shares of each kind of noise of largest likelihood, ``(n_kinds,)``.
 
     Multiplicative steps on :math:`\sum_k \ln S_k + P_k/S_k` (Févotte & Idier 2011).
 
@@ -541,20 +541,21 @@ def fitted_law(
         Of :func:`laws`.
     floor : numpy.ndarray
         Least share of each kind.
-    left : numpy.ndarray
+    left : numpy.ndarray or float
         Share of each coefficient that the regression has left, ``(n,)``.
     begun : numpy.ndarray, optional
         Shares to begin from.
     turns : int
         Steps.
     """
-    mean = float(np.mean(power / left)) + 1e-300
-    shares = np.maximum(mean / basis.mean(axis=1) / len(basis) if begun is None else begun, floor)
+    if begun is None:
+        begun = (float(np.mean(power / left)) + 1e-300) / basis.mean(axis=1) / len(basis)
+    shares = np.maximum(begun, floor)
     for _ in range(turns):
         variance = shares @ basis
         ratio = (basis @ (power / variance**2)) / (basis @ (left / variance))
         shares = np.maximum(shares * ratio, floor)
-    return shares, shares @ basis
+    return np.asarray(shares)
 
 
 # -- regression ------------------------------------------------------------------------------
@@ -574,7 +575,8 @@ def assemble(
     levels: dict[int, np.ndarray] = {}
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
-        shares, variance, law = _noise(mine, faults, nuisance)[:3]
+        noise = noise_of(mine, faults, nuisance)
+        shares, variance, law = noise.shares, noise.variance, noise.law
         part = shares * law.mean(axis=1)
         active = part > RELATIVE * part.sum()
         # Information on variances of normal coefficients: half the squared relative change of
@@ -607,10 +609,35 @@ def assemble(
     return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
 
 
-def _noise(
-    mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray, *, told: bool = False
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
-    """Shares, variances and law of one equation's noise, and if asked what its left side is told."""
+@dataclass(frozen=True)
+class Noise:
+    """Noise of one equation, and what is left of it.
+
+    ``law`` are the variances of unit noise of each kind, ``(n_kinds, n)``, ``shares`` the estimated
+    sizes of these and ``floor`` the least ones, ``target`` the coefficients of the left side,
+    ``distance`` what is left, whitened and squared, and the price of the faults in it.
+    """
+
+    law: np.ndarray
+    floor: np.ndarray
+    shares: np.ndarray
+    target: np.ndarray
+    distance: float
+
+    @property
+    def variance(self) -> np.ndarray:
+        """Variance of every coefficient."""
+        return np.asarray(self.shares @ self.law)
+
+    @property
+    def told(self) -> float:
+        """Information that the equation gives about its left side."""
+        alone = fitted_law(self.target**2, self.law, self.floor) @ self.law
+        return float(np.sum(np.log(alone / self.variance) + 1.0) - self.distance)
+
+
+def noise_of(mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray) -> Noise:
+    """Estimate the noise of one equation, some faults in the regression."""
     law = _joint_law(mine)
     y = np.concatenate([p.residual for p in mine])
     target = np.concatenate([p.target for p in mine])
@@ -620,7 +647,6 @@ def _noise(
     floor = np.zeros(len(law))
     floor[0] = max(0.5 * float(np.mean([p.level for p in mine])), 3e-5 * float(np.std(target))) ** 2
     floor[len(CORRELATIONS)] = 0.7 * float(np.mean([p.walk for p in mine]))
-    ones = np.ones(y.size)
     # From the least noise there can be: under much noise the faults would be taken for it.
     variance, shares = floor @ law, None
     turns = 4 if used.size else 1  # what is left depends on the noise by the faults alone
@@ -632,12 +658,10 @@ def _noise(
         size = inner @ (white.T @ (y / np.sqrt(variance)))
         rest = y - matrix @ size
         left = np.clip(1.0 - hat, 0.05, 1.0)
-        shares, variance = fitted_law(rest**2, law, floor, left, shares, SWEEPS**2 // turns)
-    about = 0.0
-    if told:
-        _, alone = fitted_law(target**2, law, floor, ones)
-        about = np.sum(np.log(alone / variance) + 1.0 - rest**2 / variance) - size @ size
-    return shares, variance, law, float(about)
+        shares = fitted_law(rest**2, law, floor, left, shares, SWEEPS**2 // turns)
+        variance = shares @ law
+    distance = float(np.sum(rest**2 / variance) + size @ size)
+    return Noise(law, floor, np.asarray(shares), target, distance)
 
 
 def _joint_law(mine: Sequence[Piece]) -> np.ndarray:
@@ -1152,14 +1176,14 @@ class Evidence:
     def __call__(self, traces: Sequence[Trace]) -> np.ndarray:
         """Information in some records, ``(n_relations,)``."""
         relations, given = self.question.relations, self.question.given
+        every = np.arange(len(given))
         keys = [(i, *(_numbers(t, r.names) for t in traces)) for i, r in enumerate(relations)]
         fresh = [i for i, key in enumerate(keys) if key not in self.told]
         asked = tuple(relations[i] for i in fresh)
         pieces = [p for t in traces for p in contrasts(t, asked, given)] if fresh else []
         for k, i in enumerate(fresh):
             mine = [p for p in pieces if p.relation == k]
-            about = _noise(mine, given, np.arange(len(given)), told=True)[3] if mine else 0.0
-            self.told[keys[i]] = about
+            self.told[keys[i]] = noise_of(mine, given, every).told if mine else 0.0
         return np.array([self.told[key] for key in keys])
 
 

@@ -5,7 +5,6 @@ Corrected copies of records: what was found is undone, and said.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -103,7 +102,8 @@ def lagged(times: np.ndarray, series: np.ndarray, lag: float) -> np.ndarray:
 
     if lag <= 0.0:
         return np.asarray(series - lag * np.gradient(series, times))
-    keep = math.exp(-float(np.median(np.diff(times))) / lag)
+    # The mean delay is the lag, whatever the step.
+    keep = lag / (lag + float(np.median(np.diff(times))))
     return np.asarray(lfilter([1.0 - keep], [1.0, -keep], series, zi=[keep * series[0]])[0])
 
 
