@@ -252,12 +252,13 @@ def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple
     coarse = [trace.thinned(2 * contrasts.MOST_BLOCKS) for trace in clean]
     ways = contrasts.readings(clean, question.relations)
     turned = contrasts.turned_axes(names_of(question.relations), units)
-    now = contrasts.evidence(coarse, question).sum()
+    evidence = contrasts.Evidence(question)
+    now = evidence(coarse).sum()
     found = {"as read": 0.0}
     for one in chain(ways, turned):
         if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
             undone = [undo(trace, (one.correction,), question.relations) for trace in coarse]
-            found[say_reading(one)] = float(contrasts.evidence(undone, question).sum() - now)
+            found[say_reading(one)] = float(evidence(undone).sum() - now)
     return tuple(RankedAxes(*one) for one in sorted(found.items(), key=lambda one: -one[1]))
 
 
