@@ -15,10 +15,11 @@ from oed_sysid.errors import ModelError
 from oed_sysid.evidence.check import LogCheck, check, corrected_copies, quick_check, why_not_more
 from oed_sysid.evidence.contrasts import UNEXPLAINED, unexplained
 from oed_sysid.evidence.relations import relations
-from oed_sysid.evidence.screens import bursts, deviations, jitter, screen, screened, steps, weights
+from oed_sysid.evidence.screens import bursts, jitter, screen, screened, steps
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
+from oed_sysid.likelihood.noise_levels import cubic_weights, off_cubic
 from oed_sysid.physics import (
     Force,
     actuator_lag,
@@ -52,11 +53,11 @@ def test_cubic_through_four_neighbours() -> None:
     """Cubics are followed exactly by groups of every length; a step of one sample is not."""
     t = np.arange(40.0)
     for length in (1, 2, 6):
-        assert np.allclose(deviations(0.01 * t**3 - t, length), 0.0, atol=1e-9)
-        assert np.allclose(weights(length).sum(axis=1), 1.0)
+        assert np.allclose(off_cubic(0.01 * t**3 - t, length), 0.0, atol=1e-9)
+        assert np.allclose(cubic_weights(length).sum(axis=1), 1.0)
     lifted = np.zeros(40)
     lifted[10:13] = 1.0
-    assert deviations(lifted, 3)[8].tolist() == [1.0, 1.0, 1.0]
+    assert off_cubic(lifted, 3)[8].tolist() == [1.0, 1.0, 1.0]
 
 
 @pytest.mark.parametrize("length", [2, 3, 4, 5, 6])

@@ -78,8 +78,8 @@ import numpy as np
 from scipy.special import bdtrc, ndtri
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
-from oed_sysid.evidence.traces import LEAST, MATERIAL, QUARTILE, RELATIVE, Trace, fast_noise
-from oed_sysid.likelihood.noise_levels import longest_run
+from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise
+from oed_sysid.likelihood.noise_levels import longest_run, off_cubic, robust_deviation
 
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
@@ -376,8 +376,8 @@ def interpolated(series: np.ndarray) -> np.ndarray:
 
 def _sizes(series: np.ndarray) -> np.ndarray:
     """Deviations from a cubic through four neighbours, in robust deviations; none without noise."""
-    d = np.abs(deviations(series, 1)[:, 0])
-    usual = float(np.median(d)) / QUARTILE
+    d = np.abs(off_cubic(series)[:, 0])
+    usual = robust_deviation(d)
     return d / usual if usual > 0.0 else 0.0 * d
 
 
@@ -450,33 +450,13 @@ def _uneven(times: np.ndarray) -> np.ndarray:
     return np.asarray(np.abs(intervals - usual) > MATERIAL * usual)
 
 
-def weights(length: int) -> np.ndarray:
-    """Share of each of the four surrounding samples in the cubic, shape ``(length, 4)``.
-
-    >>> print(weights(1) * 6.0)
-    [[-1.  4.  4. -1.]]
-    """
-    at = np.array([-2.0, -1.0, length, length + 1.0])
-    powers = np.arange(4)
-    inside = np.arange(length)[:, None] ** powers
-    return np.round(inside @ np.linalg.inv(at[:, None] ** powers), 12)
-
-
-def deviations(y: np.ndarray, length: int) -> np.ndarray:
-    """Distance from the cubic of every group of a length, shape ``(n - length - 3, length)``."""
-    n = y.size - length - 3
-    around = np.column_stack([y[k : k + n] for k in (0, 1, length + 2, length + 3)])
-    inside = np.column_stack([y[k + 2 : k + 2 + n] for k in range(length)])
-    return inside - around @ weights(length).T
-
-
 def _candidates(
     y: np.ndarray, length: int, limit: float, least: float
 ) -> Sequence[tuple[float, int, int]]:
     """Excess, first sample and length of each group that stands out."""
-    d = np.abs(deviations(y, length))
+    d = np.abs(off_cubic(y, length))
     ends = np.minimum(d[:, 0], d[:, -1])
-    usual = float(np.median(d[:, [0, -1]])) / QUARTILE
+    usual = robust_deviation(d[:, [0, -1]])
     result = []
     # What rises from sample to sample stands out most in its middle.
     sharp = ends >= 0.5 * d.max(axis=1)
@@ -492,7 +472,7 @@ def _candidates(
         # Windows that overlap the group see it as well.
         beside = np.abs(np.arange(d.shape[0]) - k)
         near = d[(beside > length + 3) & (beside <= length + 3 + AROUND)]
-        nearby = limit * float(np.median(near[:, [0, -1]])) / QUARTILE if near.size else 0.0
+        nearby = limit * robust_deviation(near[:, [0, -1]]) if near.size else 0.0
         # Calm surroundings: their own changes are no size that would make a group stand out.
         calm = 3.0 * max(abs(before), abs(after))
         if ends[k] > max(nearby, calm):
@@ -539,7 +519,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
     jumps = after @ level[::-1] - before @ level
     motion = SIDE * np.maximum(np.abs(before @ slope), np.abs(after @ slope))
     raw = series[SIDE : SIDE + n] - series[SIDE - 1 : SIDE - 1 + n]
-    usual = float(np.median(np.abs(jumps))) / QUARTILE
+    usual = robust_deviation(jumps)
     uneven, size = _uneven(times), np.abs(jumps)
     result = []
     for k in np.flatnonzero(size > np.maximum(max(SPIKE * usual, least), 3.0 * motion)):
@@ -550,7 +530,7 @@ def steps(times: np.ndarray, series: np.ndarray, taken: np.ndarray, least: float
             continue
         beside = np.abs(np.arange(n) - k)
         near = size[(beside >= SIDE) & (beside < SIDE + AROUND)]
-        nearby = SPIKE * float(np.median(near)) / QUARTILE
+        nearby = SPIKE * robust_deviation(near)
         if size[k] > nearby and raw[k] / jumps[k] > 0.7:
             result.append(Step(int(k) + SIDE, float(jumps[k])))
     edges = [0, *(one.row for one in result), series.size]

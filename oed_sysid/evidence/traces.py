@@ -17,14 +17,11 @@ from itertools import pairwise
 
 import numpy as np
 from scipy.interpolate import CubicSpline
-from scipy.special import ndtri
 
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
 from oed_sysid.likelihood.noise_levels import fast_level
 
-# Median absolute value of a standard normal variable.
-QUARTILE = float(ndtri(0.75))
 # What is below this share of a signal is immaterial.
 RELATIVE = 0.01
 # A share that matters: of the noise of a signal, or of the time between its samples.

@@ -69,10 +69,10 @@ from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.integration import BIAS, step_change
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
-    NORMAL,
     fast_level,
     given_levels,
     noisy_inputs,
+    robust_deviation,
     signal_spread,
     spike_masks,
     spike_sizes,
@@ -316,7 +316,7 @@ def _level(fit: Estimate, column: int, share: float) -> tuple[float, float, bool
     if n < 20:
         return None
     # A spike is not a level: what lies beyond four deviations is left out.
-    size = max(NORMAL * float(np.median(np.abs(present))), 1e-12)
+    size = max(robust_deviation(present), 1e-12)
     kept = present[np.abs(present) < 4.0 * size]
     if not len(kept):
         return None

@@ -308,7 +308,7 @@ class _Output:
     def usual(self) -> float:
         """Standard deviation of the departures, were they normal."""
         away = np.concatenate(self.away)
-        return _deviation(away - np.median(away)) if len(away) else 0.0
+        return robust_deviation(away - np.median(away)) if len(away) else 0.0
 
     def surely(self, chance: float) -> float:
         """Deviations beyond which normal noise shows any sample with a chance."""
@@ -398,12 +398,12 @@ def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.
     """
     usual, surely = max(one.usual, BESIDE * least), one.surely(chance)
     off = [values - one.middle for values in one.values]
-    slow = max(_deviation(one.every - one.middle), least)
+    slow = max(robust_deviation(one.every - one.middle), least)
     if slow > 1.1 * usual / BESIDE:
         # A bend of slow residuals is followed by the cubic through the neighbours; a transient
         # here and there makes large departures usual.
         off = [_off_cubic(values) for values in one.values]
-        spread = max(_deviation(np.concatenate(off)), least)
+        spread = max(robust_deviation(np.concatenate(off)), least)
         usual = max(usual, np.quantile(np.abs(np.concatenate(one.away)), 0.9) / ndtri(0.95))
         limit = max(surely, STRUCTURED_SPIKE)
         return [size > limit for size in one.sizes(off, usual, spread)]
@@ -462,8 +462,8 @@ def _jumping(
     parameters as of :func:`_outliers`; ``calm`` are samples before which no input has stepped.
     """
     steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in one.values]
-    far = one.surely(chance) * max(_deviation(one.every - one.middle), least)
-    jump = one.surely(chance) * max(_deviation(np.concatenate(steps)), np.sqrt(2.0) * least)
+    far = one.surely(chance) * max(robust_deviation(one.every - one.middle), least)
+    jump = one.surely(chance) * max(robust_deviation(np.concatenate(steps)), np.sqrt(2.0) * least)
     found = [np.zeros(len(values), dtype=bool) for values in one.values]
     answers, elsewhere = [], 0
     for mask, values, away, row, still in zip(
@@ -526,7 +526,7 @@ def held_masks(
         values = [part[index, column] for part, index in zip(outputs, one.rows, strict=True)]
         steps = np.abs(np.concatenate([np.diff(part) for part in values]))
         n, equal = len(steps) + 1, int(np.sum(steps == 0.0))
-        usual = _deviation(one.every) if equal else 0.0
+        usual = robust_deviation(one.every) if equal else 0.0
         if equal < 2 or equal == len(steps) or usual * sigma[column] < np.min(steps[steps > 0.0]):
             return None  # too coarse: repetitions are the resolution's
         longest, every = _longest(equal, n), np.concatenate(values)
@@ -564,7 +564,7 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
         every = np.concatenate(steps)
         if not len(every):
             return
-        spreads = one.usual, _deviation(np.concatenate(off)), _deviation(every)
+        spreads = one.usual, robust_deviation(np.concatenate(off)), robust_deviation(every)
         if min(spreads) <= 0.0:  # of noise nothing is seen
             found.append(True)
             return
@@ -580,7 +580,7 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
     return any(found)
 
 
-def _deviation(values: np.ndarray) -> float:
+def robust_deviation(values: np.ndarray) -> float:
     """Standard deviation of normal numbers of mean zero, from the median of their sizes."""
     return NORMAL * float(np.median(np.abs(values)))
 
@@ -635,10 +635,34 @@ def _off_cubic(values: np.ndarray) -> np.ndarray:
     """Departure of every sample from the cubic through its two neighbours on each side."""
     off = np.zeros(len(values))
     if len(values) >= 5:
-        near, far = values[1:-3] + values[3:-1], values[:-4] + values[4:]
-        # Lagrange: the cubic through the samples at -2, -1, 1, 2 has the value (4 near - far) / 6.
-        off[2:-2] = values[2:-2] - (4.0 * near - far) / 6.0
+        off[2:-2] = off_cubic(values)[:, 0]
     return off
+
+
+def cubic_weights(length: int) -> np.ndarray:
+    """Share of each of the four surrounding samples in the cubic, shape ``(length, 4)``.
+
+    >>> print(cubic_weights(1) * 6.0)
+    [[-1.  4.  4. -1.]]
+    """
+    at = np.array([-2.0, -1.0, length, length + 1.0])
+    powers = np.arange(4)
+    inside = np.arange(length)[:, None] ** powers
+    return np.round(inside @ np.linalg.inv(at[:, None] ** powers), 12)
+
+
+def off_cubic(values: np.ndarray, length: int = 1) -> np.ndarray:
+    """Departure of every group of samples from the cubic through two on each side of it.
+
+    Returns
+    -------
+    ndarray (n - length - 3, length)
+        The first row is that of the group that begins at the third sample.
+    """
+    n = values.size - length - 3
+    around = np.column_stack([values[k : k + n] for k in (0, 1, length + 2, length + 3)])
+    inside = np.column_stack([values[k + 2 : k + 2 + n] for k in range(length)])
+    return np.asarray(inside - around @ cubic_weights(length).T)
 
 
 def without_spikes(dataset: Dataset, masks: Sequence[np.ndarray]) -> Dataset:
