@@ -343,6 +343,7 @@ def test_a_chart_is_the_same_in_print_and_on_screen() -> None:
     )
     assert [tick.get_text() for tick in ax.get_xticklabels()] == list(figure.layout.xaxis.ticktext)
     assert ax.get_yscale() == figure.layout.yaxis.type == "log"
+    assert [(one.y0, one.y1) for one in figure.layout.shapes] == [(0.95, 1.05), (1.0, 1.0)]
 
 
 def test_what_was_found_is_carried_on(study: Study, outcome: Outcome) -> None:

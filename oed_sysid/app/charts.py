@@ -122,11 +122,11 @@ def drawn(*charts: Chart, height: int = 340) -> go.Figure:
     figure = make_subplots(rows, 1, shared_xaxes=True, vertical_spacing=0.12 / max(rows, 2))
     for row, chart in enumerate(charts, start=1):
         place: dict[str, Any] = {"row": row, "col": 1}
-        _axes_of(figure, chart, place)
         for trace in (one for mark in chart.marks for one in _traces(mark)):
             first = bool(trace.name) and trace.name not in named
             named.add(trace.name)
             figure.add_trace(trace.update(showlegend=first, legendgroup=trace.name), **place)
+        _axes_of(figure, chart, place)  # an empty one would take no line across
     figure.update_xaxes(title_text=plain(charts[-1].x_label), row=rows, col=1)
     return laid_out(figure, height)
 

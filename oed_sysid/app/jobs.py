@@ -116,12 +116,14 @@ class Job:
             return None
         return min(self.seconds / max(self.end_expected - self.began, 1e-9), 1.0)
 
-    def stop(self) -> None:
-        """End it now, with every process that it started."""
+    def stop(self, *, wait: bool = True) -> None:
+        """End it now, with every process that it started; they may take a moment to be gone."""
         if self.at_work:
             self.end("stopped")
-            if self._process is not None:
+            if self._process is not None and wait:
                 _terminate(self._process)
+            elif self._process is not None:
+                threading.Thread(target=_terminate, args=(self._process,)).start()
 
     def take(self, process: subprocess.Popen[bytes]) -> None:
         """Be done by a process, which ends at once if the job was stopped before it began."""

@@ -199,7 +199,7 @@ def _progress(job: Job) -> None:
         f'{remaining}<div class="bar"><i{bar}></i></div></div>'
     )
     if right.button("Stop", key="stop"):
-        job.stop()
+        job.stop(wait=False)  # the page says so at once
         st.rerun()
 
 
