@@ -253,12 +253,10 @@ def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple
     ways = contrasts.readings(clean, question.relations)
     turned = contrasts.turned_axes(names_of(question.relations), units)
     evidence = contrasts.Evidence(question)
-    now = evidence(coarse).sum()
     found = {"as read": 0.0}
     for one in chain(ways, turned):
         if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
-            undone = [undo(trace, (one.correction,), question.relations) for trace in coarse]
-            found[say_reading(one)] = float(evidence(undone).sum() - now)
+            found[say_reading(one)] = evidence.gained(coarse, [one.correction])
     return tuple(RankedAxes(*one) for one in sorted(found.items(), key=lambda one: -one[1]))
 
 
@@ -316,9 +314,7 @@ def _steps(
         Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
         for share, size in zip(shares, fault.sizes, strict=True)
     ]
-    evidence = contrasts.Evidence(some)
-    before, after = (evidence([one]).sum() for one in (here, undo(here, fixes)))
-    return fixes if after > before else []
+    return fixes if contrasts.Evidence(some).gained([here], fixes) > 0.0 else []
 
 
 def _resized(

@@ -433,16 +433,28 @@ def contrasts(
         for shape in shapes.values():
             inside = sum((slopes[n] * shape[n] for n in slopes if n in shape), zero)
             pairs.append((shape.get(relation.target, zero), inside))
-        ramps = dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]()
-        for kind, name in ((one.kind, one.signals[0]) for one in local):
-            if kind == "drift" and name == relation.target:
-                ramps[kind, name] = motion.elapsed, zero
-            elif kind != "drift" and name in slopes:
-                own = motion.raw.get(logged(name), motion.raw[name]) if kind == "lost" else 1.0
-                ramps[kind, name] = zero, slopes[name] * own
+        ramps = _ramps(relation, motion, slopes, local)
         left, inside = (np.column_stack(one) for one in zip(*pairs, *ramps.values(), strict=True))
         factor, used = factors.get(relation.target, 1.0), ([*shapes], [*ramps])
         yield from _pieces(trace, (index, relation), (left, inside), used, slopes, factor)
+
+
+def _ramps(
+    relation: Relation,
+    motion: Motion,
+    slopes: Mapping[str, np.ndarray],
+    local: Sequence[Candidate],
+) -> dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]:
+    """What a unit of what may begin anywhere adds to a left side, and to the integral."""
+    result = dict[tuple[str, str], tuple[np.ndarray, np.ndarray]]()
+    zero = np.zeros(motion.elapsed.size)
+    for kind, name in ((one.kind, one.signals[0]) for one in local):
+        if kind == "drift" and name == relation.target:
+            result[kind, name] = motion.elapsed, zero
+        elif kind != "drift" and name in slopes:
+            own = motion.raw.get(logged(name), motion.raw[name]) if kind == "lost" else 1.0
+            result[kind, name] = zero, slopes[name] * own
+    return result
 
 
 def _slopes(relation: Relation, motion: Motion, touched: set[str]) -> dict[str, np.ndarray]:
@@ -970,6 +982,10 @@ class Reading:
         """Whether it is a large delay, which competes with readings and has a size."""
         return self.correction.kind in ("delay", "lag")
 
+    def near(self, best: Reading) -> bool:
+        """Whether these records cannot tell it from the best reading."""
+        return not self.delays and self.gain > best.gain - CLOSE
+
 
 @dataclass(frozen=True)
 class Result:
@@ -1171,20 +1187,31 @@ class Evidence:
     """
 
     question: Question
-    told: dict[Hashable, float] = field(default_factory=dict)
+    told: dict[tuple[int, Hashable], float] = field(default_factory=dict)
 
     def __call__(self, traces: Sequence[Trace]) -> np.ndarray:
         """Information in some records, ``(n_relations,)``."""
-        relations, given = self.question.relations, self.question.given
-        every = np.arange(len(given))
-        keys = [(i, *(_numbers(t, r.names) for t in traces)) for i, r in enumerate(relations)]
-        fresh = [i for i, key in enumerate(keys) if key not in self.told]
-        asked = tuple(relations[i] for i in fresh)
-        pieces = [p for t in traces for p in contrasts(t, asked, given)] if fresh else []
-        for k, i in enumerate(fresh):
-            mine = [p for p in pieces if p.relation == k]
-            self.told[keys[i]] = noise_of(mine, given, every).told if mine else 0.0
+        relations = enumerate(self.question.relations)
+        keys = [(i, tuple(_numbers(trace, r.names) for trace in traces)) for i, r in relations]
+        self._ask(traces, [key for key in keys if key not in self.told])
         return np.array([self.told[key] for key in keys])
+
+    def gained(self, traces: Sequence[Trace], corrections: Sequence[Correction]) -> float:
+        """What all equations tell more with some faults undone."""
+        undone = [undo(trace, corrections, self.question.relations) for trace in traces]
+        return float(np.sum(self(undone) - self(traces)))
+
+    def ranked(self, traces: Sequence[Trace], readings: Iterable[Reading]) -> list[Reading]:
+        """Readings with what each gains, the most first."""
+        told = (replace(one, gain=self.gained(traces, [one.correction])) for one in readings)
+        return sorted(told, key=lambda one: -one.gain)
+
+    def _ask(self, traces: Sequence[Trace], fresh: Sequence[tuple[int, Hashable]]) -> None:
+        asked, given = tuple(self.question.relations[key[0]] for key in fresh), self.question.given
+        pieces = [p for t in traces for p in contrasts(t, asked, given)] if asked else []
+        for k, key in enumerate(fresh):
+            mine = [piece for piece in pieces if piece.relation == k]
+            self.told[key] = noise_of(mine, given, np.arange(len(given))).told if mine else 0.0
 
 
 def _numbers(trace: Trace, names: Iterable[str]) -> tuple[Hashable, ...]:
@@ -1213,26 +1240,17 @@ def misread(traces: Sequence[Trace], question: Question) -> tuple[list[Reading],
     coarse, evidence = _coarse(traces, question), Evidence(question)
     found: list[Reading] = []
     for _ in range(3 if question.readings else 0):
-        now = evidence(coarse)
-
-        def told(corrections: Sequence[Correction]) -> float:
-            """What is told more with some faults undone."""
-            changed = [undo(t, corrections, relations) for t in coarse]  # noqa: B023
-            return float(np.sum(evidence(changed) - now))  # noqa: B023
-
-        every = [replace(o, gain=told([o.correction])) for o in (*question.readings, *late)]
-        best, *others = sorted(every, key=lambda one: -one.gain)
+        best, *others = evidence.ranked(coarse, (*question.readings, *late))
         # What chance exceeds rarely, however many readings are tried.
-        limit = 2.0 * math.log(len(every) / FALSE_CLAIMS)
+        limit = 2.0 * math.log((1 + len(others)) / FALSE_CLAIMS)
         if best.gain <= limit:
             break
         if best.delays:
             return found, [best.correction]
         sized = [one.correction for one in search(coarse, question, single=False).found]
-        if best.gain < limit + max(0.0, told(sized)):
+        if best.gain < limit + max(0.0, evidence.gained(coarse, sized)):
             break
-        close = (o for o in others if not o.delays and o.gain > best.gain - CLOSE)
-        found.append(replace(best, rivals=tuple(close)))
+        found.append(replace(best, rivals=tuple(one for one in others if one.near(best))))
         coarse = [undo(t, (best.correction,), relations) for t in coarse]
     return found, []
 
@@ -1254,10 +1272,7 @@ def _nearer(traces: Sequence[Trace], question: Question) -> bool:
         return False
     evidence = Evidence(replace(question, given=()))
     coarse = [trace.thinned(2 * MOST_BLOCKS) for trace in traces]
-    now = evidence(coarse).sum()
-    changed = ([undo(t, (r.correction,), question.relations) for t in coarse]
-               for r in question.readings)  # fmt: skip
-    return any(evidence(other).sum() > now for other in changed)
+    return any(evidence.gained(coarse, [one.correction]) > 0.0 for one in question.readings)
 
 
 def _late(question: Question) -> Iterator[Reading]:
