@@ -536,8 +536,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             for (int j = 0; j < nq; ++j)
                 memcpy(moves_out + (size_t)k * block_moves + (size_t)(size + j) * size,
                        P + (size_t)(na + j) * stride, sizeof(double) * size);
-        for (int i = 0; i < NZ; ++i)
-            for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
+        clear_rows(s, NZ);
         for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
         for (int i = 0; i < more; ++i) s[uncertain[na + i]][c_passing + i] = 1.0;
         sample_step(seen, s, input, p, times[k], since, y, sy, 1);
@@ -643,8 +642,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             double inner_times[2], inner_inputs[2 * MAX1(NU)];
             part_of_interval(times + k, input, step, steps, inner_times, inner_inputs);
             let_act(p, nq, q_index, mean + na);
-            for (int i = 0; i < NZ; ++i)
-                for (int j = 0; j < ACTIVE; ++j) s[i][j] = 0.0;
+            clear_rows(s, NZ);
             for (int i = 0; i < na; ++i) s[uncertain[i]][i] = 1.0;
             for (int i = 0; i < more; ++i) s[uncertain[na + i]][c_passing + i] = 1.0;
             /* Sensor memory moves on with what is known after the measurement. */

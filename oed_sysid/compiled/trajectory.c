@@ -82,6 +82,15 @@ static inline void add_scaled(double *restrict target, double factor, const doub
         *(four_t *)(target + j) += factor * *(const four_t *)(source + j);
 }
 
+/* target <- source, in the columns in use. */
+static inline void take_rows(row_t *restrict target, const row_t *source, int n)
+{
+    const int width = ACTIVE;
+    for (int i = 0; i < n; ++i)
+        for (int j = 0; j < width; j += 4)
+            *(four_t *)(target[i] + j) = *(const four_t *)(source[i] + j);
+}
+
 /* Rows without their padding. */
 static inline void copy_rows(double *target, const row_t *rows, int n)
 {
@@ -96,7 +105,8 @@ static void inputs_between(const double *start, const double *end, double fracti
         result[i] = linear[i] ? start[i] + fraction * (end[i] - start[i]) : start[i];
 }
 
-/* Actuator stage: signals d and next memory, with their rows of sensitivities. */
+/* Actuator stage: signals d and next memory, with their rows of sensitivities; memory_next and
+ * sa_next may be NULL. */
 static void actuate_stage(const double *memory, const double *input, const double *p, double t,
                           double h, double *d, double *memory_next, const row_t *s,
                           row_t *sd, row_t *sa_next, int with_sensitivities)
@@ -113,9 +123,10 @@ static void actuate_stage(const double *memory, const double *input, const doubl
     double *res[8] = {d, memory_next, dda, ddp, daa, dap};
     actuate_jac(arg, res, iw, w, 0);
     clear_rows(sd, ND);
-    clear_rows(sa_next, NA);
     { const row_t *source = s + NX; row_t *target = sd; const double *v = dda; UPDATE_DDA }
     { row_t *target = sd; const double *v = ddp; UPDATE_DDP }
+    if (!sa_next) return;
+    clear_rows(sa_next, NA);
     { const row_t *source = s + NX; row_t *target = sa_next; const double *v = daa; UPDATE_DAA }
     { row_t *target = sa_next; const double *v = dap; UPDATE_DAP }
     (void)s; (void)dda; (void)ddp; (void)daa; (void)dap;
@@ -240,10 +251,9 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
                          const double *p, double t, double h, int with_sensitivities)
 {
     static const double weights[3][3] = STAGE_WEIGHTS, fractions[3] = STAGE_FRACTIONS;
-    double input[MAX1(NU)], d[MAX1(ND)], memory[MAX1(NA)], discard[MAX1(NA)];
+    double input[MAX1(NU)], d[MAX1(ND)], memory[MAX1(NA)];
     double x[MAX1(NX)], base[MAX1(NX)], k[2][MAX1(NX)];
-    SCRATCH row_t sd[MAX1(ND)], sa[MAX1(NA)], sdiscard[MAX1(NA)], sbase[MAX1(NX)], sx[MAX1(NX)],
-        sk[2][MAX1(NX)];
+    SCRATCH row_t sd[MAX1(ND)], sa[MAX1(NA)], sbase[MAX1(NX)], sx[MAX1(NX)], sk[2][MAX1(NX)];
     const double hg = h * fractions[0];
     inputs_between(start, end, 0.5, input);
     actuate_stage(z + NX, input, p, t, h, d, memory, (const row_t *)s, sd, sa, with_sensitivities);
@@ -251,7 +261,7 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
     for (int stage = 0; stage < 3; ++stage) {
         if (ANY_LINEAR_INPUT) {
             inputs_between(start, end, fractions[stage], input);
-            actuate_stage(z + NX, input, p, t, h, d, discard, (const row_t *)s, sd, sdiscard,
+            actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL,
                           with_sensitivities);
         }
         for (int i = 0; i < NX; ++i) {
@@ -278,7 +288,7 @@ static void advance_step(double *z, row_t *s, const double *start, const double 
     if (with_sensitivities) {
         for (int i = 0; i < NX; ++i)
             for (int j = 0; j < ACTIVE; ++j) s[i][j] = sx[i][j];
-        memcpy(s + NX, sa, sizeof(row_t) * NA);
+        take_rows(s + NX, (const row_t *)sa, NA);
     }
 }
 
@@ -289,22 +299,21 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
                          const double *p, double t, double h, int with_sensitivities)
 {
     double input[MAX1(NU)], d0[MAX1(ND)], dm[MAX1(ND)], d1[MAX1(ND)], memory[MAX1(NA)];
-    double discard[MAX1(NA)];
-    SCRATCH row_t sd0[MAX1(ND)], sdm[MAX1(ND)], sd1[MAX1(ND)], sa[MAX1(NA)],
-        sdiscard[MAX1(NA)], k1s[MAX1(NX)], k2s[MAX1(NX)], k3s[MAX1(NX)], k4s[MAX1(NX)],
-        stage[MAX1(NX)];
+    SCRATCH row_t sd0[MAX1(ND)], sdm[MAX1(ND)], sd1[MAX1(ND)], sa[MAX1(NA)], k1s[MAX1(NX)],
+        k2s[MAX1(NX)], k3s[MAX1(NX)], k4s[MAX1(NX)], stage[MAX1(NX)];
     double x[MAX1(NX)], k1[MAX1(NX)], k2[MAX1(NX)], k3[MAX1(NX)], k4[MAX1(NX)];
     const double *first = d0, *middle = d0, *last = d0;
     const row_t *sfirst = sd0, *smiddle = sd0, *slast = sd0;
     inputs_between(start, end, 0.0, input);
-    actuate_stage(z + NX, input, p, t, h, d0, memory, (const row_t *)s, sd0, sa,
-                  with_sensitivities);
+    /* Memory moves on with the inputs of the middle. */
+    actuate_stage(z + NX, input, p, t, h, d0, ANY_LINEAR_INPUT ? NULL : memory, (const row_t *)s,
+                  sd0, ANY_LINEAR_INPUT ? NULL : sa, with_sensitivities);
     if (ANY_LINEAR_INPUT) {
         inputs_between(start, end, 0.5, input);
         actuate_stage(z + NX, input, p, t, h, dm, memory, (const row_t *)s, sdm, sa,
                       with_sensitivities);
         inputs_between(start, end, 1.0, input);
-        actuate_stage(z + NX, input, p, t, h, d1, discard, (const row_t *)s, sd1, sdiscard,
+        actuate_stage(z + NX, input, p, t, h, d1, NULL, (const row_t *)s, sd1, NULL,
                       with_sensitivities);
         middle = dm; last = d1;
         smiddle = (const row_t *)sdm; slast = (const row_t *)sd1;
@@ -332,7 +341,7 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
                     (*(four_t *)(k1s[i] + j) +
                      2.0 * (*(four_t *)(k2s[i] + j) + *(four_t *)(k3s[i] + j)) +
                      *(four_t *)(k4s[i] + j));
-        memcpy(s + NX, sa, sizeof(row_t) * NA);
+        take_rows(s + NX, (const row_t *)sa, NA);
     }
 }
 
@@ -342,12 +351,11 @@ static ONCE void advance_step(double *z, row_t *s, const double *start, const do
 static ONCE void sample_step(double *z, row_t *s, const double *input, const double *p, double t,
                         double h, double *y, row_t *sy, int with_sensitivities)
 {
-    double d[MAX1(ND)], discard[MAX1(NA)], next[MAX1(NS)];
+    double d[MAX1(ND)], next[MAX1(NS)];
     double w[MAX1(W_OBSERVE)];
     casadi_int iw[MAX1(IW_OBSERVE)];
-    SCRATCH row_t sd[MAX1(ND)], sdiscard[MAX1(NA)], snext[MAX1(NS)];
-    actuate_stage(z + NX, input, p, t, h, d, discard, (const row_t *)s, sd, sdiscard,
-                  with_sensitivities);
+    SCRATCH row_t sd[MAX1(ND)], snext[MAX1(NS)];
+    actuate_stage(z + NX, input, p, t, h, d, NULL, (const row_t *)s, sd, NULL, with_sensitivities);
     const double *arg[8] = {z, d, z + NX + NA, p, &t, &h};
     if (!with_sensitivities) {
         double *res[4] = {y, next};
@@ -369,7 +377,7 @@ static ONCE void sample_step(double *z, row_t *s, const double *input, const dou
         { const row_t *source = sdc; row_t *target = snext; const double *v = jsd; UPDATE_JSD }
         { const row_t *source = ss; row_t *target = snext; const double *v = jss; UPDATE_JSS }
         { row_t *target = snext; const double *v = jsp; UPDATE_JSP }
-        memcpy(s + NX + NA, snext, sizeof(row_t) * NS);
+        take_rows(s + NX + NA, (const row_t *)snext, NS);
         (void)sx; (void)ss; (void)sdc;
         (void)jyd; (void)jys; (void)jyp; (void)jsx; (void)jsd; (void)jss; (void)jsp;
     }
