@@ -27,6 +27,7 @@ import casadi as ca
 import numpy as np
 
 from oed_sysid.compiled.graph import (
+    DIVERGED,
     FRACTIONS,
     NEWTON_FLOOR,
     NEWTON_MOST,
@@ -267,6 +268,7 @@ def source(graph: Graph) -> str:
         "NF": len(free),
         "NC": graph.n_full + len(free),
         "N_OWN": graph.n_own,
+        "DIVERGED": DIVERGED,
         "ANY_LINEAR_INPUT": int(any(linear)),
         "LINEAR_INPUTS": "{" + ", ".join(str(int(flag)) for flag in linear or (0,)) + "}",
     }

@@ -530,7 +530,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
         double check = 0.0;
         for (int i = 0; i < NZ; ++i) check += z[i];
-        if (!isfinite(check)) return k;
+        if (!(fabs(check) < DIVERGED)) return k;
         memcpy(seen, z, sizeof z);
         if (moves_out)
             for (int j = 0; j < nq; ++j)
@@ -769,7 +769,7 @@ int kernel_replay(int n, const double *times, const double *inputs, const double
         const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
         double check = 0.0;
         for (int i = 0; i < NZ; ++i) check += z[i];
-        if (!isfinite(check)) return k;
+        if (!(fabs(check) < DIVERGED)) return k;
         memcpy(seen, z, sizeof z);
         sample_step(seen, NULL, input, p, times[k], since, y, NULL, 0);
         for (int i = 0; i < size; ++i) delta[i] = 0.0;

@@ -63,6 +63,7 @@ import numpy as np
 from scipy.linalg import solve_continuous_lyapunov
 
 from oed_sysid.compiled.compile import call, doubles, load
+from oed_sysid.compiled.graph import DIVERGED
 from oed_sysid.compiled.interpreter import Commands, chained, interpreted
 from oed_sysid.compiled.kernels import Kernel, Run
 from oed_sysid.errors import ModelError
@@ -474,7 +475,7 @@ class InterpretedFilter:
         """Innovations at the gains of an earlier pass; -1, or the sample that is not finite."""
         measured = self.measured
         for k in range(len(measured)):
-            if not np.isfinite(self.z).all():
+            if not abs(self.z.sum()) < DIVERGED:
                 return k
             self._let_act()
             y = self.code.sample(self.z, self.record, k, self.values)[0]
@@ -524,7 +525,7 @@ class InterpretedFilter:
         self.gram = np.zeros((nx + nl + 1,) * 2)
         self.slope, self.information, self.total = np.zeros(nl), np.zeros((nl, nl)), np.zeros(2)
         for k, measured in enumerate(self.measured):
-            if not np.isfinite(self.z).all() or not self._measure(k, measured):
+            if not abs(self.z.sum()) < DIVERGED or not self._measure(k, measured):
                 return k
             for step, steps, lengths in self._parts(k):
                 self._predict(k, (step, steps), lengths)

@@ -9,7 +9,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from oed_sysid.compiled.graph import Graph, build, differentiated
+from oed_sysid.compiled.graph import DIVERGED, Graph, build, differentiated
 from oed_sysid.physics.model import Model
 
 # Times and inputs of a record.
@@ -99,7 +99,7 @@ class Interpreted:
         for segment, (first, stop) in enumerate(pairwise(edges)):
             z, s = z if carry else nodes[segment], identity
             for k in range(first, stop):
-                if not np.isfinite(z).all():
+                if not abs(z.sum()) < DIVERGED:
                     return k
                 z_out[k] = z
                 y_out[k], z, dy, dafter = self.sample(z, record, k, values)

@@ -463,7 +463,7 @@ int kernel_run(int n, const double *times, const double *inputs, const double *p
             const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
             double check = 0.0;
             for (int i = 0; i < NZ; ++i) check += z[i];
-            if (!isfinite(check)) return k;
+            if (!(fabs(check) < DIVERGED)) return k;
             if (z_out) memcpy(z_out + (size_t)k * NZ, z, sizeof(double) * NZ);
             if (y_out || dy_out || NS > 0) {
                 sample_step(z, s, input, p, times[k], since, y, sy, with_sensitivities);
@@ -531,7 +531,7 @@ int kernel_gather(int n, const double *times, const double *inputs, const double
             const double since = k > 0 ? times[k] - times[k - 1] : (n > 1 ? times[1] - times[0] : 1.0);
             double check = 0.0;
             for (int i = 0; i < NZ; ++i) check += z[i];
-            if (!isfinite(check)) return k;
+            if (!(fabs(check) < DIVERGED)) return k;
             sample_step(z, s, input, p, times[k], since, y, sy, 1);
             gather_sample(sum, (const row_t *)sy, y, measured + (size_t)k * NY, weight);
             /* Where a segment ends for good, nothing asks for what follows its last sample. */

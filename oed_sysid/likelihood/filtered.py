@@ -281,8 +281,8 @@ class Filtered(Posed):
         measured: np.ndarray | None = None,
     ) -> FilterPass:
         """Filter one record."""
-        along = self._along(unknowns, index, noise, measured)
-        part = self.kernel.filter(replace(along, passing=self.passing), **wanted)
+        along = self._along(unknowns, index, noise, measured, passing=self.passing)
+        part = self.kernel.filter(along, **wanted)
         independent = self.records[index].independent
         return _white_alone(part, self.levels.entries) if independent else part
 
@@ -292,6 +292,7 @@ class Filtered(Posed):
         index: int,
         noise: Disturbed,
         measured: np.ndarray | None = None,
+        passing: Sequence[int] | np.ndarray = (),
     ) -> Along:
         """One record, with the model and the noise along it."""
         record = self.records[index]
@@ -306,6 +307,7 @@ class Filtered(Posed):
             record.outputs if measured is None else measured,
             noise,
             self.active,
+            passing,
             longest_step=step_within(record.times, self.longest_hold),
         )
 
@@ -496,7 +498,7 @@ def active_components(wide: Model, model: Model, *, passing: bool = False) -> np
     for stage in ("actuator", "sensor"):
         memories = [(e.name, len(e.memory)) for e in wide.effects if e.stage == stage]
         parts += [(name, n, stage == "actuator" and n == 1) for name, n in memories]
-    kept = [True] * len(wide.states)
+    kept, present = [True] * len(wide.states), frozenset(model.effect_names)
     for name, count, single in parts:
-        kept += [name in model.effect_names or (passing and single)] * count
+        kept += [name in present or (passing and single)] * count
     return np.flatnonzero(kept)
