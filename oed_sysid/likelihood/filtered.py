@@ -362,8 +362,9 @@ class Filtered(Posed):
         matrix, right = np.zeros((n, n)), np.zeros(n)
         scale = self.levels.scale
         for index, part in enumerate(found):
-            # Levels come last, and perhaps alone.
-            where, size = (one[1 - len(part.gram) :] for one in self.columns_of(unknowns, index))
+            where, size = self.columns_of(unknowns, index)
+            alone = len(where) - (len(part.gram) - 1)  # levels come last, and perhaps alone
+            where, size = where[alone:], size[alone:]
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale
