@@ -24,7 +24,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 
 import numpy as np
 from scipy.optimize import brentq
@@ -208,8 +208,8 @@ def _likeliest_level(
     r"""Point with the likeliest level of each force at given other unknowns.
 
     The likelihood is flat where the levels do nothing yet, rises, and falls where they are too
-    large: strides find the valley of all together, if they are to ``climb``. There each variance
-    follows its own score by the expected information, all else held,
+    large: strides find the valley of all together, if they are to ``climb``, then single decades.
+    There each variance follows its own score by the expected information, all else held,
 
     .. math:: d \leftarrow d + I^{-1} s ,
 
@@ -236,25 +236,33 @@ def _likeliest_level(
         least[variances] = (1.0 / stride - 1.0) * unknowns[variances]
         return np.maximum(lower, least), np.minimum(upper, most)
 
-    begun = Point(at(_likeliest_decade(lambda one: problem.objective(at(one))) if climb else 0), ())
+    decade = _likeliest_decade(lambda one: problem.objective(at(one)), climb=climb)
+    if len(forces) < 2:  # no proportions
+        return begun(problem, at(decade))
     evaluate = partial(whitened, levels_only=True)
-    descent = Descent(
-        evaluate(problem, begun), evaluate, Convergence(0.5), StepControl(FEW, MOST_DAMPING), these
-    )
-    if np.isfinite(descent.now.cost):
+    first = evaluate(problem, Point(at(decade), ()))
+    control = StepControl(FEW, MOST_DAMPING)
+    descent = Descent(first, evaluate, Convergence(0.5), control, these)
+    if np.isfinite(first.cost):
         descent.run(FIRST_STEPS)
     return descent.lowest
 
 
-def _likeliest_decade(objective: Callable[[int], float]) -> int:
-    """The likeliest decade of all levels, by strides up to where they are no longer likelier."""
-    best, least = 0, np.inf
-    for decade in range(0, DECADES + 1, STRIDE):
-        here = objective(decade)
-        if here < least - 1.0:
-            best, least = decade, here
-        elif np.isfinite(least) and (best or not np.isfinite(here)):
+def _likeliest_decade(objective: Callable[[int], float], *, climb: bool) -> int:
+    """The likeliest decade of all levels: by strides while likelier, then by single ones.
+
+    There may be several valleys where values are far off.
+    """
+    objective = cache(objective)
+    best = 0
+    for decade in range(0, DECADES + 1 if climb else 0, STRIDE):
+        if objective(decade) < objective(best) - 1.0:
+            best = decade
+        elif np.isfinite(objective(best)) and (best or not np.isfinite(objective(decade))):
             break
+    for way in (-1, 1):
+        while objective(best + way) < objective(best) - 1.0 and best <= DECADES:
+            best += way
     return best
 
 
