@@ -10,6 +10,10 @@ from golden_files import restored
 from marks import slow
 from scipy.optimize import least_squares
 
+from benchmarks.random_forces.scenarios import SCENARIOS
+from benchmarks.random_forces.simulator import believed
+from benchmarks.random_forces.simulator import simulate as drawn_sets
+from benchmarks.random_forces.trial import dataset, nominal_model
 from oed_sysid import replayed
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.design.knowledge import _information
@@ -339,3 +343,15 @@ def test_what_misleads_is_a_clear_difference() -> None:
     assert not misleads(variance, 1.1 * variance)
     assert misleads(variance, 4.0 * variance)
     assert misleads(variance, 0.1 * variance)
+
+
+@pytest.mark.parametrize("number", [2, *slow(0)])
+def test_strong_forces_that_are_true_are_not_taken_for_physics(number: int) -> None:
+    """A fit without process noise ends far beyond first order there; its own runs decide."""
+    scenario = SCENARIOS["medium_5s"]
+    (drawn,) = drawn_sets(scenario, 8123, [number])
+    model = nominal_model(scenario.vehicle).with_values(believed(scenario))
+    fit = MultipleShooting().fit(model, dataset(scenario, model, drawn.runs))
+    assert fit.whole_runs.process_noise
+    assert not fit.whole_runs.objections
+    assert np.max(np.abs(fit.whole_runs.each("z"))) < 4.0

@@ -166,17 +166,22 @@ def _traces(mark: Mark) -> Iterator[go.Scatter]:
         if np.isfinite(half).all():
             yield _band(x, y - half, y + half, colour, mark.band or f"95 % ({mark.label})")
         half = None
-    parts = {"lines": mark.dashes, "markers": mark.marker, "text": any(mark.texts)}
-    dash = DASHES.get(mark.dashes, "longdash") if mark.dashes else "solid"
     yield go.Scatter(
-        x=x, y=y, name=mark.label, mode="+".join(name for name, there in parts.items() if there),
+        x=x, y=y, name=mark.label, mode=_mode(mark),
         marker={"size": 3 if mark.marker == "." else 9, "color": colour,
                 "symbol": _SYMBOLS.get(mark.marker, "circle"),
                 "opacity": 0.35 if mark.faint else 1.0},
-        line={"color": colour, "width": 1.8, "dash": dash, "shape": "hv" if mark.held else None},
+        line={"color": colour, "width": 1.8, "dash": DASHES.get(mark.dashes, "longdash"),
+              "shape": "hv" if mark.held else None},
         error_y={"array": half, "visible": half is not None}, text=list(mark.texts),
         textposition="top right", hoverinfo="skip" if mark.faint else None,
     )  # fmt: skip
+
+
+def _mode(mark: Mark) -> str:
+    """What is drawn of a mark, in plotly's words."""
+    parts = {"lines": mark.dashes, "markers": mark.marker, "text": any(mark.texts)}
+    return "+".join(name for name, there in parts.items() if there)
 
 
 def _band(x: np.ndarray, low: np.ndarray, high: np.ndarray, colour: str, name: str) -> go.Scatter:

@@ -217,18 +217,14 @@ def _told(
     return made
 
 
-# Ways to read signs and axes that are printed.
-_RANKED = 8
-
-
 def _axes(dataset: Dataset, problem: Problem | None) -> list[dict[str, Any]]:
     """Say how likely other signs and axes are than those that were read; the same as plain data."""
     from oed_sysid.evidence.check import rank_axes
 
     ranked = rank_axes(dataset, problem)
     if ranked:
-        rows = [(f"{one.statistic:.0f}", one.says) for one in ranked[:_RANKED]]
-        say("Signs and axes, ranked by the log check (2ΔlnL of the equations between signals):")
+        rows = [(f"{one.statistic:.0f}", one.says) for one in ranked if one.statistic >= 0.0]
+        say("Signs and axes that the log check finds as likely as those read, or more (2ΔlnL):")
         say("\n".join(Table(("2ΔlnL", "read as"), rows, words=(1,)).lines()))
     return [one.to_dict() for one in ranked]
 

@@ -502,24 +502,29 @@ def constrained(
         return fit
     total, slope = limits.with_priors(matrix, right, unknowns)
     covariance = inverse_of(total)
-    step = covariance @ slope
     found = list(_bounds(problem, unknowns))
     if constraints:
         found += _constraints(problem, unknowns, UserConstraints(problem.model, constraints))
-    result = []
-    for one in found:
-        std = float(np.sqrt(max(float(one.gradient @ covariance @ one.gradient), 0.0)))
-        beyond = float(one.gradient @ step)
-        beyond = abs(beyond) if one.is_equation else beyond
-        if std > 0 and abs(one.excess) < ACTIVE * std and beyond > ACTIVE * std:
-            result.append((Binding(one.text, beyond, std), one))
-    result.sort(key=lambda pair: -pair[0].distance)
+    result = sorted(_binding(found, covariance, slope), key=lambda pair: -pair[0].distance)
     known = [one for _, one in result if one.known]
     # An equation is known wherever the optimum of the records lies.
     known += [one for one in found if one.is_equation and one not in known]
     scale = problem.layout.shared_values(unknowns)[1]
     errors = _within(fit.covariance, known, covariance, slope, scale)
     return replace(fit, covariance=errors, binding=tuple(binding for binding, _ in result))
+
+
+def _binding(
+    found: Sequence[_Active], covariance: np.ndarray, slope: np.ndarray
+) -> Iterator[tuple[Binding, _Active]]:
+    """What of bounds and constraints the optimum of the records lies beyond."""
+    for one in found:
+        answer = covariance @ one.gradient
+        std = float(np.sqrt(max(float(one.gradient @ answer), 0.0)))
+        beyond = float(answer @ slope)
+        beyond = abs(beyond) if one.is_equation else beyond
+        if std > 0 and abs(one.excess) < ACTIVE * std and beyond > ACTIVE * std:
+            yield Binding(one.text, beyond, std), one
 
 
 def _within(

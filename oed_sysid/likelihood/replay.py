@@ -32,7 +32,7 @@ from oed_sysid.likelihood.summary import Procedure, summarise_filtered
 
 # Share of the level of process noise that is left to it; chosen on cases with physics hidden, no
 # more than that, as is the whole-run error over that of a fit without from which none is (twofold).
-WEAK = 0.03
+WEAK = 0.1
 
 
 def replayed(fit: Fit) -> Fit:

@@ -115,11 +115,7 @@ class Chart:
 
     @staticmethod
     def _mark(ax: Axes, mark: Mark) -> None:
-        look: dict[str, Any] = {"color": mark.colour, "label": mark.label or None}
-        look |= {"ls": mark.dashes or "", "marker": mark.marker, "lw": 1.5, "ms": 6}
-        look |= {"ms": 2.5, "rasterized": True} if mark.marker == "." else {}
-        look |= {"ms": 1.5, "alpha": 0.35} if mark.faint else {}
-        look |= {"drawstyle": "steps-post"} if mark.held else {}
+        look = _look(mark)
         if mark.half is not None and not mark.dashes:
             ax.errorbar(mark.x, mark.y, yerr=mark.half, capsize=3, **look)
         else:
@@ -131,3 +127,12 @@ class Chart:
         for x, y, text in zip(mark.x, mark.y, mark.texts, strict=False):
             if np.isfinite(y):
                 ax.annotate(text, (x, y), (7, 7), textcoords="offset points", fontsize=9)
+
+
+def _look(mark: Mark) -> dict[str, Any]:
+    """How matplotlib draws the points of a mark."""
+    look: dict[str, Any] = {"color": mark.colour, "label": mark.label or None}
+    look |= {"ls": mark.dashes or "", "marker": mark.marker, "lw": 1.5, "ms": 6}
+    look |= {"ms": 2.5, "rasterized": True} if mark.marker == "." else {}
+    look |= {"ms": 1.5, "alpha": 0.35} if mark.faint else {}
+    return look | ({"drawstyle": "steps-post"} if mark.held else {})
