@@ -22,10 +22,10 @@ accumulates in a run; no constant parameters undo that. Let ``S_o`` be the sum o
                {\text{half width of the middle 68 \% of } \log S_{bo} \text{ on that side}}
 
 Below -4 the process noise is too strong for the runs that were seen: it holds structure. Above 4 it
-does not explain them; that stands only where the departures of the fit's own runs, of which the
-same estimator leaves :math:`S_o = |d_o - (J t)_o|^2`, say so too: a fit without process noise may
-be led far beyond first order by forces that are strong. Without process noise the draws are of the
-sensors alone, at their *declared* level, and the statistic is a chi-square that may be
+does not explain them. Either stands only where the departures of the fit's own runs, of which the
+same estimator leaves :math:`S_o = |d_o - (J t)_o|^2`, are as far from usual: a fit without process
+noise may be led far beyond first order by forces that are strong. Without process noise the draws
+are of the sensors alone, at their *declared* level, and the statistic is a chi-square that may be
 autocorrelated.
 """
 
@@ -514,17 +514,17 @@ def _asked(
 ) -> tuple[np.ndarray, float, str]:
     """``z`` of every output, the usual ratio, and why not where they cannot be told.
 
-    Without process noise a fit leaves more of strong forces than first order leads to: too much is
-    asked once more at the fit's own values, where the same operator acts on what was measured as on
-    what is drawn.
+    A fit without process noise may be led far beyond first order by forces that are strong: what is
+    clear there is asked once more at the fit's own values, where the same operator acts on what was
+    measured as on what is drawn, and both have to say it.
     """
     z, usual, unasked = _departure(fit, runs, declared, granted, shared=shared)
     if runs is own:
         return z, usual, unasked
     usual = usual if _near(own, runs) else np.inf
-    if unasked or (z > BEYOND).any():
+    if unasked or (np.abs(z) > BEYOND).any():
         here, _, unasked = _departure(fit, own, declared, granted, shared=shared)
-        z = np.fmin(z, here)
+        z = np.where(np.isnan(z), here, np.sign(z) * np.fmin(np.abs(z), np.abs(here)))
     return z, usual, unasked
 
 
