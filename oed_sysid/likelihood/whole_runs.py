@@ -523,7 +523,8 @@ def _asked(
         return z, usual, unasked
     usual = usual if _near(own, runs) else np.inf
     if unasked or (np.abs(z) > BEYOND).any():
-        here, _, unasked = _departure(fit, own, declared, granted, shared=shared)
+        here, _, silent = _departure(fit, own, declared, granted, shared=shared)
+        unasked = unasked and silent  # what one of the two tells was asked
         z = np.where(np.isnan(z), here, np.sign(z) * np.fmin(np.abs(z), np.abs(here)))
     return z, usual, unasked
 
