@@ -179,6 +179,7 @@ def scores(
     candidates = [effect for effect in candidates if effect.amplitude_names]
     if not candidates:
         return [], np.zeros(0)
+    fit = study.widened(fit)
     plain = (e for e in candidates if not e.shape_names and two_sided(e))
     smooth = [name for effect in plain for name in effect.amplitude_names]
     rows = _rows(fit, smooth)

@@ -200,13 +200,18 @@ class Filtered(Posed):
         block = self.layout.levels
         return (self.levels.following(matrix[block, block], point.unknowns[block]),)
 
-    def with_levels(self, levels: Levels, longest_hold: float | None = None) -> Filtered:
-        """Return the same problem with other levels of the noise unknown."""
+    def with_levels(
+        self,
+        levels: Levels,
+        longest_hold: float | None = None,
+        kernel: FilterKernel | None = None,
+    ) -> Filtered:
+        """Return the same problem with other levels of the noise unknown, or by another kernel."""
         return Filtered(
             self.model,
             self.dataset,
             levels,
-            kernel=self.kernel,
+            kernel=kernel or self.kernel,
             known_starts=self.known_starts,
             longest_hold=longest_hold,
         )
