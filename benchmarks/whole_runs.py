@@ -8,7 +8,7 @@ process noise in. All other kinds are worlds of `benchmarks.random_forces`: the 
 is the true one, and what acts is disturbances alone, a swell among them.
 
 ``said`` is the share of fits with process noise that say that it has taken the work of physics
-(``fit.whole_runs.objections``); ``replay`` the whole-run error on records left out, start states
+(``fit.whole_runs.said``); ``replay`` the whole-run error on records left out, start states
 fitted to the whole run, of the values for runs (``replayed``) over that of the better of two fits,
 with process noise and without.
 """
@@ -59,9 +59,9 @@ def disturbed(world: str, number: int, seed: int, first: int, last: int) -> Row:
     return {
         "key": [world, number],
         "process_noise": runs.process_noise,
-        "said": bool(runs.objections),
+        "said": bool(runs.said),
         "unasked": runs.unasked,
-        "objections": list(runs.objections),
+        "objections": list(runs.said),
     }
 
 

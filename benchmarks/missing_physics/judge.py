@@ -212,7 +212,7 @@ def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
     best = min(errors[:2])
     return {
         "process_noise": fit.noise.has_forces,
-        "said": bool(fit.whole_runs.objections),
+        "said": bool(fit.whole_runs.said),
         "unasked": fit.whole_runs.unasked,
         "z": [None if np.isnan(z) else float(z) for z in fit.whole_runs.each("z")],
         "errors": [float(np.nan_to_num(error, posinf=1e9)) for error in errors],

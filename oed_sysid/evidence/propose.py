@@ -32,15 +32,16 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.rank import N_REFITS, Refit, refitted
-from oed_sysid.evidence.residual_forces import let_in, rows_of, smoothable
-from oed_sysid.evidence.score import ABSORBED, Score
+from oed_sysid.evidence.residual_forces import let_in, rows_of
+from oed_sysid.evidence.score import Score
 from oed_sysid.evidence.study import Study
 from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import disturbed_equations
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import ALIKE
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
-from oed_sysid.likelihood.smoother import Path
+from oed_sysid.likelihood.laws import ABSORBED
+from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.physics import Effect, Force
 from oed_sysid.physics.channels import Output
 from oed_sysid.physics.model import Model

@@ -7,9 +7,9 @@ process noise as estimated have left the runs of the training and of the validat
 kind               where
 ================== ================================================================================
 log suspect        the log contradicts itself: nothing is certified
-structure missing  runs lie beyond what the noise model would have left (\|z\| > 4, or a whole-run
-                   error of 1.5 times that of a fit without process noise); or the disturbance
-                   follows inputs and motion, or has another level elsewhere
+structure missing  the disturbance follows motion and commands, or has another level elsewhere; or
+                   runs lie beyond what the noise model would have left, or are worse with process
+                   noise than without by more than it brings
 not known          a question could not be asked, or the noise of a sensor was not declared and what
                    is left is no white noise of it
 disturbance        process noise acts, and all of that was asked
@@ -18,7 +18,7 @@ adequate           sensor noise alone
 
 The likelihood with disturbance forces is compared with that without, everything else estimated
 anew; a force is asked whether its level is the same on the validation records and whether it
-follows the motion (:mod:`oed_sysid.evidence.residual_forces`).
+follows motion and commands (:mod:`oed_sysid.likelihood.laws`).
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from oed_sysid.evidence.chance import threshold
-from oed_sysid.evidence.residual_forces import Repeated, repeated
 from oed_sysid.evidence.study import Study
 from oed_sysid.likelihood.disturbances import places
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.laws import Law, laws
 from oed_sysid.likelihood.whole_runs import WholeRuns
 from oed_sysid.runtime.display import as_dict
 
@@ -111,8 +111,8 @@ class Remains:
         What whole runs say; None where they were not asked.
     tied : tuple of str
         Terms or effects that would explain what is left but were not confirmed.
-    follows : tuple of Repeated
-        Forces taken for random that are functions of the motion; None where that was not asked.
+    follows : tuple of Law
+        Disturbances that are functions of motion and commands; None where that was not asked.
     suspect : str
         Why the log contradicts itself; empty where it does not.
 
@@ -127,7 +127,7 @@ class Remains:
     training: WholeRuns | None = None
     validation: WholeRuns | None = None
     tied: tuple[str, ...] = ()
-    follows: tuple[Repeated, ...] | None = None
+    follows: tuple[Law, ...] | None = None
     suspect: str = ""
 
     @property
@@ -234,11 +234,16 @@ def remains(study: Study, fit: FilteredSolution) -> Remains:
     forces = max(_without(study, fit, every), 0.0) if noise.has_forces else 0.0
     time = _sensor_time(study, fit)
     if forces < REMAINDER_LIMIT:
-        return Remains(forces, time, follows=() if time is None else repeated(study, fit, None))
+        return Remains(forces, time, follows=() if time is None else followed(fit))
     validated = None if study.validation is None else study.on_records(fit, study.validation)
     found = tuple(sorted(_forces(study, fit, validated), key=lambda force: -force.gain))
-    follows = repeated(study, fit, validated) if found else None
+    follows = followed(fit) if found else None
     return Remains(forces, time, found, follows=follows)
+
+
+def followed(fit: FilteredSolution) -> tuple[Law, ...] | None:
+    """Disturbances of a fit that follow motion and commands."""
+    return laws(fit.problem, fit.point.unknowns)
 
 
 def _forces(

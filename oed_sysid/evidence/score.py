@@ -39,6 +39,7 @@ from oed_sysid.evidence.study import Study
 from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
+from oed_sysid.likelihood.laws import ABSORBED
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter
 
@@ -48,9 +49,6 @@ N_SHAPES, N_OTHER_SHAPES = 11, 3
 # Shares of a typical amplitude from nothing to which the change of the innovations is taken for
 # effects with a kink at nothing, or a threshold, whose answer depends on the size.
 SIZES = 0.3, 1.0, 3.0
-# What is left of a candidate after projection, below which it is another name for a
-# combination of parameters that are free already.
-ABSORBED = 1e-3
 
 
 @dataclass(frozen=True, eq=False)

@@ -20,7 +20,7 @@ from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.claim import Claim, claim, own_error, rises
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
-from oed_sysid.evidence.residual_forces import repeated
+from oed_sysid.evidence.remainder import followed
 from oed_sysid.evidence.score import imitated_by
 from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
@@ -208,7 +208,7 @@ def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
         return state, False  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
     # A force that follows motion or commands is physics, whatever its period.
-    if not decided.stands or _follows(study, fit) or _follows(study, found):
+    if not decided.stands or followed(fit) or followed(found):
         return state, False
     return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
 
@@ -226,12 +226,6 @@ def _at_sea(state: Standing) -> tuple[FilteredSolution, list[str]]:
 def _explained(sea: Claim, rival: Claim) -> bool:
     """Whether an effect is worth more than a sea, or leaves whole runs that are much better."""
     return sea.statistic <= rival.statistic or BOUGHT * rival.after < sea.after
-
-
-def _follows(study: Study, fit: FilteredSolution) -> bool:
-    """Whether the forces of a fit follow motion or commands, in the validation records too."""
-    records = study.validation
-    return bool(repeated(study, fit, None if records is None else study.on_records(fit, records)))
 
 
 def calmed(state: Standing) -> Standing:

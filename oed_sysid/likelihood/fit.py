@@ -14,6 +14,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood import archive, estimate, judgement, prediction
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
+from oed_sysid.likelihood.laws import laws_of
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import (
@@ -155,11 +156,14 @@ class Fit(estimate.Estimate):
     @cached_property
     def whole_runs(self) -> WholeRuns:
         """Errors of whole runs, and whether noise as estimated could have left them."""
-        return judged_runs(self, unasked=self._unasked)
+        found = judged_runs(self, unasked=self._unasked)
+        asked = self.noise.has_forces and not self._unasked
+        return replace(found, follows=laws_of(self) if asked else None)
 
     def runs_on(self, dataset: Dataset) -> WholeRuns:
         """The same on records that the fit has not seen."""
-        return judged_runs(self, dataset, unasked=self._unasked)
+        found = judged_runs(self, dataset, unasked=self._unasked)
+        return replace(found, follows=self.whole_runs.follows)
 
     @property
     def _unasked(self) -> str:
@@ -329,7 +333,7 @@ class Fit(estimate.Estimate):
             return []
         return [
             "Process noise has taken the work of physics: "
-            f"{'; '.join(self.whole_runs.objections)}. Look for what is missing with improve(); "
+            f"{'; '.join(self.whole_runs.said)}. Look for what is missing with improve(); "
             "for runs, simulation and export take the values of replayed(fit)."
         ]
 
@@ -353,7 +357,7 @@ class Fit(estimate.Estimate):
                 ": the model is far off, or the log was smoothed and shows no noise; read errors "
                 "in units"
             )
-        elif self.whole_runs.objections:
+        elif self.whole_runs.said:
             words += ", so the model lacks something"
         if self.whole_runs.sizes:
             words += f"; whole runs are off {self.whole_runs.sizes}"

@@ -29,6 +29,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from oed_sysid.compiled.filtering import FilterPass
+from oed_sysid.errors import SimulationError
+from oed_sysid.likelihood.filtered import Filtered
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,3 +163,17 @@ class Path:
         # Where the record tells everything, the difference of two equal numbers may round below
         # zero.
         return np.sqrt(np.maximum(variance, 0.0))
+
+
+def smoothable(
+    problem: Filtered, unknowns: np.ndarray
+) -> tuple[list[FilterPass], tuple[Path, ...]]:
+    """Passes of all records with what a smoother needs, and the paths of that."""
+    passes = problem.passes(unknowns, rows=True, gains=True, moves=True)
+    if not all(part.ok for part in passes):
+        raise SimulationError(
+            f"Model {problem.model.name!r} diverges although a force may act in every equation. "
+            "Cut the record, or bound the parameters."
+        )
+    levels = problem.levels
+    return passes, tuple(Path.of(part, levels.n_coloured, levels.n_second) for part in passes)

@@ -21,12 +21,15 @@ accumulates in a run; no constant parameters undo that. Let ``S_o`` be the sum o
     z_o = \frac{\log S_o - \operatorname{median}_b \log S_{bo}}
                {\text{half width of the middle 68 \% of } \log S_{bo} \text{ on that side}}
 
-Below -4 the process noise is too strong for the runs that were seen: it holds structure. Above 4 it
-does not explain them. Either stands only where the departures of the fit's own runs, of which the
-same estimator leaves :math:`S_o = |d_o - (J t)_o|^2`, are as far from usual: a fit without process
-noise may be led far beyond first order by forces that are strong. Without process noise the draws
-are of the sensors alone, at their *declared* level, and the statistic is a chi-square that may be
-autocorrelated.
+Above 6 the process noise does not explain them. It stands only where the departures of the fit's
+own runs, of which the same estimator leaves :math:`S_o = |d_o - (J t)_o|^2`, are as far from usual:
+a fit without process noise may be led far beyond first order by forces that are strong. Draws hold
+the commands as they were; where these answered the disturbance, as a helmsman or a zigzag does,
+runs are better or worse than that. Whether process noise holds structure is therefore asked of
+innovations, which do not mind (:mod:`oed_sysid.likelihood.laws`); only where that cannot be asked
+runs that are too good, below -6, say it. Without process noise the draws are of the sensors alone,
+at their *declared* level, and the statistic, a chi-square that may be autocorrelated, counts from
+4.
 """
 
 from __future__ import annotations
@@ -44,6 +47,7 @@ from oed_sysid.likelihood.between_records import CHANCE, WORTH_TELLING
 from oed_sysid.likelihood.disturbances import chosen_places, with_disturbance_inputs
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.gauss_newton import solve
+from oed_sysid.likelihood.laws import Law
 from oed_sysid.likelihood.noise_levels import (
     BEYOND,
     DIFFERENCE_ERROR,
@@ -59,6 +63,9 @@ from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.text.units import shown_unit
 
+# Times the widths of departures where commands are given that they have where these answer a
+# disturbance, as a zigzag's do: the largest z of 60 true ones of an AUV was 1.2 times ``BEYOND``.
+ANSWERED = 1.5
 # Runs drawn, the widths that z is in are then known to a tenth; and those at once.
 DRAWS, CHUNK = 120, 20
 
@@ -332,12 +339,15 @@ class WholeRuns:
     usual_ratio : float
         Of the ratios that the noise model brings, that which one in a hundred exceeds; infinite
         where that was not asked.
+    follows : tuple of Law
+        Disturbances that are functions of motion and commands; None where that was not asked.
     """
 
     outputs: tuple[OutputRuns, ...]
     process_noise: bool
     unasked: str = ""
     usual_ratio: float = np.inf
+    follows: tuple[Law, ...] | None = None
 
     def each(self, fact: str) -> np.ndarray:
         """One fact of every output, ``(n_outputs,)``."""
@@ -379,12 +389,16 @@ class WholeRuns:
         """Outputs whose runs are better (-1) or worse (1) than the noise model would have left.
 
         Runs of sensors alone that are too good tell a level that is declared too large. Where the
-        level of a sensor was not declared, it may be the sensor.
+        level of a sensor was not declared, it may be the sensor. Commands that answer a disturbance
+        hold runs that they would not hold if they were given: laws are asked in their place.
         """
+        if side < 0 and self.follows is not None:
+            return []
         return [
             one.output
             for one in self.outputs
-            if side * one.z > BEYOND and (self.process_noise or (side > 0 and one.declared))
+            if (self.process_noise and side * one.z > ANSWERED * BEYOND)
+            or (not self.process_noise and side > 0 and one.z > BEYOND and one.declared)
         ]
 
     @property
@@ -404,6 +418,11 @@ class WholeRuns:
                 f"with process noise a whole run is off {self.ratio:.2g} times as much as without"
             )
         return tuple(found)
+
+    @property
+    def said(self) -> tuple[str, ...]:
+        """All that speaks against the noise model, in words."""
+        return (*(law.text for law in self.follows or ()), *self.objections)
 
     @property
     def _mostly_noise(self) -> list[str]:
@@ -436,10 +455,11 @@ class WholeRuns:
     @property
     def took_the_work(self) -> bool:
         """Whether process noise has taken the work of physics."""
-        return self.process_noise and bool(self.objections)
+        return self.process_noise and bool(self.said)
 
     to_dict = as_dict(
         "ratio", "usual_ratio", "process_noise", "unasked", "objections", "open_questions",
+        "follows",
         outputs=lambda self: {one.output: one for one in self.outputs},
     )  # fmt: skip
 

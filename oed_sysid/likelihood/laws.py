@@ -1,0 +1,310 @@
+r"""Does what was taken for random follow motion and commands? A score test of unknown laws.
+
+Of a disturbance :math:`d` the filter tells what it may be; a law that the model lacks makes it a
+function of motion and commands. At the estimate,
+
+.. math:: d_k = \sum_j a_j f_j(x_{k|k}, u_k) + w_k , \qquad a = 0,
+
+with :math:`f_j` piecewise linear functions of every state on the filtered path and of every command
+that moves, and these after lags of first order. With the derivatives :math:`G` of the whitened
+innovations :math:`e` by the :math:`a_j`, and :math:`K` those by everything that was estimated,
+
+.. math::
+    s = -G'e + G'K (K'K)^{+} K'e, \qquad M = G'G - G'K (K'K)^{+} K'G, \qquad T = s' M^{+} s
+
+is what the best such law would gain in twice the log-likelihood (Rao 1948; White 1982 for the mean
+square of :math:`e` by which it is divided where it exceeds one). An innovation knows nothing of
+what was measured or commanded before it, so that :math:`T` is a chi-squared variable where no law
+is missing: also where a helmsman, an autopilot or the rule of a zigzag answers the disturbance,
+which runs without measurements do not bear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+from scipy.signal import lfilter
+from scipy.special import chdtri
+
+from oed_sysid.compiled.filtering import FilterPass, filter_kernel
+from oed_sysid.data.record import Record
+from oed_sysid.errors import SimulationError
+from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
+from oed_sysid.likelihood.disturbances import places as every_place
+from oed_sysid.likelihood.estimate import Estimate
+from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.noise_model import Levels
+from oed_sysid.likelihood.projection import inverse_of
+from oed_sysid.likelihood.score_test import Setting
+from oed_sysid.likelihood.smoother import Path, smoothable
+from oed_sysid.runtime.display import as_dict
+
+# Knots of a piecewise linear function, and lags of first order, of every signal.
+KNOTS, LAGS = 5, 3
+# Probability that a disturbance is taken for a law where there is none.
+FALSE_LAW = 1e-5
+# What is left of a signature after projection, as a share of it, below which what is estimated does
+# the same.
+ABSORBED = 1e-3
+# What two signals leave of the statistic, over what one of them leaves, to be named both.
+CLEARLY = 0.7
+# How the slow noise of a sensor is called in the place of a force.
+SLOW = "noise of "
+
+
+@dataclass(frozen=True)
+class Law:
+    """A disturbance, or slow noise of a sensor, that is a function of motion and commands.
+
+    Attributes
+    ----------
+    place : str
+        ``"force Z"``, or ``"noise of q"``.
+    signals : tuple of str
+        One or two signals that tell most of it.
+    statistic : float
+        What a law of all signals would gain in twice the log-likelihood.
+    freedom : int
+        Functions of which that law is made.
+    """
+
+    place: str
+    signals: tuple[str, ...]
+    statistic: float
+    freedom: int
+
+    @property
+    def needed(self) -> float:
+        """Statistic that chance exceeds rarely."""
+        return float(chdtri(self.freedom, FALSE_LAW))
+
+    @property
+    def text(self) -> str:
+        """In words, for instance ``force Z follows z (score 515; by chance 81)``."""
+        score = f"score {self.statistic:.0f}; by chance {self.needed:.0f}"
+        return f"{self.place} follows {' and '.join(self.signals)} ({score})"
+
+    to_dict = as_dict("place", "signals", "statistic", "freedom", "needed")
+
+
+def laws_of(fit: Estimate) -> tuple[Law, ...] | None:
+    """Laws that the process noise of a fit holds; None where that cannot be asked."""
+    noise = fit.noise
+    if not len(fit.initial_states) == len(fit.local_values) == len(fit.dataset):
+        return None
+    levels = Levels.of(noise, noise, seas=noise.seas).held()
+    # The filter with which the fit was made, so that it need not be compiled again.
+    setting = Setting(
+        fit.model,
+        fit.dataset,
+        chosen_places(fit.model, "all"),
+        noise.white,
+        np.zeros(len(noise.white), dtype=bool),
+        logged=[place for place in every_place(fit.model) if place.stage == "actuator"],
+    )
+    names = dict.fromkeys((*setting.disturbances, *levels.disturbances))
+    kernel = filter_kernel(disturbed_model(fit.model, tuple(names)))
+    problem = Filtered(fit.model, fit.dataset, levels, kernel=kernel)
+    return laws(problem, problem.point(fit.initial_states, fit.local_values).unknowns)
+
+
+def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
+    """Disturbances of a problem that follow motion and commands, one entry each.
+
+    Of sensors with slow noise the same is asked where nothing disturbs the vehicle.
+
+    Parameters
+    ----------
+    problem : Filtered
+    unknowns : ndarray (n_unknowns,)
+
+    Returns
+    -------
+    tuple of Law or None
+        None where it cannot be asked: the filter diverges, or nothing moves.
+    """
+    try:
+        passes, paths = smoothable(problem, unknowns)
+    except SimulationError:
+        return None
+    features, owners = _features(problem, passes)
+    if not owners.size:
+        return None
+    matrix, right = problem.gathered(unknowns, passes)
+    matrix, right = problem.limits.with_priors(matrix, right, unknowns)
+    asked = [
+        _Asked.of(problem, unknowns, passes, (matrix, right), place, responses)
+        for place, responses in _responses(problem, unknowns, paths, features)
+    ]
+    found = (one.law(owners) for one in asked if one.freedom)
+    return tuple(law for law in found if law.statistic > law.needed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Asked:
+    """Score and information of functions at one place, everything estimated projected out.
+
+    ``size`` are the roots of the information before.
+    """
+
+    place: str
+    score: np.ndarray
+    matrix: np.ndarray
+    size: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        problem: Filtered,
+        unknowns: np.ndarray,
+        passes: Sequence[FilterPass],
+        equations: tuple[np.ndarray, np.ndarray],
+        place: str,
+        responses: Sequence[np.ndarray],
+    ) -> _Asked:
+        """Ask one place; ``responses`` are the whitened innovations by each function."""
+        n, n_functions = len(unknowns), responses[0].shape[2]
+        cross, own = np.zeros((n, n_functions)), np.zeros((n_functions, n_functions))
+        slope, squares, count = np.zeros(n_functions), 0.0, 0
+        for index, (part, moved) in enumerate(zip(passes, responses, strict=True)):
+            seen = np.isfinite(part.innovations)
+            white = part.innovations[seen] / np.sqrt(part.variances[seen])
+            where, size = problem.columns_of(unknowns, index)
+            assert part.rows is not None
+            rows, columns = part.rows[seen][:, : len(where)], moved[seen]
+            cross[where] += size[:, None] * (rows.T @ columns)
+            own += columns.T @ columns
+            slope -= columns.T @ white
+            squares, count = squares + float(white @ white), count + len(white)
+        open_ = problem.open_unknowns(0)
+        share = cross[open_].T @ inverse_of(equations[0][np.ix_(open_, open_)])
+        scatter = max(squares / max(count, 1), 1.0)
+        score = slope - share @ equations[1][open_]
+        size = np.sqrt(np.diag(own) / scatter)
+        return cls(place, score / scatter, (own - share @ cross[open_]) / scatter, size)
+
+    def statistic(self, chosen: np.ndarray | slice = slice(None)) -> float:
+        """What the best of some functions would gain in twice the log-likelihood."""
+        return float(np.sum((self._onto(chosen).T @ self.score[chosen]) ** 2))
+
+    def _onto(self, chosen: np.ndarray | slice) -> np.ndarray:
+        """Coordinates of unit information, of what is not estimated already."""
+        size = np.where(self.size[chosen] > 0, self.size[chosen], 1.0)
+        values, vectors = np.linalg.eigh(self.matrix[chosen][:, chosen] / size[:, None] / size)
+        told = values > ABSORBED**2
+        return np.asarray(vectors[:, told] / size[:, None] / np.sqrt(values[told]))
+
+    @property
+    def freedom(self) -> int:
+        """Number of functions of which anything is told."""
+        return self._onto(slice(None)).shape[1]
+
+    def law(self, owners: np.ndarray) -> Law:
+        """The law, by the signal or the two that tell most of it."""
+        names = list(dict.fromkeys(owners[owners != ""].tolist()))
+
+        def best(sets: Sequence[tuple[str, ...]]) -> tuple[float, tuple[str, ...]]:
+            found = ((self.statistic(np.isin(owners, ("", *one))), one) for one in sets)
+            return max(found, default=(0.0, ()))
+
+        whole = self.statistic()
+        alone, pair = best([(name,) for name in names]), best([*combinations(names, 2)])
+        # Two signals only where they leave clearly less than the better of them.
+        both = whole - pair[0] < CLEARLY * (whole - alone[0])
+        return Law(self.place, (pair if both else alone)[1], whole, self.freedom)
+
+
+def _responses(
+    problem: Filtered,
+    unknowns: np.ndarray,
+    paths: Sequence[Path],
+    features: Sequence[np.ndarray],
+) -> Iterator[tuple[str, list[np.ndarray]]]:
+    """Every place that acts, and the whitened innovations by the functions there, per record."""
+    noise, levels = problem.noise(unknowns), problem.levels
+    acts = dict(zip(noise.places, noise.force, strict=True))
+    for sea in noise.seas:
+        acts |= {p: one for p, one in zip(sea.places, sea.level, strict=True) if one > 0}
+    # Where a force of first order and a sea share a place, the first of them.
+    places = dict[str, int]()
+    for index, name in enumerate(levels.disturbances):
+        places.setdefault(name.removeprefix(DISTURBANCE).replace("_", " ", 1), index)
+    acting = {place: index for place, index in places.items() if acts.get(place, 0.0) > 0}
+    pairs = [*zip(paths, features, strict=True)]
+    for place, index in acting.items():
+        yield (
+            place,
+            [path.responses(path.drive[:, :, index, None] * own[:, None]) for path, own in pairs],
+        )
+    for index, column in enumerate(() if acting else levels.coloured):
+        drives = (
+            _of_colour(path, own, record.times, noise.colour_time[column], index)
+            for record, (path, own) in zip(problem.records, pairs, strict=True)
+        )
+        found = [path.responses(drive) for path, drive in zip(paths, drives, strict=True)]
+        yield f"{SLOW}{noise.outputs[column]}", found
+
+
+def _of_colour(
+    path: Path, functions: np.ndarray, times: np.ndarray, lasts: float, index: int
+) -> np.ndarray:
+    """What adds functions to the colour of a sensor, ``(n_times, n, n_functions)``.
+
+    A sample late, since a function of the path holds the innovation of its own sample.
+    """
+    fades = np.exp(-np.diff(times, append=np.inf) / lasts)
+    before = np.vstack([np.zeros_like(functions[:1]), functions[:-1]])
+    drive = np.zeros((len(functions), path.closed.shape[1], functions.shape[1]))
+    drive[:, path.first + path.drive.shape[2] + index] = functions - fades[:, None] * before
+    return drive
+
+
+def _features(
+    problem: Filtered, passes: Sequence[FilterPass]
+) -> tuple[list[np.ndarray], np.ndarray]:
+    """Functions of every signal, and a constant, ``(n_times, n_functions)``; whose each is."""
+    signals = [
+        _signals(problem, record, part.path)
+        for record, part in zip(problem.records, passes, strict=True)
+    ]
+    found = [[np.ones((len(record.times), 1))] for record in problem.records]
+    owners = [""]
+    for name in signals[0]:
+        columns = [own[name] for own in signals]
+        pooled = np.concatenate(columns)
+        knots = np.unique(np.quantile(pooled, np.linspace(0, 1, KNOTS)))
+        if len(knots) < 2:
+            continue
+        # All but one: they add up to the constant.
+        hats = np.eye(len(knots))[1:]
+        for own, record, column in zip(found, problem.records, columns, strict=True):
+            own += [np.interp(column, knots, hat)[:, None] for hat in hats]
+            own.append(_lagged(record.times, column / np.std(pooled)))
+        owners += [name] * (len(hats) + LAGS)
+    moves = len(owners) > 1
+    return [np.hstack(own) for own in found], np.array(owners if moves else [], dtype=str)
+
+
+def _signals(problem: Filtered, record: Record, path: np.ndarray) -> dict[str, np.ndarray]:
+    """States along the filtered path, and inputs, by name."""
+    found = {}
+    for state, column in zip(problem.model.states, problem.own, strict=False):
+        series = path[:, column]
+        # A heading that goes round is the same after a turn.
+        turns = state.unit == "rad" and np.ptp(series) > np.pi
+        found[state.name] = np.angle(np.exp(1j * series)) if turns else series
+    return found | dict(zip(record.channels.input_names, record.inputs.T, strict=True))
+
+
+def _lagged(times: np.ndarray, series: np.ndarray) -> np.ndarray:
+    """A signal after lags of first order, from some samples to a tenth of the record."""
+    step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
+    found = []
+    for time in np.geomspace(3.0 * step, max(0.1 * length, 3.0 * step), LAGS):
+        share = -np.expm1(-step / time)
+        begin = np.array([(1.0 - share) * series[0]])
+        found.append(lfilter([share], [1.0, share - 1.0], series, zi=begin)[0])
+    return np.column_stack(found)

@@ -1,0 +1,144 @@
+"""Does what was taken for random follow motion and commands? The score test of unknown laws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid.likelihood import laws as laws_module
+from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.laws import Law, laws
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel
+
+YAW = Model(
+    "yaw",
+    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
+    (Input("delta", "rad"),),
+    (Output("psi", "rad", noise_std=0.002), Output("r", "rad/s", noise_std=0.002)),
+    {"r": "(K*delta - r)/T", "psi": "r"},
+    parameters=(
+        Parameter("K", 0.3, "1/s", prior_std=0.1),
+        Parameter("T", 3.0, "s", lower=0.1, prior_std=1.0),
+    ),
+    step=0.2,
+)
+STEP, LEVEL, TIME, NOISE = 0.2, 0.02, 4.0, 0.002
+FADES = np.exp(-STEP / TIME)
+# Share of a law in what accelerates the vehicle, at a motion and a command that lags by five
+# seconds.
+Share = Callable[[float, float, float], float]
+
+
+def sailed(
+    seed: int, answer: float, law: Share, *, drift: Share | None = None, level: float = LEVEL
+) -> Record:
+    """A ship that a helmsman may steer, disturbed; written out by Euler's method in tenths."""
+    rng = np.random.default_rng(seed)
+    times = STEP * np.arange(400)
+    orders = np.repeat(rng.choice([-0.3, 0.0, 0.3], 20), 20)
+    r = psi = force = lagged = slow = 0.0
+    rows = []
+    for order in orders:
+        delta = order - answer * psi
+        if drift is not None:
+            slow = drift(r, psi, lagged)
+        rows.append((delta, psi, r + slow))
+        for _ in range(10):
+            push = force + law(r, psi, lagged)
+            r, psi = r + 0.02 * ((0.3 * delta - r) / 3.0 + push), psi + 0.02 * r
+            lagged += 0.02 / 5.0 * (delta - lagged)
+        force = FADES * force + level * np.sqrt(1 - FADES**2) * rng.standard_normal()
+    inputs, outputs = np.array(rows)[:, :1], np.array(rows)[:, 1:]
+    noisy = outputs + NOISE * rng.standard_normal(outputs.shape)
+    return Record(f"run {seed}", times, inputs, noisy, YAW.channels)
+
+
+def asked(seed: int, answer: float, law: Share) -> tuple[Law, ...]:
+    """Laws at the true values and levels, of two records."""
+    data = Dataset(tuple(sailed(2 * seed + k, answer, law) for k in (0, 1)))
+    force = np.array([LEVEL])
+    noise = NoiseModel(
+        np.full(2, NOISE), np.zeros(2), force, TIME, TIME, ("psi", "r"), ("force r",)
+    )
+    problem = Filtered(YAW, data, Levels.of(noise, noise).held())
+    found = laws(problem, problem.point([np.zeros(2)] * 2).unknowns)
+    assert found is not None
+    return found
+
+
+def nothing(r: float, psi: float, lagged: float) -> float:
+    """No law at all."""
+    return 0.0
+
+
+@pytest.mark.parametrize("answer", [0.0, 0.3])
+def test_the_statistic_of_a_true_disturbance_is_chi_squared(
+    answer: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where a helmsman answers it: mean and variance over 40 seas, by those of chance."""
+    monkeypatch.setattr(laws_module, "FALSE_LAW", 1.0)
+    found = [law for seed in range(40) for law in asked(seed, answer, nothing)]
+    assert len(found) == 40
+    freedom = np.array([law.freedom for law in found])
+    away = (np.array([law.statistic for law in found]) - freedom) / np.sqrt(2.0 * freedom)
+    assert abs(away.mean()) < 4 / np.sqrt(40)
+    assert 0.6 < away.std() < 1.4
+
+
+@pytest.mark.parametrize("answer", [0.0, 0.3])
+@pytest.mark.parametrize(
+    ("law", "signal"),
+    [
+        (lambda r, psi, lagged: -60.0 * r * abs(r), "r"),
+        (lambda r, psi, lagged: 0.6 * lagged, "delta"),
+        (lambda r, psi, lagged: -0.04 * np.tanh(20.0 * (psi - 0.2)), "psi"),
+    ],
+)
+def test_a_law_is_found_by_its_signal(law: Share, signal: str, answer: float) -> None:
+    """Drag, a lagged answer to the command, a wall: with and without feedback."""
+    for seed in (1, 2):
+        (found,) = asked(seed, answer, law)
+        assert found.place == "force r"
+        assert signal in found.signals
+        assert found.statistic > found.needed
+
+
+def test_slow_noise_of_a_sensor_that_follows_the_motion() -> None:
+    """A rate that reads too much at large headings, where nothing disturbs the vehicle."""
+    quiet = YAW.with_values({})
+    found = {}
+    for name, drift in {"law": lambda r, psi, lagged: 0.3 * psi**2, "none": None}.items():
+        rng = np.random.default_rng(5)
+        runs = []
+        for seed in (3, 4):
+            run = sailed(seed, 0.5, nothing, drift=drift, level=0.0)
+            slow = np.zeros(len(run.times))
+            for k in range(1, len(slow)):
+                slow[k] = 0.95 * slow[k - 1] + 0.002 * rng.standard_normal()
+            runs.append(run.with_outputs(run.outputs + slow[:, None] * [0.0, 1.0]))
+        noise = NoiseModel(
+            np.full(2, NOISE), np.array([0.0, 0.01]), np.zeros(0), TIME, TIME, ("psi", "r"), ()
+        )
+        problem = Filtered(quiet, Dataset(tuple(runs)), Levels.of(noise, noise).held())
+        found[name] = laws(problem, problem.point([np.zeros(2)] * 2).unknowns)
+    assert [law.place for law in found["law"] or ()] == ["noise of r"]
+
+
+def test_a_fit_says_that_its_process_noise_follows_motion() -> None:
+    """It has taken the work of a wall that the model lacks, and not that of nothing."""
+
+    def wall(r: float, psi: float, lagged: float) -> float:
+        return -0.04 * np.tanh(20.0 * (psi - 0.2))
+
+    missing, true = (Dataset(tuple(sailed(k, 0.0, law) for k in (0, 1))) for law in (wall, nothing))
+    fit = MultipleShooting().fit(YAW, missing)
+    assert fit.noise.has_forces
+    (law,) = fit.whole_runs.follows
+    assert "psi" in law.signals
+    assert fit.whole_runs.took_the_work
+    right = MultipleShooting().fit(YAW, true)
+    assert right.noise.has_forces
+    assert not right.whole_runs.said
