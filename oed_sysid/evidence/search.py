@@ -193,9 +193,9 @@ def with_alike(state: Standing, ranking: Ranking) -> Standing:
 def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
     """Ask a sea in the place of forces of first order, as any effect; whether it is taken.
 
-    It is where it is claimed and its forces follow neither motion nor commands, those of first
-    order that it replaces included; and where what would be added else, ``rival``, has neither a
-    larger statistic nor whole runs that are much better: noise leaves those as they are.
+    It is where it is claimed and its forces follow neither motion nor commands; and where what
+    would be added else, ``rival``, has neither a larger statistic nor whole runs that are much
+    better: noise leaves those as they are.
     """
     study, fit = state.study, state.fit
     found, places = _at_sea(state)
@@ -208,7 +208,7 @@ def with_waves(state: Standing, rival: Claim | None) -> tuple[Standing, bool]:
         return state, False  # asked again beside what explains more
     state = replace(state, decisions=(*state.decisions, decided))
     # A force that follows motion or commands is physics, whatever its period.
-    if not decided.stands or followed(fit) or followed(found):
+    if not decided.stands or followed(found):
         return state, False
     return replace(state, fit=found, calm=fit.noise, path=(*state.path[:-1], found)), True
 
