@@ -12,8 +12,9 @@ import inspect
 import re
 import runpy
 import textwrap
-from collections.abc import Callable, Mapping
-from functools import cache
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from functools import cache, partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from types import SimpleNamespace
@@ -673,6 +674,8 @@ PAGES = (
     "missing_physics.md", "other_vehicles.md", "measured_data.md", "performance.md",
     "reliability.md", "published.md", "scoreboard.md",
 )  # fmt: skip
+# Sections whose pictures are of the dive come first; its search is made in one process.
+OF_THE_DIVE = 4
 HEAD = """# Gallery
 
 Choose a picture to see the lines that draw it. A caption is what the picture says of itself, for
@@ -695,19 +698,36 @@ def drawn_here(draw: Callable[[], Axes | Figure], folder: Path) -> str:
     return text
 
 
+def drawn_in_turn(names: Sequence[str], folder: Path) -> dict[str, str]:
+    """Markdown of some pictures, by the function that draws each."""
+    return {name: drawn_here(globals()[name], folder) for name in names}
+
+
+def all_drawn(folder: Path) -> dict[str, str]:
+    """Markdown of all pictures, drawn in two processes: what each calculates serves its own."""
+    sections = [*SECTIONS.values(), OTHERS]
+    shares = [
+        [draw.__name__ for draws in half for draw in draws]
+        for half in (sections[:OF_THE_DIVE], sections[OF_THE_DIVE:])
+    ]
+    with ProcessPoolExecutor(len(shares)) as pool:
+        first, second = pool.map(partial(drawn_in_turn, folder=folder), shares)
+    return first | second
+
+
 def main(folder: Path = HERE / "gallery") -> None:
     """Draw all pictures and write their pages, unless those that are there are of these sources."""
     folder.mkdir(exist_ok=True)
     now = digest(Path(__file__), *(HERE / name for name in PAGES))
     if not changed(stamp := folder / "sources.sha256", now):
         return
-    index = [HEAD]
+    index, shown = [HEAD], all_drawn(folder)
     for section, pictures in SECTIONS.items():
         index += [f"## {section}", "", "::::{grid} 2 3 3 4", ":gutter: 2"]
         index += [":class-container: gallery", ""]
         for draw in pictures:
             lines = textwrap.dedent("\n".join(inspect.getsource(draw).splitlines()[2:]))
-            title, picture = str(draw.__doc__).rstrip("."), drawn_here(draw, folder)
+            title, picture = str(draw.__doc__).rstrip("."), shown[draw.__name__]
             page = f"---\norphan: true\n---\n# {title}\n\n{picture}\n```python\n{lines}\n```\n"
             used = ", ".join(
                 f"{{func}}`~oed_sysid.results.{name}`"
@@ -718,8 +738,6 @@ def main(folder: Path = HERE / "gallery") -> None:
             index += [f":::{{grid-item-card}} {title}", f":img-top: {draw.__name__}.png"]
             index += [f":link: {draw.__name__}", ":link-type: doc", ":::"]
         index += ["::::", ""]
-    for draw in OTHERS:
-        drawn_here(draw, folder)
     (folder / "index.md").write_text("\n".join(index), encoding="utf-8")
     stamp.write_text(now, encoding="utf-8")
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from golden_files import restored
+from marks import slow
 from turning_ship import GAIN, NOISE, SHIP, TIME, record
 
 from oed_sysid import Dataset, Fit, Model, MultipleShooting, Record, jackknife, turning_circle
@@ -50,7 +51,7 @@ def fit(differing: Dataset) -> Fit:
         (WHITE, 0.0, 6, 0.15),
         (MultipleShooting(disturbances="none", horizon=10.0), 0.0, 6, 0.15),
         # Levels of the forces are estimated anew in refits, and held to first order.
-        (MultipleShooting(), 0.02, 4, 0.35),
+        *slow((MultipleShooting(), 0.02, 4, 0.35)),
     ],
     ids=["whole records", "horizon", "disturbance forces"],
 )

@@ -158,20 +158,19 @@ def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound
     assert abs(value + 15.0) < 3.0 * error
 
 
-def test_a_sensor_that_stands_still_has_no_size_of_lag_and_one_in_knots_has_one_of_scale() -> None:
-    """A lag without end is no claim; a scale goes as far as the records say, to 1.944."""
-    train, test = yaw_data(3), yaw_data(4)
+def spoilt(data: Dataset, how: Callable[[Record], np.ndarray]) -> Dataset:
+    """Records with other outputs."""
+    return Dataset(tuple(record.with_outputs(how(record)) for record in data))
+
+
+def test_a_sensor_that_stands_still_has_no_size_of_lag() -> None:
+    """A lag without end is no claim."""
+    train = yaw_data(3)
     rng = np.random.default_rng(5)
 
     def dead(record: Record) -> np.ndarray:
         still = 0.02 + NOISE_YAW[1] * rng.standard_normal(record.n_samples)
         return np.column_stack([record.outputs[:, 0], still])
-
-    def knots(record: Record) -> np.ndarray:
-        return record.outputs * [1.0, KNOTS]
-
-    def spoilt(data: Dataset, how: Callable[[Record], np.ndarray]) -> Dataset:
-        return Dataset(tuple(record.with_outputs(how(record)) for record in data))
 
     lag = sensor_lag("late", "r", scale=1.0)
     study, fit = Study.begin(yaw_model(), spoilt(train, dead), None, (lag,), known_noise=False)
@@ -181,6 +180,16 @@ def test_a_sensor_that_stands_still_has_no_size_of_lag_and_one_in_knots_has_one_
     assert asked.statistic > asked.needed
     assert not asked.stands
     assert np.isinf(asked.beyond)
+
+
+@pytest.mark.slow
+def test_a_rate_in_knots_has_a_size_of_scale() -> None:
+    """A scale goes as far as the records say, to 1.944."""
+    train, test = yaw_data(3), yaw_data(4)
+
+    def knots(record: Record) -> np.ndarray:
+        return record.outputs * [1.0, KNOTS]
+
     found = improve(
         yaw_model(), spoilt(train, knots), spoilt(test, knots),
         candidates=(sensor_scale("scale", "r"), sensor_bias("bias", "r", "rad/s", scale=0.01)),
