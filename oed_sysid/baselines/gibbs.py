@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +10,6 @@ import numpy as np
 from oed_sysid.baselines.equations import WINDOW, Rates, Rows, check_rule
 from oed_sysid.baselines.regression import (
     CONVERGED,
-    EquationSolution,
     Regression,
     RegressionEstimator,
     each_equation,
@@ -256,14 +256,14 @@ class GibbsRegression(RegressionEstimator):
         r_hat: dict[str, float] = {}
         effective: dict[str, float] = {}
 
-        def solve(index: int) -> EquationSolution:
+        def solve(index: int) -> tuple[Sequence[str], Regression]:
             features, targets, names = rows.equation(index)
             draws = self._draws(rows.form.model, features, targets, names, rng)
             flat = draws.reshape(-1, len(names))
             drawn.update(zip(names, np.moveaxis(draws, 2, 0), strict=True))
             r_hat.update(zip(names, map(float, split_r_hat(draws)), strict=True))
             effective.update(zip(names, map(float, effective_draws(draws)), strict=True))
-            return EquationSolution(names, flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)))
+            return names, Regression(flat.mean(axis=0), np.atleast_2d(np.cov(flat.T)))
 
         found = each_equation(rows, solve)
         worst = max(r_hat, key=lambda name: r_hat[name])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar
 
@@ -16,7 +17,6 @@ from oed_sysid.baselines.equations import (
 )
 from oed_sysid.baselines.regression import (
     Baseline,
-    EquationSolution,
     Regression,
     RegressionEstimator,
     assumed_levels,
@@ -156,7 +156,7 @@ class TotalLeastSquares(RegressionEstimator):
     def _solve(self, rows: Rows) -> Regression:
         column_errors = self._column_errors(rows)
 
-        def solve(index: int) -> EquationSolution:
+        def solve(index: int) -> tuple[Sequence[str], Regression]:
             regressors, target, names = rows.equation(index)
             if len(target) <= len(names):
                 raise ModelError(
@@ -167,7 +167,7 @@ class TotalLeastSquares(RegressionEstimator):
             errors = ratio * column_errors[index]
             covariance, coloured = _covariance(regressors, target, values, errors)
             facts = {"noise_ratio": float(np.sqrt(ratio))}
-            return EquationSolution(names, values, covariance, coloured, facts)
+            return names, Regression(values, covariance, coloured=coloured, facts=facts)
 
         return each_equation(rows, solve)
 

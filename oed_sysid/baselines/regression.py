@@ -234,45 +234,24 @@ class RegressionEstimator(Baseline):
         return self._solve(rows)
 
 
-@dataclass(frozen=True, eq=False)
-class EquationSolution:
-    """What was found of the parameters of one equation.
-
-    Attributes
-    ----------
-    names : sequence of str
-    values : ndarray (n_names,)
-    covariance : ndarray (n_names, n_names)
-    coloured : bool
-        Whether the covariance accounts for errors correlated in time.
-    facts : mapping
-        What else there is to tell about the equation.
-    """
-
-    names: Sequence[str]
-    values: np.ndarray
-    covariance: np.ndarray
-    coloured: bool = False
-    facts: Mapping[str, Any] = field(default_factory=dict)
-
-
 def each_equation(
     rows: Rows,
-    solve: Callable[..., EquationSolution],
+    solve: Callable[..., tuple[Sequence[str], Regression]],
     groups: Sequence[Sequence[int]] | None = None,
 ) -> Regression:
     """Solve equation by equation; ``extras`` holds the facts, by the state of the equation.
 
-    ``groups`` are equations that are solved together, whose positions ``solve`` takes.
+    ``groups`` are equations that are solved together, whose positions ``solve`` takes; it returns
+    the names of their parameters and what was found of these.
     """
     names, equations = rows.form.names, rows.form.equations
     estimates, covariance = np.zeros(len(names)), np.zeros((len(names), len(names)))
     extras: dict[str, dict[str, Any]] = {}
     coloured = False
     for group in groups or [(index,) for index in range(len(equations))]:
-        found = solve(*group)
-        where = [names.index(name) for name in found.names]
-        estimates[where] = found.values
+        own, found = solve(*group)
+        where = [names.index(name) for name in own]
+        estimates[where] = found.estimates
         covariance[np.ix_(where, where)] = found.covariance
         coloured |= found.coloured
         for key, fact in found.facts.items():
@@ -478,7 +457,7 @@ def separate(
     else:
         scales = positive(scale, equations, "equation of")
 
-    def solve(*group: int) -> EquationSolution:
+    def solve(*group: int) -> tuple[Sequence[str], Regression]:
         if alone := len(group) == 1:
             features, targets, names = rows.equation(*group)
             constant, own = _constant(features, names, equations[group[0]]), scales[group[0]]
@@ -501,7 +480,7 @@ def separate(
             history.update(zip(owners, (solution.track * units).T, strict=False))
         facts = {"bias": solution.bias * divisor, **solution.facts}
         covariance = (block * units[:, None] * units)[:n, :n]
-        return EquationSolution(owners, values, covariance, coloured, facts)
+        return owners, Regression(values, covariance, coloured=coloured, facts=facts)
 
     found = each_equation(rows, solve, rows.groups())
     return replace(found, facts={**found.facts, "history": history}) if history else found

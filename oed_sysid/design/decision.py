@@ -451,8 +451,10 @@ def decide(
         raise DesignError("A decision needs one goal and one candidate run or more. Give both.")
     expected = ExpectedInformation.of(fit, DOptimal(), Knowledge(prior=prior, noise=noise))
     outlook = _Outlook.of(expected, candidates, goals)
-    contradiction = _contradiction(fit, goals) if isinstance(fit, Fit) else None
-    needs_check = outlook.is_met and contradiction is None and _is_of_one_run(fit)
+    contradiction = _contradiction(fit, goals)
+    # Where but one run has told the parameters, nothing could contradict it.
+    of_one_run = isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
+    needs_check = outlook.is_met and contradiction is None and of_one_run
     chosen: int | None = None
     safe: Assurance | None = None
     if needs_check or not outlook.is_met:
@@ -474,11 +476,6 @@ def decide(
         assurance=safe,
         contradiction=contradiction,
     )
-
-
-def _is_of_one_run(fit: Fit | Model) -> bool:
-    """Whether but one run has told the parameters, so that nothing could contradict it."""
-    return isinstance(fit, Fit) and len(tuple(fit.dataset)) < 2
 
 
 def _action(
@@ -524,10 +521,9 @@ def _safe_run(
     return replace(outlook, refused=refused), None, None
 
 
-def _contradiction(fit: Fit, goals: Sequence[Goal]) -> Contradiction | None:
+def _contradiction(fit: Fit | Model, goals: Sequence[Goal]) -> Contradiction | None:
     """Records and priors of a fit that cannot all be right, by more than the goals care for."""
-    sources = fit.sources
-    if sources is None or not fit.status.ok:
+    if not isinstance(fit, Fit) or (sources := fit.sources) is None or not fit.status.ok:
         return None
     found = sources.agreement(allowance=_allowance(fit, goals), stated=fit.covariance)
     if found.chance >= CHANCE:

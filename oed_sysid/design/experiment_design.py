@@ -421,8 +421,6 @@ def campaign(
     n_runs: int,
     *,
     design: Callable[[Model | Fit, Trial], Design],
-    data: Dataset | None = None,
-    estimator: MultipleShooting | None = None,
 ) -> tuple[Stage, ...]:
     """Design a run, measure it, estimate from all records, and design the next one.
 
@@ -442,10 +440,6 @@ def campaign(
         How many.
     design : callable
         How one is designed: ``partial(design_experiment, rng=rng, criterion=...)``.
-    data : Dataset, optional
-        Records in hand; they are estimated from as well.
-    estimator : MultipleShooting, optional
-        By default one that trusts the noise levels of the model.
 
     Returns
     -------
@@ -466,17 +460,18 @@ def campaign(
     >>> campaign(ship.model, trial, measure=None, n_runs=0, design=design_experiment)
     ()
     """
-    chosen = estimator or MultipleShooting(disturbances="none", noise="given")
+    # The noise levels of the model are trusted.
+    estimator = MultipleShooting(disturbances="none", noise="given")
     nominal: Model | Fit = model
     start = model.model if isinstance(model, Fit) else model
-    records = tuple(data) if data is not None else ()
+    records: tuple[Record, ...] = ()
     stages: list[Stage] = []
     for index in range(n_runs):
         name = f"{trial.name}_{index + 1}"
         found = design(nominal, replace(trial, name=name))
         record = replace(measure(found.experiment), name=name)
         records = (*records, record)
-        fit = chosen.fit(start, Dataset(records))
+        fit = estimator.fit(start, Dataset(records))
         if not fit.status.ok:
             raise DesignError(
                 f"After run {name!r} the estimation did not converge ({fit.status}). Fix "

@@ -27,7 +27,6 @@ from oed_sysid.experiments.simulation import Trajectory
 from oed_sysid.information.noise import sea_words
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import (
     TWO_SIDED_95,
@@ -108,13 +107,10 @@ class _Accuracy:
         return Table(("parameter", "value", *columns), rows)
 
 
-def write_commands(path: Path, model: Model, run: Trajectory, *, predicted: bool = False) -> Path:
-    """Write the commands of a run, and its outputs where wanted, with units in the header."""
-    columns = {"t [s]": run.times}
-    channels: list[Input | Output] = [*model.inputs, *(model.outputs if predicted else ())]
-    for channel, values in zip(channels, np.hstack([run.inputs, run.outputs]).T, strict=False):
-        columns[f"{channel.name} [{channel.unit or '-'}]"] = values
-    write_table(path, list(columns), np.column_stack(list(columns.values())))
+def write_commands(path: Path, model: Model, run: Trajectory) -> Path:
+    """Write the commands of a run, with units in the header."""
+    headers = ["t [s]", *(f"{one.name} [{one.unit or '-'}]" for one in model.inputs)]
+    write_table(path, headers, np.column_stack([run.times, run.inputs]))
     return path
 
 
@@ -352,7 +348,7 @@ class Design(_Accuracy):
         misfits=lambda self: [[*pair, value] for pair, value in self.misfits.items()],
     )  # fmt: skip
 
-    def write_csv(self, path: str | Path, *, predicted: bool = False) -> None:
+    def write_csv(self, path: str | Path) -> None:
         """Write the commands as a table that an autopilot can play.
 
         Times in s, commands in SI units named in the header, one row per
@@ -362,11 +358,8 @@ class Design(_Accuracy):
         ----------
         path : str or Path
             The file, overwritten if it exists.
-        predicted : bool
-            Also write the outputs that the model predicts, to watch against;
-            the file can then be read as a record.
         """
-        write_commands(Path(path), self.model, self.trajectory, predicted=predicted)
+        write_commands(Path(path), self.model, self.trajectory)
 
 
 @dataclass(frozen=True)

@@ -201,60 +201,6 @@ class SearchResult:
     others: tuple[Score, ...] = ()
 
 
-def refine(
-    objective: Objective,
-    start: Score,
-    *,
-    n_steps: int = 40,
-    report: Callable[[int, Score], None] | None = None,
-    journal: Journal | None = None,
-) -> tuple[Score | None, Score]:
-    """Maximise from one start by sequential linear programming.
-
-    Parameters
-    ----------
-    objective : Objective
-        Criterion and limits.
-    start : Score
-        Where to begin; it may break limits.
-    n_steps : int
-        Largest number of linearisations.
-    report : callable, optional
-        Called with step and score.
-    journal : Journal, optional
-        Keeps where the search stands while it is a step of a longer one.
-
-    Returns
-    -------
-    best : Score or None
-        Best member met that keeps all limits.
-    nearest : Score
-        The member with the smallest excess.
-
-    References
-    ----------
-    R. Fletcher, E. Sainz de la Maza, Nonlinear programming and nonsmooth
-    optimization by successive linear programming, *Mathematical Programming*
-    43 (1989) 235-256: exact penalty and trust region.
-    K. Svanberg, The method of moving asymptotes, *Int. J. Numerical Methods in
-    Engineering* 24 (1987) 359-373: bounds that follow the sign of the steps.
-    """
-    keep = journal or Journal()
-    begin, state, objective.n_evaluations = keep.state() or (
-        0, _Progressed(start), objective.n_evaluations
-    )  # fmt: skip
-    for index in range(begin, n_steps):
-        if not state.step(objective):
-            break
-        if report is not None:
-            report(index, state.current)
-        # Enough where the last five steps together gained too little.
-        if len(state.merits) > 6 and state.merits[-1] - state.merits[-6] < WORTH:
-            break
-        keep.keep((index + 1, state, objective.n_evaluations))
-    return state.best, state.best or state.nearest
-
-
 class _Progressed:
     """Where a refinement stands: the present member, the best, and the bounds of its steps."""
 
@@ -388,7 +334,7 @@ def refine_all(
     progress: Callable[[Progress], None] | None = None,
     journal: Journal | None = None,
 ) -> SearchResult:
-    """Refine several starts roughly, the best one further.
+    """Refine several starts roughly, the best one further, by sequential linear programming.
 
     Parameters
     ----------
@@ -402,18 +348,36 @@ def refine_all(
     progress : callable, optional
         Called with a :class:`Progress` after each step.
     journal : Journal, optional
-        Keeps every refined start.
+        Keeps every refined start, and where the search stands within one.
+
+    References
+    ----------
+    R. Fletcher, E. Sainz de la Maza, Nonlinear programming and nonsmooth
+    optimization by successive linear programming, *Mathematical Programming*
+    43 (1989) 235-256: exact penalty and trust region.
+    K. Svanberg, The method of moving asymptotes, *Int. J. Numerical Methods in
+    Engineering* 24 (1987) 359-373: bounds that follow the sign of the steps.
     """
     keep = journal or Journal()
 
     def refined(number: int, start: Score, n_steps: int) -> tuple[Score | None, Score]:
-        def tell(index: int, score: Score) -> None:
-            if progress is not None:
-                progress(Progress(number, index, score.value, score.excess))
+        """Best member met that keeps all limits, and the one with the smallest excess."""
 
         def work() -> tuple[Score | None, Score, int]:
-            found = refine(objective, start, n_steps=n_steps, report=tell, journal=keep)
-            return *found, objective.n_evaluations
+            begin, state, objective.n_evaluations = keep.state() or (
+                0, _Progressed(start), objective.n_evaluations
+            )  # fmt: skip
+            for index in range(begin, n_steps):
+                if not state.step(objective):
+                    break
+                if progress is not None:
+                    score = state.current
+                    progress(Progress(number, index, score.value, score.excess))
+                # Enough where the last five steps together gained too little.
+                if len(state.merits) > 6 and state.merits[-1] - state.merits[-6] < WORTH:
+                    break
+                keep.keep((index + 1, state, objective.n_evaluations))
+            return state.best, state.best or state.nearest, objective.n_evaluations
 
         best, close, objective.n_evaluations = keep.once(f"start {number + 1}", work)
         return best, close

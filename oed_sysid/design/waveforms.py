@@ -153,36 +153,30 @@ class Parametrisation(Protocol):
 
 @dataclass(frozen=True)
 class Levels:
-    """Free levels, each held or connected by straight lines.
+    """Free levels, each held until the next.
 
     Parameters
     ----------
     n_levels : int or None
         Number of levels of each input; None takes one for every four samples,
         at most 60.
-    interpolation : {"hold", "linear"}
-        Steps, or a broken line through the levels.
 
     Examples
     --------
-    >>> Levels(12, interpolation="linear").n_levels
+    >>> Levels(12).n_levels
     12
     """
 
     n_levels: int | None = None
-    interpolation: str = "hold"
 
     def __post_init__(self) -> None:
-        if self.interpolation not in ("hold", "linear"):
-            raise DesignError(f"interpolation is {self.interpolation!r}. Choose hold or linear.")
         if self.n_levels is not None and self.n_levels < 2:
             raise DesignError(f"{self.n_levels} levels make no manoeuvre. Give 2 or more.")
 
     @property
     def name(self) -> str:
         """Name for reports."""
-        kind = "held" if self.interpolation == "hold" else "linear"
-        return f"{self.n_levels or 'free'} {kind} levels"
+        return f"{self.n_levels or 'free'} held levels"
 
     def on(self, grid: Grid) -> Shape:
         """Return the family on a grid."""
@@ -193,16 +187,10 @@ class Levels:
                 f"{n_levels} levels do not fit in {n_times - 1} samples. Ask for fewer levels, a "
                 "shorter sample_time or a longer duration."
             )
-        index = np.arange(n_times)
-        if self.interpolation == "linear":
-            knots = np.linspace(0, n_times - 1, n_levels + 1)
-            edges = np.floor(knots[:-1]).astype(int)
-            waves = np.stack([np.interp(index, knots, row) for row in np.eye(n_levels + 1)[1:]])
-        else:
-            # The sample at 0 is neutral; level i begins at sample edges[i].
-            edges = 1 + np.floor(np.arange(n_levels) * (n_times - 1) / n_levels).astype(int)
-            owner = np.searchsorted(edges, index, side="right") - 1
-            waves = (owner == np.arange(n_levels)[:, None]).astype(float)
+        # The sample at 0 is neutral; level i begins at sample edges[i].
+        edges = 1 + np.floor(np.arange(n_levels) * (n_times - 1) / n_levels).astype(int)
+        owner = np.searchsorted(edges, np.arange(n_times), side="right") - 1
+        waves = (owner == np.arange(n_levels)[:, None]).astype(float)
         # What no level takes is neutral.
         taken = waves.sum(axis=0)[:, None]
         middle = 0.5 * (grid.lower + grid.upper)

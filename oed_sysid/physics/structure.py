@@ -140,23 +140,13 @@ class Structure:
 
     def parameter(self, name: str) -> Parameter:
         """Return one parameter by name."""
-        for parameter in self.all_parameters:
-            if parameter.name == name:
-                return parameter
-        raise ModelError(
-            f"Model {self.name!r} has no parameter {name!r}. It has: "
-            f"{', '.join(self.parameter_names)}."
-        )
+        lacking = f"Model {self.name!r} has no parameter"
+        return self.all_parameters[located(ModelError, lacking, [name], self.parameter_names)[0]]
 
     def effect(self, name: str) -> Effect:
         """Return one effect by name."""
-        for effect in self.effects:
-            if effect.name == name:
-                return effect
-        raise ModelError(
-            f"Model {self.name!r} has no effect {name!r}. It has: "
-            f"{', '.join(self.effect_names) or 'none'}."
-        )
+        lacking = f"Model {self.name!r} has no effect"
+        return self.effects[located(ModelError, lacking, [name], self.effect_names)[0]]
 
 
 # -- promises ---------------------------------------------------------------------------

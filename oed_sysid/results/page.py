@@ -110,7 +110,8 @@ def drawn(part: Any) -> Any:
 def html(part: Report | Section, template: str) -> str:
     """Return a document, its summary or a section as HTML."""
     shown = part if template == "summary" else drawn(part)
-    return _template(template).render(part=shown, version=__version__)
+    page = _environment().get_template(f"{template}.html.j2")
+    return page.render(part=shown, version=__version__)
 
 
 def write(report: Report, path: str | Path) -> Path:
@@ -236,10 +237,6 @@ def style_sheet() -> str:
     """
     text: str = _environment().get_template("style.css.j2").render()
     return text
-
-
-def _template(name: str) -> jinja2.Template:
-    return _environment().get_template(f"{name}.html.j2")
 
 
 @cache

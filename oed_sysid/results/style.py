@@ -214,12 +214,11 @@ def decades(axis: Any, subs: Sequence[float] | None = None) -> None:
     axis.set_minor_formatter(NullFormatter())
 
 
-def errors_axis(ax: Axes, largest: float) -> bool:
-    """Make the axis of errors in units of the noise logarithmic where they are large; say so."""
-    if large := largest > 8.0:
+def errors_axis(ax: Axes, largest: float) -> None:
+    """Make the axis of errors in units of the noise logarithmic where they are large."""
+    if largest > 8.0:
         ax.set_yscale("log")
         decades(ax.yaxis, (1.0, 2.0, 5.0))
-    return large
 
 
 def row_axes(
