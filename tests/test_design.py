@@ -27,8 +27,8 @@ from oed_sysid.design import (
 )
 from oed_sysid.design.criteria import Setting, eliminate
 from oed_sysid.design.knowledge import ExpectedInformation
-from oed_sysid.design.objective import Objective, VehicleInformation
-from oed_sysid.design.vehicles import LimitBounds
+from oed_sysid.design.objective import Objective
+from oed_sysid.design.trial import Task
 from oed_sysid.errors import DesignError
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.experiment import Experiment as Plan
@@ -148,15 +148,13 @@ def test_families_find_their_own_members(family: Levels) -> None:
 @pytest.mark.parametrize("family", [Levels(12), Pulses(1)])
 def test_derivatives_equal_differences(family: Levels) -> None:
     """Derivatives through restarted trajectories equal central differences of whole runs."""
-    model = ship()
-    fitted = grid()
-    shape = family.on(fitted)
-    expected = ExpectedInformation.of(model, DOptimal(), Knowledge())
+    expected = ExpectedInformation.of(ship(), DOptimal(), Knowledge())
     expected = replace(expected, before=np.diag(expected.scales() ** -2.0))
-    own = np.array([0.0, 0.01])
-    vehicle = VehicleInformation(model, expected, fitted.times, shape.edges, own)
-    bounds = LimitBounds.of(model, Limits(signals={"psi": (-0.3, 0.3)}), {"r": (-0.1, 0.1)})
-    objective = Objective([vehicle], shape, np.array([0]), np.zeros(1), bounds)
+    limits = Limits(inputs=LIMITS.inputs, signals={"psi": (-0.3, 0.3)})
+    trial = Trial(limits, 40.0, 0.5, initial={"r": 0.01}, end={"r": (-0.1, 0.1)})
+    task = Task.of(expected, trial, np.random.default_rng(0))
+    shape, bounds = family.on(task.grid), task.bounds
+    objective = Objective(task, shape)
     numbers = 0.5 + 0.3 * (np.random.default_rng(5).random(shape.size) - 0.5)
     score = objective.score(numbers)
     slope = objective.linearise(score)

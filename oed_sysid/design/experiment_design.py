@@ -41,7 +41,7 @@ from oed_sysid.design.result import Design
 from oed_sysid.design.search import Progress, again, refine_all, starts
 from oed_sysid.design.trial import Search, Task, Trial
 from oed_sysid.design.vehicles import REACHED, Caution, Robust, motion, quantity, units_of
-from oed_sysid.design.waveforms import Grid
+from oed_sysid.design.waveforms import Grid, Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import simulate_inputs
@@ -243,7 +243,7 @@ def _designed(
         references=tuple(compared),
         criterion=expected.criterion.name,
         parametrisation=search.family.name,
-        value=task.worth(best),
+        value=_worth(task, best),
         start_values=found.values,
         active=(
             *_actuator_limits(grid, best.commands[:, task.positions], units_of(task.model)),
@@ -254,6 +254,11 @@ def _designed(
         n_evaluations=found.n_evaluations,
         seconds=time.perf_counter() - began,
     )
+
+
+def _worth(task: Task, score: Score) -> float:
+    """Criterion under the noise that is expected; a search sees white noise."""
+    return score.value if task.expected.sea is None else task.worth(score.commands)
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,7 +283,8 @@ def _searched(
     """Search the family, from rough manoeuvres or from a given member."""
     family = search.family
     shape = None if isinstance(family, ZigZags) else family.on(task.grid)
-    objective = task.objective(shape, search.workers)
+    # Of what is closed over the vehicle, commands are given and no family is searched.
+    objective = Objective(task, shape or Levels(2).on(task.grid), search.workers)
     _check_start(task)
     if isinstance(family, ZigZags):
         return _closed(task, family, objective)
@@ -303,7 +309,7 @@ def _searched(
         raise DesignError(_infeasible(task, found.nearest))
     best = found.best
     if task.expected.sea is not None and len(found.others) > 1:
-        best = max(found.others, key=task.worth)
+        best = max(found.others, key=partial(_worth, task))
     return _Found(best, task.experiment(best.commands), found.values, objective.n_evaluations)
 
 

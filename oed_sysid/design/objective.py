@@ -14,7 +14,8 @@ import numpy as np
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.design.criteria import eliminate, soft_minimum
 from oed_sysid.design.knowledge import ExpectedInformation
-from oed_sysid.design.vehicles import LimitBounds, ScenarioRun, Scenarios
+from oed_sysid.design.trial import Task
+from oed_sysid.design.vehicles import ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
 from oed_sysid.experiments.trajectory import RUNAWAY
 from oed_sysid.information.bound import unknowns
@@ -290,59 +291,38 @@ class Slope:
 
 
 class Objective:
-    """Criterion of a parametrised experiment over one or several vehicles.
+    """Criterion of a task over a family of commands, on all its vehicles.
 
     Parameters
     ----------
-    vehicles : sequence of VehicleInformation
-        Sets of values.
+    task : Task
+        Vehicles, limits, and what is expected of runs.
     shape : Shape
         Family of commands.
-    positions : ndarray of int
-        Columns of the designed inputs among all inputs.
-    constants : ndarray (n_inputs,)
-        Values of the other inputs.
-    bounds : LimitBounds
-        Limits, kept in every vehicle.
-    softness : float or None
-        None averages over vehicles; a number takes the soft minimum of this width.
     n_workers : int
         Threads for the gradient.
-    scenarios : Scenarios, optional
-        Uncertain vehicles on which limits are kept.
     """
 
-    def __init__(
-        self,
-        vehicles: Sequence[VehicleInformation],
-        shape: Shape,
-        positions: np.ndarray,
-        constants: np.ndarray,
-        bounds: LimitBounds,
-        *,
-        softness: float | None = None,
-        n_workers: int = 1,
-        scenarios: Scenarios | None = None,
-    ) -> None:
-        self.vehicles, self.shape, self.bounds = tuple(vehicles), shape, bounds
-        self._positions, self._constants = positions, constants
-        self._softness = softness
-        self.scenarios = scenarios
-        self._n_workers = n_workers if vehicles[0].kernel.library else 1
+    def __init__(self, task: Task, shape: Shape, n_workers: int = 1) -> None:
+        self.task, self.shape, self.bounds = task, shape, task.bounds
+        times, edges, own = task.grid.times, shape.edges, task.own
+        self.vehicles = [
+            VehicleInformation(model, task.expected, times, edges, own) for model in task.models
+        ]
+        self.scenarios = None
+        if task.bounds.names and task.scenarios:
+            self.scenarios = Scenarios(
+                task.scenarios, times, edges, own, task.bounds, task.n_waived, task.waves
+            )
+        self._n_workers = n_workers if self.vehicles[0].kernel.library else 1
         self.n_evaluations = 0
-
-    @property
-    def times(self) -> np.ndarray:
-        """Sample times, s."""
-        return self.vehicles[0].times
 
     def all_commands(self, numbers: np.ndarray) -> np.ndarray:
         """Commands of all inputs, ``(n_batch, n_times, n_inputs)``."""
         designed = self.shape.commands(numbers)
-        commands = np.broadcast_to(
-            self._constants, (*designed.shape[:2], len(self._constants))
-        ).copy()
-        commands[:, :, self._positions] = designed
+        neutral = self.task.neutral
+        commands = np.broadcast_to(neutral, (*designed.shape[:2], len(neutral))).copy()
+        commands[:, :, self.task.positions] = designed
         return commands
 
     def score(
@@ -377,9 +357,9 @@ class Objective:
     def _combined(self, values: Sequence[float]) -> tuple[float, np.ndarray]:
         """Mean or soft minimum over the vehicles, and the weights of their gradients."""
         array = np.asarray(values)
-        if self._softness is None or len(array) == 1:
+        if self.task.softness is None or len(array) == 1:
             return float(array.mean()), np.full(len(array), 1.0 / len(array))
-        return soft_minimum(array, self._softness)
+        return soft_minimum(array, self.task.softness)
 
     def linearise(self, score: Score) -> Slope:
         """Derivatives of the criterion and of the limited signals by the numbers."""
@@ -398,9 +378,9 @@ class Objective:
         scenarios, edges, columns = self.scenarios, self.vehicles[0].edges, self.bounds.columns
         decisive = scenarios.decisive(score.scenarios) if scenarios and score.scenarios else []
         n_limited = len(scenarios.bounds.names) if scenarios else 0
-        by_scenario = {i: np.zeros((len(self.times), n_limited, size)) for i in decisive}
+        by_scenario = {i: np.zeros((len(self.task.grid.times), n_limited, size)) for i in decisive}
         gradient = np.zeros(size)
-        signals = np.zeros((len(self.vehicles), len(self.times), len(columns), size))
+        signals = np.zeros((len(self.vehicles), len(self.task.grid.times), len(columns), size))
 
         def one(index: int) -> None:
             # Before the first changed command everything is as it was: the run is restarted there.

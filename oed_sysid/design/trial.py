@@ -15,16 +15,14 @@ import numpy as np
 from oed_sysid.design.assurance import Assurance, assess_limits
 from oed_sysid.design.knowledge import ExpectedInformation
 from oed_sysid.design.library import ZigZags, as_piecewise
-from oed_sysid.design.objective import Objective, Score, VehicleInformation
 from oed_sysid.design.vehicles import (
     Caution,
     LimitBounds,
     Robust,
-    Scenarios,
     draw_models,
     in_own_waves,
 )
-from oed_sysid.design.waveforms import Grid, Levels, Parametrisation, Shape
+from oed_sysid.design.waveforms import Grid, Levels, Parametrisation
 from oed_sysid.errors import DesignError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import trajectory_of
@@ -281,30 +279,9 @@ class Task:
             limits=trial.limits,
         )  # fmt: skip
 
-    def worth(self, score: Score) -> float:
-        """Criterion of commands under the noise that is expected; a search sees white noise."""
-        if self.expected.sea is None:
-            return score.value
-        return self.expected.worth(self.experiment(score.commands))
-
-    def objective(self, shape: Shape | None, n_workers: int) -> Objective:
-        """Return the function to maximise; without a shape only given commands can be scored."""
-        used = shape if shape is not None else Levels(2).on(self.grid)
-        expected, own = self.expected, self.own
-        vehicles = [
-            VehicleInformation(model, expected, self.grid.times, used.edges, own)
-            for model in self.models
-        ]
-        scenarios = None
-        if self.caution is not None and self.bounds.names and self.scenarios:
-            scenarios = Scenarios(
-                self.scenarios, self.grid.times, used.edges, own, self.bounds, self.n_waived,
-                self.waves,
-            )  # fmt: skip
-        return Objective(
-            vehicles, used, self.positions, self.neutral, self.bounds,
-            softness=self.softness, n_workers=n_workers, scenarios=scenarios,
-        )  # fmt: skip
+    def worth(self, commands: np.ndarray) -> float:
+        """Criterion of commands ``(n_times, n_inputs)`` under the noise that is expected."""
+        return self.expected.worth(self.experiment(commands))
 
     def stricter(self, found: Assurance, rng: np.random.Generator) -> Task:
         """Return the task with more uncertain vehicles, of which fewer may fail.
