@@ -188,7 +188,8 @@ def test_linear_model_gives_regularised_least_squares(kind: str) -> None:
     """For a linear model either filter equals least squares with the same priors."""
     data = ramp_data()
     record = data[0]
-    fit = JointKalmanFilter(kind=kind, parameter_std={"slope": 5.0}).fit(RAMP, data)
+    known = RAMP.with_parameter(replace(RAMP.parameter("slope"), prior_std=5.0))
+    fit = JointKalmanFilter(kind=kind).fit(known, data)
     from oed_sysid.likelihood.start_guess import measured_states
 
     start = measured_states(RAMP, record)[0][0]

@@ -33,7 +33,7 @@ START_SPREAD = 10.0
 RELATIVE_PRIOR = 0.5
 DIVERGED = Status(
     "diverged",
-    "the filter diverged. Start closer, give smaller parameter_std, add process_std, or "
+    "the filter diverged. Start closer, give smaller prior_std, add process_std, or "
     "use MultipleShooting, whose result does not depend on the order of the samples.",
 )
 
@@ -63,9 +63,6 @@ class JointKalmanFilter(Baseline):
         every velocity, chosen so that the innovations are likeliest.
     drift_std : mapping of str to float
         The same for parameters that change in time.
-    parameter_std : mapping of str to float
-        Uncertainty of the start values; by default the prior's, else half the
-        parameter's magnitude.
     reach : float
         Distance of the points of the unscented filter, in standard deviations.
         Further out, at the :math:`\sqrt{n}` of the cubature rule, ten parameters
@@ -100,7 +97,6 @@ class JointKalmanFilter(Baseline):
     kind: str = "extended"
     process_std: Mapping[str, float] | str = field(default_factory=dict)
     drift_std: Mapping[str, float] = field(default_factory=dict)
-    parameter_std: Mapping[str, float] = field(default_factory=dict)
     reach: float = 3.0**0.5
     passes: int = 1
 
@@ -169,13 +165,9 @@ class JointKalmanFilter(Baseline):
 
     def _check(self, model: Model) -> None:
         """Raise :class:`ModelError` where settings and model do not belong together."""
-        for setting, known in (
-            ("process_std", model.state_names),
-            ("drift_std", model.free_names),
-            ("parameter_std", model.free_names),
-        ):
-            if (given := getattr(self, setting)) != LIKELIEST:
-                located(ModelError, f"{setting} names", given, known)
+        if self.process_std != LIKELIEST:
+            located(ModelError, "process_std names", self.process_std, model.state_names)
+        located(ModelError, "drift_std names", self.drift_std, model.free_names)
         if not model.free_names:
             raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
         check_together(model, "a filter")
@@ -209,10 +201,10 @@ def consistency(square: float, count: int) -> Status:
     return Status("inconsistent", found + todo)
 
 
-def _first_values(model: Model, stds: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-    """Start values of the parameters and their covariance."""
+def _first_values(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """Start values of the parameters and their covariance: the prior's, or by their sizes."""
     free = model.free_parameters
-    known = [stds.get(p.name, p.prior_spread or RELATIVE_PRIOR * p.magnitude) for p in free]
+    known = [p.prior_spread or RELATIVE_PRIOR * p.magnitude for p in free]
     values = [p.value if p.prior_mean is None else p.prior_mean for p in free]
     return np.array(values, dtype=float), np.diag(np.square(known))
 
@@ -256,7 +248,7 @@ class JointFilter:
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2
         self.mean, self.spread = np.empty(0), np.empty((0, 0))
-        self.known = self._first = _first_values(model, settings.parameter_std)
+        self.known = self._first = _first_values(model)
 
     def restart(self) -> None:
         """Begin another pass: with the present values, as uncertain as the first ones were."""

@@ -280,8 +280,10 @@ class HeadingDifferences(Baseline):
     ----------
     scheme : str
         ``"forward"`` or ``"central"``.
-    heading, rudder, gain, time_constant : str
-        Names of the output, the input and the two parameters in the model.
+
+    Notes
+    -----
+    The model has the output ``psi``, the input ``delta`` and the free parameters ``T`` and ``K``.
 
     References
     ----------
@@ -296,10 +298,6 @@ class HeadingDifferences(Baseline):
     """
 
     scheme: str = "forward"
-    heading: str = "psi"
-    rudder: str = "delta"
-    gain: str = "K"
-    time_constant: str = "T"
 
     def __post_init__(self) -> None:
         check_choice("scheme", self.scheme, SCHEMES)
@@ -311,11 +309,10 @@ class HeadingDifferences(Baseline):
 
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)
-        if set(model.free_names) != {self.gain, self.time_constant}:
+        if set(model.free_names) != {"K", "T"}:
             raise ModelError(
                 f"Model {model.name!r} has the free parameters {', '.join(model.free_names)}; "
-                f"expected {self.gain} and {self.time_constant}. Fix the others, or use "
-                "MultipleShooting."
+                "expected K and T. Fix the others, or use MultipleShooting."
             )
         matrix, right = map(np.concatenate, zip(*map(self._rows, dataset), strict=True))
         present = np.isfinite(right) & np.isfinite(matrix).all(axis=1)
@@ -327,15 +324,12 @@ class HeadingDifferences(Baseline):
                 "is too coarse or too noisy for them. Use MultipleShooting."
             )
         # Rows are divided by the sample time, so that first = K/T and second = -1/T.
-        values = {self.time_constant: -1.0 / second, self.gain: -first / second}
+        values = {"T": -1.0 / second, "K": -first / second}
         errors = right - matrix @ [first, second]
         variance = float(errors @ errors) / max(len(right) - 2, 1)
         inner = variance * np.linalg.inv(matrix.T @ matrix)
         # First-order propagation from (K/T, -1/T) to T and K.
-        slopes = {
-            self.time_constant: np.array([0.0, 1.0 / second**2]),
-            self.gain: np.array([-1.0 / second, first / second**2]),
-        }
+        slopes = {"T": (0.0, 1.0 / second**2), "K": (-1.0 / second, first / second**2)}
         jacobian = np.array([slopes[name] for name in model.free_names])
         estimates = np.array([values[name] for name in model.free_names])
         return Regression(estimates, jacobian @ inner @ jacobian.T)
@@ -346,7 +340,7 @@ class HeadingDifferences(Baseline):
             raise DataError(
                 f"Record {record.name!r} is not sampled uniformly, which differences need."
             )
-        heading, rudder = record.output(self.heading), record.input(self.rudder)
+        heading, rudder = record.output("psi"), record.input("delta")
         steps = np.diff(heading) / record.sample_time
         right = np.diff(steps) / record.sample_time
         if self.scheme == "forward":

@@ -436,7 +436,7 @@ def campaign(
     Parameters
     ----------
     model : Model or Fit
-        The nominal vehicle at first.
+        The nominal vehicle at first; the records of a fit are estimated from as well.
     trial : Trial
         Each run; its name is numbered.
     measure : callable
@@ -470,7 +470,7 @@ def campaign(
     estimator = MultipleShooting(disturbances="none", noise="given")
     nominal: Model | Fit = model
     start = model.model if isinstance(model, Fit) else model
-    records: tuple[Record, ...] = ()
+    records = tuple(model.dataset) if isinstance(model, Fit) else ()
     stages: list[Stage] = []
     for index in range(n_runs):
         name = f"{trial.name}_{index + 1}"
