@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.optimize import least_squares, lsq_linear
+from steered_ship import YAW, two
 from test_shooting import LAG, diving_data
 from vehicles import DIVING_START, remus
 from yaw_vehicle import NOISE, TRUE, yaw_data, yaw_model
@@ -532,7 +533,9 @@ def test_bounds() -> None:
     """An active bound is held exactly."""
     model = yaw_model(T=Parameter("T", 6.0, lower=0.5, upper=7.5))
     condensed = CONDENSED.fit(model, yaw_data(3))
-    program = MultipleShooting(noise=NOISE, solver=Solver("ipopt")).fit(model, yaw_data(3))
+    program = MultipleShooting(noise=NOISE, disturbances="none", solver=Solver("ipopt")).fit(
+        model, yaw_data(3)
+    )
     assert program.values["T"] == pytest.approx(7.5, abs=1e-6)
     assert program.cost == pytest.approx(condensed.cost, abs=1e-4)
 
@@ -675,3 +678,61 @@ def test_unreadable_constraints_are_refused(constraint: str, words: str) -> None
         MultipleShooting(noise=NOISE, solver=Solver("ipopt", constraints=(constraint,))).fit(
             yaw_model(), yaw_data(0)
         )
+
+
+def test_the_program_with_process_noise_ends_where_gauss_newton_does() -> None:
+    """The same likelihood of innovations, levels of the disturbance estimated along."""
+    data = two(4)
+    free = MultipleShooting().fit(YAW, data)
+    program = MultipleShooting(solver=Solver("ipopt")).fit(YAW, data)
+    assert free.noise.has_forces
+    assert program.status.code == "converged"
+    for name, error in free.std_errors.items():
+        assert program.values[name] == pytest.approx(free.values[name], abs=0.15 * error)
+        assert program.std_errors[name] == pytest.approx(error, rel=0.05)
+    (level,), (same,) = program.noise.force, free.noise.force
+    assert level == pytest.approx(same, rel=0.05)
+
+
+def test_an_equation_beside_process_noise_is_one_parameter_less() -> None:
+    """Values and errors are those of the model in which it was solved for a parameter."""
+    data = two(4)
+    tied = MultipleShooting(solver=Solver("ipopt", constraints=("K == 0.1*T",))).fit(YAW, data)
+    solved = replace(
+        YAW,
+        kinematics={"r": "(0.1*T*delta - r)/T", "psi": "r"},
+        parameters=(YAW.parameter("T"),),
+    )
+    own = MultipleShooting().fit(solved, data)
+    assert tied.noise.has_forces
+    assert own.noise.has_forces
+    assert tied.values["K"] == pytest.approx(0.1 * tied.values["T"], rel=1e-6)
+    error = own.std_errors["T"]
+    assert tied.values["T"] == pytest.approx(own.values["T"], abs=0.3 * error)
+    assert [one.text for one in tied.binding] == ["K == 0.1*T"]
+
+
+def test_a_path_beside_process_noise_is_kept_within_its_limit() -> None:
+    """Yaw rates of undisturbed runs are nowhere beyond, and the moment is named."""
+    data = two(4)
+    free = MultipleShooting(solver=Solver("ipopt")).fit(YAW, data)
+    limit = 0.97 * max(float(run[:, 1].max()) for run in free.predictions)
+    solver = Solver("ipopt", constraints=(f"r <= {limit!r}",))
+    kept = MultipleShooting(solver=solver).fit(YAW, data)
+    assert kept.noise.has_forces
+    assert kept.status.code == "converged"
+    assert max(float(run[:, 1].max()) for run in kept.predictions) == pytest.approx(limit, rel=1e-5)
+    for name, error in free.std_errors.items():
+        assert kept.values[name] == pytest.approx(free.values[name], abs=3.0 * error)
+    assert kept.binding[0].text.startswith("r <=")
+
+
+@pytest.mark.slow
+def test_errors_beside_process_noise_hold_with_a_true_equation() -> None:
+    """Of forty data sets 95 % intervals hold the truth in all but a few."""
+    solver = Solver("ipopt", constraints=("K == 0.1*T",))
+    held = []
+    for seed in range(40):
+        fit = MultipleShooting(solver=solver).fit(YAW, two(seed))
+        held.append(abs(fit.values["T"] - 3.0) < 1.96 * fit.std_errors["T"])
+    assert sum(held) >= 33

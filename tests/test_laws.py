@@ -2,58 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from steered_ship import LEVEL, NOISE, TIME, YAW, Share, nothing, sailed
 
-from oed_sysid import Dataset, Input, Model, MultipleShooting, Output, Parameter, Record, State
+from oed_sysid import Dataset, MultipleShooting
 from oed_sysid.likelihood import laws as laws_module
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.laws import Law, laws
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
-
-YAW = Model(
-    "yaw",
-    (State("r", "rad/s", scale=0.1), State("psi", "rad")),
-    (Input("delta", "rad"),),
-    (Output("psi", "rad", noise_std=0.002), Output("r", "rad/s", noise_std=0.002)),
-    {"r": "(K*delta - r)/T", "psi": "r"},
-    parameters=(
-        Parameter("K", 0.3, "1/s", prior_std=0.1),
-        Parameter("T", 3.0, "s", lower=0.1, prior_std=1.0),
-    ),
-    step=0.2,
-)
-STEP, LEVEL, TIME, NOISE = 0.2, 0.02, 4.0, 0.002
-FADES = np.exp(-STEP / TIME)
-# Share of a law in what accelerates the vehicle, at a motion and a command that lags by five
-# seconds.
-Share = Callable[[float, float, float], float]
-
-
-def sailed(
-    seed: int, answer: float, law: Share, *, drift: Share | None = None, level: float = LEVEL
-) -> Record:
-    """A ship that a helmsman may steer, disturbed; written out by Euler's method in tenths."""
-    rng = np.random.default_rng(seed)
-    times = STEP * np.arange(400)
-    orders = np.repeat(rng.choice([-0.3, 0.0, 0.3], 20), 20)
-    r = psi = force = lagged = slow = 0.0
-    rows = []
-    for order in orders:
-        delta = order - answer * psi
-        if drift is not None:
-            slow = drift(r, psi, lagged)
-        rows.append((delta, psi, r + slow))
-        for _ in range(10):
-            push = force + law(r, psi, lagged)
-            r, psi = r + 0.02 * ((0.3 * delta - r) / 3.0 + push), psi + 0.02 * r
-            lagged += 0.02 / 5.0 * (delta - lagged)
-        force = FADES * force + level * np.sqrt(1 - FADES**2) * rng.standard_normal()
-    inputs, outputs = np.array(rows)[:, :1], np.array(rows)[:, 1:]
-    noisy = outputs + NOISE * rng.standard_normal(outputs.shape)
-    return Record(f"run {seed}", times, inputs, noisy, YAW.channels)
 
 
 def asked(seed: int, answer: float, law: Share) -> tuple[Law, ...]:
@@ -67,11 +24,6 @@ def asked(seed: int, answer: float, law: Share) -> tuple[Law, ...]:
     found = laws(problem, problem.point([np.zeros(2)] * 2).unknowns)
     assert found is not None
     return found
-
-
-def nothing(r: float, psi: float, lagged: float) -> float:
-    """No law at all."""
-    return 0.0
 
 
 @pytest.mark.parametrize("answer", [0.0, 0.3])

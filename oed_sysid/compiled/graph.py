@@ -63,8 +63,8 @@ STAGES = (
 FRACTIONS = (GAMMA, (1.0 + GAMMA) / 2.0, 1.0)
 # Newton's method ends after a step below this share of a state, or gives up.
 NEWTON_STEP, NEWTON_FLOOR, NEWTON_MOST = 1e-9, 1e-15, 40
-# Sum of the states from which on a run has diverged: squares of its errors are still numbers.
-DIVERGED = 1e100
+# Sum of the states from which on a run has diverged: cubes of its errors are still numbers.
+DIVERGED = float(np.cbrt(np.finfo(float).max))
 
 
 @dataclass(frozen=True)

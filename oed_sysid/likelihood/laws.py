@@ -36,10 +36,11 @@ from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-from oed_sysid.likelihood.noise_model import Levels
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.score_test import Setting
 from oed_sysid.likelihood.smoother import Path, smoothable
+from oed_sysid.likelihood.unknowns import KnownStarts
 from oed_sysid.runtime.display import as_dict
 
 # Knots of a piecewise linear function, and lags of first order, of every signal.
@@ -92,10 +93,16 @@ class Law:
 
 def laws_of(fit: Estimate) -> tuple[Law, ...] | None:
     """Laws that the process noise of a fit holds; None where that cannot be asked."""
-    noise = fit.noise
     if not len(fit.initial_states) == len(fit.local_values) == len(fit.dataset):
         return None
-    levels = Levels.of(noise, noise, seas=noise.seas).held()
+    return laws(*posed_again(fit))
+
+
+def posed_again(
+    fit: Estimate, known_starts: KnownStarts | None = None, *, levels: bool = False
+) -> tuple[Filtered, np.ndarray]:
+    """The likelihood of a fit, and the unknowns at its end; its noise ``levels`` may be unknown."""
+    noise = fit.noise
     # The filter with which the fit was made, so that it need not be compiled again.
     setting = Setting(
         fit.model,
@@ -105,10 +112,21 @@ def laws_of(fit: Estimate) -> tuple[Law, ...] | None:
         np.zeros(len(noise.white), dtype=bool),
         logged=[place for place in every_place(fit.model) if place.stage == "actuator"],
     )
-    names = dict.fromkeys((*setting.disturbances, *levels.disturbances))
+    lasting = noise.force_time[(noise.force > 0) & (noise.force_time > 0)]
+    unknown = Levels.of(
+        noise,
+        noise,
+        white=fit.sigma_estimated & levels,
+        colour=(noise.colour > 0) & levels,
+        force=(noise.force > 0) & levels,
+        own_times=bool(np.ptp(lasting) > 0) if len(lasting) else False,
+        times=setting.times(fit.dataset),
+        seas=None if levels else noise.seas,
+    )
+    names = dict.fromkeys((*setting.disturbances, *unknown.disturbances))
     kernel = filter_kernel(disturbed_model(fit.model, tuple(names)))
-    problem = Filtered(fit.model, fit.dataset, levels, kernel=kernel)
-    return laws(problem, problem.point(fit.initial_states, fit.local_values).unknowns)
+    problem = Filtered(fit.model, fit.dataset, unknown, kernel=kernel, known_starts=known_starts)
+    return problem, problem.point(fit.initial_states, fit.local_values).unknowns
 
 
 def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
@@ -225,15 +243,7 @@ def _responses(
 ) -> Iterator[tuple[str, list[np.ndarray]]]:
     """Every place that acts, and the whitened innovations by the functions there, per record."""
     noise, levels = problem.noise(unknowns), problem.levels
-    acts = dict(zip(noise.places, noise.force, strict=True))
-    for sea in noise.seas:
-        acts |= {p: one for p, one in zip(sea.places, sea.level, strict=True) if one > 0}
-    # Where a force of first order and a sea share a place, the first of them.
-    places = dict[str, int]()
-    for index, name in enumerate(levels.disturbances):
-        places.setdefault(name.removeprefix(DISTURBANCE).replace("_", " ", 1), index)
-    acting = {place: index for place, index in places.items() if acts.get(place, 0.0) > 0}
-    pairs = [*zip(paths, features, strict=True)]
+    acting, pairs = _acting(noise, levels.disturbances), [*zip(paths, features, strict=True)]
     for place, index in acting.items():
         yield (
             place,
@@ -246,6 +256,17 @@ def _responses(
         )
         found = [path.responses(drive) for path, drive in zip(paths, drives, strict=True)]
         yield f"{SLOW}{noise.outputs[column]}", found
+
+
+def _acting(noise: NoiseModel, disturbances: Sequence[str]) -> dict[str, int]:
+    """Places with a disturbance, and its position among all; of two in one place the first."""
+    acts = dict(zip(noise.places, noise.force, strict=True))
+    for sea in noise.seas:
+        acts |= {p: one for p, one in zip(sea.places, sea.level, strict=True) if one > 0}
+    places = dict[str, int]()
+    for index, name in enumerate(disturbances):
+        places.setdefault(name.removeprefix(DISTURBANCE).replace("_", " ", 1), index)
+    return {place: index for place, index in places.items() if acts.get(place, 0.0) > 0}
 
 
 def _of_colour(

@@ -26,6 +26,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import Progress, Solution, solve
 from oed_sysid.likelihood.integration import resolved
 from oed_sysid.likelihood.judgement import concerns_of, with_verdict
+from oed_sysid.likelihood.laws import posed_again
 from oed_sysid.likelihood.noise_levels import (
     EXACT,
     credible_levels,
@@ -39,7 +40,7 @@ from oed_sysid.likelihood.noise_levels import (
     without_spikes,
 )
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
-from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, constrained
+from oed_sysid.likelihood.nonlinear_program import NonlinearProgram, constrained, solve_innovations
 from oed_sysid.likelihood.random_forces import (
     FIRST_STEPS,
     Start,
@@ -157,20 +158,21 @@ class MultipleShooting:
             advice = "Give seconds above zero, or None, which predicts whole records."
             check_positive("horizon", self.horizon, advice)
         forces, ahead = self.disturbances not in ("auto", "none"), self.horizon is not None
+        program = self.solver.method == "ipopt"
         for clash, words in (
             (
                 ahead and forces,
                 f"disturbances={self.disturbances!r} needs whole records. Drop it or the horizon.",
             ),
             (
-                ahead and (self._white_only or self.interval is not None),
+                ahead and any((program, self._white_only, self.interval is not None)),
                 "A horizon goes with Solver('gauss-newton'), loss='auto' or 'square' and "
                 "interval=None: its windows are the intervals.",
             ),
             (
                 forces and self._white_only,
-                f"disturbances={self.disturbances!r} goes with Solver('gauss-newton') and "
-                "loss='square' or 'auto'. Drop the other setting, or take disturbances='none'.",
+                f"disturbances={self.disturbances!r} goes with loss='square' or 'auto'. Drop the "
+                "other setting, or take disturbances='none'.",
             ),
         ):
             if clash:
@@ -179,7 +181,7 @@ class MultipleShooting:
     @property
     def _white_only(self) -> bool:
         """Whether the settings leave no room for disturbance forces."""
-        return self.solver.method != "gauss-newton" or self.loss not in ("auto", "square")
+        return self.loss not in ("auto", "square")
 
     @property
     def name(self) -> str:
@@ -249,10 +251,26 @@ class MultipleShooting:
         initial_states: KnownStarts | None,
         known_starts: KnownStarts | None,
     ) -> Fit:
+        """The fit with process noise where it acts; by IPOPT from that without constraints."""
+        wanted = self._wants_process_noise(model, dataset)
+        given = model, dataset, warm, initial_states, known_starts
+        if wanted and self.solver.method == "ipopt":
+            return self._of_innovations(*given) or self._by_shooting(*given, wanted=False)
+        return self._by_shooting(*given, wanted=wanted)
+
+    def _by_shooting(
+        self,
+        model: Model,
+        dataset: Dataset,
+        warm: Fit | None,
+        initial_states: KnownStarts | None,
+        known_starts: KnownStarts | None,
+        *,
+        wanted: bool,
+    ) -> Fit:
         task = self._task(model, dataset, warm, initial_states, known_starts)
         model = task.model
         point = task.shooting.warm_point(warm if initial_states is None else None)
-        wanted = self._wants_process_noise(model, dataset)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
         carried = _carried(task.shooting, point, warm) if wanted else None
@@ -270,6 +288,40 @@ class MultipleShooting:
             fit = _failed(fit, code)
         fit = _judged(self._weighed(fit, white, task, end) if wanted else fit, model)
         return fit if disturbed is None else _either(fit, disturbed)
+
+    def _of_innovations(
+        self,
+        model: Model,
+        dataset: Dataset,
+        warm: Fit | None,
+        initial_states: KnownStarts | None,
+        known_starts: KnownStarts | None,
+    ) -> Fit | None:
+        """The fit by IPOPT where process noise acts, from that without constraints; else None."""
+        condensed = replace(
+            self, solver=replace(self.solver, method="gauss-newton", constraints=())
+        )
+        free = condensed._fit(model, dataset, warm, initial_states, known_starts)
+        if not (free.noise.has_forces and free.status.ok):
+            return None
+        began = time.perf_counter()
+        problem, begin = posed_again(free, known_starts, levels=True)
+        end = solve_innovations(
+            problem,
+            begin,
+            self.solver.constraints,
+            max_iterations=self.solver.max_iterations,
+            tolerance=self.solver.tolerance,
+        )
+        if end.finite is None:
+            return None
+        iterations, name = free.iterations + end.iterations, f"{self.name}, disturbance forces"
+        how = Procedure(name, free.sigma_estimated, iterations, began - free.seconds)
+        at = end.point.unknowns, end.matrix, end.right
+        found = constrained(summarise_filtered(end, how), problem, *at, self.solver.constraints)
+        own = with_levels(found.model, found.noise)
+        found = replace(found, model=own, process_noise=free.process_noise, excluded=free.excluded)
+        return _judged(found, model)
 
     def _task(
         self,

@@ -27,6 +27,12 @@ What a constraint says is known, and errors hold it. Of a normal density beyond 
 from one where the constraint only begins to act to zero where it holds like an equation, which
 it is from the first (:math:`m = 0`). Several act one after the other. Bounds of parameters only
 say where a search ended: they leave errors alone.
+
+Where process noise acts, the likelihood is that of the innovations
+(:mod:`oed_sysid.likelihood.filtered`). States are then what the filter has made of all that was
+measured before, so that parameters, start states and levels are all that is unknown. Constraints
+are of the undisturbed run: what the filter predicts follows the records. The Hessian is the
+expected information.
 """
 
 from __future__ import annotations
@@ -46,7 +52,14 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Binding
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import Progress, Solution, exact, nowhere
+from oed_sysid.likelihood.gauss_newton import (
+    FilteredSolution,
+    Progress,
+    Solution,
+    differentiated,
+    exact,
+    nowhere,
+)
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.shooting import Point, Shooting
 from oed_sysid.physics.model import Model
@@ -192,18 +205,8 @@ class NonlinearProgram:
         ``shooting`` may differ from the one at construction in its noise levels.
         """
         watcher = _Watcher(self._problem, self._n_jumps, callback) if callback else None
-        options: dict[str, Any] = {
-            **self._options,
-            "print_time": False,
-            "error_on_fail": False,
-            "show_eval_warnings": False,
-            "ipopt.print_level": 0,
-            "ipopt.sb": "yes",
-            "ipopt.max_iter": max_iterations,
-            "ipopt.tol": min(1e-8, tolerance),
-            "ipopt.bound_relax_factor": 0.0,
-            **({"iteration_callback": watcher} if watcher else {}),
-        }
+        options = {**self._options, **_settings(max_iterations, tolerance)}
+        options |= {"iteration_callback": watcher} if watcher else {}
         solver = ca.nlpsol("estimation", "ipopt", self._problem, options)
         n_nodes = sum(nodes.size for nodes in point.nodes)
         free = np.full(n_nodes, np.inf)
@@ -224,6 +227,183 @@ class NonlinearProgram:
         now = exact(shooting, _point(shooting, found)) if usable else nowhere(shooting, point)
         reason = reason if np.isfinite(now.cost) else "diverged"
         return Solution(now, int(stats["iter_count"]), reason)
+
+
+# Share of a standard error by which parameters are moved for the gradient of a filter.
+NEAR = 1e-4
+
+
+def _settings(max_iterations: int, tolerance: float) -> dict[str, Any]:
+    """Options of IPOPT."""
+    return {
+        "print_time": False,
+        "error_on_fail": False,
+        "show_eval_warnings": False,
+        "ipopt.print_level": 0,
+        "ipopt.sb": "yes",
+        "ipopt.max_iter": max_iterations,
+        "ipopt.tol": min(1e-8, tolerance),
+        "ipopt.bound_relax_factor": 0.0,
+    }
+
+
+def solve_innovations(
+    problem: Filtered,
+    begin: np.ndarray,
+    constraints: Sequence[str],
+    *,
+    max_iterations: int = 200,
+    tolerance: float = 1e-6,
+) -> FilteredSolution:
+    """Minimise the likelihood of innovations with IPOPT.
+
+    Parameters
+    ----------
+    problem : Filtered
+    begin : ndarray (n_unknowns,)
+    constraints : sequence of str
+        See the head of this module.
+    max_iterations, tolerance
+        See :meth:`NonlinearProgram.solve`.
+
+    Returns
+    -------
+    FilteredSolution
+    """
+    user, limits = UserConstraints(problem.model, constraints), problem.limits
+    scale, n = limits.scale, len(limits.scale)
+    counts = [user.counts(len(record.times)) for record in problem.dataset]
+    lower, upper = (
+        np.concatenate([np.repeat(side, one) for one in counts])
+        for side in (user.lower, user.upper)
+    )
+
+    def levels(scaled: np.ndarray) -> list[Any]:
+        unknowns = scaled * scale
+        told = [user.linear(one)[0] for one in _predicted(problem, unknowns)]
+        rows = np.concatenate(told) if told else np.full(len(lower), np.nan)
+        return [differentiated(problem, Point(unknowns, ())).cost, rows]
+
+    def slopes(scaled: np.ndarray) -> list[Any]:
+        unknowns = scaled * scale
+        base = problem.passes(unknowns, rows=True)
+        size = np.diag(problem.gathered(unknowns, base)[0]) + limits.prior_weight
+        # A program needs the slope of its cost, not the one that holds over a standard error.
+        moved = NEAR * np.minimum(1.0 / np.sqrt(np.where(size > 0, size, np.inf)), scale)
+        equations = problem.differentiated(unknowns, base, np.where(moved > 0, moved, NEAR * scale))
+        matrix, right = limits.with_priors(*equations, unknowns)
+        told = np.vstack([user.linear(one)[1] for one in _predicted(problem, unknowns)])
+        return [-(right * scale)[None], told * scale, matrix * scale[:, None] * scale]
+
+    cost_and_rows = _Numbers("levels", n, [(1, 1), (len(lower), 1)], levels)
+    derived = _Numbers("slopes", n, [(1, n), (len(lower), n), (n, n)], slopes)
+    x, nothing, factor = ca.MX.sym("x", n), ca.MX.sym("p", 0), ca.MX.sym("factor")
+    f, g = cost_and_rows(x)
+    gradient, jacobian, hessian = derived(x)
+    multipliers, at = ca.MX.sym("multipliers", len(lower)), [x, nothing]
+    options = {
+        **_settings(max_iterations, tolerance),
+        # Below, differences are rounding.
+        "ipopt.tol": 0.1 * NEAR,
+        "no_nlp_grad": True,
+        "grad_f": ca.Function("g", at, [f, gradient.T], ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("j", at, [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
+        "hess_lag": ca.Function(
+            "h",
+            [*at, factor, multipliers],
+            [ca.triu(factor * hessian)],
+            ["x", "p", "lam_f", "lam_g"],
+            ["triu_hess_gamma_x_x"],
+        ),
+    }
+    solver = ca.nlpsol("estimation", "ipopt", {"x": x, "p": nothing, "f": f, "g": g}, options)
+    result = solver(
+        x0=begin / scale,
+        lbx=limits.lower / scale,
+        ubx=limits.upper / scale,
+        lbg=lower,
+        ubg=upper,
+    )
+    stats = solver.stats()
+    found = np.clip(np.asarray(result["x"]).ravel() * scale, limits.lower, limits.upper)
+    usable = bool(np.isfinite(found).all())
+    now = differentiated(problem, Point(found if usable else begin, ()))
+    reason = _REASONS.get(stats["return_status"], "stalled") if usable else "diverged"
+    return FilteredSolution(now, int(stats["iter_count"]), reason)
+
+
+class _Numbers(ca.Callback):
+    """Functions of the unknowns that are known in numbers alone."""
+
+    def __init__(
+        self,
+        name: str,
+        n: int,
+        shapes: Sequence[tuple[int, int]],
+        work: Callable[[np.ndarray], list[Any]],
+    ) -> None:
+        ca.Callback.__init__(self)
+        self._n, self._shapes, self._work = n, shapes, work
+        self.construct(name, {})
+
+    def get_n_in(self) -> int:
+        return 1
+
+    def get_n_out(self) -> int:
+        return len(self._shapes)
+
+    def get_sparsity_in(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(self._n, 1)
+
+    def get_sparsity_out(self, i: int) -> ca.Sparsity:
+        return ca.Sparsity.dense(*self._shapes[i])
+
+    def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
+        return [ca.DM(one) for one in self._work(np.asarray(arguments[0]).ravel())]
+
+
+@dataclass(frozen=True, eq=False)
+class _Predicted:
+    """Outputs of a record as the model predicts them on its own.
+
+    Attributes
+    ----------
+    name : str
+        Of the record.
+    times : ndarray (n_times,)
+    outputs : ndarray (n_times, n_outputs)
+    by_unknowns : ndarray (n_times, n_outputs, n_unknowns)
+    values : ndarray (n_parameters,)
+    values_by_unknowns : ndarray (n_parameters, n_unknowns)
+    """
+
+    name: str
+    times: np.ndarray
+    outputs: np.ndarray
+    by_unknowns: np.ndarray
+    values: np.ndarray
+    values_by_unknowns: np.ndarray
+
+
+def _predicted(problem: Shooting | Filtered, unknowns: np.ndarray) -> list[_Predicted]:
+    """Predictions of every record; none where the model diverges."""
+    model, layout, found = problem.model, problem.layout, []
+    place = [model.parameter_names.index(name) for name in layout.free_names]
+    for index, record in enumerate(problem.dataset):
+        columns, slopes = layout.record_columns(index), layout.record_slopes(unknowns, index)
+        free = layout.parameters(unknowns, index)
+        values = model.with_values(dict(zip(layout.free_names, free, strict=True))).value_vector
+        own = unknowns[columns[: layout.n_own]]
+        run = kernel(model).simulate(record.times, record.inputs, values, own, sensitivities=True)
+        if not run.ok or run.output_sensitivities is None:
+            return []
+        by_unknowns = np.zeros((*run.outputs.shape, len(unknowns)))
+        by_unknowns[:, :, columns] = run.output_sensitivities * slopes
+        by_values = np.zeros((len(values), len(unknowns)))
+        by_values[place, columns[layout.n_own :]] = slopes[layout.n_own :]
+        here = record.times, run.outputs, by_unknowns
+        found.append(_Predicted(record.name, *here, values, by_values))
+    return found
 
 
 # Functions that choose a sample: of the first, or of the last one of a record.
@@ -255,6 +435,7 @@ class UserConstraints:
         scope |= dict(zip(model.parameter_names, ca.vertsplit(values), strict=True))
         self.texts = tuple(texts)
         self._functions, self._places = list[ca.Function](), list[int | None]()
+        self._rows = dict[tuple[int, ...], ca.Function]()
         lower, upper = [], []
         for text in texts:
             left, right, kind, place = _compared(text)
@@ -301,16 +482,23 @@ class UserConstraints:
                 rows.append(function(outputs[:, place], values))
         return ca.vertcat(*rows)
 
-    def tightest(
-        self, outputs: np.ndarray, values: np.ndarray
-    ) -> Iterator[tuple[str, int | None, float, np.ndarray, np.ndarray]]:
-        """Where each constraint of a record is nearest to being broken.
+    def linear(self, record: _Predicted) -> tuple[np.ndarray, np.ndarray]:
+        """Rows of :meth:`of_record` in numbers, and their derivatives by all unknowns."""
+        outputs = record.outputs if self.of_outputs else record.outputs[:0]
+        shape = outputs.T.shape
+        if shape not in self._rows:
+            seen, values = ca.MX.sym("seen", *shape), ca.MX.sym("values", len(record.values))
+            rows = self.of_record(seen, values)
+            derived = [rows, ca.jacobian(rows, seen), ca.jacobian(rows, values)]
+            self._rows[shape] = ca.Function("rows", [seen, values], derived)
+        level, by_outputs, by_values = self._rows[shape](outputs.T, record.values)
+        slopes = np.asarray(by_values) @ record.values_by_unknowns
+        if self.of_outputs:
+            slopes += by_outputs.sparse() @ record.by_unknowns.reshape(outputs.size, -1)
+        return np.asarray(level).ravel(), slopes
 
-        Parameters
-        ----------
-        outputs : ndarray (n_times, n_outputs)
-            Predicted.
-        values : ndarray (n_parameters,)
+    def tightest(self, record: _Predicted) -> Iterator[tuple[str, int | None, float, np.ndarray]]:
+        """Where each constraint of a record is nearest to being broken.
 
         Yields
         ------
@@ -319,23 +507,22 @@ class UserConstraints:
             None where it holds no output.
         excess : float
             Left less right side, with the sign in which it breaks the constraint.
-        by_outputs, by_values : ndarray (n_outputs,), (n_parameters,)
+        slope : ndarray (n_unknowns,)
             Derivatives of the excess.
         """
-        for i, (text, function, place) in enumerate(
-            zip(self.texts, self._functions, self._places, strict=True)
+        level, slopes = self.linear(record)
+        counts = self.counts(len(record.outputs))
+        ends = np.cumsum(counts)
+        for i, (text, place, count, end) in enumerate(
+            zip(self.texts, self._places, counts, ends, strict=True)
         ):
-            of_outputs = i in self.of_outputs
-            rows = outputs if of_outputs else np.zeros((1, outputs.shape[1]))
-            level = np.array([float(function(row, values)) for row in rows])
             # Brought to one sign: above zero breaks the constraint.
-            level = level if self.lower[i] == -np.inf else -level
-            sample = int(np.nanargmax(level)) if place is None else place % len(rows)
             sign = 1.0 if self.lower[i] == -np.inf else -1.0
-            slopes = function.jacobian()(rows[sample], values, 0.0)
-            by_outputs, by_values = (sign * np.array(ca.DM(one)).ravel() for one in slopes)
-            found = sample if of_outputs else None
-            yield text, found, float(level[sample]), by_outputs, by_values
+            own = sign * level[end - count : end]
+            row = int(np.nanargmax(own))
+            sample = row if place is None else place % len(record.outputs)
+            found = sample if i in self.of_outputs else None
+            yield text, found, float(own[row]), sign * slopes[end - count + row]
 
 
 def _compared(text: str) -> tuple[str, str, type, int | None]:
@@ -591,26 +778,9 @@ def _constraints(
     problem: Shooting | Filtered, unknowns: np.ndarray, user: UserConstraints
 ) -> Iterator[_Active]:
     """Every constraint of the user, along a path where it is exceeded most."""
-    model, layout, runner = problem.model, problem.layout, kernel(problem.model)
-    place = [model.parameter_names.index(name) for name in layout.free_names]
-    for index, record in enumerate(problem.dataset):
-        columns = layout.record_columns(index)
-        own = unknowns[columns[: layout.n_own]]
-        at = layout.parameters(unknowns, index)
-        whole = model.with_values(dict(zip(layout.free_names, at, strict=True))).value_vector
-        run = runner.simulate(record.times, record.inputs, whole, own, sensitivities=True)
-        by_own_and_free = run.output_sensitivities
-        if not run.ok or by_own_and_free is None:
-            return
-        slopes = layout.record_slopes(unknowns, index)
-        for text, sample, excess, by_outputs, by_values in user.tightest(run.outputs, whole):
-            row = np.concatenate([np.zeros(layout.n_own), by_values[place]])
-            where = ""
-            if sample is not None:
-                row = row + by_outputs @ by_own_and_free[sample]
-                where = f" at {record.times[sample]:g} s of {record.name}"
-            elif index:
+    for index, record in enumerate(_predicted(problem, unknowns)):
+        for text, sample, excess, gradient in user.tightest(record):
+            if sample is None and index:
                 continue
-            gradient = np.zeros(len(unknowns))
-            gradient[columns] = row * slopes
+            where = "" if sample is None else f" at {record.times[sample]:g} s of {record.name}"
             yield _Active(f"{text}{where}", excess, gradient, known=True)
