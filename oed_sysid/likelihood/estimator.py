@@ -47,8 +47,9 @@ class Solver:
     Parameters
     ----------
     method : str
-        ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds
-        every node as an unknown and takes constraints.
+        ``"gauss-newton"``, condensed and fast; or ``"ipopt"``, which holds every node as an
+        unknown and takes constraints. Where process noise acts its unknowns are those of the
+        likelihood of innovations.
     max_iterations : int
         Most iterations.
     tolerance : float
@@ -59,8 +60,8 @@ class Solver:
     constraints : sequence of str
         For IPOPT, in SI units: comparisons among parameters, ``"M_uq < 0"`` or
         ``"Y_v*N_r > N_v*Y_r"``; of predicted outputs along every record, ``"z < 25"``, and at its
-        ends, ``"start(theta) == 0"``, ``"end(u) > 1.5"``. Those that bind are a concern of the fit;
-        standard errors ignore them.
+        ends, ``"start(theta) == 0"``, ``"end(u) > 1.5"``. Those that bind are a concern of the fit,
+        and standard errors know of them.
 
     Examples
     --------
