@@ -47,7 +47,7 @@ _TRIED = 4
 
 @dataclass(frozen=True, eq=False)
 class Library:
-    """Information and cost of candidate runs, on several vehicles.
+    """Information and cost of candidate runs, on several vehicles, and what may be spent.
 
     Attributes
     ----------
@@ -60,6 +60,10 @@ class Library:
     criterion : Criterion
     measure : Measure
         The criterion, bound.
+    budget : float
+        Largest sum of costs.
+    most : float
+        Largest number of runs.
     """
 
     information: np.ndarray
@@ -67,6 +71,8 @@ class Library:
     costs: np.ndarray
     criterion: Criterion
     measure: Measure
+    budget: float = np.inf
+    most: float = np.inf
 
     def __post_init__(self) -> None:
         if not np.all(self.costs > 0):
@@ -110,6 +116,17 @@ class Library:
         """How many times the information a difference of the criterion is worth."""
         n = self.prior.shape[0] if isinstance(self.criterion, DOptimal) else 1
         return float(np.exp(difference / n))
+
+    def fits(self, counts: np.ndarray) -> np.ndarray:
+        """Runs that may be added to whole runs ``(n_runs,)``."""
+        if counts.sum() + 1 > self.most:
+            return np.zeros(0, dtype=int)
+        return np.flatnonzero(self.costs <= self.budget * (1 + 1e-9) - counts @ self.costs)
+
+    def added(self, counts: np.ndarray, runs: np.ndarray) -> np.ndarray:
+        """Worth with each of some runs added."""
+        base = self.total(counts.astype(float))
+        return self.values(base[None] + self.information[:, runs].transpose(1, 0, 2, 3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,22 +194,10 @@ def relaxed(library: Library, costs: np.ndarray) -> Weights:
     return replace(best, bound=ceiling)
 
 
-def weights(library: Library, *, budget: float | None, n_runs: int | None) -> Weights:
-    """Best weights within a budget of cost, of runs, or of both, with a bound.
-
-    Parameters
-    ----------
-    library : Library
-    budget : float, optional
-        Largest sum of costs.
-    n_runs : int, optional
-        Largest number of runs.
-    """
-    time = None if budget is None else library.costs / budget
-    count = None if n_runs is None else np.full(library.n_runs, 1.0 / n_runs)
-    limits = [one for one in (time, count) if one is not None]
-    if not limits:
-        raise DesignError("A programme needs an end. Give hours, a number of runs, or both.")
+def weights(library: Library) -> Weights:
+    """Best weights within a budget of cost, of runs, or of both, with a bound."""
+    shares = (library.costs / library.budget, np.full(library.n_runs, 1.0 / library.most))
+    limits = [one for one in shares if one.any()]
     found = []
     for limit in limits:
         found.append(relaxed(library, limit))
@@ -239,83 +244,53 @@ class Selection:
     greedy: float
 
 
-class _Search:
-    """Greedy and exchange within a budget."""
-
-    def __init__(self, library: Library, budget: float | None, n_runs: int | None) -> None:
-        self.library = library
-        self.budget = np.inf if budget is None else budget * (1 + 1e-9)
-        self.n_runs = np.inf if n_runs is None else n_runs
-
-    def fits(self, counts: np.ndarray) -> np.ndarray:
-        """Runs that may be added."""
-        if counts.sum() + 1 > self.n_runs:
-            return np.zeros(0, dtype=int)
-        left = self.budget - counts @ self.library.costs
-        return np.flatnonzero(self.library.costs <= left)
-
-    def added(self, counts: np.ndarray, runs: np.ndarray) -> np.ndarray:
-        """Worth with each of some runs added."""
-        base = self.library.total(counts.astype(float))
-        stack = base[None] + self.library.information[:, runs].transpose(1, 0, 2, 3)
-        return self.library.values(stack)
-
-    def filled(self, counts: np.ndarray, *, per_cost: bool) -> np.ndarray:
-        """Add the most telling run until the budget is used."""
-        counts = counts.copy()
-        value = self.library.value(counts)
-        while len(runs := self.fits(counts)):
-            gain = self.added(counts, runs) - value
-            rank = gain / self.library.costs[runs] if per_cost else gain
-            best = int(np.argmax(rank))
-            counts[runs[best]] += 1
-            value += float(gain[best])
-        return counts
-
-    def exchanged(self, counts: np.ndarray) -> np.ndarray:
-        """Replace runs, or leave one out and fill up, as long as that helps."""
-        counts = self.filled(counts, per_cost=True)
-        value = self.library.value(counts)
-        while True:
-            chosen = np.repeat(np.arange(len(counts)), counts).tolist()
-            # One or two runs out, so that a swap of two short ones for a long one is found too.
-            fewer = [
-                counts - np.bincount(pick, minlength=len(counts))
-                for pick in {*combinations(chosen, 1), *combinations(chosen, 2)}
-            ]
-            trials = [trial for one in fewer for trial in (one, *self._best_added(one))]
-            options = [self.filled(one, per_cost=flag) for one in trials for flag in (True, False)]
-            found = [self.library.value(option) for option in options]
-            if not found or max(found) <= value + 1e-9:
-                return counts
-            counts = options[int(np.argmax(found))]
-            value = max(found)
-
-    def _best_added(self, fewer: np.ndarray) -> list[np.ndarray]:
-        """With the few runs added that tell most on their own."""
-        if not len(runs := self.fits(fewer)):
-            return []
-        best = runs[np.argsort(-self.added(fewer, runs))[:_TRIED]]
-        return [fewer + np.bincount([run], minlength=len(fewer)) for run in best]
+def _filled(library: Library, counts: np.ndarray, *, per_cost: bool) -> np.ndarray:
+    """Add the most telling run until the budget is used."""
+    counts, value = counts.copy(), library.value(counts)
+    while len(runs := library.fits(counts)):
+        gain = library.added(counts, runs) - value
+        best = int(np.argmax(gain / library.costs[runs] if per_cost else gain))
+        counts[runs[best]] += 1
+        value += float(gain[best])
+    return counts
 
 
-def select(
-    library: Library,
-    shares: Weights,
-    *,
-    budget: float | None,
-    n_runs: int | None,
-    begin: Sequence[np.ndarray] = (),
-) -> Selection:
+def _exchanged(library: Library, counts: np.ndarray) -> np.ndarray:
+    """Replace runs, or leave one out and fill up, as long as that helps."""
+    counts = _filled(library, counts, per_cost=True)
+    value = library.value(counts)
+    while True:
+        chosen = np.repeat(np.arange(len(counts)), counts).tolist()
+        # One or two runs out, so that a swap of two short ones for a long one is found too.
+        fewer = [
+            counts - np.bincount(pick, minlength=len(counts))
+            for pick in {*combinations(chosen, 1), *combinations(chosen, 2)}
+        ]
+        trials = [trial for one in fewer for trial in (one, *_best_added(library, one))]
+        options = [_filled(library, one, per_cost=flag) for one in trials for flag in (True, False)]
+        found = [library.value(option) for option in options]
+        if not found or max(found) <= value + 1e-9:
+            return counts
+        counts = options[int(np.argmax(found))]
+        value = max(found)
+
+
+def _best_added(library: Library, fewer: np.ndarray) -> list[np.ndarray]:
+    """With the few runs added that tell most on their own."""
+    if not len(runs := library.fits(fewer)):
+        return []
+    best = runs[np.argsort(-library.added(fewer, runs))[:_TRIED]]
+    return [fewer + np.bincount([run], minlength=len(fewer)) for run in best]
+
+
+def select(library: Library, shares: Weights, begin: Sequence[np.ndarray] = ()) -> Selection:
     """Choose whole runs: greedy ways and rounded weights, each improved by exchange.
 
     Parameters
     ----------
     library : Library
     shares : Weights
-        Of the relaxed problem with the same limits.
-    budget, n_runs : optional
-        As for :func:`weights`.
+        Of the relaxed problem.
     begin : sequence of ndarray of int (n_runs,)
         Further selections to improve.
 
@@ -324,21 +299,22 @@ def select(
     DesignError
         If not even one run fits.
     """
-    search = _Search(library, budget, n_runs)
     none = np.zeros(library.n_runs, dtype=int)
-    if not len(search.fits(none)):
+    if not len(alone := library.fits(none)):
         raise DesignError(
             f"Not even the shortest run ({library.costs.min() / 60:.3g} min with its turnaround) "
             "fits. Give more time."
         )
-    greedy = [search.filled(none, per_cost=flag) for flag in (True, False)]
-    rounded = np.floor(shares.repetitions + 1e-6).astype(int)
-    ones = np.eye(library.n_runs, dtype=int)[search.fits(none)]
-    filled = [search.filled(one, per_cost=flag) for one in ones for flag in (True, False)]
+
+    def both(counts: np.ndarray) -> list[np.ndarray]:
+        return [_filled(library, counts, per_cost=flag) for flag in (True, False)]
+
+    greedy, rounded = both(none), np.floor(shares.repetitions + 1e-6).astype(int)
+    filled = [way for one in np.eye(library.n_runs, dtype=int)[alone] for way in both(one)]
     filled.sort(key=library.value, reverse=True)
     starts = [*greedy, rounded, *begin, *filled[:_TRIED]]
     distinct = {tuple(start): start for start in starts}.values()
-    found = [*greedy, *map(search.exchanged, distinct)]
+    found = [*greedy, *(_exchanged(library, start) for start in distinct)]
     best = max(found, key=library.value)
     return Selection(best, library.value(best), max(map(library.value, greedy)))
 
@@ -346,11 +322,10 @@ def select(
 def order(library: Library, counts: Sequence[int]) -> list[int]:
     """Sequence of runs: each the one that tells most per cost after those before it."""
     left, done = np.array(counts), np.zeros(len(counts), dtype=int)
-    search = _Search(library, None, None)
     sequence = []
     while left.any():
         runs = np.flatnonzero(left)
-        gain = (search.added(done, runs) - library.value(done)) / library.costs[runs]
+        gain = (library.added(done, runs) - library.value(done)) / library.costs[runs]
         chosen = int(runs[int(np.argmax(gain))])
         sequence.append(chosen)
         left[chosen] -= 1

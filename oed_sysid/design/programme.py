@@ -330,10 +330,10 @@ class _Planner:
         """Time that some of the optional sensors take, h."""
         return float(sum(self.budget.sensors[name] for name in subset))
 
-    def seconds(self, subset: Sequence[str]) -> float | None:
-        """Time that is left for runs beside some of the optional sensors, s; None: no limit."""
+    def seconds(self, subset: Sequence[str]) -> float:
+        """Time that is left for runs beside some of the optional sensors, s."""
         if self.budget.hours is None:
-            return None
+            return np.inf
         left = 3600.0 * (self.budget.hours - self.sensor_hours(subset))
         if left <= 0:
             raise DesignError("The sensors alone take longer than there is time. Give more hours.")
@@ -373,12 +373,12 @@ class _Planner:
         library = Library(
             np.stack([matrix for _, matrix in there], axis=1),
             expected.relative(expected.before, self.scales), np.array([run.cost for run in kept]),
-            expected.criterion, expected.measure(scales=self.scales),
+            expected.criterion, expected.measure(scales=self.scales), self.seconds(subset),
+            np.inf if self.budget.n_runs is None else self.budget.n_runs,
         )  # fmt: skip
-        budget, n_runs = self.seconds(subset), self.budget.n_runs
-        shares = weights(library, budget=budget, n_runs=n_runs)
+        shares = weights(library)
         before = [] if begin is None else [np.append(begin, np.zeros(len(there) - len(begin), int))]
-        chosen = select(library, shares, budget=budget, n_runs=n_runs, begin=before)
+        chosen = select(library, shares, before)
         return _Plan(kept, subset, library, shares, chosen)
 
     def kept_within(self, plan: _Plan) -> tuple[_Plan, dict[str, Assurance]]:
