@@ -28,6 +28,7 @@ from oed_sysid.likelihood.estimator import Estimator, Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -96,22 +97,17 @@ class Scenario:
             raise ProblemError(f"Noise level {level} is negative. Give 0 or more.")
         if unit == "peak":
             return level / 100.0 * self.peaks
-        declared = [output.noise_std for output in self.model.outputs]
-        if any(std is None for std in declared):
+        declared = given_levels(self.model.outputs)
+        if np.isnan(declared).any():
             raise ProblemError(
                 f"Problem {self.name!r} does not declare the noise of all outputs. Give noise as a "
                 "share of the peak."
             )
-        return level * np.array(declared, dtype=float)
+        return level * declared
 
     def with_noise(self, sigma: np.ndarray) -> Model:
         """Return the true model with outputs that declare this noise, or a small one for none."""
-        stated = np.where(sigma > 0, sigma, ASSUMED_SHARE * self.peaks)
-        outputs = tuple(
-            replace(output, noise_std=float(std))
-            for output, std in zip(self.model.outputs, stated, strict=True)
-        )
-        return replace(self.model, outputs=outputs)
+        return self.model.with_noise(np.where(sigma > 0, sigma, ASSUMED_SHARE * self.peaks))
 
 
 @lru_cache(maxsize=16)
@@ -130,7 +126,8 @@ def load_scenario(problem: str) -> Scenario:
     loaded = load_problem(problem)
     model = loaded.true_model() if loaded.truth else loaded.model
     # Start values say nothing about the truth, so priors would be wrong or a gift.
-    model = _changed(model, lambda p: replace(p, prior_mean=None, prior_std=None))
+    names = model.parameter_names
+    model = model.changed(names, lambda p: replace(p, prior_mean=None, prior_std=None))
     train, test = _split(loaded, problem)
     if zero := [name for name in model.free_names if model.values[name] == 0.0]:
         raise ProblemError(
@@ -156,15 +153,6 @@ def _split(problem: Problem, name: str) -> tuple[tuple[Experiment, ...], Experim
             "learns from all but the last and judges by that. Add experiments to its problem.py."
         )
     return tuple(train), test
-
-
-def _changed(model: Model, change: Callable[[Parameter], Parameter]) -> Model:
-    """The model with all its parameters changed, wherever they are declared."""
-    effects = tuple(
-        replace(effect, parameters=tuple(map(change, effect.parameters)))
-        for effect in model.effects
-    )
-    return replace(model, effects=effects, parameters=tuple(map(change, model.parameters)))
 
 
 # Problems whose source has a single manoeuvre: it is learned from, with the changes given, and
@@ -313,8 +301,6 @@ def with_region(model: Model, factor: float = 4.0) -> Model:
     """
 
     def bounded(p: Parameter) -> Parameter:
-        if p.name not in model.free_names:
-            return p
         low, high = sorted((p.value / factor, p.value * factor))
         return replace(
             p,
@@ -322,18 +308,16 @@ def with_region(model: Model, factor: float = 4.0) -> Model:
             upper=p.upper if np.isfinite(p.upper) else high,
         )
 
-    return _changed(model, bounded)
+    return model.changed(model.free_names, bounded)
 
 
 def with_beliefs(model: Model) -> Model:
     """Return the model whose free parameters have their values as prior means."""
 
     def believed(p: Parameter) -> Parameter:
-        free = p.name in model.free_names
-        std = RELATIVE_PRIOR * p.magnitude
-        return replace(p, prior_mean=p.value, prior_std=std) if free else p
+        return replace(p, prior_mean=p.value, prior_std=RELATIVE_PRIOR * p.magnitude)
 
-    return _changed(model, believed)
+    return model.changed(model.free_names, believed)
 
 
 # What numerical methods end with on hard data; everything else is a fault of a program, which
@@ -529,8 +513,8 @@ def _prediction(fit: Fit, scenario: Scenario, model: Model) -> float:
         )
     except SimulationError:
         return float(np.inf)
-    sigma = np.array([output.noise_std for output in model.outputs], dtype=float)
-    error = float(np.sqrt(np.mean(((run.outputs - test.outputs) / sigma) ** 2)))
+    off = (run.outputs - test.outputs) / given_levels(model.outputs)
+    error = float(np.sqrt(np.mean(off**2)))
     return error if np.isfinite(error) else float(np.inf)
 
 

@@ -28,6 +28,7 @@ from oed_sysid.errors import ProblemError, located
 from oed_sysid.experiments.experiment import Experiment
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import Place, with_disturbance_inputs
+from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.noise_model import NoiseModel, Sea
 from oed_sysid.physics.base import Force
 from oed_sysid.physics.channels import Output
@@ -103,7 +104,7 @@ class World:
             Whether sensors are noisy; without it only what is not noise of a sensor acts.
         """
         for_forces, for_colour, for_spikes, for_offset = rng.spawn(4)
-        std = np.array([output.noise_std for output in model.outputs], dtype=float)
+        std = given_levels(model.outputs)
         acts = self.forces or self.swell or self.hidden
         if acts or self.colour:
             run = simulate(model, experiment, noise=False)
@@ -134,7 +135,7 @@ class World:
         self, model: Model, clean: Record, experiment: Experiment, rng: np.random.Generator
     ) -> Record:
         """The same commands with what acts on every equation of motion."""
-        largest, start = _largest_forces(model, clean, experiment), _start(model, experiment)
+        largest = _largest_forces(model, clean, experiment)
         places = tuple(largest)
         damped = model + self._damping(model, clean, experiment, largest) if self.hidden else model
         pushed = with_disturbance_inputs(damped, [Place("force", place) for place in places])
@@ -157,7 +158,7 @@ class World:
             period = self._period(clean) / experiment.sample_time * SUBSTEPS
             push += self.swell * _narrow_band(shape, period, self.bandwidth, rng)
         inputs = np.column_stack([*columns, push * np.array(list(largest.values()))])
-        path = simulate_inputs(pushed, fine, inputs=inputs, initial=start)
+        path = simulate_inputs(pushed, fine, inputs=inputs, initial=experiment.initial)
         return clean.with_outputs(path.outputs[::SUBSTEPS])
 
     def _period(self, clean: Record) -> float:
@@ -169,11 +170,10 @@ class World:
         """Quadratic damping of the velocities that a run does not start with."""
         speeds = _largest(model, clean, experiment, model.state_names)
         fastest = dict(zip(model.state_names, speeds, strict=True))
-        start = _start(model, experiment)
         terms = {}
         for place, force in largest.items():
             speed = model.axes.get(place, place)
-            if abs(start[speed]) < 0.5 * fastest[speed]:
+            if abs(experiment.initial.get(speed, 0.0)) < 0.5 * fastest[speed]:
                 size = self.hidden * force / fastest[speed] ** 2
                 terms[place] = f"-{size!r}*{speed}*abs({speed})"
         return Force("hidden_damping", terms)
@@ -187,7 +187,7 @@ class World:
             At the truth; its outputs declare the true noise.
         experiment : Experiment
         """
-        std = np.array([output.noise_std for output in model.outputs], dtype=float)
+        std = given_levels(model.outputs)
         largest: dict[str, float] = {}
         seas: tuple[Sea, ...] = ()
         if self.forces or self.swell:
@@ -210,11 +210,7 @@ class World:
 
     def believed(self, model: Model, rng: np.random.Generator) -> Model:
         """The model as an estimator is handed it: levels as declared, known numbers nominal."""
-        outputs = tuple(
-            replace(output, noise_std=float(output.noise_std or 0.0) * self.declared)
-            for output in model.outputs
-        )
-        model = replace(model, outputs=outputs)
+        model = model.with_noise(self.declared * given_levels(model.outputs))
         if not self.wrong:
             return model
         known = [p for p in model.all_parameters if p.fixed and p.value]
@@ -249,13 +245,8 @@ def _largest(
         outputs=tuple(Output(f"seen_{i}", "1", expression=text) for i, text in enumerate(texts)),
         effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
     )
-    start = _start(model, experiment)
-    run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=start)
+    run = simulate_inputs(probe, clean.times, inputs=clean.inputs, initial=experiment.initial)
     return [float(x) for x in np.abs(run.outputs).max(axis=0)]
-
-
-def _start(model: Model, experiment: Experiment) -> dict[str, float]:
-    return {name: experiment.initial.get(name, 0.0) for name in model.state_names}
 
 
 def _gauss_markov(shape: tuple[int, ...], time: float, rng: np.random.Generator) -> np.ndarray:

@@ -148,7 +148,7 @@ class ExpectedInformation:
         sea, levels = expected_noise(model, noise)
         sigma = noise_of(model, levels)
         # The levels belong to the model, so that reports and cards state them.
-        model = with_levels(model, sigma)
+        model = model.with_noise(sigma)
         prior = knowledge.before(given, model)
         shifts = _shifts(criterion, model)
         n = len(_shared(model))
@@ -287,12 +287,6 @@ def _shifts(criterion: Criterion, model: Model) -> Shifts | None:
     if hasattr(criterion, "bind_shifts"):
         raise DesignError("A criterion has no bind_shifts. Write bind(Setting(..., shifts=...)).")
     return criterion.shifts(model) if isinstance(criterion, ByShifts) else None
-
-
-def with_levels(model: Model, sigma: np.ndarray) -> Model:
-    """Return the model with other standard deviations of its sensors' noise, ``(n_outputs,)``."""
-    outputs = zip(model.outputs, map(float, sigma), strict=True)
-    return replace(model, outputs=tuple(replace(one, noise_std=std) for one, std in outputs))
 
 
 def _shared(model: Model) -> tuple[str, ...]:

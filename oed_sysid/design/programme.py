@@ -31,7 +31,7 @@ from oed_sysid.design.allocation import Library, Selection, Weights, order, sele
 from oed_sysid.design.assurance import AccuracyRange, Assurance, assess_limits
 from oed_sysid.design.criteria import AOptimal, Criterion, EOptimal, inverse
 from oed_sysid.design.experiment_design import find_design
-from oed_sysid.design.knowledge import ExpectedInformation, Knowledge, with_levels
+from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs
 from oed_sysid.design.result import Design, Programme, Standard
 from oed_sysid.design.trial import Search, Task, Trial
@@ -459,7 +459,7 @@ class _Planner:
         told = plan.library.information[0, j][:n, :n]
         raised = expected.raising(plan.runs[j].experiment, told, scales) * sampling
         return replace(
-            expected, model=with_levels(expected.model, raised * expected.sigma), sea=None,
+            expected, model=expected.model.with_noise(raised * expected.sigma), sea=None,
             before=matrix, sigma=raised * expected.sigma, raised=1.0, start="unknown",
             prior=Information.from_matrix(expected.names, matrix[:n, :n], scales),
         )  # fmt: skip

@@ -145,14 +145,7 @@ def at_sea(
         times = np.interp(np.arange((len(times) - 1) * count + 1) / count, range(len(times)), times)
     drawn = drawn_disturbances(noise, times, rng)
     places = chosen_places(model, list(drawn))
-    vehicle = with_disturbance_inputs(model, places)
-    vehicle = replace(
-        vehicle,
-        outputs=tuple(
-            replace(output, noise_std=float(level))
-            for output, level in zip(model.outputs, noise.white, strict=True)
-        ),
-    )
+    vehicle = with_disturbance_inputs(model, places).with_noise(noise.white)
     names = vehicle.input_names[len(model.inputs) :]
     way = "linear" if noise.seas else "hold"
     waves = [

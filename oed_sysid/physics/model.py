@@ -200,22 +200,27 @@ class Model(Structure):
 
     def with_values(self, values: Mapping[str, float]) -> Model:
         """Return the model with some parameter values replaced."""
-        return self._changed(values, lambda p: p.with_value(values[p.name]))
+        return self.changed(values, lambda p: p.with_value(values[p.name]))
 
     def fix(self, *names: str) -> Model:
         """Return the model with the named parameters held at their values."""
-        return self._changed(names, lambda p: replace(p, fixed=True))
+        return self.changed(names, lambda p: replace(p, fixed=True))
 
     def free(self, *names: str) -> Model:
         """Return the model with the named parameters open to estimation."""
-        return self._changed(names, lambda p: replace(p, fixed=False))
+        return self.changed(names, lambda p: replace(p, fixed=False))
 
     def with_parameter(self, parameter: Parameter) -> Model:
         """Return the model with one parameter replaced by another of the same name."""
-        return self._changed((parameter.name,), lambda p: parameter)
+        return self.changed((parameter.name,), lambda p: parameter)
 
-    def _changed(self, names: Collection[str], change: Callable[[Parameter], Parameter]) -> Model:
-        """The model with some of its parameters changed."""
+    def with_noise(self, levels: Iterable[float]) -> Model:
+        """Return the model whose outputs declare these standard deviations of their noise."""
+        pairs = zip(self.outputs, levels, strict=True)
+        return replace(self, outputs=tuple(replace(o, noise_std=float(std)) for o, std in pairs))
+
+    def changed(self, names: Collection[str], change: Callable[[Parameter], Parameter]) -> Model:
+        """Return the model with some of its parameters changed, wherever they are declared."""
         for name in names:
             self.parameter(name)
 
