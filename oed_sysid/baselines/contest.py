@@ -474,8 +474,8 @@ def _away(model: Model, cell: Cell, factor: float = 1.0) -> Model:
     for parameter in model.free_parameters:
         off = rng.uniform(-1.0, 1.0)
         moved = parameter.value * (factor**off if factor > 1 else 1.0 + cell.spread * off)
-        values[parameter.name] = float(np.clip(moved, parameter.lower, parameter.upper))
-    return model.with_values(values)
+        values[parameter.name] = moved
+    return model.within_bounds(values)
 
 
 def _bounds(model: Model, dataset: Dataset, noise: Sequence[NoiseModel]) -> list[float]:

@@ -138,7 +138,7 @@ def simulated(
         Known start of some states in all records; others are measured, or zero.
     """
     names, values = model.free_names, np.asarray(found.estimates, dtype=float)
-    fitted = model.with_values(_within_bounds(model, dict(zip(names, values, strict=True))))
+    fitted = model.within_bounds(dict(zip(names, values, strict=True)))
     runner = kernel(fitted)
     runs, initial = [], []
     for record in dataset:
@@ -193,16 +193,6 @@ def information_from_covariance(model: Model, covariance: np.ndarray) -> Informa
     matrix[block] = np.linalg.pinv(scaled[block], hermitian=True)
     inner = matrix / scales[:, None] / scales
     return Information.from_matrix(model.free_names, inner, scales)
-
-
-def _within_bounds(model: Model, values: Mapping[str, float]) -> dict[str, float]:
-    """Values that a parameter can carry: a bound where an unbounded method left it."""
-    inside = {}
-    for name, value in values.items():
-        parameter = model.parameter(name)
-        finite = value if np.isfinite(value) else parameter.value
-        inside[name] = float(np.clip(finite, parameter.lower, parameter.upper))
-    return inside
 
 
 class RegressionEstimator(Baseline):

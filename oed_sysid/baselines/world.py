@@ -215,8 +215,7 @@ class World:
             return model
         known = [p for p in model.all_parameters if p.fixed and p.value]
         off = {p.name: p.value * (1 + self.wrong * rng.uniform(-1.0, 1.0)) for p in known}
-        bounded = {p.name: float(np.clip(off[p.name], p.lower, p.upper)) for p in known}
-        return model.with_values(bounded)
+        return model.within_bounds(off)
 
 
 def _equations_of_motion(model: Model) -> tuple[str, ...]:

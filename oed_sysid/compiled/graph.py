@@ -257,8 +257,7 @@ def _vertcat(items: Iterable[ca.SX]) -> ca.SX:
 
 def _build(model: Model) -> Graph:
     tables = model.library
-    added = [state.name for effect in model.effects for state in effect.states]
-    states = _symbols((*model.state_names, *added))
+    states = _symbols(model.all_state_names)
     inputs, parameters = _symbols(model.input_names), _symbols(model.parameter_names)
     t, h = ca.SX.sym("t"), ca.SX.sym("h")
     always = parameters | {"t": t, "h": h}

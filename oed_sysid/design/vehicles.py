@@ -45,7 +45,6 @@ from oed_sysid.design.criteria import Criterion
 from oed_sysid.errors import DesignError, OedSysidError, located
 from oed_sysid.experiments.experiment import Experiment, Limits
 from oed_sysid.experiments.simulation import Trajectory, trajectory_of
-from oed_sysid.experiments.trajectory import state_names
 from oed_sysid.information.identifiability import ASSUMED
 from oed_sysid.likelihood.information import Information
 from oed_sysid.likelihood.noise_model import NoiseModel
@@ -153,7 +152,7 @@ class LimitBounds:
         cls, model: Model, limits: Limits, end: Mapping[str, tuple[float, float]] | None = None
     ) -> LimitBounds:
         """Return the bounds of a model's states (before outputs of the same name)."""
-        states, n_full = state_names(model), kernel(model).n_full
+        states, n_full = model.all_state_names, kernel(model).n_full
         known = {name: n_full + i for i, name in enumerate(model.output_names)}
         known |= {name: i for i, name in enumerate(states)}
         # Checked as limits of the run are; a signal may have both.
@@ -357,9 +356,8 @@ def _drawn(
     n_sets: int,
 ) -> list[Model]:
     """One structure at values drawn about its own; see :func:`draw_models`."""
-    names, free = model.free_names, model.free_parameters
-    values = np.array([model.values[name] for name in names])
-    ends = np.array([(p.lower, p.upper) for p in free]).reshape(-1, 2).T
+    names = model.free_names
+    values = np.array([p.value for p in model.free_parameters])
     deviations, far = np.zeros((len(names),) * 2), np.full(len(names), spread or 0.0)
     if spread is None:
         deviations = _deviations(model, prior)
@@ -374,8 +372,7 @@ def _drawn(
             moved += wide * deviations @ rng.standard_normal(len(names))
         if far.any():
             moved += values * far * rng.uniform(-1, 1, len(names))
-        inside = np.clip(moved, *ends).tolist()
-        found.append(model.with_values(dict(zip(names, inside, strict=True))))
+        found.append(model.within_bounds(dict(zip(names, moved, strict=True))))
     return found
 
 

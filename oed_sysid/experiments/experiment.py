@@ -94,10 +94,9 @@ class Limits:
 
     def check_names(self, model: Model) -> None:
         """Raise :class:`DesignError` if a limit is on something the model does not have."""
-        states = [s.name for effect in model.effects for s in effect.states]
         for kind, limited, known in (
             ("input", (*self.inputs, *self.rates), model.input_names),
-            ("signal", self.signals, (*model.state_names, *states, *model.output_names)),
+            ("signal", self.signals, (*model.all_state_names, *model.output_names)),
         ):
             lacking = f"A limit is on nothing: model {model.name!r} has no {kind}"
             located(DesignError, lacking, limited, known)

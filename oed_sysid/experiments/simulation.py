@@ -32,7 +32,6 @@ from oed_sysid.experiments.trajectory import (
     simulate_batch,
     simulate_inputs,
     start_array,
-    state_names,
 )
 from oed_sysid.physics.model import Model
 
@@ -286,7 +285,7 @@ class _Signals:
     """What the manoeuvres see: the signals they react to, measured or true."""
 
     def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
-        states, outputs = state_names(model), model.output_names
+        states, outputs = model.all_state_names, model.output_names
         wanted = experiment.excitation.feedback if experiment.excitation else ()
         measured = experiment.feedback == "measured"
         self._noise = noise if measured else None

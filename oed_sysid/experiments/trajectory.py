@@ -149,7 +149,7 @@ def simulate_inputs(
         states=run.states[:, : len(model.states) + n_extra],
         outputs=run.outputs,
         input_names=model.input_names,
-        state_names=state_names(model),
+        state_names=model.all_state_names,
         output_names=model.output_names,
         failed_at=run.failed_at,
     )
@@ -172,11 +172,6 @@ def _runaway(model: Model, trajectory: Trajectory) -> int:
     beyond = np.abs(states) > RUNAWAY * np.maximum(state_scales(model, states.shape[1]), 1.0)
     found = np.flatnonzero(beyond.any(axis=1))
     return int(found[0]) if found.size else trajectory.failed_at
-
-
-def state_names(model: Model) -> tuple[str, ...]:
-    """Names of the model's own states, then of those that effects add."""
-    return (*model.state_names, *(s.name for effect in model.effects for s in effect.states))
 
 
 def input_array(

@@ -629,9 +629,8 @@ def _draw(model: Model, rng: np.random.Generator, spread: float) -> Model:
     values = {}
     for parameter in model.free_parameters:
         centre = parameter.value or parameter.magnitude * rng.choice([-1.0, 1.0])
-        drawn = centre * (1 + spread * rng.uniform(-1, 1))
-        values[parameter.name] = float(np.clip(drawn, parameter.lower, parameter.upper))
-    return model.with_values(values)
+        values[parameter.name] = centre * (1 + spread * rng.uniform(-1, 1))
+    return model.within_bounds(values)
 
 
 def _random_play(

@@ -592,15 +592,8 @@ class _Task:
 
 def _at_values(model: Model, warm: Fit) -> Model:
     """Return the model with its free parameters at an earlier fit's values, within bounds."""
-    free = {parameter.name: parameter for parameter in model.free_parameters}
     earlier = warm.model.values | warm.values
-    return model.with_values(
-        {
-            name: float(np.clip(earlier[name], parameter.lower, parameter.upper))
-            for name, parameter in free.items()
-            if name in earlier and np.isfinite(earlier[name])
-        }
-    )
+    return model.within_bounds({n: earlier[n] for n in model.free_names if n in earlier})
 
 
 def _asked(given: Disturbances) -> str | tuple[str, ...]:

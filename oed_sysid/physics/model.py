@@ -7,6 +7,7 @@ expressions and :mod:`oed_sysid.compiled.kernels` into compiled code.
 from __future__ import annotations
 
 import hashlib
+import math
 import re
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -201,6 +202,13 @@ class Model(Structure):
     def with_values(self, values: Mapping[str, float]) -> Model:
         """Return the model with some parameter values replaced."""
         return self.changed(values, lambda p: p.with_value(values[p.name]))
+
+    def within_bounds(self, values: Mapping[str, float]) -> Model:
+        """Return the model at values moved inside their bounds; what is not finite stays."""
+        finite = [name for name, value in values.items() if math.isfinite(value)]
+        return self.changed(
+            finite, lambda p: p.with_value(min(max(values[p.name], p.lower), p.upper))
+        )
 
     def fix(self, *names: str) -> Model:
         """Return the model with the named parameters held at their values."""

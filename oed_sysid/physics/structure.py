@@ -64,6 +64,11 @@ class Structure:
         return tuple(state.name for state in self.states)
 
     @property
+    def all_state_names(self) -> tuple[str, ...]:
+        """Names of the model's own states, then of those that effects add."""
+        return (*self.state_names, *(s.name for effect in self.effects for s in effect.states))
+
+    @property
     def output_names(self) -> tuple[str, ...]:
         """Names of the measured signals."""
         return tuple(output.name for output in self.outputs)
@@ -203,8 +208,7 @@ def is_sampled(model: Structure, effect: Effect) -> bool:
 
 def rates_and_forces(model: Structure) -> set[str]:
     """What only sensors see: ``dot(state)``, ``force(axis)`` and ``force(axis, effect)``."""
-    states = [*model.state_names, *(s.name for effect in model.effects for s in effect.states)]
-    names = {f"dot({state})" for state in states}
+    names = {f"dot({state})" for state in model.all_state_names}
     names |= {f"force({key})" for key in (*model.axes, *model.kinematics)}
     for effect in model.effects:
         if effect.stage == "force":
@@ -359,8 +363,7 @@ def effect_lines(model: Structure, effect: Effect) -> Iterator[Line]:
 
 def _known(model: Structure) -> set[str]:
     """What equations of motion see: actuators' signals, not commands, which are their matter."""
-    added = [state.name for effect in model.effects for state in effect.states]
-    own = {*model.state_names, *added, *model.actuator_signals, *model.signals}
+    own = {*model.all_state_names, *model.actuator_signals, *model.signals}
     return own | {*model.parameter_names, *CLOCK}
 
 

@@ -344,7 +344,7 @@ def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float
         return []
     sideways = ("psi", *TURNING)
     held = {name: start.get(name, 0.0) for name in sideways if name in model.state_names}
-    added = (state.name for effect in model.effects for state in effect.states)
+    added = model.all_state_names[len(model.states) :]
     try:
         found = equilibrium(
             model, inputs={steered: trim}, fixed=held, steady=("u", *added), guess=start
