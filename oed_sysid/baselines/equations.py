@@ -128,9 +128,7 @@ def regression_form(model: Model) -> RegressionForm:
         If the equations are not linear in the free parameters; the message
         names the parameters and the equations.
     """
-    if not model.free_parameters:
-        raise ModelError(f"Model {model.name!r} has no free parameter. Free some with model.free.")
-    check_together(model, "a regression")
+    check_free(model, "a regression")
     # Inertia times rate minus forces: its derivatives by the parameters are the regressors.
     graph = build(model)
     x, rate, d, p, t = (graph.balance.sx_in(i) for i in range(5))
@@ -405,8 +403,10 @@ def rows_from(
     return np.sum(targets, axis=0), np.sum(regressors, axis=0)
 
 
-def check_together(model: Model, who: str) -> None:
-    """Raise :class:`ModelError` for parameters that differ from record to record."""
+def check_free(model: Model, who: str) -> None:
+    """Raise :class:`ModelError` without free parameters, or for some that differ by record."""
+    if not model.free_parameters:
+        raise ModelError(f"Model {model.name!r} has no free parameter. Free some with model.free.")
     if local := [p.name for p in model.free_parameters if p.per_record]:
         raise ModelError(
             f"{', '.join(local)} differ from record to record, which {who} does not know: "

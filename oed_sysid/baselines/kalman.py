@@ -9,7 +9,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
-from oed_sysid.baselines.equations import check_together
+from oed_sysid.baselines.equations import check_free
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Baseline,
@@ -168,9 +168,7 @@ class JointKalmanFilter(Baseline):
         if self.process_std != LIKELIEST:
             located(ModelError, "process_std names", self.process_std, model.state_names)
         located(ModelError, "drift_std names", self.drift_std, model.free_names)
-        if not model.free_names:
-            raise ModelError(f"Model {model.name!r} has no free parameter to estimate.")
-        check_together(model, "a filter")
+        check_free(model, "a filter")
 
 
 def consistency(square: float, count: int) -> Status:

@@ -356,11 +356,6 @@ class IncrementalLSSVM(OnlineMachine):
         """The constant, of any kernel."""
         return self.solution()[1]
 
-    @property
-    def multipliers(self) -> np.ndarray:
-        """Lagrange multipliers of the samples kept, shape ``(n_samples,)``."""
-        return self.solution()[0]
-
     def linear(self) -> tuple[np.ndarray, float]:
         """Coefficients of the features, of the linear kernel only, and the bias."""
         multipliers, bias = self.solution()

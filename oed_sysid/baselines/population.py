@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import differential_evolution
 
-from oed_sysid.baselines.equations import check_together
+from oed_sysid.baselines.equations import check_free
 from oed_sysid.baselines.regression import (
     CONVERGED,
     Baseline,
@@ -194,16 +194,14 @@ class TrajectoryCost:
 
 def _check_searchable(model: Model) -> None:
     """Raise :class:`ModelError` where the free parameters span no region to search."""
+    check_free(model, "a search")
     free = model.free_parameters
-    if not free:
-        raise ModelError(f"Model {model.name!r} has no free parameter to search for.")
     if unbounded := [p.name for p in free if not np.isfinite([p.lower, p.upper]).all()]:
         raise ModelError(
             f"{', '.join(unbounded)} have no finite bounds, and a search needs a region. Give "
             "lower and upper with model.with_parameter(replace(parameter, lower=..., "
             "upper=...)), or use MultipleShooting, which needs none."
         )
-    check_together(model, "a search")
 
 
 def output_scales(model: Model, dataset: Dataset, scale: str | Mapping[str, float]) -> np.ndarray:

@@ -113,67 +113,47 @@ class Baseline(ABC):
         """
         began = time.perf_counter()
         found = self._estimate(model, dataset)
-        known = getattr(self, "initial", None)
-        return replace(
-            simulated(model, dataset, found, known),
+        names, values = model.free_names, np.asarray(found.estimates, dtype=float)
+        fitted = model.within_bounds(dict(zip(names, values, strict=True)))
+        # What is not known of the start of a record is measured, or zero.
+        initial = [first_state(model, one, getattr(self, "initial", None)) for one in dataset]
+        runner, at = kernel(fitted), fitted.value_vector
+        runs = [
+            runner.simulate(record.times, record.inputs, at, own)
+            for record, own in zip(dataset, initial, strict=True)
+        ]
+        pairs = zip(dataset, runs, strict=True)
+        residuals = [record.outputs - run.outputs for record, run in pairs]
+        declared, stacked = given_levels(model.outputs), np.vstack(residuals)
+        estimated = ~np.isfinite(declared)
+        sizes = np.maximum(np.nan_to_num(root_mean_square(residuals)), 1e-12)
+        sigma = np.where(estimated, sizes, declared)
+        cost, status = 0.5 * float(np.nansum((stacked / sigma) ** 2)), found.status
+        if not all(run.ok for run in runs):
+            cost, status = np.inf, Status("diverged", DIVERGED)
+        return Fit(
+            model=fitted,
+            dataset=dataset,
             estimator=self.name,
+            names=names,
+            estimates=values,
+            information=found.information or information_from_covariance(model, found.covariance),
+            covariance=np.asarray(found.covariance, dtype=float),
+            coloured=found.coloured,
+            sigma=sigma,
+            sigma_estimated=estimated,
+            predictions=tuple(run.outputs for run in runs),
+            residuals=tuple(residuals),
+            states=tuple(run.states for run in runs),
+            initial_states=tuple(initial),
+            local_values=tuple({} for _ in dataset),
+            cost=cost,
+            status=status,
+            iterations=found.iterations,
             seconds=time.perf_counter() - began,
+            posterior=found.posterior,
+            extras=dict(found.facts),
         )
-
-
-def simulated(
-    model: Model, dataset: Dataset, found: Regression, known: Mapping[str, float] | None
-) -> Fit:
-    """Simulate every record with the estimated values and build the result.
-
-    Parameters
-    ----------
-    model : Model
-        The model that was fitted, at its start values.
-    dataset : Dataset
-        The records.
-    found : Regression
-        Values and their covariance.
-    known : mapping of str to float, optional
-        Known start of some states in all records; others are measured, or zero.
-    """
-    names, values = model.free_names, np.asarray(found.estimates, dtype=float)
-    fitted = model.within_bounds(dict(zip(names, values, strict=True)))
-    runner = kernel(fitted)
-    runs, initial = [], []
-    for record in dataset:
-        own = first_state(model, record, known)
-        runs.append(runner.simulate(record.times, record.inputs, fitted.value_vector, own))
-        initial.append(own)
-    residuals = [record.outputs - run.outputs for record, run in zip(dataset, runs, strict=True)]
-    declared, stacked = given_levels(model.outputs), np.vstack(residuals)
-    estimated = ~np.isfinite(declared)
-    sizes = np.maximum(np.nan_to_num(root_mean_square(residuals)), 1e-12)
-    sigma = np.where(estimated, sizes, declared)
-    diverged = not all(run.ok for run in runs)
-    return Fit(
-        model=fitted,
-        dataset=dataset,
-        estimator="",
-        names=names,
-        estimates=values,
-        information=found.information or information_from_covariance(model, found.covariance),
-        covariance=np.asarray(found.covariance, dtype=float),
-        coloured=found.coloured,
-        sigma=sigma,
-        sigma_estimated=estimated,
-        predictions=tuple(run.outputs for run in runs),
-        residuals=tuple(residuals),
-        states=tuple(run.states for run in runs),
-        initial_states=tuple(initial),
-        local_values=tuple({} for _ in dataset),
-        cost=np.inf if diverged else 0.5 * float(np.nansum((stacked / sigma) ** 2)),
-        status=Status("diverged", DIVERGED) if diverged else found.status,
-        iterations=found.iterations,
-        seconds=0.0,
-        posterior=found.posterior,
-        extras=dict(found.facts),
-    )
 
 
 def assumed_levels(model: Model, dataset: Dataset) -> np.ndarray:

@@ -26,6 +26,7 @@ from scipy.signal import lfilter
 from oed_sysid.data.record import Record
 from oed_sysid.errors import ProblemError, located
 from oed_sysid.experiments.experiment import Experiment
+from oed_sysid.experiments.manoeuvres import Piecewise
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.likelihood.disturbances import Place, with_disturbance_inputs
 from oed_sysid.likelihood.noise_levels import given_levels
@@ -144,13 +145,10 @@ class World:
         pushed = replace(pushed, inputs=(*model.inputs, *linear))
         n = len(clean.times)
         fine = np.interp(np.arange((n - 1) * SUBSTEPS + 1) / SUBSTEPS, np.arange(n), clean.times)
-        columns = []
-        for signal, values in zip(model.inputs, clean.inputs.T, strict=True):
-            if signal.interpolation == "linear":
-                columns.append(np.interp(fine, clean.times, values))
-            else:
-                held = np.searchsorted(clean.times, fine * (1 + 1e-12) + 1e-12, side="right") - 1
-                columns.append(values[np.clip(held, 0, n - 1)])
+        columns = [
+            Piecewise(one.name, clean.times, values, interpolation=one.interpolation).commands(fine)
+            for one, values in zip(model.inputs, clean.inputs.T, strict=True)
+        ]
         # Forces run linearly through the fine points, so that substeps see no jumps.
         shape = len(fine), len(places)
         push = self.forces * _gauss_markov(shape, FORCE_TIME * SUBSTEPS, rng)
