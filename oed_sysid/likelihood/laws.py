@@ -21,7 +21,7 @@ which runs without measurements do not bear.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -154,7 +154,7 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     matrix, right = problem.gathered(unknowns, passes)
     matrix, right = problem.limits.with_priors(matrix, right, unknowns)
     asked = [
-        _Asked.of(problem, unknowns, passes, (matrix, right), place, responses)
+        _Asked.of(problem, unknowns, passes, (matrix, right), place, len(owners), responses)
         for place, responses in _responses(problem, unknowns, paths, features)
     ]
     found = (one.law(owners) for one in asked if one.freedom)
@@ -181,10 +181,11 @@ class _Asked:
         passes: Sequence[FilterPass],
         equations: tuple[np.ndarray, np.ndarray],
         place: str,
-        responses: Sequence[np.ndarray],
+        n_functions: int,
+        responses: Iterable[np.ndarray],
     ) -> _Asked:
         """Ask one place; ``responses`` are the whitened innovations by each function."""
-        n, n_functions = len(unknowns), responses[0].shape[2]
+        n = len(unknowns)
         cross, own = np.zeros((n, n_functions)), np.zeros((n_functions, n_functions))
         slope, squares, count = np.zeros(n_functions), 0.0, 0
         for index, (part, moved) in enumerate(zip(passes, responses, strict=True)):
@@ -240,21 +241,22 @@ def _responses(
     unknowns: np.ndarray,
     paths: Sequence[Path],
     features: Sequence[np.ndarray],
-) -> Iterator[tuple[str, list[np.ndarray]]]:
+) -> Iterator[tuple[str, Iterator[np.ndarray]]]:
     """Every place that acts, and the whitened innovations by the functions there, per record."""
     noise, levels = problem.noise(unknowns), problem.levels
     acting, pairs = _acting(noise, levels.disturbances), [*zip(paths, features, strict=True)]
-    for place, index in acting.items():
+    # Of one record at a time: columns of long records are large.
+    for place, at in acting.items():
         yield (
             place,
-            [path.responses(path.drive[:, :, index, None] * own[:, None]) for path, own in pairs],
+            (path.responses(path.drive[:, :, at, None] * own[:, None]) for path, own in pairs),
         )
-    for index, column in enumerate(() if acting else levels.coloured):
-        drives = (
-            _of_colour(path, own, record.times, noise.colour_time[column], index)
+    for at, column in enumerate(() if acting else levels.coloured):
+        lasts = float(noise.colour_time[column])
+        found = (
+            path.responses(_of_colour(path, own, record.times, lasts, at))
             for record, (path, own) in zip(problem.records, pairs, strict=True)
         )
-        found = [path.responses(drive) for path, drive in zip(paths, drives, strict=True)]
         yield f"{SLOW}{noise.outputs[column]}", found
 
 

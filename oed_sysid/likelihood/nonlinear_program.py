@@ -278,11 +278,17 @@ def solve_innovations(
         for side in (user.lower, user.upper)
     )
 
+    def constrained_by(unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        told = [user.linear(one) for one in _predicted(problem, unknowns)]
+        if not told:  # the undisturbed run diverges
+            return np.full(len(lower), np.nan), np.full((len(lower), n), np.nan)
+        rows, slopes = zip(*told, strict=True)
+        return np.concatenate(rows), np.vstack(slopes)
+
     def levels(scaled: np.ndarray) -> list[Any]:
         unknowns = scaled * scale
-        told = [user.linear(one)[0] for one in _predicted(problem, unknowns)]
-        rows = np.concatenate(told) if told else np.full(len(lower), np.nan)
-        return [differentiated(problem, Point(unknowns, ())).cost, rows]
+        cost = differentiated(problem, Point(unknowns, ())).cost
+        return [cost, constrained_by(unknowns)[0]]
 
     def slopes(scaled: np.ndarray) -> list[Any]:
         unknowns = scaled * scale
@@ -292,8 +298,8 @@ def solve_innovations(
         moved = NEAR * np.minimum(1.0 / np.sqrt(np.where(size > 0, size, np.inf)), scale)
         equations = problem.differentiated(unknowns, base, np.where(moved > 0, moved, NEAR * scale))
         matrix, right = limits.with_priors(*equations, unknowns)
-        told = np.vstack([user.linear(one)[1] for one in _predicted(problem, unknowns)])
-        return [-(right * scale)[None], told * scale, matrix * scale[:, None] * scale]
+        told = constrained_by(unknowns)[1] * scale
+        return [-(right * scale)[None], told, matrix * scale[:, None] * scale]
 
     cost_and_rows = _Numbers("levels", n, [(1, 1), (len(lower), 1)], levels)
     derived = _Numbers("slopes", n, [(1, n), (len(lower), n), (n, n)], slopes)
