@@ -252,6 +252,7 @@ class MultipleShooting:
         known_starts: KnownStarts | None,
     ) -> Fit:
         """The fit with process noise where it acts; by IPOPT from that without constraints."""
+        check_channels(model, dataset)
         wanted = self._wants_process_noise(model, dataset)
         given = model, dataset, warm, initial_states, known_starts
         if wanted and self.solver.method == "ipopt":
@@ -333,7 +334,6 @@ class MultipleShooting:
     ) -> _Task:
         """The problem without process noise, and what is known of it."""
         began = time.perf_counter()
-        check_channels(model, dataset)
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
         shooting = Shooting(
