@@ -128,9 +128,9 @@ class Baseline(ABC):
         estimated = ~np.isfinite(declared)
         sizes = np.maximum(np.nan_to_num(root_mean_square(residuals)), 1e-12)
         sigma = np.where(estimated, sizes, declared)
-        cost, status = 0.5 * float(np.nansum((stacked / sigma) ** 2)), found.status
-        if not all(run.ok for run in runs):
-            cost, status = np.inf, Status("diverged", DIVERGED)
+        cost, status = np.inf, Status("diverged", DIVERGED)
+        if all(run.ok for run in runs):
+            cost, status = 0.5 * float(np.nansum((stacked / sigma) ** 2)), found.status
         return Fit(
             model=fitted,
             dataset=dataset,

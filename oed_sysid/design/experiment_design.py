@@ -181,10 +181,7 @@ def find_design(
     """
     began = time.perf_counter()
     kept = keep or Journal()
-    references = standard_manoeuvres(
-        task.model, task.grid, task.bounds, constants=task.trial.constants,
-        initial=task.trial.initial,
-    )  # fmt: skip
+    references = standard_manoeuvres(_bench(task))
     if references:
         told = task.expected.seen_white(references[0][1])
         task = replace(task, expected=told)
@@ -256,6 +253,12 @@ def _designed(
     )
 
 
+def _bench(task: Task) -> Bench:
+    """The inputs of a task, and standard runs that are made of them, on the nominal vehicle."""
+    trial, grid = task.trial, task.grid
+    return Bench(task.model, grid, trial.constants, trial.initial, trial.limits, task.bounds)
+
+
 def _worth(task: Task, score: Score) -> float:
     """Criterion under the noise that is expected; a search sees white noise."""
     return score.value if task.expected.sea is None else task.worth(score.commands)
@@ -315,16 +318,14 @@ def _searched(
 
 def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:
     """The zigzag of the library that tells most, closed over each vehicle."""
-    trial, n = task.trial, len(task.scenarios)
+    n = len(task.scenarios)
     if len(task.grid.inputs) != 1:
         raise DesignError(
             f"A zigzag commands one input, not {', '.join(task.grid.inputs)}. Give inputs=[one of "
             "them] and constants for the others."
         )
-    bench = Bench(
-        task.model, task.grid, trial.constants, trial.initial, trial.limits, task.bounds,
-        task.scenarios, 1.0 - task.n_waived / n if n else 1.0, family.feedback,
-    )  # fmt: skip
+    kept = 1.0 - task.n_waived / n if n else 1.0
+    bench = replace(_bench(task), vehicles=task.scenarios, kept=kept, feedback=family.feedback)
     scored = []
     for run, _ in (*bench.zigzags(), *bench.zigzags_ahead()):
         if (made := motion(task.model, run)) is not None:
@@ -337,7 +338,7 @@ def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:
         )
     best, loop = max(scored, key=lambda one: one[0].value)
     values = tuple(score.value for score, _ in scored)
-    return _Found(best, replace(loop, name=trial.name), values, objective.n_evaluations)
+    return _Found(best, replace(loop, name=task.trial.name), values, objective.n_evaluations)
 
 
 def _check_start(task: Task) -> None:

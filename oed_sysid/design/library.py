@@ -93,27 +93,25 @@ class Reference:
     note: str = ""
 
 
-def standard_manoeuvres(
-    model: Model,
-    grid: Grid,
-    bounds: LimitBounds,
-    *,
-    constants: Mapping[str, float],
-    initial: Mapping[str, float],
-) -> list[Standard]:
+def standard_manoeuvres(bench: Bench) -> list[Standard]:
     """Return zigzags of one designed input that keep the limits.
 
     It is the first that is an angle and has room on both sides of its neutral value, as the
     angles of a zigzag mean nothing for a speed; else the first with room, else the first about
     the middle of its range. Without an attitude among the outputs or states, a square wave takes
     their place. Amplitude and switching angle are made smaller together until all limits are kept.
+
+    Parameters
+    ----------
+    bench : Bench
+        Of all designed inputs.
     """
-    moved = _moved(model, grid)
+    grid, moved = bench.grid, _moved(bench.model, bench.grid)
     others = {n: float(v) for n, v in zip(grid.inputs, grid.neutral, strict=True)}
-    held = {**constants, **{n: v for n, v in others.items() if n not in moved.inputs}}
-    bench = Bench(model, moved, held, initial, Limits(), bounds, (), 1.0)
+    held = {**bench.held, **{n: v for n, v in others.items() if n not in moved.inputs}}
+    bench = replace(bench, grid=moved, held=held, limits=Limits())
     sizes = [(f"zigzag {angle:g}/{angle:g}", radians(angle)) for angle in ZIGZAGS[:2]]
-    n = len(grid.times)
+    n = len(moved.times)
     square = np.sign(np.sin(np.pi * np.arange(n) * 8 / n) + 1e-12)
 
     def made(title: str, angle: float) -> Experiment:
@@ -316,8 +314,8 @@ class Bench:
     initial: Mapping[str, float]
     limits: Limits
     bounds: LimitBounds
-    vehicles: Sequence[Model]
-    kept: float
+    vehicles: Sequence[Model] = ()
+    kept: float = 1.0
     feedback: str = ""
 
     @classmethod
