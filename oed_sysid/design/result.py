@@ -61,6 +61,11 @@ class _Accuracy:
     _repr_html_ = as_html
 
     @property
+    def others(self) -> dict[str, np.ndarray]:
+        """Expected relative standard errors of what it is compared with, ``(n,)`` by name."""
+        raise NotImplementedError
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Parameters."""
         return self.information.names
@@ -92,7 +97,7 @@ class _Accuracy:
     def _undetermined(self) -> list[str]:
         return [f"Not determined: {text}." for text in self.information.null_directions()]
 
-    def _table(self, title: str, others: Mapping[str, np.ndarray]) -> Table:
+    def _table(self, title: str) -> Table:
         """Expected relative errors: before, after, on other vehicles, of other runs."""
         columns: dict[str, Sequence[str]] = {}
         if np.isfinite(self.prior_errors).any():
@@ -100,7 +105,7 @@ class _Accuracy:
         columns[title] = [stated(error, self.sea) for error in self.relative_errors]
         if self.spread is not None:
             columns["other vehicles"] = [self.spread.words(name) for name in self.names]
-        for name, errors in others.items():
+        for name, errors in self.others.items():
             columns[name] = [stated(error, self.sea) for error in errors]
         values = [f"{self.model.values[name]:.4g}" for name in self.names]
         rows = list(zip(self.names, values, *columns.values(), strict=True))
@@ -284,10 +289,14 @@ class Design(_Accuracy):
             )
         return lines + self._undetermined()
 
+    @property
+    def others(self) -> dict[str, np.ndarray]:
+        """Expected relative standard errors of standard manoeuvres, by name."""
+        return {one.name: one.information.std_errors / self.sizes for one in self.references}
+
     def accuracy(self, *, sort: bool = False) -> Table:
         """Expected relative standard errors; sorted, the best first."""
-        others = {one.name: one.information.std_errors / self.sizes for one in self.references}
-        table = self._table("this run", others)
+        table = self._table("this run")
         if not sort:
             return table
         return replace(table, rows=[table.rows[i] for i in np.argsort(self.relative_errors)])
@@ -627,13 +636,16 @@ class Programme(_Accuracy):
         known = f", ± {share(TWO_SIDED_95 * before)} before" if np.isfinite(before) else ""
         return ", ".join(self._least_certain()) + known
 
+    @property
+    def others(self) -> dict[str, np.ndarray]:
+        """Expected relative standard errors of standard trials of the same time."""
+        if self.standard is None:
+            return {}
+        return {"standard trials": np.array([self.standard.errors[name] for name in self.names])}
+
     def accuracy(self) -> Table:
         """Expected relative standard errors of every parameter."""
-        others = {}
-        if self.standard is not None:
-            errors = [self.standard.errors[name] for name in self.names]
-            others["standard trials"] = np.array(errors)
-        return self._table("after", others)
+        return self._table("after")
 
     to_dict = as_dict(
         "hours", "runs", "criterion", "value", "relaxed", "bound", "gap", "greedy_share",

@@ -76,7 +76,7 @@ def plot_sensitivity(ranking: SensitivityRanking, *, ax: Axes | None = None) -> 
 def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes:
     """Plot expected relative errors: before, after the design, after standard manoeuvres.
 
-    Bars of a programme are the range over other vehicles that are possible.
+    Bars are the range over other vehicles that are possible.
 
     Parameters
     ----------
@@ -91,16 +91,16 @@ def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes
     Axes
         What was drawn on; its label is what the picture shows, in words.
     """
-    cases, before = _accuracies(design)
-    spread = design.spread if isinstance(design, Programme) else None
+    title = "designed" if isinstance(design, Design) else "programme"
+    cases, before = [(title, design.relative_errors), *design.others.items()], design.prior_errors
     order = np.argsort(design.relative_errors)  # the largest below
     named = [draw.symbol_of(design.names[i]) for i in order]
     ax, rows = draw.row_axes(ax, named, 6.8, tall=0.28, edge=1.4)
-    if spread is not None:
+    if (spread := design.spread) is not None:
         ax.hlines(rows, spread.lowest[order], spread.highest[order], color=draw.COLOURS[1], lw=4,
                   alpha=0.35, label="other vehicles")  # fmt: skip
     looks = [(draw.COLOURS[1], "o"), *((draw.COLOURS[2 * i % 6], "s^D"[i % 3]) for i in range(9))]
-    if before is not None and np.isfinite(before).any():
+    if np.isfinite(before).any():
         looks[len(cases) :] = [(draw.NEUTRAL, "|")]
         cases.append(("before", before))
     for (name, errors), (colour, marker) in zip(cases, looks, strict=False):
@@ -114,20 +114,6 @@ def plot_accuracy(design: Design | Programme, *, ax: Axes | None = None) -> Axes
         legend=min(len(cases) + 1, 3),
         xlabel="expected standard error / value [%]",
     )
-
-
-def _accuracies(
-    design: Design | Programme,
-) -> tuple[list[tuple[str, np.ndarray]], np.ndarray | None]:
-    """Expected relative errors by what is done, and those before it where they are known."""
-    cases = [("designed" if isinstance(design, Design) else "programme", design.relative_errors)]
-    if isinstance(design, Design):
-        theirs = [(r.name, r.information.std_errors / design.sizes) for r in design.references]
-        return [*cases, *theirs], design.prior_errors
-    if (standard := design.standard) is not None:
-        errors = np.array([standard.errors[name] for name in design.names])
-        cases.append(("standard trials, equal time", errors))
-    return cases, None if design.prior is None else design.prior.std_errors / design.sizes
 
 
 def _beside(figure: Figure, grid: np.ndarray, design: Design | Programme) -> None:
