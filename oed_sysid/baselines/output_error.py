@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from oed_sysid.data.dataset import Dataset
@@ -23,8 +22,10 @@ class OutputError:
 
     Parameters
     ----------
-    noise, loss, max_iterations, tolerance, coloured
+    loss : str
         See :class:`MultipleShooting`.
+    max_iterations : int
+        Of the solver.
 
     References
     ----------
@@ -37,25 +38,17 @@ class OutputError:
     'output error (single shooting)'
     """
 
-    noise: str | Sequence[float] = "auto"
     loss: str = "square"
     max_iterations: int = 100
-    tolerance: float = 1e-6
-    coloured: str = "auto"
 
     def __post_init__(self) -> None:
         self._engine()
 
     def _engine(self) -> MultipleShooting:
         return MultipleShooting(
-            interval=math.inf,
-            start="near",
-            noise=self.noise,
-            loss=self.loss,
-            solver=Solver(max_iterations=self.max_iterations, tolerance=self.tolerance),
-            coloured=self.coloured,
-            disturbances="none",
-        )
+            interval=math.inf, start="near", loss=self.loss, disturbances="none",
+            solver=Solver(max_iterations=self.max_iterations),
+        )  # fmt: skip
 
     @property
     def name(self) -> str:

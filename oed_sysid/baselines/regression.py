@@ -407,7 +407,6 @@ def separate(
     solver: Solver,
     *,
     scale: str | Mapping[str, float] = "raw",
-    bias: bool = True,
 ) -> Regression:
     """Solve every equation with ``solver(features, targets, bias)``.
 
@@ -437,9 +436,8 @@ def separate(
         order = [i for i in range(len(names)) if i != constant]
         sizes, divisor = _units(features[:, order], targets, own)
         scaled, aims = features[:, order] / sizes, targets / divisor
-        with_bias = alone and (bias or constant is not None)
-        solution = solver(scaled, aims, with_bias)
-        block, coloured = solution_covariance(scaled, aims, solution, with_bias)
+        solution = solver(scaled, aims, alone)
+        block, coloured = solution_covariance(scaled, aims, solution, alone)
         # Coefficients and the bias, which stands for the constant parameter where there is one.
         level = 1.0 if constant is None else float(features[0, constant])
         order += [] if constant is None else [constant]

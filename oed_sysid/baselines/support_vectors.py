@@ -213,7 +213,8 @@ class LeastSquaresSVM(RegressionEstimator):
     r"""Linear least-squares support vector regressions, one per equation.
 
     A parameter whose regressor is constant, such as a steady thrust, is taken
-    as the bias of its equation, as published. Equations that share parameters
+    as the bias of its equation, as published; one without a constant term gets a
+    bias all the same (``extras["bias"]``). Equations that share parameters
     are one regression without a bias: with ``scale="unit"`` each counts alike.
 
     Parameters
@@ -231,9 +232,6 @@ class LeastSquaresSVM(RegressionEstimator):
         ``"raw"`` takes equations in SI units, ``"unit"`` scales targets and
         features to unit size, which gives ``C`` the same meaning in every
         equation; a mapping gives a divisor for each equation, by state.
-    bias : bool
-        Whether equations without a constant term get one all the same, as
-        published; see ``extras["bias"]``.
     rule, window, rates
         Where derivatives come from, see :class:`EquationError`.
 
@@ -252,7 +250,6 @@ class LeastSquaresSVM(RegressionEstimator):
     C: float | str = WEIGHT
     form: str = "primal"
     scale: str | Mapping[str, float] = "raw"
-    bias: bool = True
     rule: str = "simpson"
     window: int = WINDOW
     rates: Rates | None = None
@@ -290,7 +287,7 @@ class LeastSquaresSVM(RegressionEstimator):
                 },
             )
 
-        return separate(rows, solve, scale=self.scale, bias=self.bias)
+        return separate(rows, solve, scale=self.scale)
 
 
 ITERATIONS = Status(
