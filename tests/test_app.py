@@ -99,6 +99,7 @@ def test_a_study_from_problem_to_report(ship: Path, tmp_path: Path, monkeypatch,
     assert (tmp_path / "rank.html").is_file()
 
 
+@pytest.mark.slow
 def test_shipped_problem_with_other_records() -> None:
     """Other records of a shipped problem can be chosen; fit and report are of these."""
     app = opened("nomoto_sparse_heading")

@@ -130,6 +130,7 @@ def test_correlated_innovations_count_as_fewer_where_no_process_noise_explains_t
     assert 0.0 < shares["lacking"] < 0.5
 
 
+@pytest.mark.slow
 def test_size_that_a_bound_holds_back_is_no_claim_and_one_without_declared_bound_goes_on() -> None:
     """A declared bound holds and is named; twenty typical sizes are no bound of the vehicle."""
     train, test = dataset(11, -15.0), dataset(12, -15.0)

@@ -378,7 +378,7 @@ def turns(x: np.ndarray, command: np.ndarray) -> list[float]:
     return [surge / 120.0, (0.3 * (command[0] - command[1]) - 8.0 * r) / 20.0, r]
 
 
-@pytest.mark.parametrize("kind", ["hardening_K_phi", *slow("current")])
+@pytest.mark.parametrize("kind", slow("hardening_K_phi", "current"))
 def test_found_without_a_name(kind: str) -> None:
     """The effect that was hidden is the only one claimed, at its size."""
     hard = kind == "hardening_K_phi"
