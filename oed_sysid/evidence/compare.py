@@ -281,11 +281,10 @@ def compare(
     Examples
     --------
     >>> from oed_sysid import load_problem
-    >>> problem = load_problem("kvlcc2")
-    >>> zigzag, rest = problem.data().split(test=["15_05"])
-    >>> found = compare(problem.model, rest)
+    >>> problem = load_problem("remus_diving_plane")
+    >>> found = compare(problem.model, Dataset((problem.data()["test_steps"],)))
     >>> found.models[0].outputs[0].output.name, found.models[0].is_noise
-    ('psi', False)
+    ('u', False)
     """
     if isinstance(fits, Mapping):
         labels, given = tuple(fits), tuple(fits.values())

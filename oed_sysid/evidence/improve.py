@@ -134,7 +134,7 @@ def improve(
     >>> from oed_sysid import Dataset, load_problem
     >>> problem = load_problem("remus_diving_plane")
     >>> train, test = (Dataset((problem.data()[run],)) for run in ("train_steps", "test_steps"))
-    >>> found = improve(problem.model, train, test, candidates=problem.effects[:3])
+    >>> found = improve(problem.model, train, test, candidates=problem.effects[:3], max_effects=1)
     >>> [step.added for step in found.steps]
     ['heave_crossflow_drag']
     """
