@@ -79,7 +79,7 @@ from scipy.special import bdtrc, ndtri
 
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise
-from oed_sysid.likelihood.noise_levels import longest_run, off_cubic, robust_deviation
+from oed_sysid.likelihood.noise_levels import Runs, longest_run, off_cubic, robust_deviation
 
 # Robust deviations of a spike or step in normal noise, and from which on tails are counted.
 SPIKE, TAIL = 8.5, 3.5
@@ -122,32 +122,6 @@ class Fault:
         sizes = tuple(self.sizes[k] for k in chosen) if self.sizes else ()
         amount = max(sizes, key=abs, default=0.0) if self.sizes else float(chosen.size)
         return [replace(self, rows=self.rows[chosen], amount=amount, sizes=sizes)]
-
-
-@dataclass(frozen=True)
-class Runs:
-    """Stretches of equal consecutive samples: first index, length and value of each."""
-
-    first: np.ndarray
-    length: np.ndarray
-    value: np.ndarray
-
-    @classmethod
-    def of(cls, series: np.ndarray) -> Runs:
-        """Find the runs of a series without gaps."""
-        first = np.concatenate([[0], np.flatnonzero(np.diff(series) != 0.0) + 1])
-        length = np.diff(np.concatenate([first, [series.size]]))
-        return cls(first, length, series[first])
-
-    def rows(self, chosen: np.ndarray, *, after: int = 0) -> np.ndarray:
-        """Indices of all samples of the chosen runs, without the first ``after`` of each."""
-        parts = [np.arange(self.first[k] + after, self.first[k] + self.length[k]) for k in chosen]
-        return np.concatenate(parts) if parts else np.empty(0, dtype=int)
-
-    def edges(self) -> tuple[np.ndarray, np.ndarray]:
-        """Changes from the run before into each run, and from it to the next; NaN at the ends."""
-        between = np.diff(self.value)
-        return np.concatenate([[np.nan], between]), np.concatenate([between, [np.nan]])
 
 
 def screened(traces: Sequence[Trace]) -> tuple[list[Fault], list[Trace]]:

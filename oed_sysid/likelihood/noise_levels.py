@@ -501,6 +501,38 @@ def input_steps(record: Record) -> np.ndarray:
     return stepped | np.r_[False, stepped[:-1]] | np.r_[stepped[1:], False]
 
 
+@dataclass(frozen=True)
+class Runs:
+    """Stretches of equal consecutive samples: first index, length and value of each."""
+
+    first: np.ndarray
+    length: np.ndarray
+    value: np.ndarray
+
+    @classmethod
+    def of(cls, series: np.ndarray) -> Runs:
+        """Find the runs of a series without gaps.
+
+        Examples
+        --------
+        >>> Runs.of(np.array([2.0, 2.0, 5.0, 2.0])).length.tolist()
+        [2, 1, 1]
+        """
+        # Nothing is equal to NaN: the first sample, if there is one, begins a run.
+        first = np.flatnonzero(np.diff(series, prepend=np.nan) != 0.0)
+        return cls(first, np.diff(first, append=series.size), series[first])
+
+    def rows(self, chosen: np.ndarray, *, after: int = 0) -> np.ndarray:
+        """Indices of all samples of the chosen runs, without the first ``after`` of each."""
+        parts = [np.arange(self.first[k] + after, self.first[k] + self.length[k]) for k in chosen]
+        return np.concatenate(parts) if parts else np.empty(0, dtype=int)
+
+    def edges(self) -> tuple[np.ndarray, np.ndarray]:
+        """Changes from the run before into each run, and from it to the next; NaN at the ends."""
+        between = np.diff(self.value)
+        return np.concatenate([[np.nan], between]), np.concatenate([between, [np.nan]])
+
+
 def held_masks(
     outputs: Sequence[np.ndarray], whitened: Sequence[np.ndarray], sigma: np.ndarray
 ) -> tuple[np.ndarray, ...]:
@@ -533,13 +565,13 @@ def held_masks(
         ends, jump = (every.min(), every.max()), -np.sqrt(2.0) * usual * ndtri(0.5 * RARE / n)
         masks = [np.zeros(len(part), dtype=bool) for part in values]
         for mask, part, off in zip(masks, values, one.values, strict=True):
-            edges = np.flatnonzero(np.diff(part, prepend=np.nan, append=np.nan) != 0.0)
-            for first, stop in itertools.pairwise(edges):
-                if stop - first > longest:
-                    around = np.diff(off[max(first - 1, 0) : stop + 1])[[0, -1]]
-                    limit = part[first] in ends and np.abs(around).max() < jump
-                    square = float(np.sum(off[first:stop] ** 2)) / usual**2
-                    mask[first:stop] = not limit and square > chdtri(stop - first, RARE / n)
+            runs = Runs.of(part)
+            for k in np.flatnonzero(runs.length > longest):
+                first, stop = runs.first[k], runs.first[k] + runs.length[k]
+                around = np.diff(off[max(first - 1, 0) : stop + 1])[[0, -1]]
+                limit = part[first] in ends and np.abs(around).max() < jump
+                square = float(np.sum(off[first:stop] ** 2)) / usual**2
+                mask[first:stop] = not limit and square > chdtri(stop - first, RARE / n)
         return masks
 
     return _by_output(whitened, find)
@@ -573,7 +605,7 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
         found.append(
             np.concatenate(one.sizes(off, *spreads[:2])).max() > surely
             or np.abs(every).max() > surely * spreads[2]
-            or any(stop - first >= longest for part in steps for first, stop in _runs(part == 0.0))
+            or any(np.any(Runs.of(values).length > longest) for values in one.values)
         )
 
     _by_output(outputs, find)
