@@ -14,10 +14,10 @@ before the next one looks:
 1. single signals: exact coincidences (dead, held, frozen, cut off, lost, interpolated, coarse
    samples, copies) and samples that stand out (:mod:`~oed_sysid.evidence.screens`); and times that
    scatter (:mod:`~oed_sysid.evidence.screens`);
-2. what no motion can explain: other readings of the numbers (sign, unit, columns, axes), faults
-   with a size (bias, scale, delay, rate of a clock, lever arm, misalignment, drift, step), in all
-   records or in one, and equations that fail although all of this is undone
-   (:mod:`~oed_sysid.evidence.contrasts`);
+2. what no motion can explain: other readings of the numbers (sign, unit, columns, axes;
+   :mod:`~oed_sysid.evidence.readings`), faults with a size (bias, scale, delay, rate of a clock,
+   lever arm, misalignment, drift, step), in all records or in one, and equations that fail although
+   all of this is undone (:mod:`~oed_sysid.evidence.contrasts`);
 3. inputs, against the nominal model with its priors and limits
    (:mod:`~oed_sysid.evidence.inputs`).
 
@@ -41,6 +41,7 @@ from oed_sysid.evidence import contrasts
 from oed_sysid.evidence.contrasts import Found, Piece, Question, Result
 from oed_sysid.evidence.corrections import corrected_copies, undo, why_not_more
 from oed_sysid.evidence.inputs import between_runs, input_findings, scaled_inputs
+from oed_sysid.evidence.readings import Evidence, diagnosed
 from oed_sysid.evidence.relations import (
     Relation,
     names_of,
@@ -252,7 +253,7 @@ def rank_axes(dataset: Dataset, problem: Problem | Model | None = None) -> tuple
     coarse = [trace.thinned(2 * contrasts.MOST_BLOCKS) for trace in clean]
     ways = contrasts.readings(clean, question.relations)
     turned = contrasts.turned_axes(names_of(question.relations), units)
-    evidence = contrasts.Evidence(question)
+    evidence = Evidence(question)
     found = {"as read": 0.0}
     for one in chain(ways, turned):
         if one.correction.kind in _OF_AXES and len({units[n] for n in one.correction.signals}) == 1:
@@ -282,7 +283,7 @@ def _related(
     """Steps with the sizes that equations give, what these find, how well they hold, the search."""
     steps = {one: _steps(one, clean, equations) for one in faults if one.kind == "step"}
     known = {fix.key: fix for fixes in steps.values() for fix in fixes or ()}
-    found, ended = contrasts.diagnosed(clean, Question.of(clean, equations), [*known.values()])
+    found, ended = diagnosed(clean, Question.of(clean, equations), [*known.values()])
     sized = {one.correction.key: one for one in ended.found}
     fixes = [*(one.correction for one in found), *(one.correction for one in ended.found)]
     mended = [undo(trace, fixes, equations) for trace in clean]
@@ -314,7 +315,7 @@ def _steps(
         Correction("step", (fault.signal,), size, record=fault.record, span=(float(share), 1.0))
         for share, size in zip(shares, fault.sizes, strict=True)
     ]
-    return fixes if contrasts.Evidence(some).gained([here], fixes) > 0.0 else []
+    return fixes if Evidence(some).gained([here], fixes) > 0.0 else []
 
 
 def _resized(

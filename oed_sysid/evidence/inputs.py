@@ -49,11 +49,11 @@ from oed_sysid.evidence.contrasts import (
     Reading,
     System,
     contrasts,
-    diagnosed,
     hann,
     plain_readings,
 )
 from oed_sysid.evidence.corrections import ORDER, corrected
+from oed_sysid.evidence.readings import diagnosed
 from oed_sysid.evidence.relations import READINGS, Relation
 from oed_sysid.evidence.result import Correction, Finding, Judged
 from oed_sysid.evidence.traces import RELATIVE, Trace, fast_noise
