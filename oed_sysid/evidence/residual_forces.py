@@ -23,7 +23,7 @@ import numpy as np
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
-from oed_sysid.likelihood.projection import bounded_step
+from oed_sysid.likelihood.projection import bounded_step, inverse_of
 from oed_sysid.likelihood.smoother import Path, smoothable
 from oed_sysid.runtime.display import as_dict
 
@@ -141,7 +141,7 @@ class ResidualForces:
 
     def series(self) -> tuple[Series, ...]:
         """Smoothed disturbances, per record."""
-        covariance = _inverse(self.matrix + np.diag(self.problem.limits.prior_weight))
+        covariance = inverse_of(self.matrix + np.diag(self.problem.limits.prior_weight))
         values = self._smoothed(self.innovations, self.right)
         result = []
         for index, (path, columns) in enumerate(zip(self.paths, self.columns, strict=True)):
@@ -198,13 +198,6 @@ def rows_of(
     size[layout.n_own : len(where)] = layout.slopes(unknowns[where[layout.n_own :]])
     known = np.isfinite(problem.records[index].outputs)[:, :, None]
     return np.where(known, rows[:, :, : len(size)] * size, 0.0)
-
-
-def _inverse(matrix: np.ndarray) -> np.ndarray:
-    """Covariance of the directions that the records see."""
-    size = np.sqrt(np.where(np.diag(matrix) > 0, np.diag(matrix), np.inf))
-    inverse = np.linalg.pinv(matrix / size[:, None] / size, rcond=1e-11, hermitian=True)
-    return inverse / size[:, None] / size
 
 
 def agreement(forces: Sequence[Series], signature: Sequence[np.ndarray]) -> float:
