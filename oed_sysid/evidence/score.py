@@ -40,6 +40,7 @@ from oed_sysid.information.response import TANGENT
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.laws import ABSORBED
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.physics import Effect
 from oed_sysid.physics.parameters import Parameter
 
@@ -262,7 +263,7 @@ def _score(variant: _Variant, projected: np.ndarray, residual: np.ndarray, n_rec
     matrix = projected.T @ projected
     right = projected.T @ residual
     # Rao's score statistic: s' I^-1 s, the square of what one step would explain.
-    inverse = np.linalg.pinv(matrix, rcond=1e-12, hermitian=True)
+    inverse = inverse_of(matrix)
     amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
     statistic = float(right @ amplitude)
     count = len(variant.amplitudes)

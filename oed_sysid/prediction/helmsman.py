@@ -54,6 +54,7 @@ from scipy.optimize import least_squares, minimize
 from oed_sysid.data.record import Record
 from oed_sysid.errors import DataError
 from oed_sysid.likelihood.noise_levels import fast_level
+from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.runtime.display import TWO_SIDED_95
 
 # Noise below this is none: rad, and rad per sample.
@@ -506,15 +507,10 @@ class _Machine:
             return np.column_stack([law_by, ~begun, moved, at_limit])[:, free]
 
         found = least_squares(errors, start[free], jac=slopes, x_scale="jac", max_nfev=n_steps)
-        # Standard errors for correlated residuals, of columns scaled to one size.
-        size = np.sqrt((found.jac**2).sum(axis=0))
-        size = np.where(size > 0, size, 1.0)
-        scaled = found.jac / size
-        inverse = np.linalg.pinv(scaled.T @ scaled, rcond=1e-12, hermitian=True)
+        # Standard errors for correlated residuals.
+        spread = variance(found.fun, len(found.x))
         covariance = np.zeros((len(start), len(start)))
-        covariance[np.ix_(free, free)] = (
-            variance(found.fun, len(found.x)) * inverse / np.outer(size, size)
-        )
+        covariance[np.ix_(free, free)] = spread * inverse_of(found.jac.T @ found.jac)
         kept = [*range(n), n + 1, n + 2]
         values = parts(found.x)
         own, (begin, rate, limit) = values[:n], map(float, values[n:])
