@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from steered_ship import LEVEL, NOISE, TIME, YAW, Share, nothing, sailed
+from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
 from oed_sysid import Dataset, MultipleShooting
 from oed_sysid.likelihood import laws as laws_module
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.laws import Law, laws
-from oed_sysid.likelihood.noise_model import Levels, NoiseModel
+from oed_sysid.likelihood.noise_model import Levels, NoiseModel, Sea
 
 
 def asked(seed: int, answer: float, law: Share) -> tuple[Law, ...]:
@@ -56,6 +56,33 @@ def test_a_law_is_found_by_its_signal(law: Share, signal: str, answer: float) ->
         assert found.place == "force r"
         assert signal in found.signals
         assert found.statistic > found.needed
+
+
+@pytest.mark.parametrize("shape", ["velocity", "displacement"])
+def test_a_law_is_told_from_a_sea(shape: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The score of a true sea of either shape is that of chance; a wall beside one is found."""
+
+    def wall(r: float, psi: float, lagged: float) -> float:
+        return -0.04 * np.tanh(20.0 * (psi - 0.2))
+
+    sea = Sea(PERIOD, WIDTH, {"force r": LEVEL}, shape)
+    noise = NoiseModel(
+        np.full(2, NOISE), np.zeros(2), np.zeros(0), 1.0, 1.0, ("psi", "r"), (), seas=(sea,)
+    )
+
+    def found(seed: int, law: Share) -> Law:
+        runs = tuple(sailed(2 * seed + k, 0.3, law, shape=shape) for k in (0, 1))
+        problem = Filtered(YAW, Dataset(runs), Levels.of(noise, noise, seas=noise.seas).held())
+        (told,) = laws(problem, problem.point([np.zeros(2)] * 2).unknowns) or ()
+        return told
+
+    if shape == "displacement":  # with power where a wall acts
+        beside = found(1, wall)
+        assert beside.statistic > beside.needed
+    monkeypatch.setattr(laws_module, "FALSE_LAW", 1.0)
+    away = [(one.statistic - one.freedom) / np.sqrt(2.0 * one.freedom)
+            for one in (found(seed, nothing) for seed in range(12))]  # fmt: skip
+    assert abs(np.mean(away)) < 4 / np.sqrt(12)
 
 
 def test_slow_noise_of_a_sensor_that_follows_the_motion() -> None:

@@ -645,11 +645,6 @@ class Levels:
         """Number of outputs with coloured noise."""
         return len(self.coloured)
 
-    @property
-    def n_second(self) -> int:
-        """Number of second states of narrow-band disturbances."""
-        return sum(len(sea.places) for sea in self.noise.seas)
-
     def without_forces(self, dropped: np.ndarray) -> Levels:
         """Return the same unknowns with some disturbances absent.
 

@@ -71,7 +71,8 @@ class Path:
     def of(cls, part: FilterPass, n_coloured: int = 0, n_second: int = 0) -> Path:
         """Fold the measurements of a pass that kept its gains and moves into its transitions.
 
-        Behind the disturbances stand ``n_coloured`` colours, then ``n_second`` second states.
+        Behind the disturbances stand ``n_coloured`` colours, then ``n_second`` further states of
+        disturbances.
         """
         assert part.gains is not None
         assert part.moves is not None
@@ -175,5 +176,5 @@ def smoothable(
             f"Model {problem.model.name!r} diverges although a force may act in every equation. "
             "Cut the record, or bound the parameters."
         )
-    levels = problem.levels
-    return passes, tuple(Path.of(part, levels.n_coloured, levels.n_second) for part in passes)
+    noise = problem.levels.disturbed(problem.noise(unknowns))
+    return passes, tuple(Path.of(part, len(noise.coloured), noise.n_second) for part in passes)
