@@ -14,7 +14,7 @@ from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood import archive, estimate, judgement, prediction
 from oed_sysid.likelihood.departures import CLEARLY
 from oed_sysid.likelihood.disturbances import places
-from oed_sysid.likelihood.laws import laws_of
+from oed_sysid.likelihood.laws import Law, laws_of
 from oed_sysid.likelihood.whole_runs import WholeRuns, judged_runs
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import (
@@ -156,14 +156,16 @@ class Fit(estimate.Estimate):
     @cached_property
     def whole_runs(self) -> WholeRuns:
         """Errors of whole runs, and whether noise as estimated could have left them."""
-        found = judged_runs(self, unasked=self._unasked)
-        asked = self.noise.has_forces and not self._unasked
-        return replace(found, follows=laws_of(self) if asked else None)
+        return replace(judged_runs(self, unasked=self._unasked), follows=self._laws)
 
     def runs_on(self, dataset: Dataset) -> WholeRuns:
         """The same on records that the fit has not seen."""
-        found = judged_runs(self, dataset, unasked=self._unasked)
-        return replace(found, follows=self.whole_runs.follows)
+        return replace(judged_runs(self, dataset, unasked=self._unasked), follows=self._laws)
+
+    @cached_property
+    def _laws(self) -> tuple[Law, ...] | None:
+        """Laws that process noise holds; None where that was not asked."""
+        return laws_of(self) if self.noise.has_forces and not self._unasked else None
 
     @property
     def _unasked(self) -> str:

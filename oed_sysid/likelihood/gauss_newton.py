@@ -279,6 +279,13 @@ def _filtered_equations(
     return Equations(matrix, right, closed, problem.maps(point, matrix))
 
 
+def differences(problem: Filtered, matrix: np.ndarray) -> np.ndarray:
+    """One standard deviation, others known, at most a scale; of what nothing tells, its scale."""
+    size, scale = np.diag(matrix) + problem.limits.prior_weight, problem.limits.scale
+    std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
+    return np.minimum(std, scale)
+
+
 def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Matrix and right-hand side by differences of whole filters, or at frozen gain.
 
@@ -286,11 +293,7 @@ def _of_the_filter(problem: Filtered, unknowns: np.ndarray) -> tuple[np.ndarray,
     """
     base = problem.passes(unknowns, rows=True)
     frozen, right = problem.gathered(unknowns, base)
-    size = np.diag(frozen) + problem.limits.prior_weight
-    scale = problem.limits.scale
-    # Differences of one standard deviation, others known; of what nothing tells, its scale.
-    std = np.where(size > 0, 1.0 / np.sqrt(np.where(size > 0, size, 1.0)), scale)
-    step = np.minimum(std, scale)
+    step = differences(problem, frozen)
     whole = problem.differentiated(unknowns, base, step)
     known = np.arange(problem.layout.levels.start)
     # A vehicle so unstable that moved filters overflow is one whose rounding is amplified.

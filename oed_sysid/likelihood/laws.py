@@ -56,6 +56,11 @@ CLEARLY = 0.7
 SLOW = "noise of "
 
 
+def needed(freedom: int) -> float:
+    """Statistic of so many functions that chance exceeds rarely."""
+    return float(chdtri(freedom, FALSE_LAW))
+
+
 @dataclass(frozen=True)
 class Law:
     """A disturbance, or slow noise of a sensor, that is a function of motion and commands.
@@ -80,7 +85,7 @@ class Law:
     @property
     def needed(self) -> float:
         """Statistic that chance exceeds rarely."""
-        return float(chdtri(self.freedom, FALSE_LAW))
+        return needed(self.freedom)
 
     @property
     def text(self) -> str:
@@ -112,14 +117,14 @@ def posed_again(
         np.zeros(len(noise.white), dtype=bool),
         logged=[place for place in every_place(fit.model) if place.stage == "actuator"],
     )
-    lasting = noise.force_time[(noise.force > 0) & (noise.force_time > 0)]
+    lasting = set(noise.force_time[(noise.force > 0) & (noise.force_time > 0)])
     unknown = Levels.of(
         noise,
         noise,
         white=fit.sigma_estimated & levels,
         colour=(noise.colour > 0) & levels,
         force=(noise.force > 0) & levels,
-        own_times=bool(np.ptp(lasting) > 0) if len(lasting) else False,
+        own_times=len(lasting) > 1,
         times=setting.times(fit.dataset),
         seas=None if levels else noise.seas,
     )
@@ -157,8 +162,7 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
         _Asked.of(problem, unknowns, passes, (matrix, right), place, len(owners), responses)
         for place, responses in _responses(problem, unknowns, paths, features)
     ]
-    found = (one.law(owners) for one in asked if one.freedom)
-    return tuple(law for law in found if law.statistic > law.needed)
+    return tuple(one.law(owners) for one in asked if one.stands)
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,6 +224,11 @@ class _Asked:
     def freedom(self) -> int:
         """Number of functions of which anything is told."""
         return self._onto(slice(None)).shape[1]
+
+    @property
+    def stands(self) -> bool:
+        """Whether chance rarely gives as much."""
+        return bool(self.freedom and self.statistic() > needed(self.freedom))
 
     def law(self, owners: np.ndarray) -> Law:
         """The law, by the signal or the two that tell most of it."""

@@ -237,41 +237,26 @@ class MultipleShooting:
             guessed = KnownStarts.of(model, dataset, initial_states, "initial_states")
             if warm is not None and warm.integration is not None:
                 model = replace(model, step=min(model.step, warm.model.step))
-            found = self._fit(model, dataset, warm, guessed, known)
-            return resolved(
-                found,
-                lambda step, at: self._fit(replace(model, step=step), dataset, at, None, known),
-            )
+            given = _Given(model, dataset, warm, guessed, known)
 
-    def _fit(
-        self,
-        model: Model,
-        dataset: Dataset,
-        warm: Fit | None,
-        initial_states: KnownStarts | None,
-        known_starts: KnownStarts | None,
-    ) -> Fit:
+            def again(step: float, at: Fit) -> Fit:
+                finer = replace(model, step=step)
+                return self._fit(replace(given, model=finer, warm=at, initial_states=None))
+
+            return resolved(self._fit(given), again)
+
+    def _fit(self, given: _Given) -> Fit:
         """The fit with process noise where it acts; by IPOPT from that without constraints."""
-        check_channels(model, dataset)
-        wanted = self._wants_process_noise(model, dataset)
-        given = model, dataset, warm, initial_states, known_starts
+        check_channels(given.model, given.dataset)
+        wanted = self._wants_process_noise(given.model, given.dataset)
         if wanted and self.solver.method == "ipopt":
-            return self._of_innovations(*given) or self._by_shooting(*given, wanted=False)
-        return self._by_shooting(*given, wanted=wanted)
+            return self._of_innovations(given) or self._by_shooting(given, wanted=False)
+        return self._by_shooting(given, wanted=wanted)
 
-    def _by_shooting(
-        self,
-        model: Model,
-        dataset: Dataset,
-        warm: Fit | None,
-        initial_states: KnownStarts | None,
-        known_starts: KnownStarts | None,
-        *,
-        wanted: bool,
-    ) -> Fit:
-        task = self._task(model, dataset, warm, initial_states, known_starts)
+    def _by_shooting(self, given: _Given, *, wanted: bool) -> Fit:
+        task, warm = self._task(given), given.warm
         model = task.model
-        point = task.shooting.warm_point(warm if initial_states is None else None)
+        point = task.shooting.warm_point(warm if given.initial_states is None else None)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
         carried = _carried(task.shooting, point, warm) if wanted else None
@@ -290,23 +275,18 @@ class MultipleShooting:
         fit = _judged(self._weighed(fit, white, task, end) if wanted else fit, model)
         return fit if disturbed is None else _either(fit, disturbed)
 
-    def _of_innovations(
-        self,
-        model: Model,
-        dataset: Dataset,
-        warm: Fit | None,
-        initial_states: KnownStarts | None,
-        known_starts: KnownStarts | None,
-    ) -> Fit | None:
+    def _of_innovations(self, given: _Given) -> Fit | None:
         """The fit by IPOPT where process noise acts, from that without constraints; else None."""
         condensed = replace(
             self, solver=replace(self.solver, method="gauss-newton", constraints=())
         )
-        free = condensed._fit(model, dataset, warm, initial_states, known_starts)
+        free = condensed._fit(given)
+        if free.status.code == "interrupted":
+            return free
         if not (free.noise.has_forces and free.status.ok):
             return None
         began = time.perf_counter()
-        problem, begin = posed_again(free, known_starts, levels=True)
+        problem, begin = posed_again(free, given.known_starts, levels=True)
         end = solve_innovations(
             problem,
             begin,
@@ -322,18 +302,12 @@ class MultipleShooting:
         found = constrained(summarise_filtered(end, how), problem, *at, self.solver.constraints)
         own = with_levels(found.model, found.noise)
         found = replace(found, model=own, process_noise=free.process_noise, excluded=free.excluded)
-        return _judged(found, model)
+        return _judged(found, given.model)
 
-    def _task(
-        self,
-        model: Model,
-        dataset: Dataset,
-        warm: Fit | None,
-        initial_states: KnownStarts | None,
-        known_starts: KnownStarts | None,
-    ) -> _Task:
+    def _task(self, given: _Given) -> _Task:
         """The problem without process noise, and what is known of it."""
         began = time.perf_counter()
+        model, dataset, warm = given.model, given.dataset, given.warm
         earlier = None if warm is None else warm.sigma
         sigma, estimated = start_levels(model, dataset, self.noise, earlier)
         shooting = Shooting(
@@ -342,8 +316,8 @@ class MultipleShooting:
             sigma,
             interval=self.interval,
             loss=loss_by_name(self.loss),
-            initial_states=initial_states,
-            known_starts=known_starts,
+            initial_states=given.initial_states,
+            known_starts=given.known_starts,
         )
         shooting.check_enough_samples()
         if self.horizon is not None:
@@ -352,7 +326,7 @@ class MultipleShooting:
             every = [np.arange(len(r.times), dtype=np.intc) for r in shooting.records]
             shooting = shooting.having(starts=tuple(every))
         how = Procedure(self.name, estimated, 0, began, self.coloured)
-        return _Task(shooting.model, shooting, known_starts, how)
+        return _Task(shooting.model, shooting, given.known_starts, how)
 
     def _wants_process_noise(self, model: Model, dataset: Dataset) -> bool:
         """Whether process noise is to be tested for or estimated."""
@@ -404,7 +378,7 @@ class MultipleShooting:
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
-            found = way._fit(task.model, dataset, earlier, None, task.known_starts)
+            found = way._fit(_Given(task.model, dataset, earlier, None, task.known_starts))
             spent.append(found.iterations)
             return found
 
@@ -578,6 +552,17 @@ _GONE = {
     for name in ("max_iterations", "tolerance", "hessian", "constraints")
 }
 MultipleShooting.__init__ = respelled(ModelError, _GONE)(MultipleShooting.__init__)  # type: ignore[method-assign]
+
+
+@dataclass(frozen=True, eq=False)
+class _Given:
+    """What a fit is asked for: model and records, an earlier fit, and what is known of starts."""
+
+    model: Model
+    dataset: Dataset
+    warm: Fit | None
+    initial_states: KnownStarts | None
+    known_starts: KnownStarts | None
 
 
 @dataclass(frozen=True, eq=False)

@@ -56,6 +56,7 @@ from oed_sysid.likelihood.gauss_newton import (
     FilteredSolution,
     Progress,
     Solution,
+    differences,
     differentiated,
     exact,
     nowhere,
@@ -293,10 +294,9 @@ def solve_innovations(
     def slopes(scaled: np.ndarray) -> list[Any]:
         unknowns = scaled * scale
         base = problem.passes(unknowns, rows=True)
-        size = np.diag(problem.gathered(unknowns, base)[0]) + limits.prior_weight
         # A program needs the slope of its cost, not the one that holds over a standard error.
-        moved = NEAR * np.minimum(1.0 / np.sqrt(np.where(size > 0, size, np.inf)), scale)
-        equations = problem.differentiated(unknowns, base, np.where(moved > 0, moved, NEAR * scale))
+        moved = NEAR * differences(problem, problem.gathered(unknowns, base)[0])
+        equations = problem.differentiated(unknowns, base, moved)
         matrix, right = limits.with_priors(*equations, unknowns)
         told = constrained_by(unknowns)[1] * scale
         return [-(right * scale)[None], told, matrix * scale[:, None] * scale]
@@ -394,13 +394,14 @@ class _Predicted:
 def _predicted(problem: Shooting | Filtered, unknowns: np.ndarray) -> list[_Predicted]:
     """Predictions of every record; none where the model diverges."""
     model, layout, found = problem.model, problem.layout, []
+    runner = kernel(model)
     place = [model.parameter_names.index(name) for name in layout.free_names]
     for index, record in enumerate(problem.dataset):
         columns, slopes = layout.record_columns(index), layout.record_slopes(unknowns, index)
         free = layout.parameters(unknowns, index)
         values = model.with_values(dict(zip(layout.free_names, free, strict=True))).value_vector
         own = unknowns[columns[: layout.n_own]]
-        run = kernel(model).simulate(record.times, record.inputs, values, own, sensitivities=True)
+        run = runner.simulate(record.times, record.inputs, values, own, sensitivities=True)
         if not run.ok or run.output_sensitivities is None:
             return []
         by_unknowns = np.zeros((*run.outputs.shape, len(unknowns)))
