@@ -4,7 +4,8 @@ r"""Whole runs: does a fit say where process noise holds physics, and which valu
 
 ``single``, ``unknown`` and ``pair`` hide effects of `benchmarks.missing_physics` from the nominal
 model of the diving plane; ``none/...`` hide nothing. These count where the default fit takes
-process noise in. All other kinds are worlds of `benchmarks.random_forces`: the fitted structure
+process noise in. ``measured`` are nominal models on measured records, of which some are left out
+(:data:`MEASURED`). All other kinds are worlds of `benchmarks.random_forces`: the fitted structure
 is the true one, and what acts is disturbances alone, a swell among them.
 
 ``said`` is the share of fits with process noise that say that it has taken the work of physics
@@ -27,12 +28,23 @@ from benchmarks.missing_physics.judge import _problem, datasets, nominal_runs
 from benchmarks.random_forces.scenarios import SCENARIOS
 from benchmarks.random_forces.simulator import Set, believed, simulate
 from benchmarks.random_forces.trial import dataset, nominal_model
-from oed_sysid import MultipleShooting
+from oed_sysid import MultipleShooting, load_problem
 
 KINDS = (
     "single/white", "unknown/white", "none/force_mid", "none/gust_mid", "small", "medium",
-    "ship_gusts", "ship_swell", "drone_swell", "remus_swell",
+    "ship_gusts", "ship_swell", "drone_swell", "remus_swell", "measured",
 )  # fmt: skip
+# Problem, or problem and variant, and the records left out.
+MEASURED = (
+    *(("kvlcc2", (run,)) for run in ("10_05", "15_05", "20_05", "25_05")),
+    *(("kvlcc2/mmg", (run,)) for run in ("10_05", "15_05", "20_05", "25_05")),
+    ("roll_decay", ("test_small",)),
+    ("cascaded_tanks", ("test_second_half",)),
+    ("cascaded_tanks/torricelli", ("test_second_half",)),
+    ("silverbox", ("test_third_realisation",)),
+    ("positioning_drive", ("test_second_half",)),
+    ("slocum_glider", tuple(f"test_dive_{number}" for number in (1, 3, 4, 6, 7, 8, 10, 11))),
+)
 
 
 @lru_cache(maxsize=1)
@@ -48,6 +60,16 @@ def hidden(kind: str, number: int) -> Row:
     problem = _problem()
     found = nominal_runs(problem.model, *datasets(problem, records))
     return {"key": [kind, number], "effects": dict(case.effects), **found}
+
+
+def measured(number: int) -> Row:
+    """One set of measured records."""
+    name, left_out = MEASURED[number]
+    title, _, variant = name.partition("/")
+    problem = load_problem(title, variant=variant or None)
+    train, test = problem.data().split(left_out)
+    found = nominal_runs(problem.model, train, test)
+    return {"key": ["measured", number], "set": [name, *left_out], **found}
 
 
 def disturbed(world: str, number: int, seed: int, first: int, last: int) -> Row:
@@ -133,15 +155,17 @@ def main(
         where finished cases are
     """
     last = first + cases
-    keys = [(kind, number) for kind in kinds for number in range(first, last)]
+    numbers = {"measured": range(len(MEASURED))}
+    keys = [(kind, one) for kind in kinds for one in numbers.get(kind, range(first, last))]
 
     def jobs(left: Sequence[tuple[str, int]]) -> Iterator[Callable[[], Row]]:
         for kind, number in left:
-            work = (
-                partial(hidden, kind, number)
-                if "/" in kind
-                else partial(disturbed, kind, number, seed, first, last)
-            )
+            if kind == "measured":
+                work = partial(measured, number)
+            elif "/" in kind:
+                work = partial(hidden, kind, number)
+            else:
+                work = partial(disturbed, kind, number, seed, first, last)
             yield partial(guarded, (kind, number), work)
 
     kept = Store(store, key=lambda row: tuple(row["key"]))

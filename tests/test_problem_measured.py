@@ -1,4 +1,4 @@
-"""Measured data: roll decay, cascaded tanks, Silverbox and glider, as their READMEs describe."""
+"""Measured data: roll decay, tanks, Silverbox, drive and glider, as their READMEs describe."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import os
 
 import numpy as np
 import pytest
+from scipy.io import loadmat
 
+from benchmarks.scoreboard import drive
 from oed_sysid.data.dataset import Dataset, Record
+from oed_sysid.data.third_party import fetch
 from oed_sysid.evidence.compare import compare
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.problem import Problem, load_problem
+from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics.model import Model
@@ -195,6 +199,51 @@ def test_cubic_stiffness_ranks_first(
         known_noise=False,
     )
     assert rank(study, fit, study.candidates).refits[0].name == "cubic_stiffness"
+
+
+@pytest.fixture(scope="module")
+def problem_drive() -> Problem:
+    """The problem as shipped."""
+    return load_problem("positioning_drive")
+
+
+def test_force_of_the_drive_is_the_mean_of_its_samples(problem_drive: Problem) -> None:
+    """Impulses of both halves are those of the original, and positions its own samples."""
+    content = loadmat(str(fetch("emps/DATA_EMPS.mat")))
+    force = float(content["gtau"][0, 0]) * np.ravel(content["vir"])
+    first, second = problem_drive.data()
+    assert first.n_samples == second.n_samples == 1242
+    joined = np.concatenate([first.inputs[:, 0], second.inputs[:, 0]])
+    assert joined.sum() * 0.01 == pytest.approx(force[:24840].sum() * 0.001)
+    assert second.outputs[0, 0] == np.ravel(content["qm"])[12420]
+
+
+def test_odds_of_two_claims_count_independent_samples(problem_drive: Problem) -> None:
+    """Correlated innovations let two statistics differ by less, not by more."""
+    train, _ = problem_drive.data().split(test="test_second_half")
+    study, fit = Study.begin(
+        problem_drive.model, train, None, problem_drive.effects,
+        known_noise=False, disturbances="none",
+    )  # fmt: skip
+    found = rank(study, fit, study.candidates)
+    best, other = found.refits[:2]
+    full, quarter = found.error(best, other), found.error(best, other, 0.25)
+    assert quarter in (pytest.approx(GROUP_WIDTH), pytest.approx(0.5 * full))
+
+
+@pytest.mark.slow
+def test_dry_friction_and_offset_are_found_and_nothing_else(problem_drive: Problem) -> None:
+    """The four parameters of the authors are in their intervals, whole runs as good as theirs."""
+    train, test = problem_drive.data().split(test="test_second_half")
+    found = improve(problem_drive.model, train, test, candidates=problem_drive.effects)
+    assert {step.added for step in found.steps} == {"offset", "coulomb_friction"}
+    authors = {"m": 95.1, "X_v": -203.5, "E_coulomb_friction": 20.4, "X_0": 3.16}
+    for name, value in authors.items():
+        low, high = found.fit.interval(name)
+        assert low < value < high
+    force, position = (signal[12420:24840] for signal in drive.voltages(drive.ORIGINAL))
+    theirs = drive.error(drive.AUTHORS, force, position)
+    assert found.fit.predict(test).rms["x"] < 1.1 * theirs
 
 
 @pytest.fixture(scope="module")

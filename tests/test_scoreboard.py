@@ -12,6 +12,7 @@ import pytest
 from benchmarks.documents import turns
 from benchmarks.scoreboard import __main__ as board
 from benchmarks.scoreboard import (
+    drive,
     esso_osaka,
     roll_decay,
     silverbox,
@@ -46,6 +47,28 @@ def test_unknown_board_is_refused() -> None:
     """A wrong name ends with the names that there are."""
     with pytest.raises(SystemExit, match="silverbox"):
         board.main(["tank"])
+
+
+def test_reference_of_the_drive_slides_and_stops() -> None:
+    """Without dry friction speed dies away exponentially; with it the carriage stops and stays."""
+    still, start = np.zeros(3000), np.array([0.1, 0.5])
+    free = drive.sliding(np.array([90.0, 200.0, 0.0, 0.0]), still, start)
+    times = drive.STEP * np.arange(3000)
+    decay = 90.0 / 200.0
+    assert free == pytest.approx(0.1 + 0.5 * decay * (1.0 - np.exp(-times / decay)), abs=5e-5)
+    braked = drive.sliding(np.array([90.0, 0.0, 45.0, 0.0]), still, start)
+    # v = 0.5 - t/2: it stands after a second and a quarter of a metre.
+    assert braked[1001:] == pytest.approx(0.35, abs=1e-3)
+    assert np.ptp(braked[1002:]) == 0.0
+
+
+def test_reference_of_the_drive_finds_what_was_simulated() -> None:
+    """SciPy gives the four parameters of a run of the same equations back."""
+    truth = np.array([90.0, 180.0, 15.0, -2.0])
+    force = 60.0 * np.sign(np.sin(2.0 * np.pi * 1e-3 * np.arange(3000)))
+    run = drive.sliding(truth, force, np.zeros(2))
+    assert drive.reference(force, run) == pytest.approx(truth, rel=1e-3)
+    assert drive.error(truth, force, run + 1e-3) < 1e-6
 
 
 def test_a_perfect_prediction_scores_nothing() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -93,6 +94,17 @@ def test_each_keeps_the_contract_of_effects(name: str) -> None:
             effect, problem.model, rng=rng, initial=start, inputs=ranges, n_points=1,
             amplitude_sign=sign,
         )  # fmt: skip
+
+
+@pytest.mark.skipif("OED_SYSID_DATA" not in os.environ, reason="measured data absent")
+def test_drag_opposes_a_motion_along_its_own_axis() -> None:
+    """Whatever the state of the axis X is called, its drag changes sign with it."""
+    problem = load_problem("positioning_drive")
+    made = {effect.name: effect for effect in usual_effects(problem.model, problem.data())}
+    ((name, term),) = made["quadratic_X_v"].terms.items()
+    ahead, astern = (float(to_numpy(term, {"X_absvv": 1.0, "v": v})) for v in (0.1, -0.1))
+    assert name == "X"
+    assert ahead == -astern != 0.0
 
 
 def test_a_current_of_any_attitude_is_the_transposed_rotation() -> None:

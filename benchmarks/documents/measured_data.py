@@ -88,6 +88,21 @@ def silverbox() -> Numbers:
     return {"found": of(names["found"]), "errors": errors}
 
 
+def drive() -> Numbers:
+    """The positioning drive, m: the search, and its parameters with their intervals."""
+    names = ran("positioning_drive")
+    fit = names["fit"]
+    return {
+        "found": of(names["found"]),
+        "errors": names["errors"],
+        "held": [
+            name
+            for name, value in names["published"].items()
+            if name in fit.names and fit.interval(name)[0] <= value <= fit.interval(name)[1]
+        ],
+    }
+
+
 def tanks() -> Numbers:
     """The cascaded tanks, V, from two models, without and with disturbance forces."""
     return {
@@ -144,6 +159,6 @@ PAGE = Page(
     "measured_data",
     {
         section.__name__: section
-        for section in (roll_decay, silverbox, tanks, esso_osaka, slocum_glider, noise)
+        for section in (roll_decay, silverbox, drive, tanks, esso_osaka, slocum_glider, noise)
     },
 )

@@ -204,7 +204,7 @@ def nominal_runs(model: Model, train: Dataset, test: Dataset) -> dict[str, Any]:
     """
     fit = MultipleShooting().fit(model, train)
     calm = MultipleShooting(disturbances="none").fit(model, train)
-    levels = np.array([output.noise_std for output in model.outputs])
+    levels = fit.whole_runs.each("noise")
     errors = [
         float(np.sqrt(np.nanmean((rms(whole_runs(one.model, test, levels)) / levels) ** 2)))
         for one in (fit, calm, replayed(fit))

@@ -217,7 +217,8 @@ def _sea(scenario: Scenario, outcomes: Sequence[Outcome]) -> dict[str, Any]:
     """How often a sea is claimed, and its period and levels within 10 and 25 % where one acts."""
     found = [o.sea for o in outcomes if o.sea is not None]
     told: dict[str, Any] = {"claimed": float(100 * len(found) / max(len(outcomes), 1))}
-    if not scenario.swell or not found:
+    several = scenario.wind_sea or scenario.direction is not None
+    if not scenario.swell or several or not found:
         return told
     periods = np.array([sea["period"] for sea in found]) / scenario.swell
     true = np.array(scenario.force)

@@ -220,6 +220,11 @@ class Scenario:
         Their time, s.
     swell : float
         The forces have a JONSWAP spectrum with this peak period instead, s; 0 for none.
+    wind_sea : float
+        Half of their power is in a second one with this peak period, s; 0 for none.
+    direction : float or None
+        The swell is long-crested and runs to this bearing, deg: its period is met as the vehicle
+        moves and turns.
     pole : float or None
         The vehicle is made unstable in pitch with this pole, 1/s.
     level : float
@@ -252,6 +257,8 @@ class Scenario:
     force: tuple[float, ...] = (0.0, 0.0, 0.0)
     force_time: float = 2.0
     swell: float = 0.0
+    wind_sea: float = 0.0
+    direction: float | None = None
     pole: float | None = None
     level: float = 1.0
     colour: float = 0.0

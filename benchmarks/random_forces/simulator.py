@@ -27,6 +27,8 @@ from benchmarks.truth import gauss_markov, runge_kutta
 
 SPREAD = 0.09  # of true parameters about the believed ones
 FIRST_DEPTH = 10.0
+N_WAVES = 200  # of a sea
+GRAVITY = 9.81  # m/s^2
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +85,7 @@ def _waves(n: int, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     JONSWAP spectrum of peak factor 3.3 (Hasselmann et al. 1973) from 0.4 to 3 times its peak.
     """
-    f = np.linspace(0.4, 3.0, 200)
+    f = np.linspace(0.4, 3.0, N_WAVES)
     wide = np.where(f < 1.0, 0.07, 0.09)
     spectrum = f**-5.0 * np.exp(-1.25 * f**-4.0) * 3.3 ** np.exp(-((f - 1.0) ** 2) / (2 * wide**2))
     angle = 2.0 * np.pi * step * np.outer(np.arange(n), f)
@@ -95,6 +97,32 @@ def swell(rng: np.random.Generator, n: int, step: float, count: int) -> np.ndarr
     size, cosine, sine = _waves(n, step)
     phase = rng.uniform(0.0, 2.0 * np.pi, (count, len(size)))
     return np.asarray(cosine @ (size * np.cos(phase)).T - sine @ (size * np.sin(phase)).T)
+
+
+class Crested:
+    """Long-crested seas that records meet where they are and as they are headed.
+
+    Every component is a plane wave of deep water; loads in surge go with the cosine of the angle
+    at which it is met, in yaw with the sine of twice that angle, in all others with its sine.
+    """
+
+    def __init__(self, scenario: Scenario, columns: Sequence[_Column]) -> None:
+        size, _, _ = _waves(1, 1.0)
+        f = np.linspace(0.4, 3.0, len(size))
+        self.size, self.omega = size, 2.0 * np.pi * f / scenario.swell
+        self.toward = np.radians(scenario.direction or 0.0)
+        self.phase = np.stack([c.phase for c in columns], axis=-1)  # axis, component, record
+        self.level = np.array(scenario.force)[:, None]
+        self.axes = VEHICLES[scenario.vehicle].forces
+
+    def __call__(self, t: float, place: np.ndarray, heading: np.ndarray) -> np.ndarray:
+        """Forces ``(axis, record)`` at a time, at places ``(2, record)`` north and east."""
+        along = place[0] * np.cos(self.toward) + place[1] * np.sin(self.toward)
+        angle = self.omega[:, None] * t - np.outer(self.omega**2 / GRAVITY, along)
+        waves = np.einsum("i,aik->ak", self.size, np.cos(angle + self.phase))
+        met = self.toward - heading
+        share = {"u": np.cos(met), "r": np.sin(2.0 * met)}
+        return self.level * waves * np.stack([share.get(a, np.sin(met)) for a in self.axes])
 
 
 def believed(scenario: Scenario) -> dict[str, float]:
@@ -158,7 +186,13 @@ class _Column:
         if scenario.swell:
             waves = stream(seed, number, manoeuvre.name, "swell")
             sea = swell(waves, len(draws), h / scenario.swell, len(scenario.force))
+            if scenario.wind_sea:
+                waves = stream(seed, number, manoeuvre.name, "wind sea")
+                second = swell(waves, len(draws), h / scenario.wind_sea, len(scenario.force))
+                sea = (sea + second) / np.sqrt(2.0)
             self.force = np.array(scenario.force) * sea
+        waves = stream(seed, number, manoeuvre.name, "crests")
+        self.phase = waves.uniform(0.0, 2.0 * np.pi, (len(scenario.force), N_WAVES))
         white = noise.standard_normal((self.n, len(vehicle.states)))
         if scenario.colour:
             column = scenario.coloured
@@ -204,6 +238,8 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
     if vehicle.name == "remus":
         state[0] = np.sqrt(thrust / -values["X_uu"])
         state[4] = FIRST_DEPTH
+    crests = Crested(scenario, columns) if scenario.direction is not None else None
+    place = np.zeros((2, width))
     clean = np.empty((n, *state.shape))
     inputs = np.empty((n, len(vehicle.inputs), width))
     command = _pilot(vehicle, [column.manoeuvre for column in columns])
@@ -213,6 +249,13 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
         if k + 1 == n:
             break
         for sub in range(k * vehicle.substeps, (k + 1) * vehicle.substeps):
+            if crests is not None:
+                heading = state[vehicle.steered]
+                force[sub] = crests(sub * h, place, heading)
+                ahead = np.stack([np.cos(heading), np.sin(heading)])
+                aside = np.stack([-ahead[1], ahead[0]])
+                place = place + h * (state[0] * ahead + state[1] * aside)
+                force[sub + 1] = crests((sub + 1) * h, place, heading + h * state[2])
             pushes = force[sub], 0.5 * (force[sub] + force[sub + 1]), force[sub + 1]
 
             def rate(
@@ -221,6 +264,8 @@ def _integrate(scenario: Scenario, columns: Sequence[_Column]) -> list[Run]:
                 return vehicle.rate(x, inputs[k], pushes[stage], values)
 
             state = runge_kutta(rate, state, h)
+    for i, column in enumerate(columns):
+        column.force = force[: len(column.force), :, i]
     return [
         _run(scenario, c, inputs[: c.n, :, i], clean[: c.n, :, i]) for i, c in enumerate(columns)
     ]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from benchmarks.harness import command, known, markdown
 from benchmarks.scoreboard import (
+    drive,
     esso_osaka,
     roll_decay,
     silverbox,
@@ -19,6 +20,7 @@ BOARDS: dict[str, Callable[[], list[Row]]] = {
     "tanks": tanks.score,
     "esso_osaka": esso_osaka.score,
     "roll_decay": roll_decay.score,
+    "drive": drive.score,
 }
 TARGET = Path(__file__).resolve().parent.parent.parent / "docs" / "scoreboard.md"
 HEAD = """# Scoreboard
@@ -55,7 +57,7 @@ def main(names: Sequence[str] = (), *, output: Path = TARGET) -> None:
     Parameters
     ----------
     names : sequence of str
-        silverbox, tanks, esso_osaka, roll_decay
+        silverbox, tanks, esso_osaka, roll_decay, drive
     output : Path
         page that has the tables
     """

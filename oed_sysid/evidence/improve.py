@@ -47,16 +47,13 @@ from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
-from oed_sysid.likelihood.noise_levels import given_levels, signal_spread
+from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.noise_model import Disturbances
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
-
-# Share of a signal that whole runs must miss before a search is worth making again.
-MUCH = 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -243,8 +240,10 @@ class _Run:
         not: the right effect does not lead out of that valley. What the other search finds is
         claimed against what this one has, with disturbance forces in both. Where that is not
         likelier, whole runs decide: a constant force, say, does not show beside forces that
-        wander, and process noise could not have left runs that are so much better.
+        wander, and process noise could not have left runs that are so much better. Process noise
+        that follows motion or commands is none, so that any better runs do.
         """
+        price = 1.0 if end.left.follows else BOUGHT
         calm, first, last = self.search.ended(Standing(study, (), base, (base,)))
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
@@ -264,10 +263,10 @@ class _Run:
             )
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
             return _Ended(state, base, first, last, self._left(state), None)
-        state = eliminated(state, found, noise, BOUGHT)
+        state = eliminated(state, found, noise, price)
         records = study.train if study.validation is None else study.validation
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
-        if not BOUGHT * there < here:
+        if not price * there < here:
             return replace(end, state=replace(end.state, decisions=state.decisions))
         self.search.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
@@ -284,14 +283,10 @@ def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:
 
 
 def _hidden_by_forces(end: _Ended) -> bool:
-    """Whether disturbance forces may hide what is missing: whole runs are far off under them."""
+    """Whether disturbance forces may hide what is missing: structured ones, or at what cost."""
     if end.left.is_noise:
         return False
-    study, fit = end.state.study, end.state.fit
-    if overgrown(study, fit):
-        return True
-    missed = study.rms(fit, study.train) / signal_spread(study.train)
-    return bool(end.left.structured and np.nanmax(missed) > MUCH)
+    return bool(end.left.structured) or overgrown(end.state.study, end.state.fit)
 
 
 def _bought(end: _Ended) -> list[str]:

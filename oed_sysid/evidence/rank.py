@@ -118,33 +118,32 @@ class Ranking:
         if not self.refits:
             return ()
         lead = best or self.refits[0]
-        excess = {one.name: one.excess for one in claims}
+        asked = {one.name: one for one in claims}
 
-        def behind(refit: Refit) -> float:
-            if {lead.name, refit.name} <= set(excess):
-                return excess[lead.name] - excess[refit.name]
-            return lead.evidence - refit.evidence
+        def near(refit: Refit) -> bool:
+            if {lead.name, refit.name} <= set(asked):
+                first, other = asked[lead.name], asked[refit.name]
+                error = self.error(lead, refit, first.independent)
+                return first.excess - other.excess < error
+            return lead.evidence - refit.evidence < self.error(lead, refit)
 
-        near = (
-            refit
-            for refit in self.refits
-            if refit.name not in (lead.name, f"{lead.name}{BY_RECORD}")
-            and behind(refit) < self.error(lead, refit)
-        )
-        return lead, *near
+        same = (lead.name, f"{lead.name}{BY_RECORD}")
+        return lead, *(one for one in self.refits if one.name not in same and near(one))
 
-    def error(self, best: Refit, other: Refit) -> float:
+    def error(self, best: Refit, other: Refit, independent: float = 1.0) -> float:
         r"""What two statistics may differ by and be the same.
 
         Odds of 20 to 1; of signatures that are nearly one, two standard errors of the difference,
         :math:`4 \sqrt{2 T (1 - \rho)}` (Vuong 1989, Econometrica 57): no noise model is so exact.
+        Of claims, :math:`T` counts the share of the innovations that is ``independent``.
         """
         # The largest canonical correlation of the two signatures.
         cosines = _basis(best.score).T @ _basis(other.score)
         correlation = min(float(np.linalg.svd(cosines, compute_uv=False).max(initial=0.0)), 1.0)
         if correlation < ALIKE:
             return GROUP_WIDTH
-        return max(GROUP_WIDTH, 4.0 * float(np.sqrt(2.0 * best.gain * (1.0 - correlation))))
+        statistic = independent * best.gain
+        return max(GROUP_WIDTH, 4.0 * float(np.sqrt(2.0 * statistic * (1.0 - correlation))))
 
     def alike(self, name: str, limit: float = ALIKE) -> tuple[str, ...]:
         """Candidates never refitted that explain nearly what another explains, by likeness.
@@ -366,7 +365,8 @@ def refit(
     An effect that may have either sign starts from nothing, where the first step is the score
     test's own; one that cannot be negative, and often has a kink there, starts from its one-step
     estimate, and so does one beside parameters of a fit that is ``near``. Further sizes follow
-    where the first leads nowhere.
+    where the first leads nowhere; then, noise levels free, what is usual: beside noise that is too
+    small for what is missing, thresholds have many valleys.
     """
     effects = tuple(score.effect for score in scored)
     best: FilteredSolution | None = None
@@ -386,6 +386,11 @@ def refit(
         best = likelier(best, found)
         if best is not None and fit.objective - best.objective > REACHED * statistic:
             break
+    else:
+        if not plain and 2.0 * statistic > needed:
+            usual = _usual(near or fit, effects)
+            every = (*study.effects_of(fit), *effects)
+            best = likelier(best, study.estimate(every, usual, fit, max_iterations=25))
     if best is None:
         return None
     return Refit(tuple(scored), best, fit.objective - best.objective, needed)
@@ -405,6 +410,16 @@ def _start(fit: FilteredSolution, scored: Sequence[Score], size: float) -> dict[
             scaled = size * value if name in score.effect.amplitude_names else value
             start[name] = float(np.clip(scaled, *limits[name]))
     return start
+
+
+def _usual(fit: FilteredSolution, effects: Sequence[Effect]) -> dict[str, float]:
+    """Values to begin a refit from, effects as large as they usually are."""
+    sizes = {
+        p.name: min(p.magnitude, p.upper) if p.name in effect.amplitude_names else p.value
+        for effect in effects
+        for p in effect.parameters
+    }
+    return dict(fit.values) | sizes
 
 
 def deepen(study: Study, fit: FilteredSolution, quick: Refit) -> Refit:

@@ -275,7 +275,7 @@ def leader(
     close = (
         (refit, one)
         for refit, one in standing
-        if first.excess - one.excess < ranking.error(best, refit)
+        if first.excess - one.excess < ranking.error(best, refit, first.independent)
     )
     return next((pair for pair in close if not polynomial(pair[0])), standing[0])
 

@@ -377,7 +377,7 @@ def _products(
     for other in _coupled(model, equation, state):
         signal = through.get(other, other)
         plain, absolute = (signal, False), (signal, True)
-        if equation == "X" and other != "u":  # drag does not know starboard from port
+        if equation == "X" and other != state:  # drag does not know starboard from port
             yield f"quadratic_{signal}", (plain, plain)
             continue
         lifts = surges and other != "u"

@@ -1,38 +1,34 @@
 r"""Values for runs: replay, simulation and export of a model that lacks physics.
 
-Where process noise holds structure, the fit ``F`` with it tells the derivatives best, and one
-without, ``W``, the runs that were measured. In between lies ``B``: the process noise of ``F`` held
-at a small share of its level, sensors white as they are granted. Chosen is
+Where process noise holds structure, the fit with it tells the derivatives best, and one without
+the runs that were measured. Which of the two tells other runs better, runs left out say: taken is
 
-====================================================== ==========================================
-``F``                                                  where whole runs are as its noise model
-                                                       would have left them
-``B``                                                  else, where its whole-run error is within
-                                                       twice that of ``W``
-``W``                                                  else
-====================================================== ==========================================
+.. math:: \arg\min_m \sum_i \ln E_i\big(\hat\theta^m_{-i}\big)
 
-and never what is off further than ``F`` over the records that were fitted.
+with :math:`E_i` the error of the whole run :math:`i`, its start fitted, under parameters that were
+estimated without it, with process noise held at its level or none (Stone 1974, J. R. Stat. Soc. B
+36). Of a single record halves are left out.
 """
 
 from __future__ import annotations
 
-import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.likelihood.departures import TWOFOLD
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import Levels
-from oed_sysid.likelihood.summary import Procedure, summarise_filtered
+from oed_sysid.likelihood.whole_runs import rms, whole_runs
+from oed_sysid.physics.model import Model
 
-# Share of the level of process noise that is left to it; chosen on cases with physics hidden, no
-# more than that, as is the whole-run error over that of a fit without from which none is (twofold).
-WEAK = 0.1
+WITHOUT = MultipleShooting(disturbances="none")
+# A model estimated from some records, by their positions; None where that fails.
+_Refit = Callable[[Sequence[int]], Model | None]
 
 
 def replayed(fit: Fit) -> Fit:
@@ -45,9 +41,10 @@ def replayed(fit: Fit) -> Fit:
     Returns
     -------
     Fit
-        The same where it has no process noise or whole runs are as that would have left them; else
-        one whose :attr:`~oed_sysid.likelihood.fit.Fit.purpose` is ``"replay"``: derivatives, errors
-        and the search for what is missing keep ``fit``.
+        The same where it has no process noise, whole runs are as that would have left them, or it
+        tells runs left out best; else one without process noise, whose
+        :attr:`~oed_sysid.likelihood.fit.Fit.purpose` is ``"replay"``: derivatives, errors and the
+        search for what is missing keep ``fit``.
 
     Examples
     --------
@@ -57,38 +54,51 @@ def replayed(fit: Fit) -> Fit:
     """
     if not fit.whole_runs.took_the_work:
         return fit
-    noise, own = fit.whole_runs.each("noise"), fit.whole_runs.relative
-    estimator = MultipleShooting(disturbances="none")
+    noise = fit.whole_runs.each("noise")
     begun = fit.model.with_values({n: v for n, v in fit.nominal.items() if n in fit.model.values})
     # Without process noise from its values, and from those of before.
-    ends = (estimator.fit(fit.model, fit.dataset, warm=fit), estimator.fit(begun, fit.dataset))
-    errors = [(end.whole_runs.size(noise=noise), end) for end in ends if end.status.ok]
-    error, chosen = min(errors, key=lambda one: one[0], default=(np.inf, fit))
-    if not error < own:
-        return fit
-    weak = _weak(fit, chosen)
-    if weak is not None and weak.whole_runs.size(noise=noise) < min(TWOFOLD * error, own):
-        chosen = weak
-    return replace(chosen, purpose="replay")
+    ends = (WITHOUT.fit(fit.model, fit.dataset, warm=fit), WITHOUT.fit(begun, fit.dataset))
+    white = min(ends, key=lambda end: np.nan_to_num(end.whole_runs.size(noise=noise), nan=np.inf))
+    parts, states = _parts(white)
 
+    def without(kept: Sequence[int]) -> Model | None:
+        return WITHOUT.fit(white.model, Dataset(tuple(parts[index] for index in kept))).model
 
-def _weak(fit: Fit, white: Fit) -> Fit | None:
-    """The fit with process noise held at a small share of its level; None where it fails."""
-    began, noise = time.perf_counter(), fit.noise
-    weak = replace(
-        noise,
-        white=fit.whole_runs.each("noise"),
-        colour=np.zeros(len(noise.white)),
-        force=WEAK * noise.force,
-        seas=tuple(sea.with_levels(WEAK * sea.level) for sea in noise.seas),
-    )
-    problem = Filtered(white.model, fit.dataset, Levels.of(weak, weak, seas=weak.seas))
-    try:
-        found = solve_filtered(problem, problem.point(white.initial_states, white.local_values))
-        if found.finite is None:
+    def disturbed(kept: Sequence[int]) -> Model | None:
+        rest = Dataset(tuple(parts[index] for index in kept))
+        held = Levels.of(fit.noise, fit.noise, seas=fit.noise.seas)
+        problem = Filtered(fit.model, rest, held)
+        try:
+            found = solve_filtered(problem, problem.point([states[index] for index in kept]))
+        except np.linalg.LinAlgError:
             return None
-        label, nothing = f"{fit.estimator}, for replay", np.zeros(len(noise.white), dtype=bool)
-        result = summarise_filtered(found, Procedure(label, nothing, found.iterations, began))
-    except np.linalg.LinAlgError:
-        return None
-    return replace(result, nominal=fit.nominal)
+        return None if found.finite is None else fit.model.with_values(found.values)
+
+    better = _left_out(without, parts, noise) < _left_out(disturbed, parts, noise)
+    return replace(white, purpose="replay") if better else fit
+
+
+def _parts(white: Fit) -> tuple[Dataset, Sequence[np.ndarray]]:
+    """Records to leave out, and start states of each: those of the fit, or halves of its one."""
+    if len(white.dataset) > 1:
+        return white.dataset, white.initial_states
+    (whole,) = white.dataset
+    middle = whole.times[len(whole.times) // 2]
+    first = whole.window(whole.times[0], np.nextafter(middle, -np.inf)).rename("first half")
+    halves = Dataset((first, whole.window(middle, whole.times[-1]).rename("second half")))
+    return halves, WITHOUT.fit(white.model, halves).initial_states
+
+
+def _left_out(refit: _Refit, parts: Dataset, noise: np.ndarray) -> float:
+    """Mean logarithm of the error of runs left out, in units of the noise; infinite at worst."""
+
+    def errors() -> Iterator[float]:
+        for out, record in enumerate(parts):
+            model = refit([index for index in range(len(parts)) if index != out])
+            if model is None:
+                yield np.inf
+                return
+            squares = (rms(whole_runs(model, Dataset((record,)), noise)) / noise) ** 2
+            yield 0.5 * float(np.log(np.nanmean(squares)))
+
+    return float(np.mean([*errors()]))
