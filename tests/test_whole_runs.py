@@ -23,6 +23,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.prediction import Spread, misleads, predict
+from oed_sysid.likelihood.replay import _parts
 from oed_sysid.likelihood.whole_runs import WholeRun
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
@@ -196,6 +197,20 @@ def test_values_for_runs_replay_better(hidden: Fit, runs: Fit) -> None:
     assert "replayed(fit)" in predictions[2].caveat
     with pytest.warns(UserWarning, match="errors do not hold"):
         _information(runs)
+
+
+def test_halves_of_a_single_record_are_left_out(hidden: Fit) -> None:
+    """Every sample is in one of the two, and each begins where the model is then."""
+    one = Dataset((hidden.dataset[0],))
+    white = MultipleShooting(disturbances="none").fit(NOMOTO, one)
+    parts, states = _parts(white)
+    times = np.concatenate([part.times for part in parts])
+    np.testing.assert_array_equal(times, one[0].times)
+    assert len(parts) == len(states) == 2
+    run = one[0].output("psi")[len(parts[0].times)]
+    assert states[1][0] == pytest.approx(run, abs=0.2 * np.ptp(one[0].output("psi")))
+    kept, _ = _parts(hidden)
+    assert kept is hidden.dataset
 
 
 def test_an_export_has_the_values_for_runs(hidden: Fit, tmp_path) -> None:

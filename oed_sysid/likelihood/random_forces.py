@@ -162,7 +162,9 @@ def _raced_to_sea(
 ) -> FilteredSolution:
     """The likeliest end with forces of first order, or with a sea where there is one."""
     best = _raced(beginnings, min(setting.max_iterations, FIRST_STEPS), progress)
-    best = best if best.finite is None else with_sea(best, setting)
+    if best.finite is not None:
+        start = solved(min(beginnings, key=lambda one: one.cost), 0, progress)
+        best = with_sea(best, setting, (best, start))
     left = setting.max_iterations - FIRST_STEPS
     if best.reason != "iterations" or left <= 0:
         return best
@@ -590,7 +592,9 @@ def threshold(n_forces: int, n_tests: int) -> float:
     )
 
 
-def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
+def with_sea(
+    found: FilteredSolution, setting: Setting, begin: Sequence[FilteredSolution] = ()
+) -> FilteredSolution:
     """Take a sea for what disturbs the vehicle where the records show one, or one is declared.
 
     Of a declared one what it leaves out is estimated; a period that is left out is that of the
@@ -601,6 +605,9 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     found : FilteredSolution
         With forces of first order, near its end.
     setting : Setting
+    begin : sequence of FilteredSolution
+        Values to begin at, by default those found: under waves parameters may follow forces of
+        first order where nothing leads back.
 
     Returns
     -------
@@ -614,7 +621,8 @@ def with_sea(found: FilteredSolution, setting: Setting) -> FilteredSolution:
     period = known.period or _likeliest_period(found, setting, places)
     if not (places and period):
         return found
-    best = _at_sea(found, setting, known.filled(_calm(places, period)), known).finite
+    sea = known.filled(_calm(places, period))
+    best = _at_sea(found, setting, sea, known, begin or (found,)).finite
     if best is None:
         return found
     if setting.seas:
@@ -699,7 +707,13 @@ def _calm(places: Sequence[str], period: float) -> Sea:
     return Sea(period, bandwidth=0.3, levels=dict.fromkeys(places, 0.0), shape="velocity")
 
 
-def _at_sea(found: FilteredSolution, setting: Setting, sea: Sea, known: Sea) -> FilteredSolution:
+def _at_sea(
+    found: FilteredSolution,
+    setting: Setting,
+    sea: Sea,
+    known: Sea,
+    begin: Sequence[FilteredSolution],
+) -> FilteredSolution:
     """Estimate a sea in place of forces of first order.
 
     Parameters
@@ -711,6 +725,8 @@ def _at_sea(found: FilteredSolution, setting: Setting, sea: Sea, known: Sea) -> 
         Where it begins; its levels only where ``known`` says them.
     known : Sea
         What is known of it.
+    begin : sequence of FilteredSolution
+        Values to begin at.
     """
     first = found.noise
     # A force of first order and a sea in one place would share its variance: one at a time.
@@ -719,7 +735,9 @@ def _at_sea(found: FilteredSolution, setting: Setting, sea: Sea, known: Sea) -> 
         sea = _likeliest_sea(found, setting, alone, sea)
     # Everything else first, lest period and width follow its misfit.
     held = replace(known, period=sea.period, bandwidth=sea.bandwidth)
-    near = _again(found, setting, replace(alone, seas=(sea,)), held, FIRST_STEPS)
+    noise = replace(alone, seas=(sea,))
+    tried = [_again(one, setting, noise, held, FIRST_STEPS) for one in begin]
+    near = min(tried, key=lambda one: one.cost)
     if near.finite is None:
         return near
     noise, free = near.noise, replace(known, shape=None)
