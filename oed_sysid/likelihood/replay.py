@@ -1,18 +1,21 @@
 r"""Values for runs: replay, simulation and export of a model that lacks physics.
 
 Where process noise holds structure, the fit with it tells the derivatives best, and one without
-the runs that were measured. Which of the two tells other runs better, runs left out say: taken is
+the runs that were measured. Which of the two tells other runs better, runs left out say. With
+:math:`E_i` the error of the whole run :math:`i`, its start fitted, under parameters that were
+estimated without it, with process noise held at its level or without,
 
-.. math:: \arg\min_m \sum_i \ln E_i\big(\hat\theta^m_{-i}\big)
+.. math:: d_i = \ln E_i\big(\hat\theta^\text{with}_{-i}\big)
+    - \ln E_i\big(\hat\theta^\text{without}_{-i}\big)
 
-with :math:`E_i` the error of the whole run :math:`i`, its start fitted, under parameters that were
-estimated without it, with process noise held at its level or none (Stone 1974, J. R. Stat. Soc. B
-36). Of a single record halves are left out.
+(Stone 1974, J. R. Stat. Soc. B 36), it goes without where the mean of :math:`d` is above its
+standard error (Breiman et al., *Classification and Regression Trees*, 1984, section 3.4). Of a
+single record halves are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -26,6 +29,8 @@ from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics.model import Model
 
+# Square of an error that stands for runs that end, so that both may.
+ENDLESS = 1e12
 WITHOUT = MultipleShooting(disturbances="none")
 # A model estimated from some records, by their positions; None where that fails.
 _Refit = Callable[[Sequence[int]], Model | None]
@@ -74,8 +79,9 @@ def replayed(fit: Fit) -> Fit:
             return None
         return None if found.finite is None else fit.model.with_values(found.values)
 
-    better = _left_out(without, parts, noise) < _left_out(disturbed, parts, noise)
-    return replace(white, purpose="replay") if better else fit
+    gained = _left_out(disturbed, parts, noise) - _left_out(without, parts, noise)
+    error = np.std(gained, ddof=1) / np.sqrt(len(gained))
+    return replace(white, purpose="replay") if np.mean(gained) > error else fit
 
 
 def _parts(white: Fit) -> tuple[Dataset, Sequence[np.ndarray]]:
@@ -89,16 +95,13 @@ def _parts(white: Fit) -> tuple[Dataset, Sequence[np.ndarray]]:
     return halves, WITHOUT.fit(white.model, halves).initial_states
 
 
-def _left_out(refit: _Refit, parts: Dataset, noise: np.ndarray) -> float:
-    """Mean logarithm of the error of runs left out, in units of the noise; infinite at worst."""
-
-    def errors() -> Iterator[float]:
-        for out, record in enumerate(parts):
-            model = refit([index for index in range(len(parts)) if index != out])
-            if model is None:
-                yield np.inf
-                return
-            squares = (rms(whole_runs(model, Dataset((record,)), noise)) / noise) ** 2
-            yield 0.5 * float(np.log(np.nanmean(squares)))
-
-    return float(np.mean([*errors()]))
+def _left_out(refit: _Refit, parts: Dataset, noise: np.ndarray) -> np.ndarray:
+    """Logarithms of the errors of runs left out, in units of the noise, ``(n_records,)``."""
+    errors = []
+    for out, record in enumerate(parts):
+        model = refit([index for index in range(len(parts)) if index != out])
+        squares = np.inf
+        if model is not None:
+            squares = np.nanmean((rms(whole_runs(model, Dataset((record,)), noise)) / noise) ** 2)
+        errors.append(0.5 * np.log(min(float(squares), ENDLESS)))
+    return np.array(errors)
