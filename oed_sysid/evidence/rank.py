@@ -8,7 +8,7 @@ joint statistic exceeds the threshold of all pairs are refitted together.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, combinations
 from typing import Any
@@ -368,32 +368,31 @@ def refit(
     where the first leads nowhere; then, noise levels free, what is usual: beside noise that is too
     small for what is missing, thresholds have many valleys.
     """
-    effects = tuple(score.effect for score in scored)
+    effects = (*study.effects_of(fit), *(score.effect for score in scored))
     best: FilteredSolution | None = None
-    statistic = max(score.statistic for score in scored)
-    plain = near is None and all(map(two_sided, effects))
-    # The one-step estimate itself first, then sizes below and above it.
-    steps = sorted(SIZES, key=lambda size: abs(size - 1.0))
-    sizes = (0.0, *steps) if plain else (*steps, 0.0)
-    for size in sizes:
-        found = study.estimate(
-            (*study.effects_of(fit), *effects),
-            _start(near or fit, scored, size),
-            fit,
-            update_noise=False,
-            max_iterations=6,
-        )
+    reached = fit.objective - REACHED * max(score.statistic for score in scored)
+    for start, free in _begins(near or fit, scored, needed, beside=near is not None):
+        steps = 25 if free else 6
+        found = study.estimate(effects, start, fit, update_noise=free, max_iterations=steps)
         best = likelier(best, found)
-        if best is not None and fit.objective - best.objective > REACHED * statistic:
+        if best is not None and best.objective < reached:
             break
-    else:
-        if not plain and 2.0 * statistic > needed:
-            usual = _usual(near or fit, effects)
-            every = (*study.effects_of(fit), *effects)
-            best = likelier(best, study.estimate(every, usual, fit, max_iterations=25))
     if best is None:
         return None
     return Refit(tuple(scored), best, fit.objective - best.objective, needed)
+
+
+def _begins(
+    fit: FilteredSolution, scored: Sequence[Score], needed: float, *, beside: bool
+) -> Iterator[tuple[dict[str, float], bool]]:
+    """Values to begin a refit from in turn, and whether noise levels are free there."""
+    plain = not beside and all(two_sided(score.effect) for score in scored)
+    # The one-step estimate itself first, then sizes below and above it.
+    steps = sorted(SIZES, key=lambda size: abs(size - 1.0))
+    for size in (0.0, *steps) if plain else (*steps, 0.0):
+        yield _start(fit, scored, size), False
+    if not plain and 2.0 * max(score.statistic for score in scored) > needed:
+        yield _usual(fit, [score.effect for score in scored]), True
 
 
 def _start(fit: FilteredSolution, scored: Sequence[Score], size: float) -> dict[str, float]:
