@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
+from oed_sysid.errors import OedSysidError
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
@@ -63,10 +64,16 @@ def replayed(fit: Fit) -> Fit:
     # Without process noise from its values, and from those of before.
     ends = (WITHOUT.fit(fit.model, fit.dataset, warm=fit), WITHOUT.fit(begun, fit.dataset))
     white = min(ends, key=lambda end: np.nan_to_num(end.whole_runs.size(noise=noise), nan=np.inf))
-    parts, states = _parts(white)
+    try:
+        parts, states = _parts(white)
+    except OedSysidError:  # halves that are too short tell nothing
+        return fit
 
     def without(kept: Sequence[int]) -> Model | None:
-        return WITHOUT.fit(white.model, Dataset(tuple(parts[index] for index in kept))).model
+        try:
+            return WITHOUT.fit(white.model, Dataset(tuple(parts[index] for index in kept))).model
+        except OedSysidError:  # what is left may be too little
+            return None
 
     def disturbed(kept: Sequence[int]) -> Model | None:
         rest = Dataset(tuple(parts[index] for index in kept))
@@ -74,7 +81,7 @@ def replayed(fit: Fit) -> Fit:
         problem = Filtered(fit.model, rest, held)
         try:
             found = solve_filtered(problem, problem.point([states[index] for index in kept]))
-        except np.linalg.LinAlgError:
+        except (OedSysidError, np.linalg.LinAlgError):
             return None
         return None if found.finite is None else fit.model.with_values(found.values)
 
