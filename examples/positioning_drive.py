@@ -17,7 +17,7 @@ print(found.report())
 print()
 
 fit = found.fit
-published = {"m": 95.1, "X_v": -203.5, "E_coulomb_friction": 20.4, "X_0": 3.16}
+published = problem.published
 print("parameter             found (95 % interval)         published")
 for name, value in published.items():
     if name in fit.names:

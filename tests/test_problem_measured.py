@@ -241,7 +241,7 @@ def test_dry_friction_and_offset_are_found_and_nothing_else(problem_drive: Probl
     for name, value in authors.items():
         low, high = found.fit.interval(name)
         assert low < value < high
-    force, position = (signal[12420:24840] for signal in drive.voltages(drive.ORIGINAL))
+    force, position = (signal[12420:24840] for signal in drive.original(fetch(drive.ORIGINAL)))
     theirs = drive.error(drive.AUTHORS, force, position)
     assert found.fit.predict(test).rms["x"] < 1.1 * theirs
 

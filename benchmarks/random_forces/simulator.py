@@ -27,7 +27,8 @@ from benchmarks.truth import gauss_markov, runge_kutta
 
 SPREAD = 0.09  # of true parameters about the believed ones
 FIRST_DEPTH = 10.0
-N_WAVES = 200  # of a sea
+# Of the waves of a sea, over that of the peak.
+FREQUENCIES = np.linspace(0.4, 3.0, 200)
 GRAVITY = 9.81  # m/s^2
 
 
@@ -85,7 +86,7 @@ def _waves(n: int, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
     JONSWAP spectrum of peak factor 3.3 (Hasselmann et al. 1973) from 0.4 to 3 times its peak.
     """
-    f = np.linspace(0.4, 3.0, N_WAVES)
+    f = FREQUENCIES
     wide = np.where(f < 1.0, 0.07, 0.09)
     spectrum = f**-5.0 * np.exp(-1.25 * f**-4.0) * 3.3 ** np.exp(-((f - 1.0) ** 2) / (2 * wide**2))
     angle = 2.0 * np.pi * step * np.outer(np.arange(n), f)
@@ -107,9 +108,8 @@ class Crested:
     """
 
     def __init__(self, scenario: Scenario, columns: Sequence[_Column]) -> None:
-        size, _, _ = _waves(1, 1.0)
-        f = np.linspace(0.4, 3.0, len(size))
-        self.size, self.omega = size, 2.0 * np.pi * f / scenario.swell
+        self.size, _, _ = _waves(1, 1.0)
+        self.omega = 2.0 * np.pi * FREQUENCIES / scenario.swell
         self.toward = np.radians(scenario.direction or 0.0)
         self.phase = np.stack([c.phase for c in columns], axis=-1)  # axis, component, record
         self.level = np.array(scenario.force)[:, None]
@@ -192,7 +192,7 @@ class _Column:
                 sea = (sea + second) / np.sqrt(2.0)
             self.force = np.array(scenario.force) * sea
         waves = stream(seed, number, manoeuvre.name, "crests")
-        self.phase = waves.uniform(0.0, 2.0 * np.pi, (len(scenario.force), N_WAVES))
+        self.phase = waves.uniform(0.0, 2.0 * np.pi, (len(scenario.force), len(FREQUENCIES)))
         white = noise.standard_normal((self.n, len(vehicle.states)))
         if scenario.colour:
             column = scenario.coloured

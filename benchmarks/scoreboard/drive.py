@@ -13,27 +13,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 import numpy as np
-from scipy.io import loadmat
 from scipy.optimize import least_squares
 
 from benchmarks.scoreboard.row import Row, attempted, missing, place
-from oed_sysid import Dataset, Record, load_problem
+from oed_sysid import Dataset, Record
 from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.improvement import Improvement
-from problems.positioning_drive.problem import HALVES, ORIGINAL, THIN, read
+from problems.positioning_drive.problem import HALVES, ORIGINAL, THIN, original, problem, read
 
 PULSES = "emps/DATA_EMPS_PULSES.mat"
 STEP = 1e-3  # s
-AUTHORS = np.array([95.1, 203.5, 20.4, 3.16])  # kg, N s/m, N, N
+AUTHORS = np.abs([*problem.published.values()])  # kg, N s/m, N, N
 MILLIMETRE = 1e-3
 SOURCE = "whole-run error of four parameters by SciPy"
-
-
-def voltages(path: str) -> tuple[np.ndarray, np.ndarray]:
-    """Force, N, and position, m, at every millisecond."""
-    content = loadmat(str(place(path)))
-    force = float(np.ravel(content["gtau"])[0]) * np.ravel(content["vir"])
-    return force, np.ravel(content["qm"]).astype(float)
 
 
 def sliding(values: np.ndarray, force: np.ndarray, start: np.ndarray) -> np.ndarray:
@@ -79,7 +71,7 @@ def rows(found: Improvement, parts: dict[str, Record], values: np.ndarray) -> It
     added = ", ".join(step.added for step in found.steps)
     for what, record in parts.items():
         path = PULSES if record.source == PULSES else ORIGINAL
-        force, position = voltages(path)
+        force, position = original(place(path))
         if path == ORIGINAL:
             half = record.n_samples * THIN
             force, position = (signal[half : 2 * half] for signal in (force, position))
@@ -93,10 +85,9 @@ def rows(found: Improvement, parts: dict[str, Record], values: np.ndarray) -> It
 
 def score() -> list[Row]:
     """Second half, the record with pulses if it is there, and the parameters."""
-    problem = load_problem("positioning_drive")
     train, test = problem.data().split(test=HALVES[1])
     found = improve(problem.model, train, test, candidates=problem.effects)
-    force, position = voltages(ORIGINAL)
+    force, position = original(place(ORIGINAL))
     half = train[0].n_samples * THIN
     values = reference(force[:half], position[:half])
     told = list(

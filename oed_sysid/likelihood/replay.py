@@ -29,8 +29,6 @@ from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics.model import Model
 
-# Square of an error that stands for runs that end, so that both may.
-ENDLESS = 1e12
 WITHOUT = MultipleShooting(disturbances="none")
 # A model estimated from some records, by their positions; None where that fails.
 _Refit = Callable[[Sequence[int]], Model | None]
@@ -85,8 +83,12 @@ def replayed(fit: Fit) -> Fit:
             return None
         return None if found.finite is None else fit.model.with_values(found.values)
 
-    gained = _left_out(disturbed, parts, noise) - _left_out(without, parts, noise)
-    better = np.mean(gained) > 0.0 and np.median(gained) > 0.0
+    # A run that neither tells decides nothing.
+    with np.errstate(invalid="ignore"):
+        told = _left_out(disturbed, parts, noise) - _left_out(without, parts, noise)
+        gained = np.where(np.isnan(told), 0.0, told)
+        mean, median = np.mean(gained), np.median(gained)
+    better = mean > 0.0 and median > 0.0
     return replace(white, purpose="replay") if better else fit
 
 
@@ -109,5 +111,5 @@ def _left_out(refit: _Refit, parts: Dataset, noise: np.ndarray) -> np.ndarray:
         squares = np.inf
         if model is not None:
             squares = np.nanmean((rms(whole_runs(model, Dataset((record,)), noise)) / noise) ** 2)
-        errors.append(0.5 * np.log(min(float(squares), ENDLESS)))
+        errors.append(0.5 * np.log(squares))
     return np.array(errors)

@@ -79,8 +79,8 @@ effects = (
 )
 
 
-def read(path: Path, name: str) -> Record:
-    """A record of the bench as it is published (MATLAB), at a tenth of its rate.
+def original(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Force, N, and position, m, of a record of the bench as it is published (MATLAB, 1 kHz).
 
     Raises
     ------
@@ -92,15 +92,20 @@ def read(path: Path, name: str) -> Record:
     content = loadmat(str(path))
     if lacking := [name for name in ("t", "qm", "vir", "gtau") if name not in content]:
         raise DataError(
-            f"{path.name} has no variable {lacking[0]}; expected t [s], qm [m], vir [V] and gtau [N/V]."
+            f"{path.name} has no variable {lacking[0]}; expected t [s], qm [m], vir [V], gtau [N/V]."
         )
     position, voltage = (np.ravel(content[name]).astype(float) for name in ("qm", "vir"))
+    return float(np.ravel(content["gtau"])[0]) * voltage, position
+
+
+def read(path: Path, name: str) -> Record:
+    """A record of the bench at a tenth of its rate."""
+    force, position = original(path)
     n = len(position) // THIN
-    force = float(np.ravel(content["gtau"])[0]) * voltage[: n * THIN]
     return Record(
         name,
         0.001 * THIN * np.arange(n),
-        force.reshape(n, THIN).mean(axis=1)[:, None],
+        force[: n * THIN].reshape(n, THIN).mean(axis=1)[:, None],
         position[: n * THIN : THIN, None],
         model.channels,
         name,
@@ -128,7 +133,7 @@ problem = Problem(
     effects=effects,
     limits=Limits(inputs={"F": (-150.0, 150.0)}),
     records=records,
-    published={"m, kg": 95.1, "X_v, N s/m": -203.5, "dry friction, N": 20.4, "offset, N": 3.16},
+    published={"m": 95.1, "X_v": -203.5, "E_coulomb_friction": 20.4, "X_0": 3.16},
     references=(
         "Janot, Gautier & Brunot (2019), Data set and reference models of EMPS, Workshop on "
         "Nonlinear System Identification Benchmarks",
