@@ -6,7 +6,16 @@ import numpy as np
 import pytest
 from steered_ship import LEVEL, NOISE, PERIOD, TIME, WIDTH, YAW, Share, nothing, sailed
 
-from oed_sysid import Dataset, MultipleShooting
+from oed_sysid import (
+    Dataset,
+    Input,
+    Model,
+    MultipleShooting,
+    Output,
+    Parameter,
+    Record,
+    State,
+)
 from oed_sysid.likelihood import laws as laws_module
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.laws import Law, laws
@@ -38,6 +47,61 @@ def test_the_statistic_of_a_true_disturbance_is_chi_squared(
     away = (np.array([law.statistic for law in found]) - freedom) / np.sqrt(2.0 * freedom)
     assert abs(away.mean()) < 4 / np.sqrt(24)
     assert 0.6 < away.std() < 1.4
+
+
+def adrift(seed: int) -> Dataset:
+    """Two records of three speeds under forces that last a while, and of what they add up to."""
+    rng, runs = np.random.default_rng(seed), []
+    damping, step, n = np.array([0.14, 0.13, 0.1]), 0.4, 300
+    memory = np.exp(-step / TIME)
+    decay = np.exp(-damping * step)
+    reach = (1.0 - decay) / damping  # of a force that is held for a step
+    for name in "ab":
+        speed, place, force = np.zeros((3, 3))
+        force = LEVEL * rng.standard_normal(3)
+        command, rows = np.repeat(rng.uniform(-1.0, 1.0, 10), n // 10), []
+        for one in command:
+            rows.append([*speed, *place])
+            pushed = 0.1 * one + force
+            place = place + speed * reach + pushed * (step - reach) / damping
+            speed = speed * decay + pushed * reach
+            force = memory * force + np.sqrt(1.0 - memory**2) * LEVEL * rng.standard_normal(3)
+        seen = np.array(rows) + NOISE * rng.standard_normal((n, 6))
+        runs.append(Record(name, np.arange(n) * step, command, seen, ADRIFT.channels))
+    return Dataset(tuple(runs))
+
+
+ADRIFT = Model(
+    "adrift",
+    (*(State(f"v{i}", "m/s") for i in range(3)), *(State(f"x{i}", "m") for i in range(3))),
+    (Input("u", "1"),),
+    tuple(Output(name, "m", NOISE) for name in ("v0", "v1", "v2", "x0", "x1", "x2")),
+    {
+        **{f"v{i}": f"b{i}*u - {d}*v{i}" for i, d in enumerate((0.14, 0.13, 0.1))},
+        **{f"x{i}": f"v{i}" for i in range(3)},
+    },
+    parameters=tuple(Parameter(f"b{i}", 0.1, "m/s^2") for i in range(3)),
+)
+
+
+def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Positions without springs make the statistic a third too large; what is drawn tells that."""
+    monkeypatch.setattr(laws_module, "FALSE_LAW", 1.0)
+    places = tuple(f"force v{i}" for i in range(3))
+    noise = NoiseModel(
+        np.full(6, NOISE), np.zeros(6), np.full(3, LEVEL), TIME, TIME, ADRIFT.output_names, places
+    )
+    away: dict[str, list[float]] = {"plain": [], "corrected": []}
+    for way, usual in (("plain", lambda *_: {}), ("corrected", laws_module._usual)):
+        monkeypatch.setattr(laws_module, "_usual", usual)
+        for seed in range(8):
+            problem = Filtered(ADRIFT, adrift(seed), Levels.of(noise, noise).held())
+            found = laws(problem, problem.point([np.zeros(6)] * 2).unknowns)
+            assert found is not None
+            away[way] += [(one.statistic - one.freedom) / np.sqrt(2 * one.freedom) for one in found]
+    assert len(away["plain"]) == 24
+    assert abs(np.mean(away["corrected"])) < 4 / np.sqrt(24)
+    assert np.mean(away["plain"]) > 4 / np.sqrt(24)
 
 
 @pytest.mark.parametrize("answer", [0.0, 0.3])

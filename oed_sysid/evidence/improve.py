@@ -241,7 +241,7 @@ class _Run:
         claimed against what this one has, with disturbance forces in both. Where that is not
         likelier, whole runs decide: a constant force, say, does not show beside forces that
         wander, and process noise could not have left runs that are so much better. Process noise
-        that follows motion or commands is none, so that any better runs do.
+        that follows motion or commands is none, so that any better runs do of no more effects.
         """
         price = 1.0 if end.left.follows else BOUGHT
         calm, first, last = self.search.ended(Standing(study, (), base, (base,)))
@@ -266,6 +266,7 @@ class _Run:
         state = eliminated(state, found, noise, price)
         records = study.train if study.validation is None else study.validation
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
+        price = BOUGHT if len(state.added) > len(end.state.added) else price
         if not price * there < here:
             return replace(end, state=replace(end.state, decisions=state.decisions))
         self.search.notes.append(

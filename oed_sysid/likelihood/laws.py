@@ -17,12 +17,20 @@ square of :math:`e` by which it is divided where it exceeds one). An innovation 
 what was measured or commanded before it, so that :math:`T` is a chi-squared variable where no law
 is missing: also where a helmsman, an autopilot or the rule of a zigzag answers the disturbance,
 which runs without measurements do not bear.
+
+Motion that a disturbance moves is itself random, and where it wanders (a position without a spring)
+:math:`T` is larger than chi-squared, by a third for three such equations (Dickey & Fuller 1979 for
+one). What stands is divided by the mean of :math:`T` over its freedom in records drawn from the
+filter itself, with innovations :math:`\tilde e` in place of :math:`e` (Bartlett 1937):
+
+.. math:: \delta_{k|k} = \delta_{k|k-1} + g_k (\tilde e_k - e_k), \qquad
+    \delta_{k+1|k} = F_k \delta_{k|k}
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -52,6 +60,8 @@ FALSE_LAW = 1e-5
 ABSORBED = 1e-3
 # What two signals leave of the statistic, over what one of them leaves, to be named both.
 CLEARLY = 0.7
+# Records drawn to see how large a statistic is by chance: its mean is then known to some per cent.
+DRAWS = 10
 # How the slow noise of a sensor is called in the place of a force.
 SLOW = "noise of "
 
@@ -153,29 +163,79 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
         passes, paths = smoothable(problem, unknowns)
     except SimulationError:
         return None
-    features, owners = _features(problem, passes)
+    asked, owners = _asked(problem, unknowns, passes, paths)
     if not owners.size:
         return None
+    standing = [one for one in asked if one.stands]
+    if standing:
+        usual = _usual(problem, unknowns, passes, paths)
+        standing = [replace(one, usual=usual.get(one.place, 1.0)) for one in standing]
+    return tuple(one.law(owners) for one in standing if one.stands)
+
+
+def _asked(
+    problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass], paths: Sequence[Path]
+) -> tuple[list[_Asked], np.ndarray]:
+    """Every place that acts, and whose each function is; none where nothing moves."""
+    features, owners = _features(problem, passes)
+    if not owners.size:
+        return [], owners
     matrix, right = problem.gathered(unknowns, passes)
-    matrix, right = problem.limits.with_priors(matrix, right, unknowns)
-    asked = [
-        _Asked.of(problem, unknowns, passes, (matrix, right), place, len(owners), responses)
+    equations = problem.limits.with_priors(matrix, right, unknowns)
+    return [
+        _Asked.of(problem, unknowns, passes, equations, place, len(owners), responses)
         for place, responses in _responses(problem, unknowns, paths, features)
-    ]
-    return tuple(one.law(owners) for one in asked if one.stands)
+    ], owners
+
+
+def _usual(
+    problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass], paths: Sequence[Path]
+) -> dict[str, float]:
+    """Mean statistic over its freedom by chance, of every place; one at least."""
+    rng, found = np.random.default_rng(0), dict[str, list[float]]()
+    for _ in range(DRAWS):
+        drawn = [_drawn(problem, part, rng) for part in passes]
+        if all(np.isfinite(part.path).all() for part in drawn):
+            for one in _asked(problem, unknowns, drawn, paths)[0]:
+                found.setdefault(one.place, []).append(one.statistic() / max(one.freedom, 1))
+    return {place: max(float(np.mean(ratios)), 1.0) for place, ratios in found.items()}
+
+
+def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
+    """A pass with innovations drawn as the filter says they are, its path moved by them."""
+    assert part.rows is not None
+    assert part.gains is not None
+    assert part.moves is not None
+    seen, n = np.isfinite(part.innovations), len(part.gram) - 1
+    white = np.where(seen, rng.standard_normal(seen.shape), np.nan)
+    innovations = white * np.sqrt(part.variances)
+    pushes = np.einsum(
+        "koj,ko->kj", part.gains[:, :, 1], np.nan_to_num(innovations - part.innovations)
+    )
+    away, path = np.zeros(pushes.shape[1]), part.path.copy()
+    for k, (push, move) in enumerate(zip(pushes, part.moves, strict=True)):
+        away = away + push
+        path[k, problem.active] += away[: len(problem.active)]
+        away = move[: len(away)] @ away
+    rows, gram = part.rows[seen], part.gram.copy()
+    gram[:n, -1] = gram[-1, :n] = rows[:, :n].T @ white[seen]
+    slope = 0.5 * rows[:, n:].T @ (1.0 - white[seen] ** 2)
+    return replace(part, innovations=innovations, path=path, gram=gram, level_slope=slope)
 
 
 @dataclass(frozen=True, eq=False)
 class _Asked:
     """Score and information of functions at one place, everything estimated projected out.
 
-    ``size`` are the roots of the information before.
+    ``size`` are the roots of the information before, ``usual`` is what chance makes of the
+    statistic over its freedom.
     """
 
     place: str
     score: np.ndarray
     matrix: np.ndarray
     size: np.ndarray
+    usual: float = 1.0
 
     @classmethod
     def of(
@@ -211,7 +271,7 @@ class _Asked:
 
     def statistic(self, chosen: np.ndarray | slice = slice(None)) -> float:
         """What the best of some functions would gain in twice the log-likelihood."""
-        return float(np.sum((self._onto(chosen).T @ self.score[chosen]) ** 2))
+        return float(np.sum((self._onto(chosen).T @ self.score[chosen]) ** 2)) / self.usual
 
     def _onto(self, chosen: np.ndarray | slice) -> np.ndarray:
         """Coordinates of unit information, of what is not estimated already."""

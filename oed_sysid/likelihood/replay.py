@@ -1,20 +1,29 @@
 r"""Values for runs: replay, simulation and export of a model that lacks physics.
 
-Where process noise holds structure, the fit with it tells the derivatives best, and one without
-the runs that were measured. Which of the two tells other runs better, runs left out say. With
-:math:`E_i` the error of the whole run :math:`i`, its start fitted, under parameters that were
-estimated without it, with process noise held at its level or without,
+Where process noise holds structure, the fit with it tells the derivatives best, because it asks of
+the model one sample ahead. A fit without process noise asks for whole runs, and trusts them too
+much: what a model that lacks physics leaves of them is larger than the noise of sensors, and
+correlated, so that the :math:`n_j` samples of output :math:`j` tell no more than
+:math:`n^\mathrm{eff}_j` independent ones
+(:func:`~oed_sysid.likelihood.information.effective_sample_size`). Taken for what they tell, their
+residuals :math:`e_{jk}` have the standard deviation
 
-.. math:: d_i = \ln E_i\big(\hat\theta^\text{with}_{-i}\big)
-    - \ln E_i\big(\hat\theta^\text{without}_{-i}\big)
+.. math:: \sigma_j^2 = \frac{1}{n^\mathrm{eff}_j}
+    \max\Bigl( \sum_k e_{jk}^2,\; n_j \sigma_{j,0}^2 \Bigr),
 
-(Stone 1974, J. R. Stat. Soc. B 36), it goes without where mean and median of :math:`d` are above
-zero: one run alone decides nothing. Of a single record halves are left out.
+:math:`\sigma_{j,0}` the noise that the sensor is granted. With these levels (a tempered likelihood;
+Bissiri, Holmes & Walker 2016, J. R. Stat. Soc. B 78) the fit follows whole runs where they are
+sure, and priors where they are not.
+
+Which of the two tells other runs better, runs left out say (Stone 1974, J. R. Stat. Soc. B 36): the
+error of each whole run, its start fitted, under parameters that were estimated without it. The
+values without process noise are for runs where they tell most of them better. Of a single record
+halves are left out.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +33,7 @@ from oed_sysid.errors import OedSysidError
 from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
+from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
@@ -45,9 +55,9 @@ def replayed(fit: Fit) -> Fit:
     -------
     Fit
         The same where it has no process noise, whole runs are as that would have left them, or it
-        tells runs left out best; else one without process noise, whose
-        :attr:`~oed_sysid.likelihood.fit.Fit.purpose` is ``"replay"``: derivatives, errors and the
-        search for what is missing keep ``fit``.
+        tells most runs left out better; else one without process noise, its noise what whole runs
+        leave, whose :attr:`~oed_sysid.likelihood.fit.Fit.purpose` is ``"replay"``: derivatives,
+        errors and the search for what is missing keep ``fit``.
 
     Examples
     --------
@@ -58,20 +68,21 @@ def replayed(fit: Fit) -> Fit:
     if not fit.whole_runs.took_the_work:
         return fit
     noise = fit.whole_runs.each("noise")
+    # From its values, and from those of before.
     begun = fit.model.with_values({n: v for n, v in fit.nominal.items() if n in fit.model.values})
-    # Without process noise from its values, and from those of before.
     ends = (WITHOUT.fit(fit.model, fit.dataset, warm=fit), WITHOUT.fit(begun, fit.dataset))
     white = min(ends, key=lambda end: np.nan_to_num(end.whole_runs.size(noise=noise), nan=np.inf))
+    tempered = replace(WITHOUT, noise=tuple(_levels(white, noise).tolist()))
+    tried = _fits(tempered, (fit.model, white.model, begun), fit.dataset)
+    calm = min(tried, key=lambda end: end.cost, default=white)
     try:
-        parts, states = _parts(white)
+        parts, states = _parts(calm)
     except OedSysidError:  # halves that are too short tell nothing
         return fit
 
     def without(kept: Sequence[int]) -> Model | None:
-        try:
-            return WITHOUT.fit(white.model, Dataset(tuple(parts[index] for index in kept))).model
-        except OedSysidError:  # what is left may be too little
-            return None
+        rest = Dataset(tuple(parts[index] for index in kept))
+        return next((end.model for end in _fits(tempered, (calm.model,), rest)), None)
 
     def disturbed(kept: Sequence[int]) -> Model | None:
         rest = Dataset(tuple(parts[index] for index in kept))
@@ -83,13 +94,36 @@ def replayed(fit: Fit) -> Fit:
             return None
         return None if found.finite is None else fit.model.with_values(found.values)
 
-    # A run that neither tells decides nothing.
     with np.errstate(invalid="ignore"):
-        told = _left_out(disturbed, parts, noise) - _left_out(without, parts, noise)
-        gained = np.where(np.isnan(told), 0.0, told)
-        mean, median = np.mean(gained), np.median(gained)
-    better = mean > 0.0 and median > 0.0
-    return replace(white, purpose="replay") if better else fit
+        gained = _left_out(disturbed, parts, noise) - _left_out(without, parts, noise)
+    # A run that neither tells decides nothing.
+    if not np.median(np.where(np.isnan(gained), 0.0, gained)) > 0.0:
+        return fit
+    left = np.sqrt(np.nanmean(np.vstack(calm.residuals) ** 2, axis=0))
+    return replace(calm, sigma=left, noise=replace(calm.noise, white=left), purpose="replay")
+
+
+def _levels(fit: Fit, noise: np.ndarray) -> np.ndarray:
+    """Standard deviations with which a fit's whole runs tell as much as they do."""
+    result = noise.copy()
+    for j in range(noise.size):
+        series = [part[:, j] for part in fit.residuals if np.isfinite(part[:, j]).any()]
+        if series:
+            seen = np.concatenate(series)
+            squares = np.maximum(np.nansum(seen**2), np.isfinite(seen).sum() * noise[j] ** 2)
+            result[j] = np.sqrt(squares / sum(map(effective_sample_size, series)))
+    return result
+
+
+def _fits(tempered: MultipleShooting, begun: Iterable[Model], dataset: Dataset) -> Iterator[Fit]:
+    """Fits that end, from each beginning."""
+    for model in begun:
+        try:
+            found = tempered.fit(model, dataset)
+        except OedSysidError:  # it diverges, or what is left is too little
+            continue
+        if np.isfinite(found.cost):
+            yield found
 
 
 def _parts(white: Fit) -> tuple[Dataset, Sequence[np.ndarray]]:
