@@ -35,6 +35,7 @@ from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import solve_filtered
 from oed_sysid.likelihood.information import effective_sample_size
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
+from oed_sysid.likelihood.noise_levels import residual_levels
 from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics.model import Model
@@ -99,20 +100,20 @@ def replayed(fit: Fit) -> Fit:
     # A run that neither tells decides nothing.
     if not np.median(np.where(np.isnan(gained), 0.0, gained)) > 0.0:
         return fit
-    left = np.sqrt(np.nanmean(np.vstack(calm.residuals) ** 2, axis=0))
-    return replace(calm, sigma=left, noise=replace(calm.noise, white=left), purpose="replay")
+    left = residual_levels(calm.residuals)
+    sigma = np.where(left > 0.0, left, calm.sigma)
+    return replace(calm, sigma=sigma, noise=replace(calm.noise, white=sigma), purpose="replay")
 
 
 def _levels(fit: Fit, noise: np.ndarray) -> np.ndarray:
     """Standard deviations with which a fit's whole runs tell as much as they do."""
-    result = noise.copy()
-    for j in range(noise.size):
-        series = [part[:, j] for part in fit.residuals if np.isfinite(part[:, j]).any()]
-        if series:
-            seen = np.concatenate(series)
-            squares = np.maximum(np.nansum(seen**2), np.isfinite(seen).sum() * noise[j] ** 2)
-            result[j] = np.sqrt(squares / sum(map(effective_sample_size, series)))
-    return result
+    counts = np.ones((2, noise.size))
+    for j, series in enumerate(zip(*(part.T for part in fit.residuals), strict=True)):
+        seen = [one for one in series if np.isfinite(one).any()]
+        if seen:
+            counts[0, j] = sum(np.isfinite(one).sum() for one in seen)
+            counts[1, j] = sum(map(effective_sample_size, seen))
+    return np.fmax(residual_levels(fit.residuals), noise) * np.sqrt(counts[0] / counts[1])
 
 
 def _fits(tempered: MultipleShooting, begun: Iterable[Model], dataset: Dataset) -> Iterator[Fit]:
