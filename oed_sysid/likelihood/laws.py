@@ -40,6 +40,7 @@ from scipy.special import chdtri
 from oed_sysid.compiled.filtering import FilterPass, filter_kernel
 from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
+from oed_sysid.likelihood.between_records import CHANCE
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Estimate
@@ -53,22 +54,15 @@ from oed_sysid.runtime.display import as_dict
 
 # Knots of a piecewise linear function, and lags of first order, of every signal.
 KNOTS, LAGS = 5, 3
-# Probability that a disturbance is taken for a law where there is none.
-FALSE_LAW = 1e-5
 # What is left of a signature after projection, as a share of it, below which what is estimated does
 # the same.
 ABSORBED = 1e-3
 # What two signals leave of the statistic, over what one of them leaves, to be named both.
 CLEARLY = 0.7
-# Records drawn to see how large a statistic is by chance: its mean is then known to some per cent.
-DRAWS = 10
+# Records drawn to see how large a statistic is by chance, at least and at most: until it is clear.
+FEWEST_DRAWS, DRAWS = 5, 20
 # How the slow noise of a sensor is called in the place of a force.
 SLOW = "noise of "
-
-
-def needed(freedom: int) -> float:
-    """Statistic of so many functions that chance exceeds rarely."""
-    return float(chdtri(freedom, FALSE_LAW))
 
 
 @dataclass(frozen=True)
@@ -85,17 +79,15 @@ class Law:
         What a law of all signals would gain in twice the log-likelihood.
     freedom : int
         Functions of which that law is made.
+    needed : float
+        Statistic that chance exceeds in one of a hundred records, all places together.
     """
 
     place: str
     signals: tuple[str, ...]
     statistic: float
     freedom: int
-
-    @property
-    def needed(self) -> float:
-        """Statistic that chance exceeds rarely."""
-        return needed(self.freedom)
+    needed: float
 
     @property
     def text(self) -> str:
@@ -166,9 +158,8 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     asked, owners = _asked(problem, unknowns, passes, paths)
     if not owners.size:
         return None
-    standing = [one for one in asked if one.stands]
-    if standing:
-        usual = _usual(problem, unknowns, passes, paths)
+    if standing := [one for one in asked if one.stands]:
+        usual = _usual(problem, unknowns, passes, paths, standing)
         standing = [replace(one, usual=usual.get(one.place, 1.0)) for one in standing]
     return tuple(one.law(owners) for one in standing if one.stands)
 
@@ -182,23 +173,32 @@ def _asked(
         return [], owners
     matrix, right = problem.gathered(unknowns, passes)
     equations = problem.limits.with_priors(matrix, right, unknowns)
-    return [
+    asked = [
         _Asked.of(problem, unknowns, passes, equations, place, len(owners), responses)
         for place, responses in _responses(problem, unknowns, paths, features)
-    ], owners
+    ]
+    return [replace(one, chance=CHANCE / len(asked)) for one in asked], owners
 
 
 def _usual(
-    problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass], paths: Sequence[Path]
+    problem: Filtered,
+    unknowns: np.ndarray,
+    passes: Sequence[FilterPass],
+    paths: Sequence[Path],
+    standing: Sequence[_Asked],
 ) -> dict[str, float]:
-    """Mean statistic over its freedom by chance, of every place; one at least."""
-    rng, found = np.random.default_rng(0), dict[str, list[float]]()
-    for _ in range(DRAWS):
+    """Mean statistic over its freedom by chance, of every place that stands; one at least."""
+    rng, found = np.random.default_rng(0), {one.place: list[float]() for one in standing}
+    for count in range(1, DRAWS + 1):
         drawn = [_drawn(problem, part, rng) for part in passes]
-        if all(np.isfinite(part.path).all() for part in drawn):
-            for one in _asked(problem, unknowns, drawn, paths)[0]:
-                found.setdefault(one.place, []).append(one.statistic() / max(one.freedom, 1))
-    return {place: max(float(np.mean(ratios)), 1.0) for place, ratios in found.items()}
+        if not all(np.isfinite(part.path).all() for part in drawn):
+            continue
+        for one in _asked(problem, unknowns, drawn, paths)[0]:
+            if one.place in found and one.freedom:
+                found[one.place].append(one.statistic() / one.freedom)
+        if count >= FEWEST_DRAWS and all(one.clear(found[one.place]) for one in standing):
+            break
+    return {place: max(float(np.mean(few)), 1.0) for place, few in found.items() if few}
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
@@ -228,7 +228,7 @@ class _Asked:
     """Score and information of functions at one place, everything estimated projected out.
 
     ``size`` are the roots of the information before, ``usual`` is what chance makes of the
-    statistic over its freedom.
+    statistic over its freedom, ``chance`` how often it may exceed what is needed.
     """
 
     place: str
@@ -236,6 +236,7 @@ class _Asked:
     matrix: np.ndarray
     size: np.ndarray
     usual: float = 1.0
+    chance: float = CHANCE
 
     @classmethod
     def of(
@@ -288,7 +289,17 @@ class _Asked:
     @property
     def stands(self) -> bool:
         """Whether chance rarely gives as much."""
-        return bool(self.freedom and self.statistic() > needed(self.freedom))
+        return bool(self.freedom and self.statistic() > self.needed)
+
+    @property
+    def needed(self) -> float:
+        """Statistic that chance exceeds rarely."""
+        return float(chdtri(self.freedom, self.chance))
+
+    def clear(self, ratios: Sequence[float]) -> bool:
+        """Whether drawn statistics over their freedom tell if it stands."""
+        error = np.std(ratios) / np.sqrt(len(ratios)) if ratios else np.inf
+        return bool(abs(self.statistic() / self.needed - np.mean(ratios)) > 3.0 * error)
 
     def law(self, owners: np.ndarray) -> Law:
         """The law, by the signal or the two that tell most of it."""
@@ -302,7 +313,7 @@ class _Asked:
         alone, pair = best([(name,) for name in names]), best([*combinations(names, 2)])
         # Two signals only where they leave clearly less than the better of them.
         both = whole - pair[0] < CLEARLY * (whole - alone[0])
-        return Law(self.place, (pair if both else alone)[1], whole, self.freedom)
+        return Law(self.place, (pair if both else alone)[1], whole, self.freedom, self.needed)
 
 
 def _responses(
