@@ -40,7 +40,7 @@ def test_the_statistic_of_a_true_disturbance_is_chi_squared(
     answer: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where a helmsman answers it: mean and variance over 24 seas, by those of chance."""
-    monkeypatch.setattr(laws_module, "CHANCE", 1.0)
+    monkeypatch.setattr(laws_module, "RARE", 1.0)
     monkeypatch.setattr(laws_module, "DRAWS", 4)
     found = [law for seed in range(24) for law in asked(seed, answer, nothing)]
     assert len(found) == 24
@@ -87,7 +87,7 @@ ADRIFT = Model(
 
 def test_motion_that_wanders_makes_no_law(monkeypatch: pytest.MonkeyPatch) -> None:
     """Positions without springs make the statistic a third too large; what is drawn tells that."""
-    monkeypatch.setattr(laws_module, "CHANCE", 3.0)  # one for each of three places
+    monkeypatch.setattr(laws_module, "RARE", 3.0)  # one for each of three places
     monkeypatch.setattr(laws_module, "DRAWS", 4)
     places = tuple(f"force v{i}" for i in range(3))
     noise = NoiseModel(
@@ -145,7 +145,7 @@ def test_a_law_is_told_from_a_sea(shape: str, monkeypatch: pytest.MonkeyPatch) -
     if shape == "displacement":  # with power where a wall acts
         beside = found(1, wall)
         assert beside.statistic > beside.needed
-    monkeypatch.setattr(laws_module, "CHANCE", 1.0)
+    monkeypatch.setattr(laws_module, "RARE", 1.0)
     monkeypatch.setattr(laws_module, "DRAWS", 4)
     away = [(one.statistic - one.freedom) / np.sqrt(2.0 * one.freedom)
             for one in (found(seed, nothing) for seed in range(12))]  # fmt: skip

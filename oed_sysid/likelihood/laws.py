@@ -40,11 +40,11 @@ from scipy.special import chdtri
 from oed_sysid.compiled.filtering import FilterPass, filter_kernel
 from oed_sysid.data.record import Record
 from oed_sysid.errors import SimulationError
-from oed_sysid.likelihood.between_records import CHANCE
 from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.noise_levels import RARE
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.score_test import Setting
@@ -80,7 +80,7 @@ class Law:
     freedom : int
         Functions of which that law is made.
     needed : float
-        Statistic that chance exceeds in one of a hundred records, all places together.
+        Statistic that chance exceeds in one of a thousand fits, all places together.
     """
 
     place: str
@@ -177,7 +177,7 @@ def _asked(
         _Asked.of(problem, unknowns, passes, equations, place, len(owners), responses)
         for place, responses in _responses(problem, unknowns, paths, features)
     ]
-    return [replace(one, chance=CHANCE / len(asked)) for one in asked], owners
+    return [replace(one, chance=RARE / len(asked)) for one in asked], owners
 
 
 def _usual(
@@ -236,7 +236,7 @@ class _Asked:
     matrix: np.ndarray
     size: np.ndarray
     usual: float = 1.0
-    chance: float = CHANCE
+    chance: float = RARE
 
     @classmethod
     def of(
