@@ -419,8 +419,19 @@ def _shown(rows: Sequence[Row], *what: str) -> list[Row]:
 def table(rows: Sequence[Row]) -> str:
     """Rates by excitation as Markdown."""
     groups = grouped(rows, lambda row: row["excitation"])
+    return _table("excitation", groups | {"all": list(rows)})
+
+
+def dates(rows: Sequence[Row]) -> str:
+    """Rates of every date as Markdown."""
+    groups = grouped(rows, lambda row: row["seed"])
+    return _table("date, cases", {f"{seed}, {len(g)}": g for seed, g in groups.items()})
+
+
+def _table(title: str, groups: Mapping[str, list[Row]]) -> str:
+    """Rates of groups as Markdown."""
     columns = {
-        "excitation": lambda name, _: name,
+        title: lambda name, _: name,
         "accepted and nothing else": lambda _, g: _rate(_shown(g, "single", "pair"), accepted),
         "size in its interval": lambda _, g: _rate(
             [{"in": ok} for row in g if accepted(row) for ok in row.get("inside", ())],
@@ -435,7 +446,7 @@ def table(rows: Sequence[Row]) -> str:
         ),
         "aborted": lambda _, g: sum("error" in row for row in g),
     }
-    return "\n".join(tabulate(groups | {"all": list(rows)}, columns))
+    return "\n".join(tabulate(groups, columns))
 
 
 def main(
