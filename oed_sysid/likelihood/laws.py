@@ -191,14 +191,20 @@ def _usual(
     rng, found = np.random.default_rng(0), {one.place: list[float]() for one in standing}
     for count in range(1, DRAWS + 1):
         drawn = [_drawn(problem, part, rng) for part in passes]
-        if not all(np.isfinite(part.path).all() for part in drawn):
-            continue
-        for one in _asked(problem, unknowns, drawn, paths)[0]:
-            if one.place in found and one.freedom:
-                found[one.place].append(one.statistic() / one.freedom)
+        for one in _told(problem, unknowns, drawn, paths):
+            found.get(one.place, []).append(one.statistic() / one.freedom)
         if count >= FEWEST_DRAWS and all(one.clear(found[one.place]) for one in standing):
             break
     return {place: max(float(np.mean(few)), 1.0) for place, few in found.items() if few}
+
+
+def _told(
+    problem: Filtered, unknowns: np.ndarray, drawn: Sequence[FilterPass], paths: Sequence[Path]
+) -> list[_Asked]:
+    """Places of which drawn records tell something; none where one is lost."""
+    if not all(np.isfinite(part.path).all() for part in drawn):
+        return []
+    return [one for one in _asked(problem, unknowns, drawn, paths)[0] if one.freedom]
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:
