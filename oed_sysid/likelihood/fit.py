@@ -196,7 +196,7 @@ class Fit(estimate.Estimate):
             )
         if self.purpose == "replay":
             found.append(
-                "These values are for runs of a model that lacks physics: intervals hold about 60 "
+                "These values are for runs of a model that lacks physics: intervals hold about 35 "
                 "in place of 95 of 100. The scatter between records says more."
             )
         elif self.noise.has_forces and self.whole_runs.took_the_work:
