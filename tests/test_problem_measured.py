@@ -13,6 +13,7 @@ from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.data.third_party import fetch
 from oed_sysid.evidence.compare import compare
 from oed_sysid.evidence.improve import improve
+from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.rank import rank
 from oed_sysid.evidence.study import Study
 from oed_sysid.experiments.problem import Problem, load_problem
@@ -100,23 +101,37 @@ def test_gravity_outflow_leads_from_linear_to_square_root(problem_tanks: Problem
     assert to_numpy(effect.terms["lower"], inside) == 0.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("variant", [None, "torricelli"])
-def test_the_error_falls_and_what_is_left_is_called_structure(variant: str | None) -> None:
-    """One level hardly separates the candidates: the error falls, nothing is called complete.
-
-    From the linear model what is left is at the edge of chance.
-    """
-    problem = load_problem("cascaded_tanks", variant=variant)
+@pytest.fixture(scope="module", params=[None, "torricelli"])
+def tanks_improved(request: pytest.FixtureRequest) -> tuple[Improvement, Dataset]:
+    """What is found from the linear model and from Torricelli's law, and the second half."""
+    problem = load_problem("cascaded_tanks", variant=request.param)
     train, test = problem.data().split(test="test_second_half")
-    found = improve(problem.model, train, test, candidates=problem.effects)
+    return improve(problem.model, train, test, candidates=problem.effects), test
+
+
+@pytest.mark.slow
+def test_the_error_falls_in_the_tanks(tanks_improved: tuple[Improvement, Dataset]) -> None:
+    """One level hardly separates the candidates: the error falls."""
+    found, test = tanks_improved
     names = [step.added for step in found.steps]
     assert "upper_overflow" in names
     assert len(set(names)) == len(names)
-    assert found.remains.kind == "structure missing" or variant is None
     check = compare({"before": found.base, "after": found.model}, test)
     before, after = (part.prediction.rms["level"] for part in check.models)
-    assert after < 0.45 * before
+    # Torricelli's law begins at half the error.
+    assert after < (0.4 if "linear" in found.base.name else 0.45) * before
+
+
+@pytest.mark.slow
+def test_what_is_left_of_the_tanks_is_called_structure(
+    tanks_improved: tuple[Improvement, Dataset], request: pytest.FixtureRequest
+) -> None:
+    """Nothing is called complete."""
+    found, _ = tanks_improved
+    if "linear" in found.base.name:
+        why = "the score that process noise follows the levels lies at the edge of chance"
+        request.applymarker(pytest.mark.xfail(reason=why, strict=False))
+    assert found.remains.kind == "structure missing"
 
 
 ESTIMATOR = MultipleShooting(disturbances="none")

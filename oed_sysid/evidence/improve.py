@@ -243,6 +243,7 @@ class _Run:
         wander, and process noise could not have left runs that are so much better. Process noise
         that follows motion or commands is none, so that any better runs do of no more effects.
         """
+        price = 1.0 if end.left.follows else BOUGHT
         calm, first, last = self.search.ended(Standing(study, (), base, (base,)))
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
@@ -262,22 +263,17 @@ class _Run:
             )
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
             return _Ended(state, base, first, last, self._left(state), None)
-        state = eliminated(state, found, noise, 1.0 if end.left.follows else BOUGHT)
+        state = eliminated(state, found, noise, price)
+        price = BOUGHT if len(state.added) > len(end.state.added) else price
         records = study.train if study.validation is None else study.validation
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
-        if not _enough(end, state) * there < here:
+        if not price * there < here:
             return replace(end, state=replace(end.state, decisions=state.decisions))
         self.search.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
             f"without them are {here / there:.2g} times better."
         )
         return _Ended(state, base, first, last, self._left(state), None)
-
-
-def _enough(end: _Ended, calm: Standing) -> float:
-    """Ratio by which whole runs of what was found without process noise have to be better."""
-    more = len(calm.added) > len(end.state.added)
-    return 1.0 if end.left.follows and not more else BOUGHT
 
 
 def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:

@@ -29,7 +29,7 @@ filter itself, with innovations :math:`\tilde e` in place of :math:`e` (Bartlett
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Container, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 
@@ -158,26 +158,31 @@ def laws(problem: Filtered, unknowns: np.ndarray) -> tuple[Law, ...] | None:
     asked, owners = _asked(problem, unknowns, passes, paths)
     if not owners.size:
         return None
-    if standing := [one for one in asked if one.stands]:
+    each = (replace(one, chance=RARE / len(asked)) for one in asked)
+    if standing := [one for one in each if one.stands]:
         usual = _usual(problem, unknowns, passes, paths, standing)
         standing = [replace(one, usual=usual.get(one.place, 1.0)) for one in standing]
     return tuple(one.law(owners) for one in standing if one.stands)
 
 
 def _asked(
-    problem: Filtered, unknowns: np.ndarray, passes: Sequence[FilterPass], paths: Sequence[Path]
+    problem: Filtered,
+    unknowns: np.ndarray,
+    passes: Sequence[FilterPass],
+    paths: Sequence[Path],
+    places: Container[str] | None = None,
 ) -> tuple[list[_Asked], np.ndarray]:
-    """Every place that acts, and whose each function is; none where nothing moves."""
+    """Places that act, all or some, and whose each function is; none where nothing moves."""
     features, owners = _features(problem, passes)
     if not owners.size:
         return [], owners
     matrix, right = problem.gathered(unknowns, passes)
     equations = problem.limits.with_priors(matrix, right, unknowns)
-    asked = [
+    return [
         _Asked.of(problem, unknowns, passes, equations, place, len(owners), responses)
         for place, responses in _responses(problem, unknowns, paths, features)
-    ]
-    return [replace(one, chance=RARE / len(asked)) for one in asked], owners
+        if places is None or place in places
+    ], owners
 
 
 def _usual(
@@ -191,20 +196,24 @@ def _usual(
     rng, found = np.random.default_rng(0), {one.place: list[float]() for one in standing}
     for count in range(1, DRAWS + 1):
         drawn = [_drawn(problem, part, rng) for part in passes]
-        for one in _told(problem, unknowns, drawn, paths):
-            found.get(one.place, []).append(one.statistic() / one.freedom)
+        for one in _told(problem, unknowns, drawn, paths, found):
+            found[one.place].append(one.statistic() / one.freedom)
         if count >= FEWEST_DRAWS and all(one.clear(found[one.place]) for one in standing):
             break
     return {place: max(float(np.mean(few)), 1.0) for place, few in found.items() if few}
 
 
 def _told(
-    problem: Filtered, unknowns: np.ndarray, drawn: Sequence[FilterPass], paths: Sequence[Path]
+    problem: Filtered,
+    unknowns: np.ndarray,
+    drawn: Sequence[FilterPass],
+    paths: Sequence[Path],
+    places: Container[str],
 ) -> list[_Asked]:
-    """Places of which drawn records tell something; none where one is lost."""
+    """Some places, where drawn records tell something of them; none where one is lost."""
     if not all(np.isfinite(part.path).all() for part in drawn):
         return []
-    return [one for one in _asked(problem, unknowns, drawn, paths)[0] if one.freedom]
+    return [one for one in _asked(problem, unknowns, drawn, paths, places)[0] if one.freedom]
 
 
 def _drawn(problem: Filtered, part: FilterPass, rng: np.random.Generator) -> FilterPass:

@@ -266,7 +266,8 @@ def residual_levels(residuals: Sequence[np.ndarray], n_unknowns: int = 0) -> np.
 # Widths beyond which runs, or a correlation of neighbours, are no chance: one in some ten thousand
 # were they normal.
 BEYOND = 4.0
-# Chance that noise as declared is taken for spikes in a data set, or for a scatter of tests.
+# Chance that noise as declared is taken for spikes in a data set, for a scatter of tests, or a
+# disturbance for a law.
 RARE = 1e-3
 # Share of good samples among those left out where spikes are clear (Benjamini & Hochberg 1995).
 FALSE_SHARE = 0.1

@@ -41,8 +41,8 @@ from oed_sysid.likelihood.whole_runs import rms, whole_runs
 from oed_sysid.physics.model import Model
 
 WITHOUT = MultipleShooting(disturbances="none")
-# A model estimated from some records, by their positions; None where that fails.
-_Refit = Callable[[Sequence[int]], Model | None]
+# A model estimated from records at some positions, and these; None where that fails.
+_Refit = Callable[[Sequence[int], Dataset], Model | None]
 
 
 def replayed(fit: Fit) -> Fit:
@@ -81,12 +81,10 @@ def replayed(fit: Fit) -> Fit:
     except OedSysidError:  # halves that are too short tell nothing
         return fit
 
-    def without(kept: Sequence[int]) -> Model | None:
-        rest = Dataset(tuple(parts[index] for index in kept))
+    def without(_: Sequence[int], rest: Dataset) -> Model | None:
         return next((end.model for end in _fits(tempered, (calm.model,), rest)), None)
 
-    def disturbed(kept: Sequence[int]) -> Model | None:
-        rest = Dataset(tuple(parts[index] for index in kept))
+    def disturbed(kept: Sequence[int], rest: Dataset) -> Model | None:
         held = Levels.of(fit.noise, fit.noise, seas=fit.noise.seas)
         problem = Filtered(fit.model, rest, held)
         try:
@@ -142,7 +140,8 @@ def _left_out(refit: _Refit, parts: Dataset, noise: np.ndarray) -> np.ndarray:
     """Logarithms of the errors of runs left out, in units of the noise, ``(n_records,)``."""
     errors = []
     for out, record in enumerate(parts):
-        model = refit([index for index in range(len(parts)) if index != out])
+        kept = [index for index in range(len(parts)) if index != out]
+        model = refit(kept, Dataset(tuple(parts[index] for index in kept)))
         squares = np.inf
         if model is not None:
             squares = np.nanmean((rms(whole_runs(model, Dataset((record,)), noise)) / noise) ** 2)
