@@ -727,8 +727,10 @@ def lagging(t: np.ndarray, y: np.ndarray, k: int) -> np.ndarray:
 def test_a_command_in_place_of_the_feedback_is_a_lag(kind: str, act) -> None:  # type: ignore[no-untyped-def]
     """What lags by half a second in first order is told from what comes late by as much."""
     problem = load_problem("remus_diving_plane")
-    found = check(replayed(problem, act, TWO[1:] if kind == "lag" else TWO), problem)
+    records = replayed(problem, act, TWO[1:] if kind == "lag" else TWO)
+    found = check(records, problem)
     assert found.ok  # good to know: a model that lacks physics shows the like
+    assert as_measured(records, found) == (records, ())
     assert [one.kind for one in found.findings if "fin_command" in one.signals] == [kind]
 
 

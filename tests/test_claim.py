@@ -88,6 +88,18 @@ def test_decision_needs_all_three_conditions(
     assert one.stands == decision.startswith("stands")
 
 
+@pytest.mark.parametrize(
+    ("beyond", "decision"),
+    [(0.0, "stands"), (0.5, "at its bound (E_x), 0.5 likelier beyond")],
+)
+def test_what_takes_the_place_of_others_stands_without_bound(beyond: float, decision: str) -> None:
+    """A term in the place of two effects needs less than nothing; no bound, nothing beyond it."""
+    bounds = ("E_x",) if beyond else ()
+    one = Claim("x", 887.0, 574.0, -9.0, 2.4, 1.0, RISE, bounds, beyond)
+    assert one.decision == decision
+    assert one.stands == (decision == "stands")
+
+
 def test_statistic_of_a_search_is_that_of_its_fits() -> None:
     """Both terms come again from the two fits, and the report prints every decision."""
     found = improved()

@@ -109,7 +109,8 @@ class Claim:
     @property
     def held(self) -> bool:
         """Whether bounds keep the records from being clearly likelier."""
-        return self.beyond > self.needed
+        # What takes the place of others may need less than nothing.
+        return self.beyond > max(self.needed, 0.0)
 
     @property
     def stands(self) -> bool:

@@ -168,11 +168,12 @@ def improve(
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
     run = _Run(Search(max_effects, tell, keep, notes), ready.whole, terms)
-    end = run.whole(study, base)
+    end = run.with_term(run.known(study, base))
     if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
-        end = run.calmer(end, *calm)
+        calmer = run.calmer(end, *calm)
+        end = calmer if calmer.state.added == end.state.added else run.with_term(calmer)
     tell("locating where the nominal model fails")
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
     location = run.search.stage("location", work) or Located.nothing(end.base)
@@ -203,8 +204,8 @@ class _Run:
     all_samples: Dataset | None
     terms: bool
 
-    def whole(self, study: Study, base: FilteredSolution) -> _Ended:
-        """Search from a nominal fit, ask all samples, and look for a term for what is left."""
+    def known(self, study: Study, base: FilteredSolution) -> _Ended:
+        """Search among the candidates from a nominal fit, and ask all samples."""
         search = self.search
         state, first, last = search.ended(Standing(study, (), base, (base,)))
         if self.all_samples is not None and state.added:
@@ -218,9 +219,13 @@ class _Run:
                 for one in thinned.added
                 if one not in state.added
             )
-        end = _Ended(state, state.path[0], first, last, self._left(state), None)
+        return _Ended(state, state.path[0], first, last, self._left(state), None)
+
+    def with_term(self, end: _Ended) -> _Ended:
+        """Look for a term for what is left, where that is more than noise."""
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
+        search, state = self.search, end.state
         search.tell("looking for a term that no known effect holds")
         beyond = search.stage("unknown term", partial(with_term, state, search.max_effects))
         if beyond is None:

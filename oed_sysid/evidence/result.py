@@ -37,7 +37,8 @@ MATTER = ("sign", "unit", "scale", "delay")
 
 def is_a(kind: str, what: str) -> bool:
     """Whether something follows from a kind of finding, such as ``"contradiction"``."""
-    return what in KINDS[kind].get("is", ())
+    # Faults that inputs alone can have, such as a lag, are no kinds of the table.
+    return what in KINDS.get(kind, {}).get("is", ())
 
 
 def kinds_that_are(what: str) -> tuple[str, ...]:
