@@ -98,7 +98,8 @@ def test_example_runs(
         shutil.copy(file, tmp_path)
     monkeypatch.chdir(tmp_path)
     if " import " in line:
-        new_problem(tmp_path / "my_ship", template="ship")
+        folder = new_problem(tmp_path / "my_ship", template="ship")
+        shutil.copy(min((folder / "data").glob("*.csv")), "trial.csv")
         write_log("ship", tmp_path)
         Path("ship.toml").write_text(mapping_of("ship"))
     assert main(shlex.split(line)[1:]) == DONE

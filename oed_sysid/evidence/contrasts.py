@@ -52,7 +52,7 @@ from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.corrections import ADDED, lagged, level_axis, logged, pivot, undo
 from oed_sysid.evidence.relations import READINGS, Relation, names_of
 from oed_sysid.evidence.result import Correction
-from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, units_of
+from oed_sysid.evidence.traces import LEAST, MATERIAL, RELATIVE, Trace, fast_noise, units_of
 
 # Resolution: block means of a piece; and places a record at which a step or a burst is tried before
 # its place is refined.
@@ -1123,6 +1123,20 @@ def plain_readings(
                 yield Reading(Correction("unit", group, factor), meaning)
 
 
+def _as_blocks_show(trace: Trace) -> Trace:
+    """A trace whose noise is larger by what means over blocks keep more of it than of white noise.
+
+    They do where it is autocorrelated.
+    """
+    blocks = trace.thinned(MOST_BLOCKS)
+    white = math.sqrt(blocks.times.size / trace.times.size)
+    noise = {}
+    for name, level in trace.noise.items():
+        own, kept = fast_noise(trace.values[name]), fast_noise(blocks.values[name])
+        noise[name] = level * max(1.0, kept / (white * own) if own > 0.0 else 1.0)
+    return replace(trace, noise=noise)
+
+
 def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> list[Misfit]:
     r"""Equations that fail although all that was found is undone.
 
@@ -1132,10 +1146,10 @@ def unexplained(traces: Sequence[Trace], relations: tuple[Relation, ...]) -> lis
         \sum (\Delta e)^2 > 8 \sum (\Delta\ \text{of noise and sampling})^2.
 
     Noise may leave all of a left side that hardly changes, hence the second condition;
-    autocorrelated noise is larger than its fast part tells, but leaves less, hence the first.
+    autocorrelated noise is larger than its blocks tell, but leaves less, hence the first.
     """
     result = []
-    for trace, (index, relation) in product(traces, enumerate(relations)):
+    for trace, (index, relation) in product(map(_as_blocks_show, traces), enumerate(relations)):
         halved = {n: trace.values[n].copy() for n in relation.signals if n in trace.values}
         for name in halved.keys() - {relation.target}:
             halved[name][1::2] = np.nan
