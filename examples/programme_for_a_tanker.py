@@ -12,16 +12,7 @@ from math import radians
 
 import numpy as np
 
-from oed_sysid import Dataset, Limits, MultipleShooting, load_problem
-from oed_sysid.design import (
-    Budget,
-    DOptimal,
-    Knowledge,
-    PredictionGoal,
-    ProgrammeSearch,
-    decide,
-    design_programme,
-)
+from oed_sysid import Dataset, Limits, MultipleShooting, design, load_problem
 from oed_sysid.experiments.simulation import simulate, simulate_inputs
 from oed_sysid.information import sea_noise
 from oed_sysid.likelihood.realisation import simulate_at_sea
@@ -31,38 +22,35 @@ problem = load_problem("kvlcc2", variant="mmg")
 model, rng = problem.model, np.random.default_rng(3)
 pattern = replace(problem.experiment("zigzag_10_10"), duration=120.0, sample_time=1.0)
 sea = sea_noise(model, "moderate", [pattern])
-programme = design_programme(
+target = replace(problem.experiment("zigzag_20_20"), sample_time=1.0, feedback="true")
+goals = (design.PredictionGoal(target, "r", radians(0.06)),)
+kinds = ("zigzag", "circle", "3-2-1-1")
+programme = design.design_programme(
     model,
     pattern,
     limits=problem.limits,
-    criterion=DOptimal(),
+    criterion=design.VOptimal([target]),
     rng=rng,
-    budget=Budget(hours=1.0),
-    search=ProgrammeSearch(
-        kinds=("zigzag", "circle", "3-2-1-1"), n_draws=1, n_vehicles=4, n_rounds=0
-    ),
-    knowledge=Knowledge(noise=sea),
+    budget=design.Budget(hours=1.0),
+    search=design.ProgrammeSearch(kinds=kinds, n_draws=1, n_vehicles=4, n_rounds=0),
+    knowledge=design.Knowledge(noise=sea),
 )
 print(programme.report(), "\n")
 
 # The ship as it is: half a prior deviation off, and a hull that pulls to one side.
-off = {
-    p.name: p.value + 0.5 * (p.prior_spread or 0.0) * rng.uniform(-1, 1)
-    for p in model.free_parameters
-}
+free = model.free_parameters
+off = {p.name: p.value + 0.5 * (p.prior_spread or 0.0) * rng.uniform(-1, 1) for p in free}
 hull = problem.effect("hull_asymmetry")
 hidden = hull.with_values({p.name: 0.3 * p.magnitude for p in hull.parameters})
 truth = (model + hidden).with_values(off)
-target = replace(problem.experiment("zigzag_20_20"), sample_time=1.0, feedback="true")
-goals = (PredictionGoal(target, "r", radians(0.06)),)
 
 
 def trial(choose: object) -> tuple[int, float, object]:
     """Run, fit, decide, until the rule stops; runs and hours that it took, and the last fit."""
     known, records, spent = model, (), 0.0
     while True:
-        decision = decide(known, programme.candidates, goals, rng=rng, noise=sea,
-                          hours=HOURS - spent)  # fmt: skip
+        decision = design.decide(known, programme.candidates, goals, rng=rng, noise=sea,
+                                 hours=HOURS - spent)  # fmt: skip
         if decision.stop:
             print(f"after {len(records)} runs, {spent:.2f} h: {decision.report()}\n")
             return len(records), spent, known

@@ -3,10 +3,8 @@
 A programme is planned for a moderate sea. The real vehicle is up to 12 per cent off in every
 coefficient, has a pitch damping that the model does not know, and is pushed by waves. After each
 dive all records are fitted, disturbance forces included, and the rule says: go on, or stop. Where
-it
-finds that records contradict one another, no stated error holds: what is missing is looked for, and
-the model that is found is fitted from there on. The standard trials (zigzags 10/10 and 12/12 in
-turn) go on until the same rule stops them.
+records contradict one another, what is missing is looked for first. The standard trials (zigzags
+10/10 and 12/12 in turn) go on until the same rule stops them.
 """
 
 from dataclasses import replace
@@ -25,16 +23,14 @@ rng = np.random.default_rng(7)
 pattern = problem.experiment("zigzag_10_10")
 pattern = replace(pattern, initial={**pattern.initial, "z": 25.0}, duration=60.0, sample_time=0.2)
 sea = sea_noise(problem.model, "moderate", [pattern])
-
+kinds = ("zigzag", "3-2-1-1", "levels")
 programme = design_programme(
     problem.model,
     pattern,
     limits=problem.limits,
     rng=rng,
     budget=Budget(hours=HOURS / 4),
-    search=ProgrammeSearch(
-        kinds=("zigzag", "3-2-1-1", "levels"), n_draws=1, n_vehicles=4, n_rounds=0
-    ),
+    search=ProgrammeSearch(kinds=kinds, n_draws=1, n_vehicles=4, n_rounds=0),
     knowledge=Knowledge(noise=sea),
 )
 print(programme.report(), "\n")
