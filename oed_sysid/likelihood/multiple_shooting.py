@@ -32,6 +32,7 @@ from oed_sysid.likelihood.noise_levels import (
     credible_levels,
     held_masks,
     input_steps,
+    put_back,
     residual_levels,
     signal_spread,
     spike_masks,
@@ -267,7 +268,8 @@ class MultipleShooting:
             fit = self._without_spikes(fit, task)
             fit, disturbed = self._disturbed(fit, task, carried) if wanted else (fit, None)
         if disturbed is not None:
-            disturbed = _judged(replace(disturbed, excluded=fit.excluded), model)
+            disturbed = replace(disturbed, excluded=fit.excluded)
+            disturbed = _judged(self._put_back(disturbed, given), model)
             code = _fault(disturbed, fit)
             if not code or not self._tests(model):
                 return disturbed
@@ -402,10 +404,26 @@ class MultipleShooting:
         if again is fit:
             return fit
         again = again_by(plain, again.dataset, again)
-        left = _measured(again.dataset)
-        rows = zip(task.model.output_names, (before - left).tolist(), before.tolist(), strict=True)
-        counts = {name: (gone, n) for name, gone, n in rows if gone}
-        return replace(again, iterations=sum(spent), excluded=counts)
+        return replace(again, iterations=sum(spent), excluded=_excluded(again, before))
+
+    def _put_back(self, fit: Fit, given: _Given) -> Fit:
+        """The fit with the samples again that stand out of no innovations, once more estimated."""
+        if not fit.excluded:
+            return fit
+        try:
+            problem, unknowns = posed_again(replace(fit, dataset=given.dataset), given.known_starts)
+            passes = problem.passes(unknowns, columns=False)
+        except (SimulationError, np.linalg.LinAlgError):
+            return fit
+        records = given.dataset
+        whitened = [part.innovations / np.sqrt(part.variances) for part in passes]
+        every, left = ([r.outputs for r in data] for data in (records, fit.dataset))
+        parts = put_back(every, left, whitened)
+        back = Dataset(tuple(r.with_outputs(o) for r, o in zip(records, parts, strict=True)))
+        if np.array_equal(_measured(back), _measured(fit.dataset)):
+            return fit
+        again = replace(self, loss="square")._fit(replace(given, dataset=back, warm=fit))
+        return replace(again, excluded=_excluded(again, _measured(records)))
 
     def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
@@ -695,6 +713,13 @@ def _score(
         if test.gain >= CLEAR:
             return test
     return score_test(quiet, start)
+
+
+def _excluded(fit: Fit, before: np.ndarray) -> dict[str, tuple[int, int]]:
+    """Samples that were left out, of how many ``(n_outputs,)`` before, by output."""
+    gone = (before - _measured(fit.dataset)).tolist()
+    rows = zip(fit.model.output_names, gone, before.tolist(), strict=True)
+    return {name: (count, n) for name, count, n in rows if count}
 
 
 def _left(fit: Fit, before: np.ndarray) -> Dataset | None:

@@ -613,6 +613,35 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
     return any(found)
 
 
+def put_back(
+    outputs: Sequence[np.ndarray], left: Sequence[np.ndarray], whitened: Sequence[np.ndarray]
+) -> tuple[np.ndarray, ...]:
+    """Records with those runs of samples again that are no spikes to the filter, per record.
+
+    What a model without process noise leaves of a motion that is disturbed may stand out alone;
+    of the innovations it does not. A run comes back where none of its innovations, all samples
+    taken, is larger than normal noise makes any, and no two of its samples are equal.
+
+    Parameters
+    ----------
+    outputs, left : sequence of ndarray (n_times, n_outputs)
+        All measurements, and those that were left; NaN where missing.
+    whitened : sequence of ndarray (n_times, n_outputs)
+        Innovations of all, of variance one.
+    """
+    surely = float(-ndtri(0.5 * RARE / sum(part.size for part in outputs)))
+    found = tuple(part.copy() for part in left)
+    for back, every, part, errors in zip(found, outputs, left, whitened, strict=True):
+        taken = np.isnan(part) & ~np.isnan(every)
+        for column in range(part.shape[1]):
+            for first, stop in _runs(taken[:, column]):
+                values = every[first:stop, column]
+                ordinary = np.all(np.abs(errors[first:stop, column]) <= surely)
+                if ordinary and not np.any(np.diff(values) == 0.0):
+                    back[first:stop, column] = values
+    return found
+
+
 def robust_deviation(values: np.ndarray) -> float:
     """Standard deviation of normal numbers of mean zero, from the median of their sizes."""
     return NORMAL * float(np.median(np.abs(values)))
