@@ -423,6 +423,8 @@ class MultipleShooting:
         if np.array_equal(_measured(back), _measured(fit.dataset)):
             return fit
         again = replace(self, loss="square")._fit(replace(given, dataset=back, warm=fit))
+        if fit.status.ok and not again.status.ok:
+            return fit
         return replace(again, excluded=_excluded(again, _measured(records)))
 
     def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
