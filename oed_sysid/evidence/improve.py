@@ -168,12 +168,11 @@ def improve(
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
     run = _Run(Search(max_effects, tell, keep, notes), ready.whole, terms)
-    end = run.with_term(run.known(study, base))
+    end = run.beyond(run.known(study, base))
     if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without disturbance forces")
         calm = keep.once("without disturbance forces", partial(begin, disturbances="none"))
-        calmer = run.calmer(end, *calm)
-        end = calmer if calmer.state.added == end.state.added else run.with_term(calmer)
+        end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
     location = run.search.stage("location", work) or Located.nothing(end.base)
@@ -221,16 +220,16 @@ class _Run:
             )
         return _Ended(state, state.path[0], first, last, self._left(state), None)
 
-    def with_term(self, end: _Ended) -> _Ended:
+    def beyond(self, end: _Ended) -> _Ended:
         """Look for a term for what is left, where that is more than noise."""
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
         search, state = self.search, end.state
         search.tell("looking for a term that no known effect holds")
-        beyond = search.stage("unknown term", partial(with_term, state, search.max_effects))
-        if beyond is None:
+        found = search.stage("unknown term", partial(with_term, state, search.max_effects))
+        if found is None:
             return end
-        wider, proposals, tied = beyond
+        wider, proposals, tied = found
         left = end.left if proposals is None else self._left(wider)
         return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
 
@@ -267,7 +266,7 @@ class _Run:
                 "them, and is likelier with them, too."
             )
             state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
-            return _Ended(state, base, first, last, self._left(state), None)
+            return self.beyond(_Ended(state, base, first, last, self._left(state), None))
         state = eliminated(state, found, noise, price)
         price = BOUGHT if len(state.added) > len(end.state.added) else price
         records = study.train if study.validation is None else study.validation
@@ -278,7 +277,7 @@ class _Run:
             "Disturbance forces had grown over what is missing: whole runs of what was found "
             f"without them are {here / there:.2g} times better."
         )
-        return _Ended(state, base, first, last, self._left(state), None)
+        return self.beyond(_Ended(state, base, first, last, self._left(state), None))
 
 
 def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:

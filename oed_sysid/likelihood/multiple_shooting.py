@@ -32,12 +32,12 @@ from oed_sysid.likelihood.noise_levels import (
     credible_levels,
     held_masks,
     input_steps,
-    put_back,
     residual_levels,
     signal_spread,
     spike_masks,
     stand_out,
     start_levels,
+    still_out,
     without_spikes,
 )
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
@@ -415,17 +415,16 @@ class MultipleShooting:
             passes = problem.passes(unknowns, columns=False)
         except (SimulationError, np.linalg.LinAlgError):
             return fit
-        records = given.dataset
         whitened = [part.innovations / np.sqrt(part.variances) for part in passes]
-        every, left = ([r.outputs for r in data] for data in (records, fit.dataset))
-        parts = put_back(every, left, whitened)
-        back = Dataset(tuple(r.with_outputs(o) for r, o in zip(records, parts, strict=True)))
+        every, left = ([r.outputs for r in data] for data in (given.dataset, fit.dataset))
+        masks = [np.isnan(b) & ~np.isnan(a) for a, b in zip(every, left, strict=True)]
+        back = without_spikes(given.dataset, still_out(masks, every, whitened))
         if np.array_equal(_measured(back), _measured(fit.dataset)):
             return fit
         again = replace(self, loss="square")._fit(replace(given, dataset=back, warm=fit))
         if fit.status.ok and not again.status.ok:
             return fit
-        return replace(again, excluded=_excluded(again, _measured(records)))
+        return replace(again, excluded=_excluded(again, _measured(given.dataset)))
 
     def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.

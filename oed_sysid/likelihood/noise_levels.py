@@ -313,7 +313,7 @@ class _Output:
 
     def surely(self, chance: float) -> float:
         """Deviations beyond which normal noise shows any sample with a chance."""
-        return float(-ndtri(0.5 * chance / len(self.every)))
+        return _surely(chance, len(self.every))
 
     def sizes(self, off: Sequence[np.ndarray], usual: float, spread: float) -> list[np.ndarray]:
         """How far samples stand out: of both departures, in their spreads, the smaller."""
@@ -321,6 +321,11 @@ class _Output:
             np.minimum(np.abs(piece) / usual, np.abs(other) / (spread or usual))
             for piece, other in zip(self.away, off, strict=True)
         ]
+
+
+def _surely(chance: float, count: int) -> float:
+    """Deviations beyond which any of so many normal numbers lies with a chance."""
+    return float(-ndtri(0.5 * chance / count))
 
 
 def _by_output(
@@ -613,33 +618,33 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
     return any(found)
 
 
-def put_back(
-    outputs: Sequence[np.ndarray], left: Sequence[np.ndarray], whitened: Sequence[np.ndarray]
+def still_out(
+    masks: Sequence[np.ndarray], outputs: Sequence[np.ndarray], whitened: Sequence[np.ndarray]
 ) -> tuple[np.ndarray, ...]:
-    """Records with those runs of samples again that are no spikes to the filter, per record.
+    """Those runs of samples left out that are spikes to the filter, too, per record.
 
     What a model without process noise leaves of a motion that is disturbed may stand out alone;
-    of the innovations it does not. A run comes back where none of its innovations, all samples
-    taken, is larger than normal noise makes any, and no two of its samples are equal.
+    of the innovations it does not. A run stays out where any of its innovations, all samples taken,
+    is larger than normal noise makes one, or two of its samples are equal.
 
     Parameters
     ----------
-    outputs, left : sequence of ndarray (n_times, n_outputs)
-        All measurements, and those that were left; NaN where missing.
+    masks : sequence of ndarray of bool (n_times, n_outputs)
+        Samples that were left out.
+    outputs : sequence of ndarray (n_times, n_outputs)
+        All measurements, NaN where missing.
     whitened : sequence of ndarray (n_times, n_outputs)
         Innovations of all, of variance one.
     """
-    surely = float(-ndtri(0.5 * RARE / sum(part.size for part in outputs)))
-    found = tuple(part.copy() for part in left)
-    for back, every, part, errors in zip(found, outputs, left, whitened, strict=True):
-        taken = np.isnan(part) & ~np.isnan(every)
-        for column in range(part.shape[1]):
-            for first, stop in _runs(taken[:, column]):
+    surely = _surely(RARE, sum(part.size for part in outputs))
+    kept = tuple(np.zeros_like(mask) for mask in masks)
+    for one, mask, every, errors in zip(kept, masks, outputs, whitened, strict=True):
+        for column in range(mask.shape[1]):
+            for first, stop in _runs(mask[:, column]):
                 values = every[first:stop, column]
                 ordinary = np.all(np.abs(errors[first:stop, column]) <= surely)
-                if ordinary and not np.any(np.diff(values) == 0.0):
-                    back[first:stop, column] = values
-    return found
+                one[first:stop, column] = not ordinary or np.any(np.diff(values) == 0.0)
+    return kept
 
 
 def robust_deviation(values: np.ndarray) -> float:
