@@ -34,7 +34,7 @@ from oed_sysid.design import assess_limits
 from oed_sysid.likelihood.filtered import active_components, disturbed_model
 from oed_sysid.likelihood.noise_model import Levels
 from oed_sysid.likelihood.realisation import simulate_at_sea
-from oed_sysid.likelihood.smoother import Path
+from oed_sysid.likelihood.smoother import Path, interpolated
 
 SHIP_FORCES = ("disturbance_force_r", "disturbance_actuator_delta")
 AUV_FORCES = ("disturbance_force_Z", "disturbance_force_M", "disturbance_actuator_ds")
@@ -198,7 +198,9 @@ def ship_run(
     inputs = 0.3 * np.sign(np.sin(times))[:, None]
     measured = 0.01 * rng.standard_normal((len(times), 2))
     own, active = np.array([0.1, 0.01]), active_components(kernel.model, model)
-    along = Along(times, inputs, kernel.model.value_vector, own, measured, noise, active)
+    # A kernel serves every model of its structure, whatever the values of the first were.
+    values = kernel.model.with_values(SHIP.values).value_vector
+    along = Along(times, inputs, values, own, measured, noise, active)
     levels = ((FORCE_VARIANCE, 0), (FORCE_TIME, -1), (WHITE_VARIANCE, 1))
     return kernel.filter(along, names=names, rows=True, levels=levels)
 
@@ -797,8 +799,21 @@ class System:
         )  # fmt: skip
         return part, innovations
 
+    def joint(self) -> np.ndarray:
+        """Covariance of all samples that were measured."""
+        return self._covariances()[2]
+
     def dense(self, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Conditional mean and deviation of the forces, from full covariances."""
+        force_cov, response, total = self._covariances()
+        seen = self.present.ravel()
+        gain = np.linalg.solve(total, (response @ force_cov)[seen]).T
+        forces = gain @ columns.reshape(-1, columns.shape[2])[seen]
+        left = np.diag(force_cov) - np.sum(gain * (force_cov @ response.T)[:, seen], axis=1)
+        return forces.reshape(N_TIMES, N_FORCES, -1), np.sqrt(left).reshape(N_TIMES, N_FORCES)
+
+    def _covariances(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of the forces; what samples answer to these; and of the samples that were measured."""
         age = SAMPLE * np.abs(np.subtract.outer(np.arange(N_TIMES), np.arange(N_TIMES)))
         level = np.full(N_OUTPUTS, self.colour)
         force_cov, noise_cov = (
@@ -821,10 +836,7 @@ class System:
         noise_cov += np.kron(np.eye(N_TIMES), np.diag(WHITE**2))
         seen = self.present.ravel()
         total = (response @ force_cov @ response.T + noise_cov)[np.ix_(seen, seen)]
-        gain = np.linalg.solve(total, (response @ force_cov)[seen]).T
-        forces = gain @ columns.reshape(-1, columns.shape[2])[seen]
-        left = np.diag(force_cov) - np.sum(gain * (force_cov @ response.T)[:, seen], axis=1)
-        return forces.reshape(N_TIMES, N_FORCES, -1), np.sqrt(left).reshape(N_TIMES, N_FORCES)
+        return force_cov, response, total
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.4])
@@ -837,6 +849,19 @@ def test_smoother_is_the_conditional_expectation(colour: float) -> None:
     path = Path.of(part, N_OUTPUTS if colour else 0)
     np.testing.assert_allclose(path.disturbances(innovations), forces, atol=1e-9)
     np.testing.assert_allclose(path.std, std, atol=1e-9)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.4])
+def test_departures_from_all_others_are_those_of_the_normal_distribution(colour: float) -> None:
+    r"""With their joint covariance ``C`` it is :math:`(C^{-1} y)_i (C^{-1})_{ii}^{-1/2}`."""
+    system = System.drawn(3, colour)
+    measured = np.random.default_rng(4).standard_normal((N_TIMES, N_OUTPUTS, 1))
+    inverse = np.linalg.inv(system.joint())
+    seen = system.present
+    expected = inverse @ measured[:, :, 0][seen] / np.sqrt(np.diag(inverse))
+    part, innovations = system.filtered(measured)
+    part = replace(part, innovations=np.where(seen, innovations[:, :, 0], np.nan))
+    np.testing.assert_allclose(interpolated(part, seen)[seen], expected, atol=1e-9)
 
 
 def test_missing_samples_do_not_matter() -> None:

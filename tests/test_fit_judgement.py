@@ -31,12 +31,12 @@ from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexpl
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.noise_levels import (
     FALSE_SHARE,
-    _depth,
     held_masks,
     noisy_inputs,
+    repeating,
+    size_of_few,
     spike_masks,
     spike_sizes,
-    still_out,
 )
 from oed_sysid.physics import Parameter
 from oed_sysid.physics.channels import Input, Output, State
@@ -151,14 +151,13 @@ def test_a_slow_bump_is_no_spike() -> None:
     assert np.flatnonzero(spike_masks([series[:, None]])[0]).tolist() == [700]
 
 
-def test_what_the_filter_expects_comes_back() -> None:
-    """Runs come back whose innovations are those of noise; a spike, and a value held, do not."""
-    rng = np.random.default_rng(4)
-    motion, errors = np.cumsum(rng.standard_normal(400)), rng.standard_normal(400)
-    out = np.isin(np.arange(400), [50, 51, 52, 120, 200, 201])
-    errors[120], motion[200:202] = 12.0, 3.0
-    (found,) = still_out([out[:, None]], [motion[:, None]], [errors[:, None]])
-    assert np.flatnonzero(found[:, 0]).tolist() == [120, 200, 201]
+def test_runs_that_repeat_a_value() -> None:
+    """Of runs of marked samples those with two equal values are told from others."""
+    values = np.random.default_rng(4).standard_normal((400, 1))
+    out = np.isin(np.arange(400), [50, 51, 52, 120, 200, 201])[:, None]
+    values[200:202] = 3.0
+    (found,) = repeating([out], [values])
+    assert np.flatnonzero(found[:, 0]).tolist() == [200, 201]
 
 
 def test_groups_that_jump_are_no_motion() -> None:
@@ -219,10 +218,10 @@ def test_small_spikes_are_sought_as_deep_as_their_share_allows() -> None:
     sizes[:100] = np.abs(5.0 + rng.standard_normal(100))
     chance = 2.0 * norm.sf(sizes)
     expected = false_discovery_control(chance) <= FALSE_SHARE
-    assert np.array_equal(sizes > _depth(sizes, 0, 9.0), expected)
+    assert np.array_equal(sizes > size_of_few(sizes, 5.0), expected)
     expected = false_discovery_control(np.r_[np.zeros(40), chance])[40:] <= FALSE_SHARE
-    assert np.array_equal(sizes > _depth(sizes, 40, 9.0), expected)
-    assert _depth(np.full(50, 0.5), 0, 9.0) == 9.0
+    assert np.array_equal(sizes > size_of_few(sizes, 5.0, 40), expected)
+    assert size_of_few(np.full(50, 0.5), 5.0) == 5.0
 
 
 def test_drop_outs_and_bursts_do_not_pass_for_process_noise() -> None:
@@ -516,12 +515,16 @@ def clean(seed: int, force: float = 0.0) -> Dataset:
     return Dataset((record("a", rng, 60.0, force), record("b", rng, 44.0, force)))
 
 
-def spoilt(data: Dataset, seed: int, share: float, size: float, one_sided: bool) -> Dataset:
-    """The same records with a share of samples off by so many noise levels."""
+def spoilt(
+    data: Dataset, seed: int, share: float, size: float, one_sided: bool, length: int = 1
+) -> Dataset:
+    """The same records with a share of samples, or groups of them, off by so many noise levels."""
     rng = np.random.default_rng(1000 + seed)
 
     def outputs(one: Record) -> np.ndarray:
         hit = rng.random(one.outputs.shape) < share
+        for _ in range(length - 1):
+            hit[1:] |= hit[:-1]
         signs = 1.0 if one_sided else rng.choice([-1.0, 1.0], hit.shape)
         return one.outputs + hit * signs * size * NOISE_SPIKES
 
@@ -568,18 +571,45 @@ def test_spikes_do_not_become_process_noise(
                 assert fit.std_errors[name] < (2.5 if small else 1.6) * without.std_errors[name]
 
 
-def test_spikes_beside_process_noise() -> None:
+@pytest.mark.parametrize(
+    ("size", "length", "least"), [(20.0, 1, 1.0), (20.0, 3, 0.9), (6.0, 1, 0.8)]
+)
+def test_spikes_beside_process_noise(size: float, length: int, least: float) -> None:
     """Where forces act too, they are estimated as on clean records, and spikes are counted."""
     data = clean(3, force=2e-4)
     without = MultipleShooting().fit(SHIP, data)
     assert not without.noise.is_white
     assert not without.excluded
-    fit = MultipleShooting().fit(SHIP, spoilt(data, 3, 0.02, 20.0, False))
+    bad = spoilt(data, 3, 0.02 / length, size, False, length)
+    fit = MultipleShooting().fit(SHIP, bad)
     assert fit.status.ok
     assert not fit.noise.is_white
     assert largest_departure(fit, without) < 1.0
     excluded = [concern for concern in fit.concerns if "excluded as spikes" in concern.text]
     assert {concern.signal for concern in excluded} == {"u", "psi", "r"}
+    whole, left, true = (
+        np.vstack([one.outputs for one in records]) for records in (bad, fit.dataset, data)
+    )
+    gone, hit = np.isfinite(whole) & np.isnan(left), whole != true
+    assert np.sum(gone & hit) >= least * hit.sum()
+    assert np.sum(gone & ~hit) <= 0.15 * hit.sum()
+
+
+@pytest.mark.parametrize(
+    "turned",
+    [
+        np.sin(np.pi * np.clip(np.arange(-200, 100) / 20.0, 0.0, 1.0)),
+        np.arange(300) >= 200,
+    ],
+    ids=["there and back", "stays"],
+)
+def test_a_motion_that_jumps_is_no_spike(turned: np.ndarray) -> None:
+    """A heading that turns and stays turned, or comes back slowly, is not left out."""
+    data = clean(3, force=2e-4)
+    away = 30.0 * NOISE_SPIKES * np.outer(turned, [0.0, 1.0, 0.0])
+    moved = Dataset(tuple(one.with_outputs(one.outputs + away) for one in data))
+    fit = MultipleShooting().fit(SHIP, moved)
+    assert sum(count for count, _ in fit.excluded.values()) <= 2
 
 
 def test_a_failed_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -11,7 +11,7 @@ import pytest
 from walk_logs import WRITERS, Trial
 
 from oed_sysid import Fit, load_problem, new_problem, read_csv
-from oed_sysid.cli import DONE, main
+from oed_sysid.cli import DONE, SUSPECT, main
 from oed_sysid.data.mapping import parse
 from oed_sysid.experiments.starter import TEMPLATES
 
@@ -96,7 +96,9 @@ def test_walk(
             assert re.search(r"\d", capsys.readouterr().out)
         else:
             for line in block.splitlines():
-                assert main(shlex.split(line)[1:]) == DONE, line
+                # Before what is hidden is found, values may be far from where they are expected.
+                well = (DONE, SUSPECT) if line.startswith("oed-sysid fit") else (DONE,)
+                assert main(shlex.split(line)[1:]) in well, line
                 commands += 1
     assert commands >= 5
     better = Fit.load("better.json")

@@ -457,12 +457,13 @@ size_t kernel_filter_work(int na, int more, int nq, int nr, int nx, int nl)
  * each sample, of all but the last and of this one, towards a step of perhaps another length;
  * memory (n_transitions x 3 x nr x nr) these, their derivatives by the logarithms of all times
  * and periods, and of all dampings;
- * measured (n x NY), NaN where missing; nl, l_kind, l_index (nl), -1 for the time of all.
+ * measured (n x NY), NaN where missing; beyond (n x NY) the largest e^2/S with which a sample moves
+ * anything, NULL for any; nl, l_kind, l_index (nl), -1 for the time of all.
  * Results, each but gram may be NULL: gram ((nx + nl + 1)^2) the sum of [de e]'[de e]/S; level
  * (nl + nl^2) half gradient sum q(1 - e^2/S)/2 and sum q q'/2 of the levels, q = d log S;
  * e, s (n x NY) innovations, NaN where missing, and their variances; rows (n x NY x (nx + 2 nl)) of
  * de/sqrt(S), then q of the levels, missing samples included; path (n x (NZ + nq + ncol)) filtered
- * means; gains (n x NY x 2 size) h, then g/S, zero where missing; moves (n x (size + nq) x size) F
+ * means; gains (n x NY x 2 size) h, then g/S, missing samples included; moves (n x (size + nq) x size) F
  * towards the next sample, zero at the last one, and below it the rows of the disturbances in P-;
  * total (2) sums of log S and e^2/S.
  * Returns -1, or the first sample at which something is not finite or S is not positive.
@@ -472,7 +473,8 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                   int c_parameter, int c_disturbance, const int *columns, const double *x0, int nq, int nd, const int *q_index,
                   const int *q_column, const int *q_sea, const double *white, int ncol,
                   const int *c_output, int nr, const int *owner, const double *variance,
-                  const int *which, const double *memory, const double *measured, int nl, const int *l_kind, const int *l_index,
+                  const int *which, const double *memory, const double *measured, const double *beyond,
+                  int nl, const int *l_kind, const int *l_index,
                   double *gram_out, double *level_out, double *e_out, double *s_out,
                   double *rows_out, double *path_out, double *gains_out, double *moves_out, double *total,
                   double *work)
@@ -545,7 +547,7 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
         /* Covariance, mean and columns first: levels follow from what is kept of each scalar. */
         for (int i = 0; i < NY; ++i) {
             const double value = measured[(size_t)k * NY + i];
-            const int missing = isnan(value);
+            int missing = isnan(value);
             scalar_t *one = scalars + n_scalars;
             sparse_t *hs = &one->h;
             double *g = gains + (size_t)n_scalars * stride, *row = rows + (size_t)n_scalars * wide;
@@ -565,6 +567,13 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
             const double S = dot_sparse(hs, g) + white[i];
             if (!(S > 0.0) || !isfinite(e)) return k;
             const double inverse = 1.0 / S;
+            if (e_out && !missing) e_out[(size_t)k * NY + i] = e;
+            if (beyond) missing |= e * e * inverse > beyond[(size_t)k * NY + i];
+            if (gains_out) {
+                double *kept = gains_out + ((size_t)k * NY + i) * 2 * size;
+                for (int r = 0; r < hs->n; ++r) kept[hs->index[r]] = hs->value[r];
+                for (int j = 0; j < size; ++j) kept[size + j] = g[j] * inverse;
+            }
             for (int j = 0; j < wide; ++j) row[j] = 0.0;
             for (int j = 0; j < np; ++j) row[nx - np + j] = -sy[i][c_parameter + j];
             for (int r = 0; r < hs->n; ++r) axpy(row, -hs->value[r], X + (size_t)hs->index[r] * sx, nx);
@@ -594,12 +603,6 @@ int kernel_filter(int n, const double *times, const double *inputs, const double
                 product_s = 1.0;
             }
             sum_square += square;
-            if (e_out) e_out[(size_t)k * NY + i] = e;
-            if (gains_out) {
-                double *kept = gains_out + ((size_t)k * NY + i) * 2 * size;
-                for (int r = 0; r < hs->n; ++r) kept[hs->index[r]] = hs->value[r];
-                for (int j = 0; j < size; ++j) kept[size + j] = g[j] * inverse;
-            }
         }
         if (nl > 0) measure_levels(dP, dm, white_lanes, scalars, n_scalars, nl, size, v, lanes);
         for (int o = 0; o < n_scalars; ++o) {

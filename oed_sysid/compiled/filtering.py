@@ -357,6 +357,8 @@ class Along:
         Components besides these that are certain, and only pass derivatives on.
     longest_step : float, optional
         Longest time over which disturbances are held, s; the median sample time by default.
+    beyond : ndarray (n_times, n_outputs), optional
+        Largest square of an innovation, over its variance, that moves anything; any by default.
     """
 
     times: np.ndarray
@@ -368,10 +370,13 @@ class Along:
     active: Sequence[int] | np.ndarray | None = None
     passing: Sequence[int] | np.ndarray = ()
     longest_step: float | None = None
+    beyond: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name in ("times", "inputs", "values", "measured"):
             object.__setattr__(self, name, *doubles(getattr(self, name)))
+        if self.beyond is not None:
+            object.__setattr__(self, "beyond", *doubles(self.beyond))
 
     @property
     def record(self) -> Commands:
@@ -406,8 +411,8 @@ class FilterPass:
     path : ndarray (n_times, n_full + n_disturbances + n_coloured)
         Filtered means.
     gains : ndarray (n_times, n_outputs, 2, n) or None
-        Derivatives of each output, and the gain of its innovation; zero where missing. The ``n``
-        are active components, disturbances, colours and second states of disturbances.
+        Derivatives of each output, and the gain of its innovation, also where nothing was measured.
+        The ``n`` are active components, disturbances, colours and second states of disturbances.
     moves : ndarray (n_times, n + n_disturbances, n) or None
         Their transition towards the next sample (zero at the last one), above the predicted
         covariance of the disturbances with them.
@@ -470,6 +475,7 @@ class InterpretedFilter:
         self.tail, self.owner = noise.stationary, noise.owner
         self.memory: dict[tuple[float, float], np.ndarray] = {}
         self.mean = np.zeros(self.size)
+        self.beyond = along.beyond
 
     def replay(self, gains: np.ndarray, innovations: np.ndarray) -> int:
         """Innovations at the gains of an earlier pass; -1, or the sample that is not finite."""
@@ -609,18 +615,20 @@ class InterpretedFilter:
             row[self.own] -= dy[i, self.chosen]
             if found.rows is not None:
                 found.rows[k, i, :width] = row[:-1] / np.sqrt(s)
+            if found.gains is not None:
+                found.gains[k, i] = h[self.inside], g[self.inside] / s
             if not np.isfinite(measured[i]):
                 continue
             row[-1] = e = float(measured[i] - y[i] - h @ delta - h[m:] @ self.mean[m:])
             if not np.isfinite(e):
                 return False
+            found.innovations[k, i] = e
+            if self.beyond is not None and e**2 > self.beyond[k, i] * s:
+                continue
             delta += g * e / s
             q = self._corrected(i, h, g, s, row)
             if found.rows is not None:
                 found.rows[k, i, width:] = q
-            if found.gains is not None:
-                found.gains[k, i] = h[self.inside], g[self.inside] / s
-            found.innovations[k, i] = e
         self._correct(delta)
         found.path[k] = [*self.z, *self.mean[na : self.coloured.stop]]
         return True
@@ -812,7 +820,8 @@ class FilterKernel(Kernel):
             float(self.model.step), steps.longest, z0, n_active, n_passing, kept, first.shape[1],
             len(chosen), parameter, disturbance, columns, x0, n_random, len(random),
             positions, acting, noise.sea, white, len(coloured), coloured, len(owner), owner,
-            variance, steps.which, memory, along.measured, len(levels), kinds, indices,
+            variance, steps.which, memory, along.measured, along.beyond,
+            len(levels), kinds, indices,
             found.gram, level, found.innovations, found.variances, found.rows, found.path,
             found.gains, found.moves, total, work,
         )  # fmt: skip

@@ -236,6 +236,7 @@ class Filtered(Posed):
         moves: bool = False,
         names: Sequence[str] | None = None,
         measured: Sequence[np.ndarray] | None = None,
+        beyond: Sequence[np.ndarray] | None = None,
     ) -> list[FilterPass]:
         """Filter every record.
 
@@ -256,6 +257,8 @@ class Filtered(Posed):
             Columns of parameters; by default all free ones.
         measured : sequence of ndarray, optional
             Measurements in place of those of the records.
+        beyond : sequence of ndarray, optional
+            Largest squares of innovations, over their variances, that move anything.
         """
         if not columns or levels_only:
             names = ()
@@ -273,7 +276,8 @@ class Filtered(Posed):
 
         def one(index: int) -> FilterPass:
             outputs = None if measured is None else measured[index]
-            return self._pass(unknowns, index, noise, wanted, outputs)
+            limits = None if beyond is None else beyond[index]
+            return self._pass(unknowns, index, noise, wanted, outputs, limits)
 
         return both_cores(one, range(len(self.records)))
 
@@ -284,10 +288,11 @@ class Filtered(Posed):
         noise: Disturbed,
         wanted: Mapping[str, Any],
         measured: np.ndarray | None = None,
+        beyond: np.ndarray | None = None,
     ) -> FilterPass:
         """Filter one record."""
         along = self._along(unknowns, index, noise, measured, passing=self.passing)
-        part = self.kernel.filter(along, **wanted)
+        part = self.kernel.filter(replace(along, beyond=beyond), **wanted)
         independent = self.records[index].independent
         return _white_alone(part, self.levels.entries) if independent else part
 

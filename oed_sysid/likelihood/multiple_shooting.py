@@ -32,12 +32,13 @@ from oed_sysid.likelihood.noise_levels import (
     credible_levels,
     held_masks,
     input_steps,
+    repeating,
     residual_levels,
+    settled,
     signal_spread,
     spike_masks,
     stand_out,
     start_levels,
-    still_out,
     without_spikes,
 )
 from oed_sysid.likelihood.noise_model import Disturbances, NoiseModel, Sea, seas_in
@@ -55,6 +56,7 @@ from oed_sysid.likelihood.score_test import (
     score_test,
 )
 from oed_sysid.likelihood.shooting import Point, Shooting, loss_by_name
+from oed_sysid.likelihood.smoother import outlying
 from oed_sysid.likelihood.start_guess import check_channels
 from oed_sysid.likelihood.summary import Procedure, summarise, summarise_filtered
 from oed_sysid.likelihood.unknowns import KnownStarts, StartState
@@ -269,7 +271,7 @@ class MultipleShooting:
             fit, disturbed = self._disturbed(fit, task, carried) if wanted else (fit, None)
         if disturbed is not None:
             disturbed = replace(disturbed, excluded=fit.excluded)
-            disturbed = _judged(self._put_back(disturbed, given), model)
+            disturbed = _judged(self._settled(disturbed, given), model)
             code = _fault(disturbed, fit)
             if not code or not self._tests(model):
                 return disturbed
@@ -399,32 +401,30 @@ class MultipleShooting:
             # steps that outliers do not bend tell which.
             few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
             robust = without(again_by(replace(looking, solver=few), fit.dataset, None))
-            if np.any(_measured(robust.dataset) < before) and _is_white(robust):
+            if np.any(_measured(robust.dataset) < before):
                 again = robust
         if again is fit:
             return fit
         again = again_by(plain, again.dataset, again)
         return replace(again, iterations=sum(spent), excluded=_excluded(again, before))
 
-    def _put_back(self, fit: Fit, given: _Given) -> Fit:
-        """The fit with the samples again that stand out of no innovations, once more estimated."""
-        if not fit.excluded:
-            return fit
-        try:
-            problem, unknowns = posed_again(replace(fit, dataset=given.dataset), given.known_starts)
-            passes = problem.passes(unknowns, columns=False)
-        except (SimulationError, np.linalg.LinAlgError):
-            return fit
-        whitened = [part.innovations / np.sqrt(part.variances) for part in passes]
-        every, left = ([r.outputs for r in data] for data in (given.dataset, fit.dataset))
-        masks = [np.isnan(b) & ~np.isnan(a) for a, b in zip(every, left, strict=True)]
-        back = without_spikes(given.dataset, still_out(masks, every, whitened))
-        if np.array_equal(_measured(back), _measured(fit.dataset)):
-            return fit
-        again = replace(self, loss="square")._fit(replace(given, dataset=back, warm=fit))
-        if fit.status.ok and not again.status.ok:
-            return fit
-        return replace(again, excluded=_excluded(again, _measured(given.dataset)))
+    def _settled(self, first: Fit, given: _Given) -> Fit:
+        """The fit once more without the samples that stand out of its own motion, and no others."""
+        fit = first
+        for _ in range(4) if self.loss == "auto" else ():
+            sides = _outlying(fit, given)
+            if not sides.explained(fit, first):
+                return first
+            if sides.settled(anew=fit is not first):
+                break
+            data = without_spikes(given.dataset, sides.off)
+            again = replace(self, loss="square")._fit(replace(given, dataset=data))
+            if fit.status.ok and not again.status.ok:
+                break
+            fit = replace(again, excluded=_excluded(again, _measured(given.dataset)))
+            if not fit.noise.has_forces:
+                break
+        return fit
 
     def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
@@ -738,6 +738,41 @@ def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
     held = held_masks(outputs, fit.series, fit.sigma)
     masks = [one | other for one, other in zip(single, held, strict=True)]
     return without_spikes(fit.dataset, masks) if any(mask.any() for mask in masks) else None
+
+
+@dataclass(frozen=True, eq=False)
+class _Sides:
+    """Samples that a fit has left out, those that stand out of it, and whether no others do."""
+
+    left: Sequence[np.ndarray]
+    off: Sequence[np.ndarray]
+    understood: bool
+
+    def settled(self, *, anew: bool) -> bool:
+        """Whether few change sides, ``anew`` any to those that stand out."""
+        pairs = zip(self.left, self.off, strict=True)
+        return settled(self.left, self.off) and (anew or not any(np.any(b & ~a) for a, b in pairs))
+
+    def explained(self, fit: Fit, first: Fit) -> bool:
+        """Whether spikes explain what stands out, or the fit is none to go by.
+
+        A first fit that spikes have bent hides some; of one that they have not, none stand out
+        because others are gone: there it is the motion that is not understood.
+        """
+        bent = bool(first.excluded) or not first.status.ok
+        hidden = bent or fit is first or settled(self.left, self.off)
+        return not fit.status.ok or (self.understood and hidden)
+
+
+def _outlying(fit: Fit, given: _Given) -> _Sides:
+    pairs = zip(given.dataset, fit.dataset, strict=True)
+    left = [np.isnan(kept.outputs) & ~np.isnan(one.outputs) for one, kept in pairs]
+    stay = repeating(left, [record.outputs for record in given.dataset])
+    try:
+        whole = posed_again(replace(fit, dataset=given.dataset), given.known_starts)
+        return _Sides(left, *outlying(*whole, stay))
+    except (SimulationError, np.linalg.LinAlgError):
+        return _Sides(left, left, understood=True)
 
 
 def _measured(dataset: Dataset) -> np.ndarray:

@@ -313,7 +313,7 @@ class _Output:
 
     def surely(self, chance: float) -> float:
         """Deviations beyond which normal noise shows any sample with a chance."""
-        return _surely(chance, len(self.every))
+        return surely_beyond(chance, len(self.every))
 
     def sizes(self, off: Sequence[np.ndarray], usual: float, spread: float) -> list[np.ndarray]:
         """How far samples stand out: of both departures, in their spreads, the smaller."""
@@ -323,7 +323,7 @@ class _Output:
         ]
 
 
-def _surely(chance: float, count: int) -> float:
+def surely_beyond(chance: float, count: int) -> float:
     """Deviations beyond which any of so many normal numbers lies with a chance."""
     return float(-ndtri(0.5 * chance / count))
 
@@ -416,23 +416,25 @@ def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.
     # Neighbours that happen to lie on the other side do not make a spike.
     sizes = one.sizes(off, usual, slow)
     every = np.concatenate(sizes)
-    # Where spikes are clear, small ones hide among the noise: how deep depends on their share.
-    limit = _depth(every, count, surely) if np.any(every > surely) else np.inf
+    limit = size_of_few(every, surely, count)
     masks = [size > limit for size in sizes]
     count += int(np.sum(every > limit))
     # Where there are several spikes some meet: as many in a row as chance makes of so many.
     for mask, away in zip(masks, off, strict=True) if count >= 3 else ():
-        for first, stop in _runs(np.abs(away) > surely * slow):
+        for first, stop in runs_of(np.abs(away) > surely * slow):
             mask[first:stop] |= stop - first <= _longest(count, len(every))
     return masks
 
 
-def _depth(sizes: np.ndarray, taken: int, surely: float) -> float:
-    r"""Least size beyond which normal noise makes up no more than its share of what is there.
+def size_of_few(sizes: np.ndarray, surely: float, taken: int = 0) -> float:
+    r"""Size beyond which samples are spikes: hardly any of normal noise is, or few of many.
 
-    With ``k`` of ``n`` samples beyond a size ``t``, spikes taken before included,
+    Where any of the sizes ``(n,)`` is beyond ``surely``, spikes are clear, and small ones hide
+    among the noise: with ``k`` of ``n`` beyond a size ``t``, ``taken`` before included,
     :math:`2 n \Phi(-t) \le k` :data:`FALSE_SHARE` (Benjamini & Hochberg 1995).
     """
+    if not np.any(sizes > surely):
+        return surely
     ordered = np.sort(sizes)[::-1]
     found = taken + np.arange(1, len(ordered) + 1)
     chance = 2.0 * (len(ordered) + taken) * ndtr(-ordered)
@@ -476,7 +478,7 @@ def _jumping(
         found, one.values, steps, one.rows, calm, strict=True
     ):
         jumps = (np.abs(away) > jump) & _close(row)
-        for first, stop in _runs(np.abs(values - one.middle) > far):
+        for first, stop in runs_of(np.abs(values - one.middle) > far):
             above = values[first:stop] > one.middle
             across = np.any((above[1:] != above[:-1]) & jumps[first + 1 : stop])
             back = jumps[first] and jumps[stop]
@@ -618,33 +620,26 @@ def stand_out(outputs: Sequence[np.ndarray]) -> bool:
     return any(found)
 
 
-def still_out(
-    masks: Sequence[np.ndarray], outputs: Sequence[np.ndarray], whitened: Sequence[np.ndarray]
-) -> tuple[np.ndarray, ...]:
-    """Those runs of samples left out that are spikes to the filter, too, per record.
-
-    What a model without process noise leaves of a motion that is disturbed may stand out alone;
-    of the innovations it does not. A run stays out where any of its innovations, all samples taken,
-    is larger than normal noise makes one, or two of its samples are equal.
+def repeating(masks: Sequence[np.ndarray], outputs: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    """Those runs of marked samples in which a value is repeated, per record.
 
     Parameters
     ----------
     masks : sequence of ndarray of bool (n_times, n_outputs)
-        Samples that were left out.
     outputs : sequence of ndarray (n_times, n_outputs)
-        All measurements, NaN where missing.
-    whitened : sequence of ndarray (n_times, n_outputs)
-        Innovations of all, of variance one.
     """
-    surely = _surely(RARE, sum(part.size for part in outputs))
-    kept = tuple(np.zeros_like(mask) for mask in masks)
-    for one, mask, every, errors in zip(kept, masks, outputs, whitened, strict=True):
+    found = tuple(np.zeros_like(mask) for mask in masks)
+    for one, mask, values in zip(found, masks, outputs, strict=True):
         for column in range(mask.shape[1]):
-            for first, stop in _runs(mask[:, column]):
-                values = every[first:stop, column]
-                ordinary = np.all(np.abs(errors[first:stop, column]) <= surely)
-                one[first:stop, column] = not ordinary or np.any(np.diff(values) == 0.0)
-    return kept
+            for first, stop in runs_of(mask[:, column]):
+                one[first:stop, column] = np.any(np.diff(values[first:stop, column]) == 0.0)
+    return found
+
+
+def settled(before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> bool:
+    """Whether no more samples change sides than chance marks among those marked, anyway."""
+    changed = sum(int(np.sum(a != b)) for a, b in zip(before, after, strict=True))
+    return changed <= FALSE_SHARE * sum(int(part.sum()) for part in after)
 
 
 def robust_deviation(values: np.ndarray) -> float:
@@ -672,7 +667,7 @@ def spike_sizes(whitened: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
     return _by_output(whitened, find, np.nan)
 
 
-def _runs(marked: np.ndarray) -> Iterable[tuple[int, int]]:
+def runs_of(marked: np.ndarray) -> Iterable[tuple[int, int]]:
     """First sample, and the one after the last, of every run of marked samples."""
     edges = np.flatnonzero(np.diff(np.r_[False, marked, False].astype(int)))
     return zip(edges[::2], edges[1::2], strict=True)

@@ -24,6 +24,7 @@ come from here, parameters and their errors from the filter.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +32,14 @@ import numpy as np
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.errors import SimulationError
 from oed_sysid.likelihood.filtered import Filtered
+from oed_sysid.likelihood.noise_levels import (
+    NORMAL,
+    RARE,
+    runs_of,
+    settled,
+    size_of_few,
+    surely_beyond,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,15 +96,16 @@ class Path:
         # it.
         through = np.broadcast_to(np.eye(size), transition.shape).copy()
         seen = np.empty((len(part.gains), n_outputs, size))
+        gains = part.gains * np.isfinite(part.innovations)[:, :, None, None]
         for output in range(n_outputs):
-            row, gain = part.gains[:, output, 0], part.gains[:, output, 1]
+            row, gain = gains[:, output, 0], gains[:, output, 1]
             seen[:, output] = np.einsum("ki,kij->kj", row, through)
             through -= gain[:, :, None] * seen[:, output, None, :]
         drive = transition[:, :, random].copy()
         # What is added is held over the step; it does not enter the disturbance itself.
         drive[:, wide] = 0.0
         memory = transition[:, wide[:, None], wide]
-        gain = part.gains[:, :, 1, wide]
+        gain = gains[:, :, 1, wide]
         closed = transition @ through
         return cls(closed, seen, drive, memory, gain, spread, part.variances, first)
 
@@ -164,6 +174,129 @@ class Path:
         # Where the record tells everything, the difference of two equal numbers may round below
         # zero.
         return np.sqrt(np.maximum(variance, 0.0))
+
+
+def interpolated(part: FilterPass, used: np.ndarray) -> np.ndarray:
+    r"""How far every sample is from what all others say of it, in standard deviations.
+
+    With :math:`r, N` as they are behind a measurement that was used (de Jong 1988, *A
+    cross-validation filter for time series models*, Biometrika 75), and one that was not,
+
+    .. math:: u = e/S - (g/S)' r, \qquad
+        t = u \,\bigl(1/S + (g/S)' N (g/S)\bigr)^{-1/2}, \quad
+        u \,\bigl(1/S - (g/S)' N (g/S)\bigr)^{-1/2}
+
+    Parameters
+    ----------
+    part : FilterPass
+        With gains and moves.
+    used : ndarray of bool (n_times, n_outputs)
+        Samples that moved the filter.
+
+    Returns
+    -------
+    ndarray (n_times, n_outputs)
+        NaN where nothing was measured.
+    """
+    assert part.gains is not None
+    assert part.moves is not None
+    size = part.gains.shape[3]
+    told = np.full(part.innovations.shape, np.nan)
+    r, later = np.zeros(size), np.zeros((size, size))
+    for k in range(len(told) - 1, -1, -1):
+        move = part.moves[k, :size]
+        r, later = move.T @ r, move.T @ later @ move
+        for i in np.flatnonzero(np.isfinite(part.innovations[k]))[::-1]:
+            seen, gain = part.gains[k, i]
+            error, variance = part.innovations[k, i], part.variances[k, i]
+            spread = gain @ later @ gain
+            left = error / variance - gain @ r
+            told[k, i] = left / np.sqrt(1.0 / variance + (spread if used[k, i] else -spread))
+            if used[k, i]:
+                # r before the measurement, and N likewise.
+                r = r + seen * left
+                later = later - np.outer(seen, gain @ later)
+                later = later - np.outer(later @ gain, seen) + np.outer(seen, seen) / variance
+    return told
+
+
+def outlying(
+    problem: Filtered, unknowns: np.ndarray, out: Sequence[np.ndarray]
+) -> tuple[tuple[np.ndarray, ...], bool]:
+    """Samples that no motion between all others explains, per record.
+
+    First the filter goes on without what it does not expect, so that groups that are off bend
+    nothing. Each sample is then judged by all that are used, itself apart, until few change sides.
+
+    Parameters
+    ----------
+    problem : Filtered
+        With all samples.
+    unknowns : ndarray (n_unknowns,)
+    out : sequence of ndarray of bool (n_times, n_outputs)
+        Samples that stay out whatever is expected.
+
+    Returns
+    -------
+    off : tuple of ndarray of bool (n_times, n_outputs)
+    understood : bool
+        Whether hardly any other is unexpected; else it is the motion that is not understood.
+    """
+    count = int(np.isfinite(np.vstack([record.outputs for record in problem.records])).sum())
+    surely = surely_beyond(RARE, count)
+    limits = [np.where(part, 0.0, surely**2) for part in out]
+    passes = problem.passes(unknowns, columns=False, beyond=limits)
+    off = tuple(_beyond(part, limit) for part, limit in zip(passes, limits, strict=True))
+    if not any(part.any() for part in off):
+        return off, True
+    for _ in range(10):  # four suffice as a rule
+        passes = _without(problem, unknowns, off)
+        if not all(part.ok for part in passes):
+            return off, False
+        before, off = off, _apart(passes, off, out, surely)
+        if settled(before, off):
+            break
+    pairs = zip(_without(problem, unknowns, off), off, strict=True)
+    still = np.concatenate([(_beyond(part, surely**2) & ~aside).ravel() for part, aside in pairs])
+    return off, bool(np.sum(still) <= RARE * count)
+
+
+def _beyond(part: FilterPass, limit: np.ndarray | float) -> np.ndarray:
+    """Samples whose innovations, squared and over their variances, are beyond a limit."""
+    return np.asarray(part.innovations**2 > limit * part.variances)
+
+
+def _without(
+    problem: Filtered, unknowns: np.ndarray, off: Sequence[np.ndarray]
+) -> list[FilterPass]:
+    """Passes that some samples do not move."""
+    limits = [np.where(part, 0.0, np.inf) for part in off]
+    return problem.passes(unknowns, columns=False, gains=True, moves=True, beyond=limits)
+
+
+def _apart(
+    passes: Sequence[FilterPass],
+    off: Sequence[np.ndarray],
+    out: Sequence[np.ndarray],
+    surely: float,
+) -> tuple[np.ndarray, ...]:
+    """Samples beyond the size at which chance makes few of so many.
+
+    Of those used, in a row of times the farthest alone, because it pulls at the others.
+    """
+    told = [np.abs(interpolated(p, ~part)) for p, part in zip(passes, off, strict=True)]
+    usual = np.maximum(NORMAL * np.nanmedian(np.vstack(told), axis=0), 1.0)
+    sizes = [np.nan_to_num(part / usual) for part in told]
+    free = [size[~part & (size > 0.0)] for size, part in zip(sizes, out, strict=True)]
+    limit = size_of_few(np.concatenate(free), surely)
+    found = []
+    for part, was, size in zip(out, off, sizes, strict=True):
+        kept, rest = part | (was & (size > limit)), np.where(was, 0.0, size)
+        for first, stop in runs_of(np.any(rest > limit, axis=1)):
+            row, column = np.unravel_index(np.argmax(rest[first:stop]), rest[first:stop].shape)
+            kept[first + row, column] = True
+        found.append(kept)
+    return tuple(found)
 
 
 def smoothable(
