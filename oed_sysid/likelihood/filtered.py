@@ -275,9 +275,8 @@ class Filtered(Posed):
         }
 
         def one(index: int) -> FilterPass:
-            outputs = None if measured is None else measured[index]
-            limits = None if beyond is None else beyond[index]
-            return self._pass(unknowns, index, noise, wanted, outputs, limits)
+            own = (None if given is None else given[index] for given in (measured, beyond))
+            return self._pass(unknowns, index, noise, wanted, *own)
 
         return both_cores(one, range(len(self.records)))
 
