@@ -40,7 +40,7 @@ from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.likelihood.start_guess import kinematic_states, measured_states
-from oed_sysid.physics import sensor_bias, sensor_scale
+from oed_sysid.physics import Force, sensor_bias, sensor_scale
 from oed_sysid.physics.channels import Input, Output, State
 from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
@@ -809,6 +809,26 @@ def test_a_claim_that_puts_the_log_right_answers_its_findings() -> None:
     ):
         fit = MultipleShooting(disturbances="none").fit(model + effect, data)
         assert with_estimates(log, fit, [effect]).ok is right
+
+
+@pytest.mark.parametrize(("term", "answers"), [("e*w**3", True), ("e*ds*w**2", False)])
+def test_physics_that_was_claimed_answers_what_its_lack_made_of_an_input(
+    dives_inputs: tuple[Problem, Dataset], term: str, answers: bool
+) -> None:
+    """A cubic moment reads as a delay of the fin; one that acts with the fin may be its fault."""
+    problem, data = dives_inputs
+    size = Parameter("e", 0.0, "1", scale=100.0)
+    hidden, claimed = (
+        Force("moment", {"M": t}, (size,), amplitudes=("e",)) for t in ("e*w**3", term)
+    )
+    truth = (problem.model + hidden).with_values({"e": -480.0})
+    rng = np.random.default_rng(4)
+    runs = [simulate(truth, problem.experiments[r.name], rng=rng, name=r.name) for r in data]
+    log = check(Dataset(runs), problem.model)
+    assert ("fin_command",) in [one.signals for one in log.serious]
+    fit = MultipleShooting(disturbances="none").fit(problem.model + claimed, Dataset(runs))
+    left = [one.signals for one in with_estimates(log, fit, [claimed]).serious]
+    assert (("fin_command",) not in left) is answers
 
 
 def test_a_guess_says_where_it_is_lost(dives_inputs) -> None:  # type: ignore[no-untyped-def]

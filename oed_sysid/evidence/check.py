@@ -79,6 +79,7 @@ from oed_sysid.likelihood.whole_runs import whole_runs
 from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.display import as_dict
+from oed_sysid.text.expressions import names as names_in
 
 __all__ = [
     "Balance",
@@ -411,25 +412,54 @@ def with_estimates(
         otherwise than the start values say (``other_way``); with parameters that are others in
         single records (``run``).
     """
-    sensors = [one for one in claimed if one.stage == "sensor"]
-    findings = _left(log, fit, records or fit.dataset, sensors) if sensors else [*log.findings]
-    for one in other_way(fit, nominal or fit.nominal) if fit.status.ok else ():
+    begun = nominal or fit.nominal
+    findings = _left(log, fit, records or fit.dataset, claimed, begun)
+    for one in other_way(fit, begun) if fit.status.ok else ():
         row = {"says": one.text, "name": one.channel.name}
         findings.append(said("other_way", (one.channel.name,), log.records, row))
     findings += [*_far(fit, log.records), *scaled_inputs(fit), *between_runs(fit)]
     return replace(log, findings=tuple(_ordered(findings)))
 
 
-def _left(log: LogCheck, fit: Fit, records: Dataset, sensors: Sequence[Effect]) -> list[Finding]:
-    """Findings that the records still show where some effects of the sensors are undone."""
+def _left(
+    log: LogCheck,
+    fit: Fit,
+    records: Dataset,
+    claimed: Sequence[Effect],
+    nominal: Mapping[str, float],
+) -> list[Finding]:
+    """Findings that the records still show beside the effects that were claimed.
+
+    Those of the sensors are undone. What was found of inputs was asked of the nominal model: it is
+    asked again with the other effects, all else at the values that it had, unless one of them acts
+    with a command and may be what is wrong with it.
+    """
     # Exact coincidences of what was logged stay what they are.
     asked = [f for f in log.serious if f.gain or f.kind == "unexplained"]
-    if not asked:
+    if not (asked and claimed):
         return [*log.findings]
-    bare = fit.model.without(*(one.name for one in sensors))
-    again = check(_without(fit, records, sensors), bare, inputs=False)
-    shown = {one.name for one in again.serious}
+    shown = _shown_beside(fit, records, claimed, nominal)
+    commands = {*fit.model.input_names, *fit.model.actuator_signals}
+    if any(one.stage == "actuator" or commands & _named(one) for one in claimed):
+        shown |= {one.name for one in asked if {*one.signals} <= commands}
     return [f for f in log.findings if f not in asked or f.name in shown]
+
+
+def _shown_beside(
+    fit: Fit, records: Dataset, claimed: Sequence[Effect], nominal: Mapping[str, float]
+) -> set[str]:
+    """Names of what a check finds where effects of sensors are undone, and others are as found."""
+    sensors = [one for one in claimed if one.stage == "sensor"]
+    bare = fit.model.without(*(one.name for one in sensors))
+    own = {p.name for one in claimed for p in one.parameters}
+    kept = ({*bare.free_names} & {*nominal}) - own
+    begun = bare.with_values({name: nominal[name] for name in kept})
+    return {one.name for one in check(_without(fit, records, sensors), begun).serious}
+
+
+def _named(effect: Effect) -> set[str]:
+    """Names in the terms of an effect."""
+    return {name for term in effect.terms.values() for name in names_in(term)}
 
 
 def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:
