@@ -475,7 +475,9 @@ class InterpretedFilter:
         self.tail, self.owner = noise.stationary, noise.owner
         self.memory: dict[tuple[float, float], np.ndarray] = {}
         self.mean = np.zeros(self.size)
-        self.beyond = along.beyond
+        self.beyond = (
+            np.full(along.measured.shape, np.inf) if along.beyond is None else along.beyond
+        )
 
     def replay(self, gains: np.ndarray, innovations: np.ndarray) -> int:
         """Innovations at the gains of an earlier pass; -1, or the sample that is not finite."""
@@ -623,7 +625,7 @@ class InterpretedFilter:
             if not np.isfinite(e):
                 return False
             found.innovations[k, i] = e
-            if self.beyond is not None and e**2 > self.beyond[k, i] * s:
+            if e**2 > self.beyond[k, i] * s:
                 continue
             delta += g * e / s
             q = self._corrected(i, h, g, s, row)

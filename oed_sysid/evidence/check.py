@@ -440,7 +440,7 @@ def _left(
         return [*log.findings]
     shown = _shown_beside(fit, records, claimed, nominal)
     commands = {*fit.model.input_names, *fit.model.actuator_signals}
-    if any(one.stage == "actuator" or commands & _named(one) for one in claimed):
+    if any(commands & _acting(one) for one in claimed):
         shown |= {one.name for one in asked if {*one.signals} <= commands}
     return [f for f in log.findings if f not in asked or f.name in shown]
 
@@ -457,9 +457,10 @@ def _shown_beside(
     return {one.name for one in check(_without(fit, records, sensors), begun).serious}
 
 
-def _named(effect: Effect) -> set[str]:
-    """Names in the terms of an effect."""
-    return {name for term in effect.terms.values() for name in names_in(term)}
+def _acting(effect: Effect) -> set[str]:
+    """Signals that an effect of an actuator acts on, and names in the terms of any."""
+    own = {*map(str, effect.terms)} if effect.stage == "actuator" else set()
+    return own.union(*map(names_in, effect.terms.values()))
 
 
 def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:

@@ -256,9 +256,13 @@ def outlying(
         before, off = off, _apart(passes, off, out, surely)
         if settled(before, off):
             break
-    pairs = zip(_without(problem, unknowns, off), off, strict=True)
-    still = np.concatenate([(_beyond(part, surely**2) & ~aside).ravel() for part, aside in pairs])
-    return off, bool(np.sum(still) <= RARE * count)
+    return off, _unexpected(_without(problem, unknowns, off), off, surely) <= RARE * count
+
+
+def _unexpected(passes: Sequence[FilterPass], off: Sequence[np.ndarray], surely: float) -> int:
+    """How many samples are beyond what normal noise does that are used."""
+    pairs = zip(passes, off, strict=True)
+    return sum(int(np.sum(_beyond(part, surely**2) & ~aside)) for part, aside in pairs)
 
 
 def _beyond(part: FilterPass, limit: np.ndarray | float) -> np.ndarray:
