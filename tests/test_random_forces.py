@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -16,6 +17,7 @@ from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import DataError, ModelError
 from oed_sysid.evidence.study import Study
+from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate_inputs
 from oed_sysid.likelihood.disturbances import chosen_places
 from oed_sysid.likelihood.fit import Fit
@@ -270,6 +272,17 @@ def test_standard_errors_cover_under_random_forces() -> None:
     assert np.mean(np.abs(found) < 1.96) > 0.88
     assert np.sqrt(np.mean(np.square(levels))) == pytest.approx(FORCE, rel=0.1)
     assert np.exp(np.mean(np.log(times))) == pytest.approx(FORCE_TIME, rel=0.2)
+
+
+def test_inputs_whose_log_shows_no_noise_leave_the_numbers_finite() -> None:
+    """Exact commands have no level to begin at in the place of forces: they are not asked alone."""
+    problem = load_problem("catamaran")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        fit = MultipleShooting().fit(problem.model, problem.data())
+    assert fit.status.ok
+    assert fit.noise.has_forces
+    assert np.isfinite(fit.noise.force).all()
 
 
 @pytest.mark.slow

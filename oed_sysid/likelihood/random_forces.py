@@ -530,11 +530,12 @@ def _instead(found: FilteredSolution, setting: Setting, inputs: Sequence[str]) -
     Forces in the equations in which an input acts explain most of its noise, so that it adds
     little to them; alone it has fewer unknowns, and one signal moves all these equations.
     """
-    noise = found.noise
-    if noise.seas or not np.any(noise.force > 0):
+    noise, most = found.noise, setting.most_input
+    inputs = [place for place in inputs if np.isfinite(most[place])]
+    if noise.seas or not (inputs and np.any(noise.force > 0)):
         return found
     alone = noise.only(np.isin(noise.places, setting.known)).with_places(inputs, 0.0)
-    shown = [setting.most_input[place] / TWOFOLD for place in inputs]
+    shown = [most[place] / TWOFOLD for place in inputs]
     alone = replace(alone, force=np.append(alone.force[: -len(inputs)], shown))
     again = moved(found, posed(found, setting, alone), setting.max_iterations)
     # As Akaike weighs unknowns (1974).
