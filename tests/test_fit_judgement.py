@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -610,6 +611,19 @@ def test_a_motion_that_jumps_is_no_spike(turned: np.ndarray) -> None:
     moved = Dataset(tuple(one.with_outputs(one.outputs + away) for one in data))
     fit = MultipleShooting().fit(SHIP, moved)
     assert sum(count for count, _ in fit.excluded.values()) <= 2
+
+
+def test_spikes_beside_process_noise_and_a_sensor_that_was_silent() -> None:
+    """An output of which no sample was measured says nothing of the others, without a warning."""
+    blind = np.array([0.0, 0.0, np.nan])
+    data = spoilt(clean(3, force=2e-4), 3, 0.02, 20.0, False)
+    some = Dataset(tuple(one.with_outputs(one.outputs + blind) for one in data))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        fit = MultipleShooting().fit(SHIP, some)
+    assert fit.status.ok
+    assert not fit.noise.is_white
+    assert {*fit.excluded} == {"u", "psi"}
 
 
 def test_a_failed_fit_with_process_noise_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:

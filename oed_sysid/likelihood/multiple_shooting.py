@@ -765,6 +765,7 @@ class _Sides:
 
 
 def _outlying(fit: Fit, given: _Given) -> _Sides:
+    """What stands out of the motion of a fit among all samples that were given."""
     pairs = zip(given.dataset, fit.dataset, strict=True)
     left = [np.isnan(kept.outputs) & ~np.isnan(one.outputs) for one, kept in pairs]
     stay = repeating(left, [record.outputs for record in given.dataset])

@@ -211,7 +211,11 @@ def interpolated(part: FilterPass, used: np.ndarray) -> np.ndarray:
             error, variance = part.innovations[k, i], part.variances[k, i]
             spread = gain @ later @ gain
             left = error / variance - gain @ r
-            told[k, i] = left / np.sqrt(1.0 / variance + (spread if used[k, i] else -spread))
+            # What all others say of a sample that is not used is known to rounding at best.
+            own = max(
+                1.0 / variance + (spread if used[k, i] else -spread), np.finfo(float).eps / variance
+            )
+            told[k, i] = left / np.sqrt(own)
             if used[k, i]:
                 # r before the measurement, and N likewise.
                 r = r + seen * left
@@ -289,7 +293,9 @@ def _apart(
     Of those used, in a row of times the farthest alone, because it pulls at the others.
     """
     told = [np.abs(interpolated(p, ~part)) for p, part in zip(passes, off, strict=True)]
-    usual = np.maximum(NORMAL * np.nanmedian(np.vstack(told), axis=0), 1.0)
+    every = np.vstack(told)
+    never = np.isnan(every).all(axis=0)
+    usual = np.maximum(NORMAL * np.nanmedian(np.where(never, 0.0, every), axis=0), 1.0)
     sizes = [np.nan_to_num(part / usual) for part in told]
     free = [size[~part & (size > 0.0)] for size, part in zip(sizes, out, strict=True)]
     limit = size_of_few(np.concatenate(free), surely)
