@@ -96,9 +96,9 @@ def test_walk(
             assert re.search(r"\d", capsys.readouterr().out)
         else:
             for line in block.splitlines():
-                # Before what is hidden is found, values may be far from where they are expected.
-                well = (DONE, SUSPECT) if line.startswith("oed-sysid fit") else (DONE,)
-                assert main(shlex.split(line)[1:]) in well, line
+                # Without the lag of its propellers the inertia of this one is far from its prior.
+                far = kind == "usv" and line.startswith("oed-sysid fit")
+                assert main(shlex.split(line)[1:]) == (SUSPECT if far else DONE), line
                 commands += 1
     assert commands >= 5
     better = Fit.load("better.json")

@@ -1,6 +1,21 @@
-"""Trajectory, information and their change with the commands, for one set of values.
+r"""Trajectory, information and their change with the commands, for one set of values.
 
-The number that a search maximises, with its gradient, limits included.
+The number that a search maximises, with its gradient, limits included. The rows ``R`` are
+derivatives of the outputs over their noise, from each edge of a run on by the chain rule. With
+nuisance unknowns ``0`` (start states), parameters ``p`` and what is known before,
+:math:`\Lambda_0` and :math:`\Lambda`,
+
+.. math::
+    M = R'R + \Lambda_0, \qquad E = (-M_{p0} M_{00}^{-1},\; I), \qquad
+    F = M_{pp} - M_{p0} M_{00}^{-1} M_{0p} + \Lambda
+
+and the criterion :math:`\varphi(F)` changes with a number :math:`\xi` of the commands by
+
+.. math:: \frac{d\varphi}{d\xi} = 2 \left\langle R S, \frac{dR}{d\xi} \right\rangle, \qquad
+    S = E' \frac{\partial \varphi}{\partial F} E
+
+with one weight ``2 R S`` for all numbers, and :math:`dR` by restarting at the edge before the first
+command that changed.
 """
 
 from __future__ import annotations

@@ -415,7 +415,7 @@ class MultipleShooting:
             sides = _outlying(fit, given)
             if not sides.explained(fit, first):
                 return first
-            if sides.settled(anew=fit is not first):
+            if sides.stay(at_first=fit is first):
                 break
             data = without_spikes(given.dataset, sides.off)
             again = replace(self, loss="square")._fit(replace(given, dataset=data))
@@ -748,10 +748,10 @@ class _Sides:
     off: Sequence[np.ndarray]
     understood: bool
 
-    def settled(self, *, anew: bool) -> bool:
-        """Whether few change sides, ``anew`` any to those that stand out."""
-        pairs = zip(self.left, self.off, strict=True)
-        return settled(self.left, self.off) and (anew or not any(np.any(b & ~a) for a, b in pairs))
+    def stay(self, *, at_first: bool) -> bool:
+        """Whether few change sides, of a first fit none to those that stand out."""
+        anew = any(np.any(b & ~a) for a, b in zip(self.left, self.off, strict=True))
+        return settled(self.left, self.off) and not (at_first and anew)
 
     def explained(self, fit: Fit, first: Fit) -> bool:
         """Whether spikes explain what stands out, or the fit is none to go by.

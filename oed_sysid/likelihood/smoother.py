@@ -209,13 +209,10 @@ def interpolated(part: FilterPass, used: np.ndarray) -> np.ndarray:
         for i in np.flatnonzero(np.isfinite(part.innovations[k]))[::-1]:
             seen, gain = part.gains[k, i]
             error, variance = part.innovations[k, i], part.variances[k, i]
-            spread = gain @ later @ gain
-            left = error / variance - gain @ r
+            left, spread = error / variance - gain @ r, variance * (gain @ later @ gain)
             # What all others say of a sample that is not used is known to rounding at best.
-            own = max(
-                1.0 / variance + (spread if used[k, i] else -spread), np.finfo(float).eps / variance
-            )
-            told[k, i] = left / np.sqrt(own)
+            own = max(1.0 + (spread if used[k, i] else -spread), np.finfo(float).eps)
+            told[k, i] = left * np.sqrt(variance / own)
             if used[k, i]:
                 # r before the measurement, and N likewise.
                 r = r + seen * left
