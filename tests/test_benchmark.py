@@ -211,6 +211,16 @@ def test_filter_and_prior_know_the_same() -> None:
         assert parameter.prior_std == pytest.approx(0.5 * parameter.magnitude)
 
 
+def test_swarm_and_the_told_fit_know_the_same() -> None:
+    """Told start state and region, multiple shooting ends where the swarm does."""
+    told, swarm = (
+        run_cell(Cell("online_ship", name, 1.0))
+        for name in ("multiple_shooting_disturbed_told", "differential_swarm")
+    )
+    for name, error in told.errors.items():
+        assert error == pytest.approx(swarm.errors[name], abs=0.05 * told.bounds[name])
+
+
 def test_impossible_grids_are_refused() -> None:
     """Unknown names, negative noise and a problem with one experiment are errors with advice."""
     with pytest.raises(ModelError, match="no estimator 'ekv'"):

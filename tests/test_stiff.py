@@ -14,7 +14,7 @@ from oed_sysid.compiled.kernels import Kernel
 from oed_sysid.data.dataset import Dataset, Record
 from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimator import Solver
-from oed_sysid.likelihood.integration import BIAS, step_change
+from oed_sysid.likelihood.integration import BIAS, moved, resolved, step_change
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
 from oed_sysid.physics import Parameter, actuator_delay, actuator_lag, sensor_lag
 from oed_sysid.physics.channels import Input, Output, State
@@ -299,6 +299,24 @@ def slid(seed: int, n: int = 400) -> Dataset:
         ).y[0, -1]  # fmt: skip
     outputs = (speeds + 0.005 * rng.standard_normal(n))[:, None]
     return Dataset((Record("slide", times, pushes[:, None], outputs, rubbing().channels),))
+
+
+def test_what_a_finer_step_cures_is_kept_though_no_estimate_moved() -> None:
+    """A trajectory may hang on the step where estimates do not: the converged fit is the result."""
+    estimator = MultipleShooting(disturbances="none")
+    fine = estimator.fit(rubbing(0.2 / 64), slid(0))
+    # The same values, by a step at which whole runs change.
+    coarse = replace(fine, model=replace(fine.model, step=0.2))
+    assert step_change(coarse, 2).total > BIAS
+    assert moved(coarse, fine)[0] == 0.0
+    hanging = replace(coarse, status=replace(fine.status, code="integration"))
+    kept, cured = (
+        resolved(fit, lambda step, at: replace(fine, model=replace(fine.model, step=step)))
+        for fit in (coarse, hanging)
+    )
+    assert kept is coarse
+    assert cured.status.ok
+    assert cured.model.step < 0.2
 
 
 @pytest.mark.parametrize("count", [8, *slow(12)])

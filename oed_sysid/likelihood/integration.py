@@ -129,7 +129,9 @@ def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
         if fit.status.code not in ENDED or step_change(fit, 2).total < BIAS:
             break
         finer = again(0.5 * fit.model.step, fit)
-        if finer.status.code not in ENDED or moved(fit, finer)[0] < BIAS:
+        # What a finer step cures stays cured, though no estimate moved.
+        same = fit.status.code == "converged" and moved(fit, finer)[0] < BIAS
+        if finer.status.code not in ENDED or same:
             break
         size, name = moved(first, finer)
         told = Integration(first.model.step, name, size)

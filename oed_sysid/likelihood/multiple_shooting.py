@@ -267,7 +267,8 @@ class MultipleShooting:
         fit = white = self._summary(task, end, weighed=not wanted)
         disturbed = None
         if fit.status.code != "interrupted":
-            fit = self._without_spikes(fit, task)
+            # Beside known process noise those that stand out are looked for at the end.
+            fit = self._without_spikes(fit, task) if carried is None else fit
             fit, disturbed = self._disturbed(fit, task, carried) if wanted else (fit, None)
         if disturbed is not None:
             disturbed = replace(disturbed, excluded=fit.excluded)
@@ -378,7 +379,9 @@ class MultipleShooting:
             return fit
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
-        looking = plain if self.solver.method == "ipopt" else replace(plain, loss="student")
+        few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
+        ipopt = self.solver.method == "ipopt"
+        looking = plain if ipopt else replace(plain, loss="student", solver=few)
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
@@ -399,7 +402,6 @@ class MultipleShooting:
         if not (fit.status.ok or _is_white(again)) and stand_out(outputs):
             # Bent so far that none shows, or by process noise, which no samples take away: first
             # steps that outliers do not bend tell which.
-            few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
             robust = without(again_by(replace(looking, solver=few), fit.dataset, None))
             if np.any(_measured(robust.dataset) < before):
                 again = robust
@@ -665,9 +667,14 @@ def _fault(disturbed: Fit, white: Fit) -> str:
 
 
 def _either(fit: Fit, disturbed: Fit) -> Fit:
-    """The fit without process noise unless it failed, too, and the other one has numbers."""
-    failed = fit.status.code in FAILED and np.isfinite(disturbed.estimates).all()
-    return disturbed if failed else fit
+    """The fit without process noise unless it failed, too, and the other one has numbers.
+
+    One that hangs on its integration steps may be cured by finer ones
+    (:func:`~oed_sysid.likelihood.integration.resolved`); one that has not converged is not.
+    """
+    curable = disturbed.status.code == "integration" and not fit.status.ok
+    failed = curable or fit.status.code in FAILED
+    return disturbed if failed and np.isfinite(disturbed.estimates).all() else fit
 
 
 def _failed(fit: Fit, code: str) -> Fit:
