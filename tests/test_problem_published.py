@@ -302,7 +302,7 @@ def test_no_wind_stops_the_boat() -> None:
     assert np.all(np.diff(energy) < 1e-3 * energy[0])
 
 
-def test_trajectories_do_not_hang_on_the_step() -> None:
+def test_trajectories_do_not_depend_on_the_step() -> None:
     """A finer integration step moves no signal by its noise, gybes included."""
     noise = np.array([output.noise_std for output in PROBLEM_SAILBOAT.model.outputs])
     for record, experiment in zip(DATA, PROBLEM_SAILBOAT.experiments.values(), strict=True):
@@ -335,7 +335,7 @@ def test_sail_changes_sides_without_a_jump() -> None:
 def test_multiple_shooting_from_far_starts(seed: int) -> None:
     """From start values up to 30 % off, 38 derivatives return within four standard errors."""
     fit = SCRIPT_SAILBOAT.from_afar(seed)
-    # A gybe hangs on the integration step, and the status says so; the simulator shares the step.
+    # A gybe depends on the integration step, and the status says so; the simulator shares the step.
     assert fit.status.code in ("converged", "integration")
     assert in_errors(fit) < 4.0
 

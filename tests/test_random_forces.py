@@ -607,7 +607,7 @@ def test_settings_that_have_no_place_are_refused(zigzags: Dataset) -> None:
 
 
 def test_a_fit_ahead_is_judged_by_its_windows(zigzags: Dataset) -> None:
-    """Its trajectories do not hang on the step, though whole runs of a wrong model drift away."""
+    """Its trajectories do not depend on the step, though whole runs of a wrong model drift away."""
     wrong = SHIP.with_values({"K": 0.9 * GAIN}).fix("K")
     fit = MultipleShooting(disturbances="none", horizon=1.0).fit(wrong, zigzags)
     assert fit.status.ok

@@ -112,7 +112,7 @@ def _close_figures():
 
 @pytest.fixture
 def unrendered(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Figures are made but not written: what a page says does not hang on their pixels."""
+    """Figures are made but not written: what a page says does not depend on their pixels."""
     monkeypatch.setattr(mpl.figure.Figure, "savefig", lambda *_, **__: None)
 
 

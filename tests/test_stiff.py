@@ -207,7 +207,7 @@ def test_the_structure_knows_the_integrator_and_advice_names_it() -> None:
         for name in ("ipopt", "gauss-newton")
     ]
     assert fits[0].values == pytest.approx(fits[1].values, rel=1e-4)
-    # Fast, yet not unstable with this step: the trajectory hangs on it.
+    # Fast, yet not unstable with this step: the trajectory depends on it.
     slow = explicit.with_values({"tau": 0.045, "s": 0.0})
     fit = MultipleShooting(noise="given", disturbances="none", solver=Solver(max_iterations=1)).fit(
         slow, data
@@ -244,15 +244,15 @@ def shaken(model: Model, n: int = 200) -> Dataset:
     return Dataset((record,))
 
 
-@pytest.mark.parametrize(("force", "hangs"), [("sign(x)", True), ("tanh(x)", False)])
-def test_a_jumping_force_is_noticed(force: str, hangs: bool) -> None:
+@pytest.mark.parametrize(("force", "depends"), [("sign(x)", True), ("tanh(x)", False)])
+def test_a_jumping_force_is_noticed(force: str, depends: bool) -> None:
     """A relay changes with the step by more than the noise, a smooth spring does not."""
     model = relay(force)
     data = shaken(model)
     fit = MultipleShooting(disturbances="none", solver=Solver(max_iterations=5)).fit(model, data)
     change = step_change(fit)
-    assert (change.size > 0.5) == hangs
-    if hangs:
+    assert (change.size > 0.5) == depends
+    if depends:
         assert change.output in model.output_names
         assert change.record == "shaken"
 
@@ -302,17 +302,17 @@ def slid(seed: int, n: int = 400) -> Dataset:
 
 
 def test_what_a_finer_step_cures_is_kept_though_no_estimate_moved() -> None:
-    """A trajectory may hang on the step where estimates do not: the converged fit is the result."""
+    """A trajectory may depend on the step where estimates do not: the converged fit stays."""
     estimator = MultipleShooting(disturbances="none")
     fine = estimator.fit(rubbing(0.2 / 64), slid(0))
     # The same values, by a step at which whole runs change.
     coarse = replace(fine, model=replace(fine.model, step=0.2))
     assert step_change(coarse, 2).total > BIAS
     assert moved(coarse, fine)[0] == 0.0
-    hanging = replace(coarse, status=replace(fine.status, code="integration"))
+    depending = replace(coarse, status=replace(fine.status, code="integration"))
     kept, cured = (
         resolved(fit, lambda step, at: replace(fine, model=replace(fine.model, step=step)))
-        for fit in (coarse, hanging)
+        for fit in (coarse, depending)
     )
     assert kept is coarse
     assert cured.status.ok
@@ -320,7 +320,7 @@ def test_what_a_finer_step_cures_is_kept_though_no_estimate_moved() -> None:
 
 
 @pytest.mark.parametrize("count", [8, *slow(12)])
-def test_estimates_do_not_hang_on_the_step(count: int) -> None:
+def test_estimates_do_not_depend_on_the_step(count: int) -> None:
     """Intervals hold although the model's step resolves no friction; one that does is kept."""
     errors, estimator = [], MultipleShooting(disturbances="none")
     fits = [estimator.fit(rubbing(), slid(seed)) for seed in range(count)]

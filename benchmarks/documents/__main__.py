@@ -11,11 +11,14 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Sequence
 
-from benchmarks.documents import extrapolation, measured_data, published
+from benchmarks.documents import estimation, extrapolation, measured_data, published
 from benchmarks.documents.page import Page, Unfounded
 from benchmarks.harness import command, known
 
-PAGES = {page.name: page for page in (measured_data.PAGE, extrapolation.PAGE, published.PAGE)}
+PAGES = {
+    page.name: page
+    for page in (measured_data.PAGE, extrapolation.PAGE, published.PAGE, estimation.PAGE)
+}
 
 
 def main(
@@ -26,7 +29,7 @@ def main(
     Parameters
     ----------
     pages : sequence of str
-        measured_data, extrapolation, published; all without a name
+        measured_data, extrapolation, published, estimation; all without a name
     only : sequence of str
         sections that --write measures
     write : bool

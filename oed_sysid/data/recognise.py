@@ -392,7 +392,7 @@ _LEVEL = _Row(0.0, -1, "", 0, True)
 
 
 def _indices(one: _Angle | None, more: Any) -> list[int]:
-    """Fields that an angle and what hangs on it take."""
+    """Fields that an angle and its rates take."""
     every = [] if one is None else [one.angle, one.rate]
     every += [more.speed, *more.axes] if isinstance(more, _Plane) else []
     every += [more.at] if isinstance(more, _Row) else []
@@ -486,7 +486,7 @@ class _Work:
     # -- heading, yaw rate, speed and positions; attitudes --
 
     def _rotations(self) -> None:
-        """Heading, pitch and roll with their rates, all that hangs together.
+        """Heading, pitch and roll with their rates, together.
 
         That a field is the rate of another says that they are an angle and a rate, and not of
         which axis: the three axes are told together.
@@ -513,7 +513,7 @@ class _Work:
             self._sway(psi[2])
 
     def _turning(self, role: str) -> list[tuple[float, _Angle | None, Any]]:
-        """Angles of a role with what hangs on them and their nats; first that there is none."""
+        """Angles of a role with their rates and nats; first that there is none."""
         found: list[tuple[float, _Angle | None, Any]] = [(0.0, None, None)]
         least = NAMED - 2.0 if role == "psi" else 1.5 * USUAL
         explains: dict[str, Callable[[_Angle], Any]] = {"psi": self._plane, "theta": self._dive}

@@ -562,7 +562,7 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
 
 
 def _integration(fit: Estimate) -> Iterator[Found]:
-    """Trajectories that hang on the integration step."""
+    """Trajectories that depend on the integration step."""
     # Half the step shows nearly as much, and costs half.
     if not _has_numbers(fit) or step_change(fit, 2).size < 0.5 * STEP_CHANGE:
         return
@@ -743,7 +743,7 @@ CHECKS = (
     ),
     Check(
         "integration", _integration, f"{STEP_CHANGE:g} noise levels",
-        "The trajectories hang on the integration step: with {finer:g} s instead of "
+        "The trajectories depend on the integration step: with {finer:g} s instead of "
         "{step:g} s, {signal} of record {record!r} changes by {size:.3g} noise levels "
         f"(expected below {STEP_CHANGE:g}). Reduce model.step and fit again{{stiff}}; if that "
         "does not help, a force of the model jumps where the state passes some value: make it "
@@ -787,7 +787,7 @@ CHECKS = (
     ),
     Check(
         "finer_step", _finer, f"{BIAS:g} standard errors; see integration.resolved",
-        "The fit was made by steps of {step:.3g} s, since its values hang on those of {own:.3g} s "
+        "The fit was made by steps of {step:.3g} s, as its values depend on those of {own:.3g} s "
         "that the model had{by}. Give the model the finer step.",
     ),
     Check(

@@ -669,7 +669,7 @@ def _fault(disturbed: Fit, white: Fit) -> str:
 def _either(fit: Fit, disturbed: Fit) -> Fit:
     """The fit without process noise unless it failed, too, and the other one has numbers.
 
-    One that hangs on its integration steps may be cured by finer ones
+    One that depends on its integration steps may be cured by finer ones
     (:func:`~oed_sysid.likelihood.integration.resolved`); one that has not converged is not.
     """
     curable = disturbed.status.code == "integration" and not fit.status.ok

@@ -245,7 +245,7 @@ def check_criterion(
     * It gives the same result twice and leaves the matrix alone.
     * Its derivative equals finite differences.
     * More information never counts less, where that is claimed.
-    * Comparisons of designs do not hang on the parameters' units, where that is claimed.
+    * Comparisons of designs do not depend on the parameters' units, where that is claimed.
 
     Parameters
     ----------

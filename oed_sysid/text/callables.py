@@ -230,7 +230,7 @@ def _recorded(name: str, symbols: list[ca.SX], result: ca.SX) -> str:
         if (key := node.element_hash()) in done:
             waiting.pop()
             continue
-        # A result of a called function hangs on the call, whose operands are its arguments.
+        # A result of a called function depends on the call, whose operands are its arguments.
         source = node.dep(0) if node.is_output() else node
         operands = [source.dep(i) for i in range(source.n_dep())]
         if missing := [one for one in operands if one.element_hash() not in done]:

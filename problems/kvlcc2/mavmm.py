@@ -12,8 +12,8 @@ force in proportion to what flows over it, the thrust among them. With the insta
     N/(qL) &= N_u c + N_v v' + N_r r' + N_{ur} c r' + N_T T' + R,\qquad
     R = (N_\delta + N_{\delta T} T' + N_{\delta vv} v'^2)\,\delta
 
-:math:`c r'` beside :math:`r'` is what tells a turn that slows the ship from one that does not;
-it, the thrust in :math:`R` and constants for a single screw are what circles hang on. All
+:math:`c r'` beside :math:`r'` is what tells a turn that slows the ship from one that does not; it,
+the thrust in :math:`R` and constants for a single screw decide circles. All
 equations are linear in what is unknown, so that one-step regression serves.
 
 The wake fraction comes from the measured thrust before anything else is fitted (:func:`wake`):
