@@ -305,7 +305,7 @@ POPULATIONS = ("differential_swarm", "differential_evolution", "cma_es", "partic
 TUNED = (OURS_IPOPT, "ls_svm_tuned", "ekf_tuned", "ukf_tuned")
 
 
-QUICK = tuple(name for name in CONTESTANTS if name not in (*POPULATIONS, *TUNED))
+QUICK = tuple(name for name, one in CONTESTANTS.items() if not (one.knows_start or name in TUNED))
 
 
 def contestant_by_name(name: str) -> Contestant:

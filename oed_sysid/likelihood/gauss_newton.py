@@ -37,6 +37,8 @@ What is minimised says only how a point is evaluated (:class:`Iterate`) and how 
   gain, from one pass (:class:`~oed_sysid.likelihood.filtered.Filtered`);
 - :func:`differentiated`, that of the filter as it is, by differences of whole filters; its cost
   alone takes a pass without any derivative;
+- :func:`restricted`, the same with what parameters have followed of the noise (:func:`absorbed`):
+  the noise is estimated by it, and noise models are compared by it;
 - windows with start states of their own (:class:`~oed_sysid.likelihood.windows.Windows`), for the
   globalisation phase and for predictions a horizon ahead.
 """
@@ -82,6 +84,8 @@ FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # not: where a standard deviation is smaller than at frozen gain by that factor, and as much smaller
 # than with steps so many times longer, it is rounding as well.
 AMPLIFIED, FARTHER = 1.2, 3.0
+# Step over a standard deviation of the noise's unknowns in which information is differentiated.
+SHORT = 0.1
 
 
 # -- points ------------------------------------------------------------------------
@@ -269,6 +273,49 @@ def differentiated(problem: Filtered, point: Point) -> Iterate:
         return _filtered_equations(problem, point, cost, matrix, right)
 
     return Iterate(problem, point, cost, lambda _: equations())
+
+
+def restricted(problem: Filtered, point: Point) -> Iterate:
+    """Evaluate a point by the restricted likelihood, with the gradient of the filter as it is."""
+    unknowns, levels = point.unknowns, problem.layout.levels
+
+    def told(at: np.ndarray) -> tuple[float, np.ndarray]:
+        found = problem.passes(at)
+        matrix, _ = problem.gathered(at, found)
+        return 0.5 * sum(part.objective for part in found), matrix
+
+    cost, frozen = told(unknowns)
+    if not (np.isfinite(cost) and np.isfinite(frozen).all()):
+        return nowhere(problem, point)
+    known = absorbed(problem, frozen)
+    cost += problem.prior_cost(unknowns) + known
+
+    @cache
+    def equations() -> Equations:
+        matrix, right = _of_the_filter(problem, unknowns)
+        for index in range(levels.start, levels.stop):
+            # Smooth in the noise: a tenth of a standard deviation is a short step.
+            moved, length = unknowns.copy(), SHORT * differences(problem, frozen)[index]
+            moved[index] += length
+            right[index] -= (absorbed(problem, told(moved)[1]) - known) / length
+        return _filtered_equations(problem, point, cost, matrix, right)
+
+    return Iterate(problem, point, cost, lambda _: equations())
+
+
+def absorbed(problem: Filtered, matrix: np.ndarray) -> float:
+    r"""What the restricted likelihood adds to the cost: :math:`\tfrac12 \ln\det(1 + D A D)`.
+
+    With the information :math:`A` of all that is no noise and its scales :math:`D`: what is
+    estimated beside the noise has followed it, the more the less it is told (Patterson & Thompson
+    1971, *Recovery of inter-block information when block sizes are unequal*, Biometrika 58).
+    """
+    limits, n = problem.limits, problem.layout.levels.start
+    free = np.flatnonzero(~limits.held[:n])
+    told = matrix[np.ix_(free, free)] + np.diag(limits.prior_weight[free])
+    scale = limits.scale[free]
+    wide = np.eye(len(free)) + told * scale[:, None] * scale
+    return 0.5 * float(np.linalg.slogdet(wide)[1])
 
 
 def _filtered_equations(
@@ -647,6 +694,11 @@ class FilteredSolution(Solution):
         return 2.0 * self.cost
 
     @property
+    def restricted(self) -> float:
+        """Half of minus twice the restricted log-likelihood, by which noise models compare."""
+        return self.cost + absorbed(self.problem, self.matrix)
+
+    @property
     def promise(self) -> float:
         """Fall of the cost that the last equations promise."""
         limits, unknowns = self.problem.limits, self.point.unknowns
@@ -724,7 +776,7 @@ def solve_filtered(
     # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
     near = ["stalled"]
     exact_control = StepControl(FEW, MOST_DAMPING)
-    if reason != "interrupted" and polish and descent.refine(differentiated, exact_control):
+    if reason != "interrupted" and polish and descent.refine(restricted, exact_control):
         last = descent.run(polish, enough=lambda progress: progress.decrement < NEAR)
         if last == "enough":  # the equations before hold where so small a step has led
             before = descent.before.equations
@@ -737,6 +789,8 @@ def solve_filtered(
     if reason in near and descent.decrease < NEAR:
         reason = "converged"
     now = replace(descent.now, derive=partial(_told, descent.now.equations))
+    if descent.evaluate is restricted:  # what is told of the fit is its likelihood
+        now = replace(now, cost=0.5 * problem.objective(now.point.unknowns))
     return FilteredSolution(now, descent.steps + 1, reason)
 
 

@@ -324,12 +324,12 @@ def _first_home(
     on: Callable[[FilteredSolution], FilteredSolution],
 ) -> FilteredSolution:
     """The likeliest of some ends; after the leader only what promises to overtake goes on."""
-    leader, *others = sorted(looked, key=lambda one: one.cost)
+    leader, *others = sorted(looked, key=lambda one: one.restricted)
     best = leader if leader.reason in HOME else on(leader)
     for one in others:
-        if one.cost - one.promise < best.cost:
+        if one.restricted - one.promise < best.restricted:
             end = one if one.reason in HOME else on(one)
-            best = min(best, end, key=lambda one: one.cost)
+            best = min(best, end, key=lambda one: one.restricted)
     return best
 
 
@@ -338,7 +338,7 @@ def _first_home(
 
 def _worth(found: FilteredSolution, again: FilteredSolution) -> FilteredSolution:
     """The later fit where it is clearly likelier, else the one before."""
-    return found if found.objective - again.objective < WORTH else again
+    return found if 2.0 * (found.restricted - again.restricted) < WORTH else again
 
 
 @dataclass(frozen=True, eq=False)
@@ -646,9 +646,9 @@ def _clearly_a_sea(sea: FilteredSolution, found: FilteredSolution, setting: Sett
     problem = posed(found, setting, found.noise, own_times=own, longest_hold=most)
     for steps in (0, setting.max_iterations):
         first = moved(found, problem, steps)
-        rival = min(first, found, key=lambda one: one.objective)
+        rival = min(first, found, key=lambda one: one.restricted)
         promised = max(rival.promise, first.promise)
-        if rival.objective - 2.0 * promised - sea.objective >= 2.0 * WORTH:
+        if 2.0 * (rival.restricted - promised - sea.restricted) >= 2.0 * WORTH:
             return True
     return False
 
@@ -747,8 +747,8 @@ def _at_sea(
     for one in shaped:
         # A shape that promises too little at its first look wins no race.
         look = _again(near, setting, replace(noise, seas=(one,)), free, 0) if looked else near
-        least = min((end.cost for end in looked), default=np.inf)
-        if look.cost - PROMISED * look.promise < least:
+        least = min((end.restricted for end in looked), default=np.inf)
+        if look.restricted - PROMISED * look.promise < least:
             looked.append(_again(near, setting, replace(noise, seas=(one,)), free, FEW_STEPS))
 
     def to_the_end(one: FilteredSolution) -> FilteredSolution:
