@@ -187,6 +187,11 @@ class MultipleShooting:
         return self.loss not in ("auto", "square")
 
     @property
+    def _leaves_out(self) -> bool:
+        """Whether samples that stand out are left out."""
+        return self.loss == "auto" and self.horizon is None
+
+    @property
     def name(self) -> str:
         """Name and settings, for reports."""
         interval = "" if self.interval is None else f", interval {self.interval:g} s"
@@ -262,14 +267,13 @@ class MultipleShooting:
         point = task.shooting.warm_point(warm if given.initial_states is None else None)
         # Where process noise may follow, residuals that are no white noise end the iterations
         # soon, and their autocorrelation is weighed only if none does.
-        carried = _carried(task.shooting, point, warm) if wanted else None
-        end = self._without_process_noise(task, point, carried, wanted=wanted)
+        task = replace(task, carried=_carried(task.shooting, point, warm) if wanted else None)
+        end = self._without_process_noise(task, point, wanted=wanted)
         fit = white = self._summary(task, end, weighed=not wanted)
         disturbed = None
         if fit.status.code != "interrupted":
-            # Beside known process noise those that stand out are looked for at the end.
-            fit = self._without_spikes(fit, task) if carried is None else fit
-            fit, disturbed = self._disturbed(fit, task, carried) if wanted else (fit, None)
+            fit = self._without_spikes(fit, task)
+            fit, disturbed = self._disturbed(fit, task) if wanted else (fit, None)
         if disturbed is not None:
             disturbed = replace(disturbed, excluded=fit.excluded)
             disturbed = _judged(self._settled(disturbed, given), model)
@@ -343,12 +347,11 @@ class MultipleShooting:
         """Whether the records decide if process noise acts, and nobody has asked for it."""
         return self.disturbances == "auto" and not random_effects(model.effects)
 
-    def _without_process_noise(
-        self, task: _Task, point: Point, carried: Start | None, *, wanted: bool
-    ) -> Solution:
+    def _without_process_noise(self, task: _Task, point: Point, *, wanted: bool) -> Solution:
         """Iterations and levels of white noise; they end early where process noise may follow."""
         shooting, minimise = task.shooting, self._minimiser(task.shooting)
-        patience = FIRST_STEPS if carried is None else KNOWN
+        carried = task.carried is not None
+        patience = KNOWN if carried else FIRST_STEPS
         first = partial(minimise, enough=_bent(shooting, patience)) if wanted else minimise
         end = first(shooting, point) if carried else self._solve(shooting, point, first)
         if carried and end.reason == "diverged":
@@ -375,13 +378,15 @@ class MultipleShooting:
 
     def _without_spikes(self, fit: Fit, task: _Task) -> Fit:
         """Fit again without samples that stand out alone, and how many of how many they were."""
-        if self.loss != "auto" or self.horizon is not None:
+        # Beside known process noise those that stand out are looked for at the end.
+        if task.carried or not self._leaves_out:
             return fit
         plain = replace(self, loss="square", disturbances="none")
         # While some are left, they must not bend the residuals in which they are looked for.
         few = replace(self.solver, max_iterations=min(FIRST_STEPS, self.solver.max_iterations))
-        ipopt = self.solver.method == "ipopt"
-        looking = plain if ipopt else replace(plain, loss="student", solver=few)
+        looking = replace(plain, loss="student", solver=few)
+        if self.solver.method == "ipopt":  # which knows the square alone
+            looking = replace(plain, solver=few)
         before, spent = _measured(fit.dataset), [fit.iterations]
 
         def again_by(way: MultipleShooting, dataset: Dataset, earlier: Fit | None) -> Fit:
@@ -402,7 +407,7 @@ class MultipleShooting:
         if not (fit.status.ok or _is_white(again)) and stand_out(outputs):
             # Bent so far that none shows, or by process noise, which no samples take away: first
             # steps that outliers do not bend tell which.
-            robust = without(again_by(replace(looking, solver=few), fit.dataset, None))
+            robust = without(again_by(looking, fit.dataset, None))
             if np.any(_measured(robust.dataset) < before):
                 again = robust
         if again is fit:
@@ -413,7 +418,7 @@ class MultipleShooting:
     def _settled(self, first: Fit, given: _Given) -> Fit:
         """The fit once more without the samples that stand out of its own motion, and no others."""
         fit = first
-        for _ in range(4) if self.loss == "auto" else ():
+        for _ in range(4 * self._leaves_out):
             sides = _outlying(fit, given)
             if not sides.explained(fit, first):
                 return first
@@ -428,7 +433,7 @@ class MultipleShooting:
                 break
         return fit
 
-    def _disturbed(self, fit: Fit, task: _Task, carried: Start | None) -> tuple[Fit, Fit | None]:
+    def _disturbed(self, fit: Fit, task: _Task) -> tuple[Fit, Fit | None]:
         """Go on from a white fit with process noise and autocorrelated sensors, where they act.
 
         Returns
@@ -445,7 +450,7 @@ class MultipleShooting:
         setting = self._setting(fit, task, places, declared)
         starts = _starts(fit, setting)
         try:
-            test = _score(fit, setting, starts[0], carried, tests=tests)
+            test = _score(fit, setting, starts[0], task.carried, tests=tests)
         except SimulationError:  # the model itself diverges: the status says so
             return fit, None
         excluded: tuple[str, ...] = ()
@@ -455,7 +460,7 @@ class MultipleShooting:
         if tests and test.gain < CLEAR:
             return fit, None
         test = replace(test, noise=_declared_levels(test.noise, declared))
-        begun = (starts,) if carried is None else ([carried], starts)
+        begun = (starts,) if task.carried is None else ([task.carried], starts)
         found = self._likelier(fit, task, setting, begun, test)
         if found is None:
             return _failed(fit, "diverged"), None
@@ -588,12 +593,16 @@ class _Given:
 
 @dataclass(frozen=True, eq=False)
 class _Task:
-    """What the stages of one fit share: the model at its start values, and what is known."""
+    """What the stages of one fit share: the model at its start values, and what is known.
+
+    ``carried`` is where an earlier fit with process noise ended, to go on from.
+    """
 
     model: Model
     shooting: Shooting
     known_starts: KnownStarts | None
     how: Procedure
+    carried: Start | None = None
 
 
 def _at_values(model: Model, warm: Fit) -> Model:
