@@ -67,11 +67,10 @@ ROUNDING = 1e-8
 # shrink are theirs, and then so are gains below a share of the cost, or the tolerance at frozen
 # gain, of the others: estimates are within 0.04 standard errors of where they would end.
 NEARLY_CLOSED = 1e-6
-# With disturbance forces: the step that ends the iterations at frozen gain, and most steps of the
-# exact one.
+# With disturbance forces: the step that ends the iterations at frozen gain, and those of the exact
+# one, whose equations then serve where it led; and most steps of this.
 FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
-# Change of the cost that is none near the end: the rise that the frozen gradient may cause, the
-# gain below which the last exact step was enough, and its equations serve where it led, and the
+# Change of the cost that is none near the end: the rise that the frozen gradient may cause, and the
 # promised gain below which a search without a way on has arrived.
 NEAR = 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
@@ -297,7 +296,8 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
             # Smooth in the noise: a tenth of a standard deviation is a short step.
             moved, length = unknowns.copy(), SHORT * differences(problem, frozen)[index]
             moved[index] += length
-            right[index] -= (absorbed(problem, told(moved)[1]) - known) / length
+            slope = (absorbed(problem, told(moved)[1]) - known) / length
+            right[index] -= slope if np.isfinite(slope) else 0.0  # where it diverges, none
         return _filtered_equations(problem, point, cost, matrix, right)
 
     return Iterate(problem, point, cost, lambda _: equations())
@@ -777,7 +777,7 @@ def solve_filtered(
     near = ["stalled"]
     exact_control = StepControl(FEW, MOST_DAMPING)
     if reason != "interrupted" and polish and descent.refine(restricted, exact_control):
-        last = descent.run(polish, enough=lambda progress: progress.decrement < NEAR)
+        last = descent.run(polish, enough=lambda progress: progress.decrement < FROZEN_TOLERANCE)
         if last == "enough":  # the equations before hold where so small a step has led
             before = descent.before.equations
             step = descent.now.point.unknowns - descent.before.point.unknowns
