@@ -381,6 +381,24 @@ class Filtered(Posed):
         self._add_knowledge(unknowns, matrix, right)
         return matrix, right
 
+    def information(self, unknowns: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus twice the log-likelihood, and the information of all that is no noise.
+
+        At frozen gain, priors excluded; the matrix is of all unknowns, zero for those of the noise.
+        """
+        noise = self.levels.disturbed(self.noise(unknowns))
+        wanted = {"names": self.layout.free_names}
+        found = both_cores(
+            lambda index: self._pass(unknowns, index, noise, wanted), range(len(self.records))
+        )
+        n, n_noise = self.layout.n_unknowns, len(self.levels)
+        matrix, nothing = np.zeros((n, n)), np.zeros(n)
+        for index, part in enumerate(found):
+            where, size = (one[: len(one) - n_noise] for one in self.columns_of(unknowns, index))
+            matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
+        self._add_knowledge(unknowns, matrix, nothing)
+        return sum(part.objective for part in found), matrix
+
     def columns_of(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the columns of a pass, levels last, and units of these, ``(n_columns,)``."""
         levels = self.layout.levels

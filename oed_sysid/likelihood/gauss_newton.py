@@ -153,6 +153,10 @@ class Iterate:
         change = float(step @ (0.5 * (equations.matrix @ step) - equations.right))
         return equations.closed + change + limits.prior_cost(self.point.unknowns + step)
 
+    def kept(self, cost: float) -> Iterate:
+        """The same at some cost, with equations that nothing changes and that files can hold."""
+        return replace(self, cost=cost, derive=partial(_told, self.equations))
+
     def moved(self, step: np.ndarray, length: float, damping: float = 0.0) -> Point:
         """The point after a share of a step."""
         equations = self.damped(damping)
@@ -277,26 +281,21 @@ def differentiated(problem: Filtered, point: Point) -> Iterate:
 def restricted(problem: Filtered, point: Point) -> Iterate:
     """Evaluate a point by the restricted likelihood, with the gradient of the filter as it is."""
     unknowns, levels = point.unknowns, problem.layout.levels
-
-    def told(at: np.ndarray) -> tuple[float, np.ndarray]:
-        found = problem.passes(at)
-        matrix, _ = problem.gathered(at, found)
-        return 0.5 * sum(part.objective for part in found), matrix
-
-    cost, frozen = told(unknowns)
-    if not (np.isfinite(cost) and np.isfinite(frozen).all()):
+    objective, frozen = problem.information(unknowns)
+    if not (np.isfinite(objective) and np.isfinite(frozen).all()):
         return nowhere(problem, point)
     known = absorbed(problem, frozen)
-    cost += problem.prior_cost(unknowns) + known
+    cost = 0.5 * objective + problem.prior_cost(unknowns) + known
 
     @cache
     def equations() -> Equations:
         matrix, right = _of_the_filter(problem, unknowns)
+        # Smooth in the noise: a tenth of a standard deviation is a short step.
+        lengths = SHORT * differences(problem, matrix)
         for index in range(levels.start, levels.stop):
-            # Smooth in the noise: a tenth of a standard deviation is a short step.
-            moved, length = unknowns.copy(), SHORT * differences(problem, frozen)[index]
-            moved[index] += length
-            slope = (absorbed(problem, told(moved)[1]) - known) / length
+            moved = unknowns.copy()
+            moved[index] += lengths[index]
+            slope = (absorbed(problem, problem.information(moved)[1]) - known) / lengths[index]
             right[index] -= slope if np.isfinite(slope) else 0.0  # where it diverges, none
         return _filtered_equations(problem, point, cost, matrix, right)
 
@@ -788,10 +787,10 @@ def solve_filtered(
         reason = last if last == "interrupted" else reason
     if reason in near and descent.decrease < NEAR:
         reason = "converged"
-    now = replace(descent.now, derive=partial(_told, descent.now.equations))
+    now, cost = descent.now, descent.now.cost
     if descent.evaluate is restricted:  # what is told of the fit is its likelihood
-        now = replace(now, cost=0.5 * problem.objective(now.point.unknowns))
-    return FilteredSolution(now, descent.steps + 1, reason)
+        cost = 0.5 * problem.objective(now.point.unknowns)
+    return FilteredSolution(now.kept(cost), descent.steps + 1, reason)
 
 
 def _told(equations: Equations, damping: float) -> Equations:

@@ -49,6 +49,7 @@ from oed_sysid.likelihood.gauss_newton import (
     Progress,
     StepControl,
     differentiated,
+    restricted,
     solve_filtered,
     whitened,
 )
@@ -132,12 +133,13 @@ def fit_disturbed(
         for start in starts
         if not count or start.noise is None
     ]
-    best = _stayed(beginnings, starts) or _raced_to_sea(beginnings, setting, progress)
+    stayed = _stayed(beginnings, starts)
+    best = stayed or _raced_to_sea(beginnings, setting, progress)
     if best.finite is None:
         return best
     for step in (with_colour, with_input_noise, with_own_times):
         best = step(best, setting)
-    return _polished(best, polish) if polish else best
+    return best if best is stayed or not polish else _polished(best, polish)
 
 
 def _noises(setting: Setting, test: ScoreTest) -> list[NoiseModel]:
@@ -296,8 +298,10 @@ def _stayed(beginnings: Sequence[Iterate], starts: Sequence[Start]) -> FilteredS
     """The beginning itself, where an earlier fit ended and steps promise next to nothing."""
     if len(beginnings) > 1 or starts[0].noise is None:
         return None
-    found = solved(beginnings[0], 0)
-    return replace(found, reason="converged").finite if found.promise <= NEAR else None
+    begin = beginnings[0]
+    ended = FilteredSolution(restricted(begin.problem, begin.point), 0, "converged")
+    stays = ended.finite is not None and ended.promise <= NEAR
+    return replace(ended, now=ended.now.kept(begin.cost)) if stays else None
 
 
 def _raced(
