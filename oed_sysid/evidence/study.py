@@ -347,7 +347,7 @@ class Study:
         return with_own_times(again, self.setting)
 
     def resolved(self, found: FilteredSolution) -> FilteredSolution:
-        """The same by steps on which no estimate depends; see :mod:`.likelihood.integration`."""
+        """The same by steps that resolve all motion; see :mod:`.likelihood.integration`."""
         ends = {found.problem.model.step: found}
 
         def again(step: float, fit: Fit) -> Fit:

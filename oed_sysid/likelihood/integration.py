@@ -1,4 +1,4 @@
-r"""Integration steps so short on which no estimate depends them.
+r"""Integration steps so short that no estimate depends on them.
 
 With :math:`y_h` the outputs of a fitted model by steps of ``h``, ``J`` their derivatives by all
 unknowns and :math:`\sigma` the noise, half the step moves the estimates by
@@ -116,7 +116,7 @@ def _both_steps(
 
 
 def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
-    """The same fit by steps on which no estimate depends.
+    """The same fit by steps so short that no estimate depends on them.
 
     Parameters
     ----------
