@@ -124,13 +124,10 @@ def test_the_error_falls_in_the_tanks(tanks_improved: tuple[Improvement, Dataset
 
 @pytest.mark.slow
 def test_what_is_left_of_the_tanks_is_called_structure(
-    tanks_improved: tuple[Improvement, Dataset], request: pytest.FixtureRequest
+    tanks_improved: tuple[Improvement, Dataset],
 ) -> None:
     """Nothing is called complete."""
     found, _ = tanks_improved
-    if "linear" in found.base.name:
-        why = "the score that process noise follows the levels lies at the edge of chance"
-        request.applymarker(pytest.mark.xfail(reason=why, strict=False))
     assert found.remains.kind == "structure missing"
 
 
