@@ -29,7 +29,16 @@ from benchmarks.harness import (
     write_page,
 )
 from oed_sysid.baselines.benchmark import DETERMINED, logarithms_of_ratios
-from oed_sysid.baselines.contest import BELIEVERS, POPULATIONS, Cell, Outcome, run_cell
+from oed_sysid.baselines.contest import (
+    BELIEVERS,
+    OURS_DISTURBED,
+    OURS_DISTURBED_BELIEVING,
+    OURS_DISTURBED_TOLD,
+    POPULATIONS,
+    Cell,
+    Outcome,
+    run_cell,
+)
 from oed_sysid.baselines.world import WORLDS
 from oed_sysid.results.estimator_plots import plot_comparison
 from oed_sysid.results.style import save_figure
@@ -80,12 +89,11 @@ ESTIMATORS = {
     "ekf_tuned": "extended Kalman, tuned",
     "ukf_tuned": "unscented Kalman, tuned",
 }
-DEFAULT = "multiple_shooting_disturbed"
 # Who is told as much, by what our default is then called: start values to 50 %; the true start
 # state of a single run, and a region.
 TOLD = {
-    "multiple_shooting_disturbed_prior": BELIEVERS,
-    "multiple_shooting_disturbed_told": POPULATIONS,
+    OURS_DISTURBED_BELIEVING: BELIEVERS,
+    OURS_DISTURBED_TOLD: POPULATIONS,
 }
 
 
@@ -172,7 +180,7 @@ def cells(rows: Iterable[Row]) -> dict[tuple[str, str, str], list[list[float]] |
 
 def default_for(name: str) -> str:
     """Our default, told as much as an estimator."""
-    return next((own for own, told in TOLD.items() if name in (own, *told)), DEFAULT)
+    return next((own for own, told in TOLD.items() if name in (own, *told)), OURS_DISTURBED)
 
 
 def ratios(rows: Sequence[Row], world: str, name: str) -> dict[str, float]:
@@ -210,7 +218,7 @@ def headline(rows: Sequence[Row]) -> list[str]:
     """Where our default is first, within the scatter or behind, cell by cell."""
     least: list[float] = []
     for world in ACTING:
-        for own in (DEFAULT, *TOLD):
+        for own in (OURS_DISTURBED, *TOLD):
             names = [name for name in ESTIMATORS if default_for(name) == own != name]
             rivals = [ratios(rows, world, name) for name in names]
             for problem in SYSTEMS:

@@ -298,14 +298,18 @@ CONTESTANTS: Mapping[str, Contestant] = {
 
 
 # Searches by whole populations of trajectories: minutes where others take fractions of a second.
-POPULATIONS = ("differential_swarm", "differential_evolution", "cma_es", "particle_swarm")
+POPULATIONS = tuple(
+    name for name, one in CONTESTANTS.items() if one.knows_start and name != OURS_DISTURBED_TOLD
+)
 
 
 # Tuned to the record that they are given, by fits of it again and again; and a second solver.
 TUNED = (OURS_IPOPT, "ls_svm_tuned", "ekf_tuned", "ukf_tuned")
 
 
-QUICK = tuple(name for name, one in CONTESTANTS.items() if not (one.knows_start or name in TUNED))
+QUICK = tuple(
+    name for name in CONTESTANTS if name not in (*POPULATIONS, *TUNED, OURS_DISTURBED_TOLD)
+)
 
 
 def contestant_by_name(name: str) -> Contestant:

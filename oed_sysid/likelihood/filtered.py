@@ -230,6 +230,7 @@ class Filtered(Posed):
         unknowns: np.ndarray,
         *,
         columns: bool = True,
+        levels: bool = True,
         levels_only: bool = False,
         rows: bool = False,
         gains: bool = False,
@@ -245,8 +246,8 @@ class Filtered(Posed):
         unknowns : ndarray (n_unknowns,)
         columns : bool
             Whether derivatives are wanted.
-        levels_only : bool
-            Whether by the levels of the noise alone.
+        levels, levels_only : bool
+            Whether also by the levels of the noise, or by these alone.
         rows : bool
             Whether these of every innovation.
         gains : bool
@@ -268,7 +269,7 @@ class Filtered(Posed):
         wanted = {
             "names": names,
             "own_columns": columns and not levels_only,
-            "levels": self.levels.entries if columns else (),
+            "levels": self.levels.entries if columns and levels else (),
             "rows": rows,
             "gains": gains,
             "moves": moves,
@@ -365,39 +366,24 @@ class Filtered(Posed):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side from passes with derivatives, priors excluded.
 
-        Zero for all others where these are by the levels alone.
+        Zero for all others where these are by the levels alone, or without them.
         """
-        n, levels = self.layout.n_unknowns, self.layout.levels
+        n, begin = self.layout.n_unknowns, self.layout.levels.start
         matrix, right = np.zeros((n, n)), np.zeros(n)
-        scale = self.levels.scale
         for index, part in enumerate(found):
             where, size = self.columns_of(unknowns, index)
-            alone = len(where) - (len(part.gram) - 1)  # levels come last, and perhaps alone
-            where, size = where[alone:], size[alone:]
+            # Levels come last, perhaps alone, and perhaps not at all.
+            told = len(part.level_slope)
+            levels, scale = slice(begin, begin + told), self.levels.scale[:told]
+            end = len(where) - len(self.levels) + told
+            own = slice(end - (len(part.gram) - 1), end)
+            where, size = where[own], size[own]
             matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
             right[where] -= part.gram[:-1, -1] * size
             matrix[levels, levels] += part.level_information * scale[:, None] * scale
             right[levels] -= part.level_slope * scale
         self._add_knowledge(unknowns, matrix, right)
         return matrix, right
-
-    def information(self, unknowns: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus twice the log-likelihood, and the information of all that is no noise.
-
-        At frozen gain, priors excluded; the matrix is of all unknowns, zero for those of the noise.
-        """
-        noise = self.levels.disturbed(self.noise(unknowns))
-        wanted = {"names": self.layout.free_names}
-        found = both_cores(
-            lambda index: self._pass(unknowns, index, noise, wanted), range(len(self.records))
-        )
-        n, n_noise = self.layout.n_unknowns, len(self.levels)
-        matrix, nothing = np.zeros((n, n)), np.zeros(n)
-        for index, part in enumerate(found):
-            where, size = (one[: len(one) - n_noise] for one in self.columns_of(unknowns, index))
-            matrix[np.ix_(where, where)] += part.gram[:-1, :-1] * size[:, None] * size
-        self._add_knowledge(unknowns, matrix, nothing)
-        return sum(part.objective for part in found), matrix
 
     def columns_of(self, unknowns: np.ndarray, record: int) -> tuple[np.ndarray, np.ndarray]:
         """Unknowns of the columns of a pass, levels last, and units of these, ``(n_columns,)``."""

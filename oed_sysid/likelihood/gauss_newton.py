@@ -83,7 +83,9 @@ FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # not: where a standard deviation is smaller than at frozen gain by that factor, and as much smaller
 # than with steps so many times longer, it is rounding as well.
 AMPLIFIED, FARTHER = 1.2, 3.0
-# Step over a standard deviation of the noise's unknowns in which information is differentiated.
+# Step, in standard deviations of the noise's unknowns, by which information is differentiated: ten
+# times as long it leaves a tenth of a nat more, and a very short one drowns in the rounding that an
+# unstable vehicle amplifies.
 SHORT = 0.1
 
 
@@ -281,11 +283,17 @@ def differentiated(problem: Filtered, point: Point) -> Iterate:
 def restricted(problem: Filtered, point: Point) -> Iterate:
     """Evaluate a point by the restricted likelihood, with the gradient of the filter as it is."""
     unknowns, levels = point.unknowns, problem.layout.levels
-    objective, frozen = problem.information(unknowns)
-    if not (np.isfinite(objective) and np.isfinite(frozen).all()):
+
+    def told(at: np.ndarray) -> tuple[float, float]:
+        found = problem.passes(at, levels=False)
+        own, matrix = 0.5 * sum(part.objective for part in found), problem.gathered(at, found)[0]
+        finite = np.isfinite(own) and np.isfinite(matrix).all()
+        return own, absorbed(problem, matrix) if finite else np.inf
+
+    own, known = told(unknowns)
+    cost = own + problem.prior_cost(unknowns) + known
+    if not np.isfinite(cost):
         return nowhere(problem, point)
-    known = absorbed(problem, frozen)
-    cost = 0.5 * objective + problem.prior_cost(unknowns) + known
 
     @cache
     def equations() -> Equations:
@@ -295,7 +303,7 @@ def restricted(problem: Filtered, point: Point) -> Iterate:
         for index in range(levels.start, levels.stop):
             moved = unknowns.copy()
             moved[index] += lengths[index]
-            slope = (absorbed(problem, problem.information(moved)[1]) - known) / lengths[index]
+            slope = (told(moved)[1] - known) / lengths[index]
             right[index] -= slope if np.isfinite(slope) else 0.0  # where it diverges, none
         return _filtered_equations(problem, point, cost, matrix, right)
 
