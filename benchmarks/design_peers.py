@@ -17,8 +17,6 @@ in brackets.
 from __future__ import annotations
 
 import argparse
-import os
-import shutil
 import sys
 import tempfile
 import time
@@ -29,7 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.design import remus
-from benchmarks.fit_peers import run_peer
+from benchmarks.fit_peers import ipopt_program, run_peer
 from benchmarks.harness import machine
 from oed_sysid import Experiment, Limits
 from oed_sysid.design import (
@@ -200,7 +198,7 @@ def compare(name: str, case: Case, asked: str, options: argparse.Namespace) -> N
             thrust=THRUST, free=np.array(free), scale=options.scale, step=options.step,
             options=np.array(options.ipopt),
         )  # fmt: skip
-        found = run_peer(("benchmarks.peers.pyomo_doe",), path, options.python, LONGEST)
+        found = run_peer(("benchmarks.peers.pyomo_doe",), path, [options.python], LONGEST)
     if isinstance(found, str):
         print(f"  Pyomo.DoE                  {found}", flush=True)
         return
@@ -217,17 +215,6 @@ def compare(name: str, case: Case, asked: str, options: argparse.Namespace) -> N
     )
 
 
-def stand_in(folder: Path) -> None:
-    """Put a program named ipopt on the path that solves by the IPOPT of CasADi."""
-    program = folder / "ipopt"
-    program.write_text(
-        f'#!/bin/sh\nexec {sys.executable} -m benchmarks.peers.ipopt_program "$@"\n',
-        encoding="ascii",
-    )
-    program.chmod(0o755)
-    os.environ["PATH"] = f"{folder}{os.pathsep}{os.environ['PATH']}"
-
-
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -242,10 +229,7 @@ def main() -> None:
     parser.add_argument("--ipopt", nargs="*", default=["max_iter=500"], help="name=value")
     options = parser.parse_args()
     print(machine())
-    with tempfile.TemporaryDirectory() as folder:
-        if shutil.which("ipopt") is None:
-            print("no program 'ipopt': CasADi's IPOPT stands in, with CasADi's derivatives")
-            stand_in(Path(folder))
+    with ipopt_program():
         designed(replace(CASES["small"], free=()))  # the kernel is compiled once
         for name in options.cases:
             for asked in options.criteria:

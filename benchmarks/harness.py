@@ -61,12 +61,39 @@ def least(
     return min(taken)
 
 
-def verdict(what: str, value: float, target: float, unit: str = "", *, at_most: bool = True) -> str:
-    """One line: what was measured beside its target, met or MISSED."""
-    met = value <= target if at_most else value >= target
-    relation = "<=" if at_most else ">="
-    stated = f"{value:.3g} {unit}".strip()
-    return f"{what:<58} {stated:>10}   target {relation} {target:g}: {'met' if met else 'MISSED'}"
+@dataclass(frozen=True)
+class Measured:
+    """What was measured beside its target.
+
+    Parameters
+    ----------
+    what : str
+        In words.
+    value : float
+        What was found, in ``unit``.
+    target : float
+        What was aimed at.
+    unit : str
+        Of both; empty for ratios.
+    at_most : bool
+        Whether the target is an upper limit, or else a lower one.
+    """
+
+    what: str
+    value: float
+    target: float
+    unit: str = ""
+    at_most: bool = True
+
+    @property
+    def met(self) -> bool:
+        """Whether the value keeps the target."""
+        return self.value <= self.target if self.at_most else self.value >= self.target
+
+    def __str__(self) -> str:
+        relation, ended = "<=" if self.at_most else ">=", "met" if self.met else "MISSED"
+        stated = f"{self.value:.3g} {self.unit}".strip()
+        return f"{self.what:<58} {stated:>10}   target {relation} {self.target:g}: {ended}"
 
 
 def machine() -> str:

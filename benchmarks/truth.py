@@ -31,7 +31,7 @@ MASSES = (30.48, 3.45, -0.93, -35.5, -1.93, -1.93, -4.88)
 def rates(
     x: Any, command: Any, p: Any, sin: Any, cos: Any, push: Any = (0.0, 0.0, 0.0),
     masses: Any = MASSES,
-) -> list[Any]:  # fmt: skip
+) -> tuple[Any, ...]:  # fmt: skip
     """Rates of u, w, q, theta, z; forward speed is positive, so u|u| is u^2.
 
     Written for numbers, arrays, complex steps, symbols and numba alike: ``p`` in the order of
@@ -45,13 +45,13 @@ def rates(
     surge = -m * q * w + p[0] * u * u + thrust + push[0]
     heave = m * u * q + u * (p[1] * w + p[2] * q + p[5] * u * fin) + push[1]
     pitch = u * (p[3] * w + p[4] * q + p[6] * u * fin) - p[7] * sin(theta) + push[2]
-    return [
+    return (
         surge / (m - x_udot),
         (lagging * heave + z_qdot * pitch) / determinant,
         (heavy * pitch + m_wdot * heave) / determinant,
         q,
         -u * sin(theta) + w * cos(theta),
-    ]
+    )
 
 
 def runge_kutta(rate: Callable[[Any, int], Any], x: Any, h: float) -> Any:

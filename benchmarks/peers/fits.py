@@ -1,16 +1,31 @@
 """Fits by other people's tools, one of a kind; each is run in a process of its own.
 
-    python -m benchmarks.peers.fits casadi_shooting dive.npz
+    python -m benchmarks.peers.fits casadi_expanded dive.npz
 
-casadi_shooting
-    Multiple shooting with IPOPT as CasADi's manual and its ``sysid.py`` example teach:
-    Gauss-Newton Hessian, exact jacobian, one node per sample, mapped integrator.
+Each is written as its authors' pages teach; what was chosen beyond them stands beside it.
+
+casadi_expanded, casadi_generated
+    Multiple shooting with IPOPT (CasADi's ``docs/examples/python/sysid.py``): one node a sample,
+    mapped integrator expanded into scalar operations, Gauss-Newton Hessian, exact jacobian;
+    interpreted, and with all functions as generated C.
+do_mpc_window
+    Moving-horizon estimation (do-mpc, *Getting started: MHE*), one window over the whole record.
 scipy_numba
-    SciPy's trust-region least squares with finite differences over a numba-compiled simulator.
+    SciPy's trust-region least squares with finite differences over a numba-compiled simulator
+    that allocates nothing but the path.
+optimistix_scan
+    Optimistix's Levenberg-Marquardt (its *least squares* page) over ``jax.lax.scan``, forward mode.
+pypesto_amici
+    pyPESTO over AMICI (pyPESTO's *AMICI in pyPESTO* example): adaptive integrator, forward
+    sensitivities, Fides with the Fisher information.
 parmest_collocation
-    Pyomo parmest: the discretised model as algebraic equations, trapezoidal rule, by IPOPT.
+    Pyomo parmest (its *quick guide*): the discretised model as algebraic equations, trapezoidal
+    rule, by IPOPT.
 pints_cma
-    PINTS: its CMA-ES on the sum of squares over the numba simulator, default stopping rules.
+    PINTS (its *optimisation first example*): CMA-ES on the sum of squares over the numba simulator,
+    default stopping rules.
+pybop_lbfgs
+    PyBOP with a simulator of one's own and its ``SciPyMinimize``.
 """
 
 from __future__ import annotations
@@ -18,49 +33,60 @@ from __future__ import annotations
 import math
 import shutil
 import sys
+import tempfile
 import time
 from collections.abc import Callable
 
 import numpy as np
 
-from benchmarks.peers.task import STEP, begin, load, report, share
+from benchmarks.peers.task import STEP, begin, load, report, share, used
 from benchmarks.truth import NOISE, TRUE, rates, runge_kutta
 
 Solver = Callable[[], np.ndarray]
 
 
-def casadi_shooting() -> tuple[Solver, float, int]:
+def casadi_expanded() -> tuple[Solver, float, int]:
+    """One step as scalar operations, interpreted."""
+    return casadi({})
+
+
+def casadi_generated() -> tuple[Solver, float, int]:
+    """All functions of the program as C, by the compiler of the machine."""
+    flags = {"compiler": "gcc", "flags": ["-O3", "-march=native"]}
+    return casadi({"jit": True, "compiler": "shell", "jit_options": flags})
+
+
+def casadi(options: dict) -> tuple[Solver, float, int]:
     """What solves, how long it took to build, s, and how often to time it."""
     import casadi as ca
 
     times, inputs, outputs = load()
     n = len(times)
-    began = time.process_time()
+    began = used()
     x, u, p = ca.MX.sym("x", 5), ca.MX.sym("u", 2), ca.MX.sym("p", 8)
     slopes = rates(ca.vertsplit(x), ca.vertsplit(u), ca.vertsplit(p), ca.sin, ca.cos)
     f = ca.Function("f", [x, u, p], [ca.vertcat(*slopes)])
-    step = ca.Function("step", [x, u, p], [runge_kutta(lambda z, _: f(z, u, p), x, STEP)])
+    following = runge_kutta(lambda z, _: f(z, u, p), x, STEP)
+    step = ca.Function("step", [x, u, p], [following]).expand()
     start = begin(outputs)
     scale = np.abs(start[:8])
     shares, nodes = ca.MX.sym("shares", 8), ca.MX.sym("X", 5, n)
-    following = step.map(n - 1, "serial")(
+    ends = step.map(n - 1, "serial")(
         nodes[:, :-1], inputs[:-1].T, ca.repmat(shares * scale, 1, n - 1)
     )
-    gaps = ca.vec(nodes[:, 1:] - following)
+    gaps = ca.vec(nodes[:, 1:] - ends)
     residual = ca.vec((nodes - outputs.T) / NOISE)
     unknowns = ca.veccat(shares, nodes)
     jacobian = ca.jacobian(residual, unknowns)
     hessian = ca.triu(ca.mtimes(jacobian.T, jacobian))
     sigma, multipliers = ca.MX.sym("sigma"), ca.MX.sym("lam", gaps.shape[0])
     gauss_newton = ca.Function(
-        "hess_lag", [unknowns, ca.MX(0, 1), sigma, multipliers], [sigma * hessian]
+        "hess_lag", [unknowns, ca.MX(0, 1), sigma, multipliers], [sigma * hessian], options
     )
     problem = {"x": unknowns, "f": 0.5 * ca.dot(residual, residual), "g": gaps}
-    options = {
-        "hess_lag": gauss_newton, "print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes",
-    }  # fmt: skip
-    solver = ca.nlpsol("solver", "ipopt", problem, options)
-    build = time.process_time() - began
+    quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
+    solver = ca.nlpsol("solver", "ipopt", problem, quiet | options | {"hess_lag": gauss_newton})
+    build = used() - began
     guess = np.concatenate([start[:8] / scale, outputs.ravel()])
 
     def solve() -> np.ndarray:
@@ -72,6 +98,55 @@ def casadi_shooting() -> tuple[Solver, float, int]:
     return solve, build, 3
 
 
+def do_mpc_window() -> tuple[Solver, float, int]:
+    """One window of moving-horizon estimation over the whole record, without an arrival cost."""
+    import casadi as ca
+    import do_mpc
+
+    _, inputs, outputs = load()
+    n = len(outputs)
+    start = begin(outputs)
+    began = used()
+    model = do_mpc.model.Model("discrete")
+    x = model.set_variable("_x", "x", (5, 1))
+    u = model.set_variable("_u", "u", (2, 1))
+    shares = model.set_variable("_p", "shares", (8, 1))
+    p = ca.vertsplit(shares * start[:8])
+
+    def slope(z: ca.SX, _: int) -> ca.SX:
+        return ca.vertcat(*rates(ca.vertsplit(z), ca.vertsplit(u), p, ca.sin, ca.cos))
+
+    model.set_meas("y", x / NOISE, meas_noise=True)
+    model.set_meas("held", u, meas_noise=False)
+    model.set_rhs("x", runge_kutta(slope, x, STEP), process_noise=False)
+    model.setup()
+    window = do_mpc.estimator.MHE(model, ["shares"])
+    window.set_param(
+        n_horizon=n - 1, t_step=STEP, meas_from_data=False,
+        nlpsol_opts={"ipopt.print_level": 0, "ipopt.sb": "yes", "print_time": 0},
+    )  # fmt: skip
+    # A sample measures the state at the end of its step, and the first stands in the arrival cost.
+    window.set_default_objective(P_x=np.diag(NOISE**-2.0), P_v=np.eye(5), P_p=1e-9 * np.eye(8))
+    seen = window.get_y_template()
+    for k in range(n - 1):
+        seen["y_meas", k] = np.concatenate([outputs[k + 1] / NOISE, inputs[k]])
+    window.set_y_fun(lambda _: seen)
+    window.setup()
+    build = used() - began
+
+    def solve() -> np.ndarray:
+        window.x0, window.u0, window.p_est0 = outputs[0], inputs[0], np.ones(8)
+        window.set_initial_guess()
+        for k in range(2, n):
+            window.opt_x_num["_x", k, -1] = outputs[k]
+        window.make_step(np.concatenate([outputs[-1] / NOISE, inputs[-1]])[:, None])
+        if not window.solver_stats["success"]:
+            raise RuntimeError(window.solver_stats["return_status"])
+        return np.array(window.opt_x_num["_p_est"]).ravel() * start[:8]
+
+    return solve, build, 1
+
+
 def compiled() -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
     """Weighted residuals ``(n * 5,)`` by numba; large where the model diverges."""
     from numba import njit
@@ -79,22 +154,44 @@ def compiled() -> Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]:
     slopes = njit(rates)
 
     @njit
-    def simulate(inputs, p, x0):  # type: ignore[no-untyped-def]
-        n = len(inputs)
-        path, k, x = np.empty((n, 5)), np.empty((4, 5)), x0.copy()
-        for i in range(n):
-            path[i] = x
-            for stage in range(4):
-                h = 0.0 if stage == 0 else (STEP if stage == 3 else STEP / 2)
-                y = x + h * k[stage - 1] if stage else x
-                found = slopes(y, inputs[i], p, math.sin, math.cos)
-                for j in range(5):
-                    k[stage, j] = found[j]
-            x = x + STEP / 6 * (k[0] + 2 * k[1] + 2 * k[2] + k[3])
-        return path
+    def simulate(inputs, p, start, path):  # type: ignore[no-untyped-def]
+        u, w, q, theta, z = start
+        half, sixth = STEP / 2, STEP / 6
+        for i in range(len(inputs)):
+            path[i, 0], path[i, 1], path[i, 2], path[i, 3], path[i, 4] = u, w, q, theta, z
+            held = inputs[i, 0], inputs[i, 1]
+            a = slopes((u, w, q, theta), held, p, math.sin, math.cos)
+            b = slopes(
+                (u + half * a[0], w + half * a[1], q + half * a[2], theta + half * a[3]),
+                held,
+                p,
+                math.sin,
+                math.cos,
+            )
+            c = slopes(
+                (u + half * b[0], w + half * b[1], q + half * b[2], theta + half * b[3]),
+                held,
+                p,
+                math.sin,
+                math.cos,
+            )
+            d = slopes(
+                (u + STEP * c[0], w + STEP * c[1], q + STEP * c[2], theta + STEP * c[3]),
+                held,
+                p,
+                math.sin,
+                math.cos,
+            )
+            u += sixth * (a[0] + 2 * b[0] + 2 * c[0] + d[0])
+            w += sixth * (a[1] + 2 * b[1] + 2 * c[1] + d[1])
+            q += sixth * (a[2] + 2 * b[2] + 2 * c[2] + d[2])
+            theta += sixth * (a[3] + 2 * b[3] + 2 * c[3] + d[3])
+            z += sixth * (a[4] + 2 * b[4] + 2 * c[4] + d[4])
 
     def residuals(unknowns: np.ndarray, inputs: np.ndarray, outputs: np.ndarray) -> np.ndarray:
-        scaled = (simulate(inputs, unknowns[:8], unknowns[8:]) - outputs) / NOISE
+        path = np.empty_like(outputs)
+        simulate(inputs, tuple(unknowns[:8]), tuple(unknowns[8:]), path)
+        scaled = (path - outputs) / NOISE
         return np.nan_to_num(scaled, nan=1e6, posinf=1e6, neginf=-1e6).ravel()
 
     return residuals
@@ -195,7 +292,165 @@ def pints_cma() -> tuple[Solver, float, int]:
     return solve, 0.0, 1
 
 
-TOOLS = (casadi_shooting, scipy_numba, parmest_collocation, pints_cma)
+def pypesto_amici() -> tuple[Solver, float, int]:
+    """AMICI's forward sensitivities, Fisher information as Hessian, the optimizer Fides."""
+    import amici.sim.sundials as sundials
+    import pypesto
+    import pypesto.optimize
+    import sympy
+    from amici.importers.antimony import MeasurementChannel, antimony2amici
+
+    times, inputs, outputs = load()
+    start = begin(outputs)
+    began = used()
+    states, unknown = sympy.symbols("u w q theta z"), sympy.symbols("k1:9")
+    derivatives = [float(value) * k for value, k in zip(start[:8], unknown, strict=True)]
+    slopes = rates(states, (sympy.Symbol("fin"), 9.0), derivatives, sympy.sin, sympy.cos)
+    lines = [f"{x}' = {sympy.ccode(rate)};" for x, rate in zip(states, slopes, strict=True)]
+    lines += [f"{x} = {x}0; {x}0 = {value};" for x, value in zip(states, start[8:], strict=True)]
+    lines += [f"{k} = 1.0;" for k in unknown]
+    # The square wave is switched where the samples are; a held sine is late by half a step.
+    square = inputs[:, 0] - 0.05 * np.sin(0.9 * times)
+    lines += [f"fin := square + 0.05*sin(0.9*(time - {STEP / 2})); square = {square[0]};"]
+    lines += [
+        f"at (time >= {times[i]:.1f}): square = {square[i]:.1f};"
+        for i in np.flatnonzero(np.abs(np.diff(square)) > 0.05) + 1
+    ]
+    channels = [
+        MeasurementChannel(f"y_{x}", formula=str(x), sigma=str(noise))
+        for x, noise in zip(states, NOISE, strict=True)
+    ]
+    with tempfile.TemporaryDirectory() as folder:
+        model = antimony2amici(
+            "\n".join(("model dive", *lines, "end")),
+            model_name="dive", output_dir=folder, observation_model=channels,
+        )  # fmt: skip
+    model.set_timepoints(times.tolist())
+    data = sundials.ExpData(model.get())
+    data.set_measurements(outputs.ravel().tolist())
+    integrator = model.create_solver()
+    integrator.set_max_steps(100_000)
+    integrator.set_absolute_tolerance(1e-8)  # of its own 1e-16 it does not arrive
+    objective = pypesto.AmiciObjective(model, integrator, [data])
+    guess = np.array(model.get_free_parameters())
+    wide = 10.0 * np.maximum(np.abs(guess), 1.0)
+    problem = pypesto.Problem(objective, guess - wide, guess + wide, x_guesses=[guess])
+    ids = list(objective.x_ids)
+    optimizer = pypesto.optimize.FidesOptimizer(verbose=40)
+    build = used() - began
+
+    def solve() -> np.ndarray:
+        found = pypesto.optimize.minimize(problem, optimizer, n_starts=1, progress_bar=False)
+        best = dict(zip(ids, found.optimize_result[0].x, strict=True))
+        return np.array([best[str(k)] for k in unknown]) * start[:8]
+
+    return solve, build, 1
+
+
+def optimistix_scan() -> tuple[Solver, float, int]:
+    """Levenberg and Marquardt's method with the jacobian of a compiled scan."""
+    import jax
+    import jax.numpy as jnp
+    import optimistix
+
+    jax.config.update("jax_enable_x64", True)
+    _, inputs, outputs = load()
+    start = begin(outputs)
+    scale = np.where(start != 0, np.abs(start), 1.0)
+    scale[8:] = NOISE
+    commands, seen = jnp.asarray(inputs), jnp.asarray(outputs)
+
+    def residuals(unknowns: jax.Array, _: None) -> jax.Array:
+        p = unknowns[:8] * scale[:8]
+
+        def step(x: jax.Array, u: jax.Array) -> tuple[jax.Array, jax.Array]:
+            def rate(z: jax.Array, _: int) -> jax.Array:
+                return jnp.stack(rates(z, u, p, jnp.sin, jnp.cos))
+
+            return runge_kutta(rate, x, STEP), x
+
+        path = jax.lax.scan(step, unknowns[8:] * scale[8:], commands)[1]
+        return ((path - seen) / NOISE).ravel()
+
+    method = optimistix.LevenbergMarquardt(rtol=1e-8, atol=1e-8)
+
+    @jax.jit
+    def run(guess: jax.Array) -> jax.Array:
+        options = {"jac": "fwd"}
+        return optimistix.least_squares(
+            residuals, method, guess, options=options, max_steps=200, throw=True
+        ).value
+
+    began = used()
+    guess = jnp.asarray(start / scale)
+    run(guess).block_until_ready()
+    build = used() - began
+
+    def solve() -> np.ndarray:
+        return (np.asarray(run(guess)) * scale)[:8]
+
+    return solve, build, 7
+
+
+def pybop_lbfgs() -> tuple[Solver, float, int]:
+    """Sum of squares of a simulator of one's own, L-BFGS-B by SciPy with finite differences."""
+    import pybop
+
+    _, inputs, outputs = load()
+    start, residuals = begin(outputs), compiled()
+    scale = np.where(start != 0, np.abs(start), 1.0)
+    scale[8:] = NOISE
+    residuals(start, inputs, outputs)
+    names = [f"k{j}" for j in range(13)]
+
+    class Dive(pybop.BaseSimulator):
+        """Weighted residuals as one output."""
+
+        def set_output_variables(self, target: list[str]) -> None:
+            """There is one."""
+
+        def solve_batch(self, inputs: list, calculate_sensitivities: bool = False) -> list:
+            """Simulate each set of parameters."""
+            found = []
+            for values in inputs:
+                unknowns = np.array([values[name] for name in names]) * scale
+                solution = pybop.Solution(values)
+                left = residuals(unknowns, commands, outputs)
+                solution.set_solution_variable("residual", data=np.clip(left, -1e6, 1e6))
+                found.append(solution)
+            return found
+
+    commands = inputs
+    unknown = {
+        name: pybop.Parameter(initial_value=float(value), bounds=[value - 10.0, value + 10.0])
+        for name, value in zip(names, start / scale, strict=True)
+    }
+    nothing = np.zeros(outputs.size)
+    data = pybop.Dataset({"Time [s]": np.arange(outputs.size, dtype=float), "residual": nothing})
+    cost = pybop.SumSquaredError(data, target="residual")
+    problem = pybop.Problem(Dive(pybop.Parameters(unknown)), cost)
+    options = pybop.SciPyMinimizeOptions(method="L-BFGS-B", maxiter=2000, tol=1e-12)
+
+    def solve() -> np.ndarray:
+        found = pybop.SciPyMinimize(problem, options=options).run()
+        return (np.asarray(found.x) * scale)[:8]
+
+    return solve, 0.0, 1
+
+
+# What each needs, whose versions are reported.
+TOOLS: dict[Callable[[], tuple[Solver, float, int]], tuple[str, ...]] = {
+    casadi_expanded: ("casadi",),
+    casadi_generated: ("casadi",),
+    do_mpc_window: ("do-mpc", "casadi"),
+    scipy_numba: ("scipy", "numba"),
+    optimistix_scan: ("optimistix", "jax"),
+    pypesto_amici: ("pypesto", "amici", "fides"),
+    parmest_collocation: ("pyomo",),
+    pints_cma: ("pints", "numba"),
+    pybop_lbfgs: ("pybop", "numba"),
+}
 
 if __name__ == "__main__":
-    report(*next(tool for tool in TOOLS if tool.__name__ == sys.argv[1])())
+    tool = next(tool for tool in TOOLS if tool.__name__ == sys.argv[1])
+    report(TOOLS[tool], *tool())

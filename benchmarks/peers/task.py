@@ -12,7 +12,8 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
 
 import numpy as np
 
@@ -44,12 +45,19 @@ def used() -> float:
     return time.process_time() + children.ru_utime + children.ru_stime
 
 
-def report(solve: Callable[[], np.ndarray], build: float = 0.0, repeats: int = 1) -> None:
-    """Time a solution and print it with its estimates as JSON."""
+def report(
+    packages: Sequence[str], solve: Callable[[], np.ndarray], build: float = 0.0, repeats: int = 1
+) -> None:
+    """Time a solution and print it as JSON, with its estimates and the versions of packages."""
     taken = []
     for _ in range(repeats):
         began = used()
         found = solve()
         taken.append(used() - began)
-    result = {"seconds": min(taken), "build": build, "estimates": np.asarray(found).tolist()}
+    result = {
+        "seconds": min(taken),
+        "build": build,
+        "estimates": np.asarray(found).tolist(),
+        "versions": {name: version(name) for name in packages},
+    }
     print(json.dumps(result))

@@ -17,6 +17,7 @@ from oed_sysid.evidence.relations import Relation, relations
 from oed_sysid.evidence.result import Correction, Finding, LogCheck, is_a
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem
+from oed_sysid.likelihood.noise_levels import first_order
 from oed_sysid.physics.model import Model
 
 # What happened last on the way from the vehicle to the log is undone first.
@@ -98,13 +99,11 @@ def lagged(times: np.ndarray, series: np.ndarray, lag: float) -> np.ndarray:
     >>> print(lagged(t, 1.0 * (t > 0.0), 2.0)[200].round(2))
     0.63
     """
-    from scipy.signal import lfilter
-
     if lag <= 0.0:
         return np.asarray(series - lag * np.gradient(series, times))
     # The mean delay is the lag, whatever the step.
-    keep = lag / (lag + float(np.median(np.diff(times))))
-    return np.asarray(lfilter([1.0 - keep], [1.0, -keep], series, zi=[keep * series[0]])[0])
+    step = float(np.median(np.diff(times)))
+    return first_order(series, step / (lag + step))
 
 
 def _undone(

@@ -30,7 +30,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from scipy.signal import lombscargle
 
 from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.preparation import ENOUGH
@@ -419,6 +418,8 @@ def lines(
     >>> print(f"{found[0]:.3f}")
     0.714
     """
+    from scipy.signal import lombscargle  # takes half a second
+
     longest = max((float(t[-1] - t[0]) for t in times if len(t) > 1), default=0.0)
     count = int(np.ceil((high - low) * longest * PER_CYCLE / (2.0 * np.pi))) + 1
     if not (high > low and 3 <= count <= ENOUGH):

@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.interpolate import CubicSpline
 
 from oed_sysid.data.record import GAP, Record
 from oed_sysid.evidence.relations import STANDARD_UNITS
@@ -129,6 +128,8 @@ class Trace:
                 series[name] = np.interp(self.times, self.times[present], values[present])
             if 3 < present.size < self.times.size:  # a curve between samples, straight on outside
                 inside = slice(present[0], present[-1] + 1)
+                from scipy.interpolate import CubicSpline  # takes a third of a second
+
                 curve = CubicSpline(self.times[present], values[present])
                 series[name][inside] = curve(self.times[inside])
         return series

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 
 import casadi as ca
 import numpy as np
-from scipy.optimize import least_squares
 
 from oed_sysid.compiled import graph as graph_module
 from oed_sysid.compiled.graph import Graph
@@ -180,6 +179,8 @@ def _zero(
     bounds: tuple[np.ndarray, np.ndarray],
 ) -> np.ndarray:
     """Where least squares within bounds, from several starts, leaves least of the misses."""
+    from scipy.optimize import least_squares  # a fifth of a second, which fits do without
+
     best = first
     for push in (0.0, 0.1, 1.0, -1.0) if len(first) and len(misses(first)) else ():
         # Zero is often a singular start: |u|u has no slope there.

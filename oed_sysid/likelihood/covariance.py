@@ -49,8 +49,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.special import gammaincc
-from scipy.stats import chi2
+from scipy.special import chdtrc, gammaincc
 
 from oed_sysid.data.dataset import Record
 from oed_sysid.data.record import sampled_alike
@@ -474,7 +473,7 @@ def spectral_peak(series: Sequence[np.ndarray], sample_time: float, output: str 
         # Of white series each sum is chi-squared with two degrees of freedom a line and block.
         sums = np.convolve(power[first : last + 1], np.ones(2 * width + 1), "valid")
         freedom = count * (2 * width + 1)
-        chances = chi2.sf(2.0 * sums, 2 * freedom)
+        chances = chdtrc(2 * freedom, 2.0 * sums)
         at = int(np.argmin(chances))
         chance = min(1.0, float(chances[at]) * tries)
         if chance < best.chance:

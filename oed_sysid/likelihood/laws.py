@@ -34,7 +34,6 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from scipy.signal import lfilter
 from scipy.special import chdtri
 
 from oed_sysid.compiled.filtering import FilterPass, filter_kernel
@@ -44,7 +43,7 @@ from oed_sysid.likelihood.disturbances import DISTURBANCE, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import Estimate
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
-from oed_sysid.likelihood.noise_levels import RARE
+from oed_sysid.likelihood.noise_levels import RARE, first_order
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.projection import inverse_of
 from oed_sysid.likelihood.score_test import Setting
@@ -420,9 +419,5 @@ def _signals(problem: Filtered, record: Record, path: np.ndarray) -> dict[str, n
 def _lagged(times: np.ndarray, series: np.ndarray) -> np.ndarray:
     """A signal after lags of first order, from some samples to a tenth of the record."""
     step, length = float(np.median(np.diff(times))), float(times[-1] - times[0])
-    found = []
-    for time in np.geomspace(3.0 * step, max(0.1 * length, 3.0 * step), LAGS):
-        share = -np.expm1(-step / time)
-        begin = np.array([(1.0 - share) * series[0]])
-        found.append(lfilter([share], [1.0, share - 1.0], series, zi=begin)[0])
-    return np.column_stack(found)
+    lags = np.geomspace(3.0 * step, max(0.1 * length, 3.0 * step), LAGS)
+    return np.column_stack([first_order(series, -np.expm1(-step / lag)) for lag in lags])

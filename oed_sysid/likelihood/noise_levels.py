@@ -20,6 +20,7 @@ from functools import cached_property
 from math import comb
 
 import numpy as np
+from scipy.linalg import solve_banded
 from scipy.special import chdtri, ndtr, ndtri
 
 from oed_sysid.data.dataset import Dataset
@@ -244,6 +245,20 @@ def _stated(names: Sequence[str], levels: np.ndarray) -> np.ndarray:
                 "Give a positive standard deviation, or noise='estimate'."
             )
     return levels
+
+
+def first_order(series: np.ndarray, share: float) -> np.ndarray:
+    """Answer of first order to a series, from rest at its first value.
+
+    Each sample takes a share of what is left: ``a[k] = a[k-1] + share * (s[k] - a[k-1])``.
+
+    >>> print(first_order(np.array([0.0, 1.0, 1.0, 1.0]), 0.5))
+    [0.    0.5   0.75  0.875]
+    """
+    bands = np.stack([np.ones(series.size), np.full(series.size, share - 1.0)])
+    asked = share * series
+    asked[0] = series[0]
+    return np.asarray(solve_banded((1, 0), bands, asked, check_finite=False))
 
 
 def root_mean_square(parts: Sequence[np.ndarray]) -> np.ndarray:

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 from scipy.linalg.lapack import dpotrf, dpotrs
-from scipy.optimize import lsq_linear
 
 # Scaled information below this share of the largest is none; and squared part in an unseen
 # direction from which on an unknown is not determined.
@@ -69,6 +68,8 @@ def bounded_step(
         triangle = roots[:, None] * vectors.T
     if np.all(step >= lower) and np.all(step <= upper):
         return step
+    from scipy.optimize import lsq_linear  # a fifth of a second, which few fits need
+
     # With A = T' T: minimise |T x - T'^-1 b| within the bounds, by active sets.
     projected = np.linalg.lstsq(triangle.T, target, rcond=None)[0]
     bounds = lower[open_] / scale, upper[open_] / scale
