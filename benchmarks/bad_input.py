@@ -10,10 +10,11 @@ import re
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
+from typing import Any
 
-from benchmarks.harness import ROOT, command, markdown, write_page
+from benchmarks.harness import ROOT, Row, command, markdown, table_of, write_page
 from oed_sysid.data.dataset import read_csv
 from oed_sysid.errors import OedSysidError
 from oed_sysid.experiments.problem import load_problem
@@ -83,6 +84,24 @@ def sections() -> dict[str, str]:
     }
 
 
+CATALOGUES: tuple[tuple[str, Any, Callable[[Any], str]], ...] = (
+    ("CSV files to be refused", csv_files.REFUSED, csv_message),
+    ("CSV files to be read, with a note", csv_files.NOTED, csv_message),
+    ("problem folders to be refused", problem_files.REFUSED, problem_message),
+)
+
+
+def counted() -> list[Row]:
+    """Entries of each catalogue, those with the message that they must get, and silent ones."""
+    rows = list[Row]()
+    for what, entries, say in CATALOGUES:
+        answers = [(say(content), words) for _, content, words in entries]
+        right = sum(all(word in answer for word in words) for answer, words in answers)
+        silent = sum(not answer for answer, _ in answers)
+        rows.append({"catalogue": what, "entries": len(entries), "right": right, "silent": silent})
+    return rows
+
+
 def main(*, write: bool = False) -> None:
     """Count the messages that are right.
 
@@ -91,17 +110,7 @@ def main(*, write: bool = False) -> None:
     write : bool
         write docs/errors.md
     """
-    for what, entries, say in (
-        ("CSV files refused", csv_files.REFUSED, csv_message),
-        ("CSV files read and noted", csv_files.NOTED, csv_message),
-        ("problem folders refused", problem_files.REFUSED, problem_message),
-    ):
-        answers = [(say(content), words) for _, content, words in entries]  # type: ignore[operator]
-        right = sum(all(word in answer for word in words) for answer, words in answers)
-        silent = sum(not answer for answer, _ in answers)
-        print(
-            f"{what}: {len(entries)}, with the message that they must get {right}, silent {silent}"
-        )
+    print("\n".join(table_of(counted())))
     for name, content in sections().items() if write else ():
         write_page(PAGE, content, name)
 

@@ -245,6 +245,17 @@ def markdown(head: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]
     return [f"| {lines[0]} |", "|" + "---|" * len(head), *(f"| {line} |" for line in lines[1:])]
 
 
+def table_of(rows: Sequence[Row]) -> list[str]:
+    """Lines of a Markdown table of rows that have the same names.
+
+    Examples
+    --------
+    >>> table_of([{"a": 1, "b": 2}])
+    ['| a | b |', '|---|---|', '| 1 | 2 |']
+    """
+    return markdown([*rows[0]], [[*row.values()] for row in rows])
+
+
 def tabulate(
     groups: Mapping[Hashable, Sequence[Row]], columns: Mapping[str, Callable[..., object]]
 ) -> list[str]:

@@ -23,7 +23,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.harness import ROOT, command, markdown
+from benchmarks.harness import ROOT, Row, command, table_of
 
 RECORDS = ROOT / "problems" / "remus_diving_plane" / "data"
 COMMANDS: Mapping[str, tuple[str, ...]] = {
@@ -150,6 +150,18 @@ def _without_times(value: Any) -> Any:
     return [_without_times(v) for v in value] if isinstance(value, list) else value
 
 
+def counted(kills: int, seed: int) -> list[Row]:
+    """What killing each command does to it."""
+    rows = list[Row]()
+    for name, words in COMMANDS.items():
+        one = killed(words, kills=kills, rng=np.random.default_rng(seed))
+        rows.append({"command": name, "killed": one.kills, "steps written again": one.rewritten,
+                     "equal": "yes" if one.equal else "no", "files left": one.left,
+                     "s": round(one.seconds), "undisturbed, s": round(one.undisturbed),
+                     "ok": one.ok})  # fmt: skip
+    return rows
+
+
 def main(*, kills: int = 20, seed: int = 0) -> None:
     """Print a table; end with 1 if anything was lost.
 
@@ -160,18 +172,9 @@ def main(*, kills: int = 20, seed: int = 0) -> None:
     seed : int
         of their times
     """
-    found = {
-        name: killed(words, kills=kills, rng=np.random.default_rng(seed))
-        for name, words in COMMANDS.items()
-    }
-    head = ("command", "killed", "steps written again", "equal", "files left", "s", "undisturbed")
-    rows = [
-        (name, one.kills, one.rewritten, "yes" if one.equal else "no", one.left,
-         f"{one.seconds:.0f}", f"{one.undisturbed:.0f}")
-        for name, one in found.items()
-    ]  # fmt: skip
-    print("\n".join(markdown(head, rows)))
-    sys.exit(0 if all(one.ok for one in found.values()) else 1)
+    rows = counted(kills, seed)
+    print("\n".join(table_of(rows)))
+    sys.exit(not all(row["ok"] for row in rows))
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """Exam of the check of logs: faults put into simulated logs, and logs without any.
 
     python -m benchmarks.spoilt_logs [faults clean inputs] [--seeds N] [--first SEED] [--kind WORD]
-    python -m benchmarks.spoilt_logs copies measured
+    python -m benchmarks.spoilt_logs copies as_they_are measured
 
 Two vehicles that share nothing with the package: a diving plane and a ship, zigzags and steps
 integrated by Runge and Kutta's fourth order at a fifth of the sampling step, with random forces.
@@ -19,14 +19,14 @@ certified, that is said to be adequate, or a disturbance, without a word about t
 from __future__ import annotations
 
 import sys
-import time
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import product
 
 import numpy as np
 
-from benchmarks.harness import ROOT, command, known, markdown, write_page
+from benchmarks.harness import Row, command, known
 from benchmarks.kinematics import (
     data_folder,
     diving_plane,
@@ -37,14 +37,13 @@ from benchmarks.kinematics import (
 from benchmarks.truth import gauss_markov, runge_kutta
 from oed_sysid import Dataset, Model, Record, check, improve, load_problem, read_csv
 from oed_sysid.errors import OedSysidError
-from oed_sysid.evidence.check import LogCheck, quick_check
+from oed_sysid.evidence.check import LogCheck
 from oed_sysid.experiments.schedules import FromRecord
 from oed_sysid.experiments.simulation import simulate
 
 Signals = dict[str, np.ndarray]
 Shape = Callable[[Signals, np.ndarray], np.ndarray]
 SAMPLES, FINER = 900, 5
-PAGE = ROOT / "docs" / "check.md"
 
 
 @dataclass(frozen=True)
@@ -380,62 +379,38 @@ def judged(craft: Craft, data: Dataset, spoil: Spoil) -> tuple[bool, bool, bool,
     return first, named or other, found.suspect, said[:90]
 
 
-def faults(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
-    """One row for each kind and size; all kinds in the table of the page, where that is asked."""
-    total = np.zeros(4, dtype=int)
-    kinds: dict[str, dict[int, np.ndarray]] = {}
-    began = time.process_time()
-    for craft in crafts:
-        rows: dict[tuple[str, tuple[str, ...], int, int], np.ndarray] = {}
-        misses: dict[tuple[str, tuple[str, ...], int, int], str] = {}
-        for seed in seeds:
-            for index, spoil in enumerate(faults_of(craft)):
-                if only and only not in spoil.kind:
-                    continue
-                for i, size in enumerate(spoil.sizes):
-                    key = (spoil.kind, spoil.signals, index, i)
+def faults(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+    """Every kind and size: how often it comes first, is named, and anything is suspect."""
+    rows: list[Row] = []
+    for craft in crafts or CRAFT:
+        for spoil in faults_of(craft):
+            for place, size in enumerate(spoil.sizes) if only in spoil.kind else ():
+                row = {"vehicle": craft.name, "kind": spoil.kind, "signals": list(spoil.signals),
+                       "size": size, "place": place, "of": 0, "first": 0, "named": 0, "suspect": 0,
+                       "missed": ""}  # fmt: skip
+                for seed in seeds:
                     try:
-                        result = judged(craft, written(craft, seed, spoil, size), spoil)
+                        found = judged(craft, written(craft, seed, spoil, size), spoil)
                     except OedSysidError as error:  # refused with the line to write
-                        result = (True, True, True, type(error).__name__)
-                    rows[key] = rows.get(key, np.zeros(4, dtype=int)) + np.array([1, *result[:3]])
-                    if not result[0]:
-                        misses[key] = result[3]
-        for (kind, names, index, i), counts in rows.items():
-            size = faults_of(craft)[index].sizes[i]
-            print(
-                f"{craft.name:12} {kind:12} {','.join(names):9} {size:8.3g}  first {counts[1]} "
-                f"named {counts[2]} suspect {counts[3]} of {counts[0]}  "
-                f"{misses.get((kind, names, index, i), '')}",
-                flush=True,
-            )
-            total += counts
-            place = min(i, 2)
-            sizes = kinds.setdefault(kind, {})
-            sizes[place] = sizes.get(place, np.zeros(4, dtype=int)) + counts
-    if write:
-        write_page(PAGE, "\n".join(_table(kinds, total)), "spoilt")
-    print(
-        f"all: first {total[1]}, named {total[2]}, suspect {total[3]} of {total[0]}; "
-        f"{(time.process_time() - began) / max(total[0], 1):.2f} s each with the simulation"
-    )
+                        found = (True, True, True, type(error).__name__)
+                    row["of"] += 1
+                    for key, value in zip(("first", "named", "suspect"), found, strict=False):
+                        row[key] += bool(value)
+                    row["missed"] = row["missed"] if found[0] else found[3]
+                rows.append(row)
+                print(
+                    f"{craft.name:12} {spoil.kind:12} {','.join(spoil.signals):9} {size:8.3g}  "
+                    f"first {row['first']} named {row['named']} suspect {row['suspect']} of "
+                    f"{row['of']}  {row['missed']}", flush=True,
+                )  # fmt: skip
+    total = {key: sum(row[key] for row in rows) for key in ("first", "named", "suspect", "of")}
+    print(", ".join(f"{key} {count}" for key, count in total.items()))
+    return rows
 
 
-def _table(kinds: dict[str, dict[int, np.ndarray]], total: np.ndarray) -> list[str]:
-    """Lines of a table of all kinds: how often each is found, and at which of its sizes."""
-    rows = []
-    for kind, sizes in kinds.items():
-        every = np.sum([*sizes.values()], axis=0)
-        at = (f"{sizes[k][1]} of {sizes[k][0]}" if k in sizes else "" for k in range(3))
-        rows.append((f"`{kind}`", *every[[1, 2, 3, 0]], *at))
-    rows.append(("all", *total[[1, 2, 3, 0]], "", "", ""))
-    head = ("fault", "first", "named", "suspect", "of", "smallest size", "middle", "largest")
-    return markdown(head, rows)
-
-
-def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
+def inputs(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
     """Inputs of a shipped problem whose true values are drawn from the priors of its model."""
-    problem = load_problem("remus_diving_plane")
+    problem, rows = load_problem("remus_diving_plane"), list[Row]()
     for kind in (*INPUTS, *ACTED):
         said = []
         for seed in seeds if only in kind else ():
@@ -460,8 +435,11 @@ def inputs(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> Non
             mine = {*run.channels.input_names}
             every = [one for one in found.findings if one.suspect or mine & {*one.signals}]
             said.append("; ".join(one.name + " (note)" * (not one.suspect) for one in every) or "-")
-        counts = {words: said.count(words) for words in said}
-        print(f"{problem.model.input_names[0]} {kind:10} {counts}", flush=True)
+        if said:
+            counts = {words: said.count(words) for words in said}
+            rows.append({"kind": kind, "said": counts, "of": len(said)})
+            print(f"{problem.model.input_names[0]} {kind:10} {counts}", flush=True)
+    return rows
 
 
 def _lagged(t: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -492,18 +470,21 @@ ACTED: dict[str, Callable[[np.ndarray, np.ndarray, int], np.ndarray]] = {
 }
 
 
-def clean(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
+def clean(seeds: range, only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
     """False alarms on logs without a fault."""
-    for craft in crafts:
-        said: dict[str, list[str]] = {noise: [] for noise in _COLOURS if only in noise}
-        for seed in seeds:
-            for noise, alarms in said.items():
-                found = check(written(craft, seed, noise=noise), craft.model, inputs=False)
-                alarms += [f"{seed}: {found.verdict[13:70]}"] * found.suspect
-        for noise, alarms in said.items():
+    rows = list[Row]()
+    for craft, noise in product(crafts or CRAFT, _COLOURS):
+        alarms = list[str]()
+        for seed in seeds if only in noise else ():
+            found = check(written(craft, seed, noise=noise), craft.model, inputs=False)
+            alarms += [f"{seed}: {found.verdict[13:70]}"] * found.suspect
+        if only in noise:
+            rows.append({"vehicle": craft.name, "noise": noise, "suspect": len(alarms),
+                         "of": len(seeds)})  # fmt: skip
             print(
                 f"{craft.name:12} {noise:10} {len(alarms)} of {len(seeds)} {alarms[:4]}", flush=True
             )
+    return rows
 
 
 @fault
@@ -559,20 +540,19 @@ def named_as(found: LogCheck, name: str) -> bool:
     return len(found.serious) == 1 and found.named(one.kind, one.signals[0]) is not None
 
 
-def copies(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> int:
-    """Spoilt copies through the check and the search; how many the search certifies."""
+def copies(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+    """Spoilt copies of a hidden-effect case through the check and the search."""
     cases = hidden_effect_cases()
     if not cases:
-        print("no hidden_effects folder below OED_SYSID_DATA")
-        return 1
+        raise SystemExit("no hidden_effects folder below OED_SYSID_DATA")
     problem, train = cases["case_010"]
     files = sorted((data_folder() / "hidden_effects" / "case_010").glob("test_*.csv"))
-    test, rows, certified = read_csv(files, problem.channels), [], 0
+    test, rows = read_csv(files, problem.channels), list[Row]()
     for name, one in COPIES.items():
         if only not in name:
             continue
-        began, bad, signal = time.perf_counter(), spoil(train, name), one.signals[0]
-        found, quick = check(bad, problem), quick_check(bad, problem.model)
+        bad = spoil(train, name)
+        found = check(bad, problem)
         result = improve(problem.model, bad, spoil(test, name), candidates=problem.effects)
         # A sensor effect on the signal that is wrong names the fault, in its own way.
         named = result.remains.kind == "log suspect" or any(
@@ -580,23 +560,30 @@ def copies(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> int
             and one.signals[0] in " ".join(map(str, step.effect.terms))
             for step in result.steps
         )
-        wrong = not named and result.remains.kind in ("adequate", "disturbance")
-        certified += wrong
+        certified = not named and result.remains.kind in ("adequate", "disturbance")
         said = "named" if named_as(found, name) else found.verdict
         added = ", ".join(step.added for step in result.steps) or "-"
-        seconds = f"{time.perf_counter() - began:.0f}"
-        rows.append((f"{one.kind} {signal}", said, quick.verdict, result.remains.kind, added,
-                     "YES" if wrong else "no", seconds))  # fmt: skip
-        print(" | ".join(rows[-1]), flush=True)
-    head = ("spoilt", "check", "quick check", "improve", "added", "certified", "s")
-    print("\n".join([*markdown(head, rows), "", f"{certified} of {len(rows)} certified"]))
-    for name, (own, records) in cases.items():
-        print(f"{name} as it is: {check(records, own).verdict}", flush=True)
-    return certified
+        rows.append({"spoilt": f"{one.kind} of {one.signals[0]}", "check": said,
+                     "improve": result.remains.kind, "added": added,
+                     "certified": certified})  # fmt: skip
+        print(" | ".join(map(str, rows[-1].values())), flush=True)
+    return rows
 
 
-def measured(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> None:
+def as_they_are(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
+    """What the check says of the hidden-effect cases, in two of which a sensor errs."""
+    rows = [
+        {"case": name, "check": check(records, own).verdict}
+        for name, (own, records) in hidden_effect_cases().items()
+    ]
+    for row in rows:
+        print(" | ".join(row.values()))
+    return rows
+
+
+def measured(seeds: range = range(1), only: str = "", crafts: Sequence[Craft] = ()) -> list[Row]:
     """What the check says about measured files."""
+    rows = list[Row]()
     for title, model, load in measured_files():
         if only not in title:
             continue
@@ -607,11 +594,13 @@ def measured(seeds: range, only: str, crafts: Sequence[Craft], write: bool) -> N
         print(f"{title}{' (heading wraps)' if wrapped else ''}")
         for one in found.findings:
             print(f"     {'*' if one.suspect else ' '} {one.says}", flush=True)
+        rows.append({"file": title, "said": [one.says for one in found.findings]})
+    return rows
 
 
-PARTS = {
-    "faults": faults, "clean": clean, "inputs": inputs, "copies": copies, "measured": measured,
-}  # fmt: skip
+PARTS: dict[str, Callable[..., list[Row]]] = {
+    part.__name__: part for part in (faults, clean, inputs, copies, as_they_are, measured)
+}
 
 
 def main(
@@ -621,14 +610,13 @@ def main(
     first: int = 1000,
     kind: str = "",
     vehicle: str = "",
-    write: bool = False,
 ) -> int:
     """Run the parts that are asked for; return how many spoilt copies were certified.
 
     Parameters
     ----------
     parts : sequence of str
-        faults, clean, inputs, copies, measured
+        faults, clean, inputs, copies, as_they_are, measured
     seeds : int
         logs of each kind
     first : int
@@ -637,12 +625,11 @@ def main(
         only kinds of fault or noise, copies or files with this word
     vehicle : str
         only the one with this word in its name
-    write : bool
-        put the table of faults into docs/check.md
     """
     crafts = [craft for craft in CRAFT if vehicle in craft.name]
     wanted = [PARTS[known(part, PARTS, "part")] for part in parts]
-    return sum(part(range(first, first + seeds), kind, crafts, write) or 0 for part in wanted)
+    found = [row for part in wanted for row in part(range(first, first + seeds), kind, crafts)]
+    return sum(bool(row.get("certified")) for row in found)
 
 
 if __name__ == "__main__":

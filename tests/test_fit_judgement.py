@@ -25,7 +25,7 @@ from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
 from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood import multiple_shooting
-from oed_sysid.likelihood.departures import estimate_delays
+from oed_sysid.likelihood.departures import estimate_departures
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import nowhere
 from oed_sysid.likelihood.judgement import CHECKS, FATAL, Concern, judge, unexplained
@@ -260,8 +260,36 @@ def test_delays_are_measured(delay: float) -> None:
         fit = WHITE.fit(yaw_model(), changed(yaw_data(seed), shift))
         (found,) = (c for c in fit.concerns if c.kind == "delay")
         assert found.signal == "psi"
-        one = next(d for d in estimate_delays(fit) if d.signal == "psi")
-        assert abs(one.seconds - delay) < 3.5 * one.std + 0.1 * abs(delay)
+        one = next(d for d in estimate_departures(fit) if (d.signal, d.kind) == ("psi", "late"))
+        assert abs(one.size - delay) < 3.5 * one.std + 0.1 * abs(delay)
+
+
+@pytest.mark.parametrize(("kind", "size"), [("off", 1.0), ("off", -2.0), ("scale", 0.1)])
+def test_errors_of_a_sensor_are_measured(kind: str, size: float) -> None:
+    """A yaw rate off by its noise, or of another scale, is named with its size, alone."""
+    size = size * float(NOISE[1]) if kind == "off" else size
+
+    def spoil(record: Record) -> np.ndarray:
+        wrong = record.outputs.copy()
+        wrong[:, 1] += size if kind == "off" else size * wrong[:, 1]
+        return wrong
+
+    named = {"off": "offset", "scale": "scale"}[kind]
+    for seed in range(4):
+        fit = WHITE.fit(yaw_model(), changed(yaw_data(seed), spoil))
+        (found,) = (c for c in fit.concerns if c.kind in ("delay", "offset", "scale"))
+        # A rate that is too large and an angle that is too small are the same where K is free.
+        assert found.kind == named
+        assert found.signal == "r" or "r (scale)" in found.text
+        one = next(d for d in estimate_departures(fit) if (d.signal, d.kind) == ("r", kind))
+        assert abs(one.size - size) < 3.5 * one.std + 0.1 * abs(size)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_right_sensors_are_not_blamed(seed: int) -> None:
+    """Nothing is said of clocks, zeros and scales where none is wrong."""
+    fit = WHITE.fit(yaw_model(), yaw_data(seed))
+    assert not {"delay", "offset", "scale"} & {c.kind for c in fit.concerns}
 
 
 def test_a_late_input_is_measured() -> None:

@@ -459,7 +459,8 @@ def test_what_was_told_in_extras_is_typed_now(tmp_path: Path) -> None:
     test = fit.process_noise
     assert test is not None
     assert (test.statistic, test.failed) == (31.0, "stalled")
-    assert (test.delay.signal, test.delay.seconds) == ("psi", 0.4)
+    found = test.departure
+    assert (found.signal, found.kind, found.size) == ("psi", "late", 0.4)
     assert [one.effect for one in test.actuator_starts] == ["rudder"]
     assert (fit.captive.relative, fit.captive.in_noise) == ({"Y": 0.02}, {"Y": 1.1})
     assert (fit.tests_scatter, fit.horizon, fit.n_windows) == (True, 10.0, 12)

@@ -1,13 +1,15 @@
-r"""Delays of single signals, from the slope of what a model predicts.
+r"""Departures of a log from a model: signals that are late, off or of another scale.
 
-An output that comes late by :math:`\tau` leaves :math:`-\tau\,\dot h` in its residual, an
-input that acts late :math:`\tau\,\partial y/\partial\tau`, found by simulating with the shifted
-input. With ``g`` this column and ``J`` those of all unknowns, in units of noise,
+An output that comes late by :math:`\tau` leaves :math:`-\tau\,\dot h` in its residual, one whose
+zero is off :math:`c` itself, one of a scale :math:`1 + s` :math:`s\,h`; an input that acts late
+leaves :math:`\tau\,\partial y/\partial\tau`, found by simulating with the shifted input. With
+``g`` this column and ``J`` those of all unknowns, in units of noise,
 
 .. math:: I = g'g - g'J(J'J)^{+}J'g, \quad s = g'\epsilon - g'J(J'J)^{+}J'\epsilon, \quad
     \hat\tau = s/I, \quad \operatorname{std}\hat\tau = I^{-1/2},
 
-a score test at delay zero with everything else estimated too (Cox & Hinkley 1974, ch. 9).
+a score test at no departure with everything else estimated too (Cox & Hinkley 1974, ch. 9). All
+compete: the one that explains most is named, others follow once it is mended.
 
 Actuators that did not begin at their first command.
 
@@ -41,25 +43,25 @@ several right ones says nothing.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import TypeVar
 
 import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, Run, by_unknowns, kernel
-from oed_sysid.likelihood.estimate import ActuatorStart, Delay, Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT
 from oed_sysid.likelihood.projection import inverse_of, project_out
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input
 from oed_sysid.physics.model import Model
 
-Departed = TypeVar("Departed", Delay, ActuatorStart)
+Departed = TypeVar("Departed", Departure, ActuatorStart)
 # Standard errors from which a departure counts: one output in 10^5 by chance; and those from which
 # one value is not another, or a signal is no noise.
 CLEAR, CLEARLY = 4.5, 3.0
-# Share of the misfit beyond noise that a delay must explain where residuals are coloured.
-DELAY_SHARE = 0.3
+# Share of the misfit beyond noise that a departure must explain where residuals are coloured.
+WORTH_A_WORD = 0.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,24 +165,24 @@ def _scores(
     return scores
 
 
-def estimate_delays(fit: Estimate) -> tuple[Delay, ...]:
-    """Score estimates of the delays of all outputs and inputs at a fit with white noise.
+def estimate_departures(fit: Estimate) -> tuple[Departure, ...]:
+    """Score estimates of what may be wrong with single signals, at a fit with white noise.
 
     See the equations above; residuals that are coloured enlarge the standard errors by the root
     of the ratio of all to independent samples, those larger than declared by their misfit.
     """
-    runner = kernel(fit.model)
-    signals = [(name, "output") for name in fit.model.output_names]
-    signals += [(name, "input") for name in fit.model.input_names]
+    runner, outputs = kernel(fit.model), fit.model.output_names
+    signals = [(name, kind) for kind in ("late", "off", "scale") for name in outputs]
+    signals += [(name, "acts late") for name in fit.model.input_names]
     own = [float(np.sqrt(one)) for one in _slowness(fit)]
-    slow = [*own, *[max(own)] * len(fit.model.input_names)]
+    slow = [*own * 3, *[max(own)] * len(fit.model.input_names)]
 
-    def late(index: int, run: Run, _: np.ndarray) -> np.ndarray:
-        return _later(runner, fit, index, run)
+    def signatures(index: int, run: Run, _: np.ndarray) -> np.ndarray:
+        return _departed(runner, fit, index, run)
 
     return tuple(
-        Delay(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
-        for one in _scores(fit, runner, late, fewest=3, joint=True)
+        Departure(*signals[one.column], one.size, slow[one.column] * one.std, one.gain, one.share)
+        for one in _scores(fit, runner, signatures, fewest=3, joint=True)
     )
 
 
@@ -189,13 +191,15 @@ def _slowness(fit: Estimate) -> list[float]:
     return [max(n, 1) / max(some, 1.0) for some, n in fit.effective_samples().values()]
 
 
-def _later(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
-    """Derivatives of a record's outputs by the delay of every output and every input."""
-    record, n_outputs = fit.dataset[index], len(fit.model.outputs)
-    late = np.zeros((*run.outputs.shape, n_outputs + len(fit.model.inputs)))
-    each = np.arange(n_outputs)
+def _departed(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
+    """Derivatives of a record's outputs by delay, zero and scale of each, and by late inputs."""
+    record, n = fit.dataset[index], len(fit.model.outputs)
+    columns = np.zeros((*run.outputs.shape, 3 * n + len(fit.model.inputs)))
+    each = np.arange(n)
     # y(t - d) = y(t) - d y'(t): an output that is late shows what was.
-    late[:, each, each] = -np.gradient(run.outputs, record.times, axis=0)
+    columns[:, each, each] = -np.gradient(run.outputs, record.times, axis=0)
+    columns[:, each, n + each] = 1.0
+    columns[:, each, 2 * n + each] = run.outputs
     shift = record.sample_time
     for column in range(len(fit.model.inputs)):
         moved = record.inputs.copy()
@@ -204,8 +208,8 @@ def _later(runner: Kernel, fit: Estimate, index: int, run: Run) -> np.ndarray:
             # Commands are steps, without derivatives: the difference of two runs takes their
             # place.
             after = outputs_of(fit, index, moved, runner=runner)
-            late[:, :, n_outputs + column] = (after - run.outputs) / shift
-    return late
+            columns[:, :, 3 * n + column] = (after - run.outputs) / shift
+    return columns
 
 
 def _is_coloured(fit: Estimate) -> bool:
@@ -215,13 +219,22 @@ def _is_coloured(fit: Estimate) -> bool:
 def _clear(fit: Estimate, found: Sequence[Departed]) -> list[Departed]:
     """Departures that are significant, and, where residuals are coloured, worth a word."""
     clear = [one for one in found if abs(one.size) > CLEAR * one.std]
-    least = DELAY_SHARE if clear and _is_coloured(fit) else -np.inf
+    least = WORTH_A_WORD if clear and _is_coloured(fit) else -np.inf
     return [one for one in clear if one.share > least]
 
 
-def clear_delay(fit: Estimate) -> Delay | None:
-    """The one delay that explains most, if it is significant and worth a word."""
-    return max(_clear(fit, estimate_delays(fit)), key=lambda one: one.gain, default=None)
+def clear_departure(fit: Estimate) -> Departure | None:
+    """The one departure that explains most, if it is significant and worth a word.
+
+    With those of which the records cannot tell it: a rate of a larger scale from an angle of a
+    smaller one where the coefficient of the input is free.
+    """
+    clear = _clear(fit, estimate_departures(fit))
+    best = max(clear, key=lambda one: one.gain, default=None)
+    if best is None:
+        return None
+    others = (one for one in clear if one is not best and one.gain > best.gain - CLEARLY**2)
+    return replace(best, rivals=tuple(f"{one.signal} ({one.kind})" for one in others))
 
 
 def values_of(fit: Estimate, index: int) -> np.ndarray:

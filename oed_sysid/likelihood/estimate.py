@@ -49,32 +49,32 @@ class Status:
 
 
 @dataclass(frozen=True)
-class Delay:
-    """Score estimate of the delay of one signal.
+class Departure:
+    """Score estimate of what is wrong with one signal.
 
     Attributes
     ----------
-    signal, kind : str
-        Name, and ``output`` or ``input``.
-    seconds, std : float
-        Delay and standard error, s.
+    signal : str
+    kind : str
+        ``"late"``, ``"off"`` or ``"scale"`` of an output, or ``"acts late"`` of an input.
+    size, std : float
+        In s, in the unit of the signal, or the share by which its scale is larger; and its
+        standard error.
     gain : float
         What it explains, in twice the log-likelihood.
     share : float
         Of the misfit beyond noise.
+    rivals : tuple of str
+        Others that explain as much.
     """
 
     signal: str
     kind: str
-    seconds: float
+    size: float
     std: float
     gain: float
     share: float
-
-    @property
-    def size(self) -> float:
-        """The delay, s."""
-        return self.seconds
+    rivals: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -151,8 +151,8 @@ class ProcessNoiseTest:
         Likelihood-ratio statistic 2 delta ln L that the score test expects.
     failed : str
         How the fit with process noise ended, where its values are not those that are returned.
-    delay : Delay or None
-        Clear delay of a signal.
+    departure : Departure or None
+        Clear departure of a signal.
     actuator_starts : tuple of ActuatorStart
         Clear starts of actuators beside their first command.
     inputs : tuple of str
@@ -161,7 +161,7 @@ class ProcessNoiseTest:
 
     statistic: float
     failed: str = ""
-    delay: Delay | None = None
+    departure: Departure | None = None
     actuator_starts: tuple[ActuatorStart, ...] = ()
     inputs: tuple[str, ...] = ()
 

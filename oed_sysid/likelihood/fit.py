@@ -645,6 +645,12 @@ def _off_prior(parameter: Parameter, value: float) -> bool:
     return mean is not None and spread is not None and abs(value - mean) > CLEARLY * spread
 
 
+def _late(signal: str, kind: str, size: float, std: float) -> estimate.Departure:
+    """A delay as version 0.1 kept it."""
+    how = "acts late" if kind == "input" else "late"
+    return estimate.Departure(signal, how, size, std, np.nan, np.nan)
+
+
 def _typed(content: dict[str, Any]) -> dict[str, Any]:
     """Fields of a fit, with what version 0.1 kept in ``extras`` as what it is now."""
     extras = dict(content.get("extras", {}))
@@ -656,7 +662,7 @@ def _typed(content: dict[str, Any]) -> dict[str, Any]:
         told["process_noise"] = estimate.ProcessNoiseTest(
             extras.pop("disturbance_test", np.inf),
             extras.pop("process_noise_failed", ""),
-            estimate.Delay(*(*delay, np.nan, np.nan)) if delay else None,
+            _late(*delay) if delay else None,
             tuple(estimate.ActuatorStart(*one) for one in extras.pop("white_starts", ())),
         )
     if "captive" in extras:

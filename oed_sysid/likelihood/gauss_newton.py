@@ -47,7 +47,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property, partial
+from functools import cache, partial
 from typing import Any, Self
 
 import numpy as np
@@ -139,15 +139,18 @@ class Iterate:
     derive: Callable[[float], Equations]
     defect: float = 0.0
     linearisation: Linearisation | None = None
+    _derived: dict[float, Equations] = field(default_factory=dict, init=False, repr=False)
 
-    @cached_property
+    @property
     def equations(self) -> Equations:
         """The quadratic model of the cost about the point."""
-        return self.derive(0.0)
+        return self.damped(0.0)
 
     def damped(self, damping: float) -> Equations:
         """The equations for a direction; unknowns that are eliminated are damped, too."""
-        return self.derive(damping) if damping > 0.0 else self.equations
+        if damping not in self._derived:
+            self._derived[damping] = self.derive(damping)
+        return self._derived[damping]
 
     def predicted(self, step: np.ndarray, damping: float = 0.0) -> float:
         """Cost of the quadratic model after a full step, priors included."""

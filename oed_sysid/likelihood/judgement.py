@@ -59,7 +59,7 @@ from oed_sysid.likelihood.departures import (
     CLEARLY,
     SAME,
     change_of_outputs,
-    clear_delay,
+    clear_departure,
     clear_starts,
     other_way,
     outputs_of,
@@ -112,10 +112,10 @@ class Concern:
     Attributes
     ----------
     kind : str
-        ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``actuator_start``,
-        ``per_record_follows``, ``records_differ``, ``input_noise``, ``other_way``, ``absorbed``,
-        ``process_noise``, ``constraint``, ``integration``, ``finer_step``, ``runaway``,
-        ``degenerate`` or ``few_samples``.
+        ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``offset``, ``scale``,
+        ``actuator_start``, ``per_record_follows``, ``records_differ``, ``input_noise``,
+        ``other_way``, ``absorbed``, ``process_noise``, ``constraint``, ``integration``,
+        ``finer_step``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
@@ -123,11 +123,12 @@ class Concern:
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
         (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), the unit of
-        a command (``actuator_start``), a correlation (``per_record_follows``), a factor of the
-        standard error (``records_differ``), the true input over the logged one (``other_way``),
-        noise levels (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of
-        the signal (``degenerate``), samples per unknown (``few_samples``), standard errors
-        (``constraint``, ``finer_step``), the score test's 2 delta ln L (``process_noise``).
+        the signal (``offset``, ``actuator_start``), a share (``scale``), a correlation
+        (``per_record_follows``), a factor of the standard error (``records_differ``), the true
+        input over the logged one (``other_way``), noise levels (``integration``,
+        ``input_noise``), multiples of the scale (``runaway``) or of the signal (``degenerate``),
+        samples per unknown (``few_samples``), standard errors (``constraint``, ``finer_step``),
+        the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
 
@@ -459,18 +460,27 @@ def _own_residuals(fit: Estimate) -> bool:
     return fit.innovations is None and bool(fit.names)
 
 
-def _delay(fit: Estimate) -> Iterator[Found]:
-    """A delay of one signal: the one that explains most, others follow once it is mended."""
-    # Disturbance forces absorb a delay: then what was found before them counts.
-    best = None if fit.process_noise is None else fit.process_noise.delay
-    if best is None and _own_residuals(fit):
-        best = clear_delay(fit)
-    if best is not None:
-        yield Found(best.seconds, best.signal, facts={
-            "verb": "is logged" if best.kind == "output" else "acts",
-            "seconds": abs(best.seconds), "error": TWO_SIDED_95 * best.std,
-            "late": "late" if best.seconds > 0 else "early",
-        })  # fmt: skip
+def _departure(*kinds: str) -> Callable[[Estimate], Iterator[Found]]:
+    """What finds the departure of a signal that explains most, where it is of these kinds."""
+
+    def find(fit: Estimate) -> Iterator[Found]:
+        # Disturbance forces absorb a departure: then what was found before them counts.
+        best = None if fit.process_noise is None else fit.process_noise.departure
+        if best is None and _own_residuals(fit):
+            best = clear_departure(fit)
+        if best is not None and best.kind in kinds:
+            units = {one.name: one.unit for one in fit.model.outputs} if best.kind == "off" else {}
+            factor, unit = shown_unit(units.get(best.signal, ""))
+            yield Found(best.size, best.signal, facts={
+                "verb": "acts" if best.kind == "acts late" else "is logged", "unit": unit,
+                "value": abs(factor * best.size), "error": TWO_SIDED_95 * factor * best.std,
+                "late": "late" if best.size > 0 else "early",
+                "side": "high" if best.size > 0 else "low", "share": 100.0 * best.size,
+                "doubt": 100.0 * TWO_SIDED_95 * best.std,
+                "or": f", or {' or '.join(best.rivals)}," if best.rivals else "",
+            })  # fmt: skip
+
+    return find
 
 
 def _starts(fit: Estimate) -> Iterator[Found]:
@@ -804,10 +814,23 @@ CHECKS = (
         "them out.",
     ),
     Check(
-        "delay", _delay, f"{CLEAR:g} standard errors; see departures.clear_delay",
-        "The residuals look as if {signal} {verb} {seconds:.3g} ± {error:.2g} s {late} "
+        "delay", _departure("late", "acts late"),
+        f"{CLEAR:g} standard errors; see departures.clear_departure",
+        "The residuals look as if {signal}{or} {verb} {value:.3g} ± {error:.2g} s {late} "
         "(expected none). Compare the clocks of "
         "the log, and shift {signal}, or add a delay or lag to the model.",
+    ),
+    Check(
+        "offset", _departure("off"), f"{CLEAR:g} standard errors; see departures.clear_departure",
+        "The residuals look as if {signal}{or} reads {value:.3g} ± {error:.2g} {unit} too {side} "
+        "in all records (expected none), and parameters bend to that. Check its zero, or let it be "
+        "estimated: sensor_bias of oed_sysid.physics.",
+    ),
+    Check(
+        "scale", _departure("scale"), f"{CLEAR:g} standard errors; see departures.clear_departure",
+        "The residuals look as if {signal}{or} reads {share:+.2g} ± {doubt:.2g} % of its value too "
+        "much (expected none), and parameters bend to that. Check its calibration and unit, or let "
+        "it be estimated: sensor_scale of oed_sysid.physics.",
     ),
     Check(
         "actuator_start", _starts, f"{CLEAR:g} standard errors; see departures.clear_starts",

@@ -11,7 +11,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError, SimulationError, respelled
-from oed_sysid.likelihood.departures import CLEARLY, clear_delay, clear_starts
+from oed_sysid.likelihood.departures import CLEARLY, clear_departure, clear_starts
 from oed_sysid.likelihood.disturbances import Place, chosen_places
 from oed_sysid.likelihood.disturbances import places as every_place
 from oed_sysid.likelihood.estimate import ProcessNoiseTest
@@ -470,8 +470,9 @@ class MultipleShooting:
         # Noise of inputs was asked for beside these forces and in their place.
         absent = [p.channel for p in setting.inputs if not found.noise.level(p.name)[0]]
         asked = ProcessNoiseTest(test.gain, inputs=tuple(absent))
-        if fit.names:  # delays and starts of actuators, which the forces absorb
-            asked = replace(asked, delay=clear_delay(fit), actuator_starts=clear_starts(fit))
+        if fit.names:  # departures of signals and starts of actuators, which the forces absorb
+            asked = replace(asked, actuator_starts=clear_starts(fit))
+            asked = replace(asked, departure=clear_departure(fit))
         return fit, replace(found, process_noise=asked, model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:
