@@ -6,11 +6,14 @@ A command runs in a process of its own and is killed (``SIGKILL``): every second
 within its first three seconds, otherwise as soon as it has finished a step that was not there
 before. It is called again until it ends. Judged are: every finished step is left as it was
 written, the result equals that of an undisturbed run to the last bit, and no rest stays behind.
+What keeps its state in a folder (``campaign``, ``benchmark``, a saved fit) is killed at moments
+drawn from its whole duration, each time from the same state, and called again.
 """
 
 from __future__ import annotations
 
 import json
+import shutil
 import signal
 import subprocess
 import sys
@@ -40,7 +43,7 @@ COMMANDS: Mapping[str, tuple[str, ...]] = {
     ),
 }
 # Times, and how a file was made, differ from run to run.
-VOLATILE = ("seconds", "oed_sysid", "duration_s")
+VOLATILE = ("seconds", "oed_sysid", "duration_s", "made", "sha256")
 
 
 @dataclass(frozen=True)
@@ -150,11 +153,109 @@ def _without_times(value: Any) -> Any:
     return [_without_times(v) for v in value] if isinstance(value, list) else value
 
 
+@dataclass(frozen=True)
+class Work:
+    """A command that keeps its state in a folder of its own.
+
+    Parameters
+    ----------
+    begin : tuple of str
+        What makes the state, undisturbed; empty where there is none.
+    words : tuple of str
+        What is killed; ``{folder}`` stands for the folder.
+    after : tuple of str
+        What answers from the state alone, where what is killed cannot be called twice.
+    """
+
+    begin: tuple[str, ...]
+    words: tuple[str, ...]
+    after: tuple[str, ...] = ()
+
+
+FOLDER = "{folder}"
+WORKS: Mapping[str, Work] = {
+    "campaign": Work(
+        ("campaign", FOLDER, "--problem", "remus_diving_plane", "--goal", "all=5", "--hours", "2"),
+        ("campaign", FOLDER, "--record", str(RECORDS / "train_steps.csv")),
+        ("campaign", FOLDER),
+    ),
+    "benchmark": Work(
+        (),
+        ("benchmark", "estimators", "--problems", "nomoto_sparse_heading", "--noise", "1",
+         "--seeds", "2", "--estimators", "multiple_shooting", "ekf", "--out", FOLDER),
+    ),
+    "fit, saved": Work(
+        (),
+        ("fit", "remus_diving_plane", str(RECORDS / "train_steps.csv"), "--save",
+         f"{FOLDER}/fit.json"),
+    ),
+}  # fmt: skip
+
+
+def struck(work: Work, *, kills: int, rng: np.random.Generator) -> Outcome:
+    """Kill what keeps its state in a folder at random moments, and call it again each time."""
+    with tempfile.TemporaryDirectory() as name:
+        place = Path(name)
+        made, whole = place / "made", place / "whole"
+        if work.begin:
+            _call(work.begin, made)
+        began = time.monotonic()
+        _copied(made, whole)
+        _call(work.words, whole)
+        undisturbed = time.monotonic() - began
+        wanted, same, rest, done = _state(work, whole), True, 0, 0
+        assert wanted, "the undisturbed call left nothing"
+        began = time.monotonic()
+        for kill in range(kills):
+            folder = place / f"killed_{kill}"
+            _copied(made, folder)
+            process = _process(work.words, folder)
+            _wait(process, undisturbed * rng.random(), lambda: False)
+            if process.poll() is None:
+                process.send_signal(signal.SIGKILL)
+                process.wait()
+                done += 1
+            # What was finished before the blow may be refused the second time.
+            _call(work.words, folder)
+            same &= _state(work, folder) == wanted
+            rest += sum(path.is_file() and path.suffix in (".tmp", ".part")
+                        for path in folder.rglob("*"))  # fmt: skip
+        return Outcome(done, 0, same, rest, time.monotonic() - began, undisturbed)
+
+
+def _copied(made: Path, folder: Path) -> None:
+    if made.exists():
+        shutil.copytree(made, folder)
+
+
+def _process(words: Sequence[str], folder: Path, *more: str) -> subprocess.Popen[bytes]:
+    full = [sys.executable, "-m", "oed_sysid.cli", *(w.format(folder=folder) for w in words), *more]
+    return subprocess.Popen(full, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _call(words: Sequence[str], folder: Path, *more: str) -> None:
+    _process(words, folder, *more).wait()
+
+
+def _state(work: Work, folder: Path) -> Any:
+    """What a state says: its answer, or the numbers of its files."""
+    if work.after:
+        answer = folder.with_suffix(".json")
+        _call(work.after, folder, "--json", str(answer))
+        return _result(answer)
+    files = sorted(path for path in folder.rglob("*") if path.suffix in (".json", ".csv"))
+    return [
+        (path.name, _result(path) if path.suffix == ".json" else len(path.read_text().splitlines()))
+        for path in files
+    ]
+
+
 def counted(kills: int, seed: int) -> list[Row]:
     """What killing each command does to it."""
-    rows = list[Row]()
-    for name, words in COMMANDS.items():
-        one = killed(words, kills=kills, rng=np.random.default_rng(seed))
+    rows, rng = list[Row](), np.random.default_rng
+    found = {name: killed(words, kills=kills, rng=rng(seed)) for name, words in COMMANDS.items()}
+    found |= {name: struck(work, kills=kills, rng=rng(seed)) for name, work in WORKS.items()}
+    for name, one in found.items():
         rows.append({"command": name, "killed": one.kills, "steps written again": one.rewritten,
                      "equal": "yes" if one.equal else "no", "files left": one.left,
                      "s": round(one.seconds), "undisturbed, s": round(one.undisturbed),

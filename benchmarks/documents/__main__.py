@@ -11,13 +11,13 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Sequence
 
-from benchmarks.documents import estimation, extrapolation, measured_data, published
+from benchmarks.documents import estimation, extrapolation, measured_data, performance, published
 from benchmarks.documents.page import Page, Unfounded
 from benchmarks.harness import command, known
 
 PAGES = {
-    page.name: page
-    for page in (measured_data.PAGE, extrapolation.PAGE, published.PAGE, estimation.PAGE)
+    one.PAGE.name: one.PAGE
+    for one in (measured_data, extrapolation, published, estimation, performance)
 }
 
 
@@ -29,7 +29,7 @@ def main(
     Parameters
     ----------
     pages : sequence of str
-        measured_data, extrapolation, published, estimation; all without a name
+        those that are measured here; all without a name
     only : sequence of str
         sections that --write measures
     write : bool
