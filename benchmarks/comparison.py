@@ -70,7 +70,8 @@ ACTING = {
 ESTIMATORS = {
     "multiple_shooting_disturbed": "multiple shooting, default",
     "multiple_shooting": "multiple shooting, white",
-    "multiple_shooting_ipopt": "multiple shooting, IPOPT",
+    "multiple_shooting_ipopt": "multiple shooting, white, IPOPT",
+    "multiple_shooting_disturbed_ipopt": "multiple shooting, default, IPOPT",
     "output_error": "single shooting",
     "equation_error_simpson": "equation error",
     "total_least_squares": "total least squares",

@@ -28,10 +28,11 @@ from oed_sysid.experiments.problem import load_problem
 from oed_sysid.experiments.simulation import simulate as simulate_forces
 from oed_sysid.likelihood import random_forces
 from oed_sysid.likelihood.covariance import clear_peaks, spectral_peak
+from oed_sysid.likelihood.estimator import Solver
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.multiple_shooting import MultipleShooting
-from oed_sysid.likelihood.noise_model import SHAPES, NoiseModel
+from oed_sysid.likelihood.noise_model import SHAPES, Levels, NoiseModel
 from oed_sysid.likelihood.projection import gain_within
 from oed_sysid.likelihood.random_forces import threshold
 from oed_sysid.likelihood.realisation import drawn_disturbances, narrow_band_force
@@ -152,6 +153,20 @@ def test_a_later_fit_goes_on_with_the_sea(at_sea: Fit) -> None:
 def test_no_sea_is_claimed_without_waves(force: str, seed: int) -> None:
     """White noise and a first-order process are no sea."""
     assert not MultipleShooting().fit(SHIP, records(force, seed)).noise.seas
+
+
+def test_the_constrained_program_ends_where_the_other_does(at_sea: Fit) -> None:
+    """IPOPT finds the same sea, an equation in which no waves act included."""
+    (sea,) = at_sea.noise.seas
+    still = replace(at_sea.noise, seas=(replace(sea, levels={**sea.levels, "force u": 0.0}),))
+    levels = Levels.of(still, still)
+    assert np.isfinite(levels.vector()).all()
+    assert len(levels) == len(Levels.of(at_sea.noise, at_sea.noise))
+    program = MultipleShooting(solver=Solver("ipopt")).fit(SHIP, at_sea.dataset)
+    assert program.status.ok
+    assert program.noise.seas[0].period == pytest.approx(sea.period, rel=0.02)
+    for name, error in at_sea.std_errors.items():
+        assert abs(program.values[name] - at_sea.values[name]) < 0.2 * error
 
 
 def test_a_declared_period_is_held_and_the_rest_estimated() -> None:

@@ -189,6 +189,7 @@ _SPLITS: Mapping[str, tuple[str, Mapping[str, Any], str, Callable[[Problem], Man
 OURS = "multiple_shooting"
 OURS_DISTURBED = "multiple_shooting_disturbed"
 OURS_IPOPT = "multiple_shooting_ipopt"
+OURS_DISTURBED_IPOPT = "multiple_shooting_disturbed_ipopt"
 OURS_BELIEVING = "multiple_shooting_prior"
 OURS_DISTURBED_BELIEVING = "multiple_shooting_disturbed_prior"
 OURS_DISTURBED_TOLD = "multiple_shooting_disturbed_told"
@@ -268,6 +269,7 @@ CONTESTANTS: Mapping[str, Contestant] = {
     OURS: Contestant(PLAIN),
     OURS_DISTURBED: Contestant(AUTOMATIC),
     OURS_IPOPT: Contestant(replace(PLAIN, solver=Solver("ipopt"))),
+    OURS_DISTURBED_IPOPT: Contestant(replace(AUTOMATIC, solver=Solver("ipopt"))),
     OURS_BELIEVING: Contestant(PLAIN, believes=True),
     OURS_DISTURBED_BELIEVING: Contestant(AUTOMATIC, believes=True),
     OURS_DISTURBED_TOLD: Contestant(FromStart(AUTOMATIC), knows_start=True),

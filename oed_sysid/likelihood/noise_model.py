@@ -468,7 +468,9 @@ class Levels:
             for one, sea in zip(known, noise.seas, strict=True)
             for _ in sea.places
         ]
-        add(SEA_VARIANCE, np.flatnonzero(free), _levels_of(unit.seas))
+        sizes = _levels_of(unit.seas)
+        # What a fit has put at zero stays there, as forces do.
+        add(SEA_VARIANCE, np.flatnonzero(np.array(free, dtype=bool) & (sizes > 0)), sizes)
         # A wave takes two samples, and a record a few waves.
         periods, damping = _shapes_of(noise.seas)
         free = [sea.period is None for sea in known]

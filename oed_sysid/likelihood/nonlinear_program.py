@@ -309,8 +309,11 @@ def solve_innovations(
     multipliers, at = ca.MX.sym("multipliers", len(lower)), [x, nothing]
     options = {
         **_settings(max_iterations, tolerance),
-        # Below, differences are rounding.
+        # Below, differences are rounding; where slopes are worse than that the cost stands still.
         "ipopt.tol": 0.1 * NEAR,
+        "ipopt.acceptable_tol": 0.1,
+        "ipopt.acceptable_iter": 5,
+        "ipopt.acceptable_obj_change_tol": 1e-9,
         "no_nlp_grad": True,
         "grad_f": ca.Function("g", at, [f, gradient.T], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("j", at, [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
@@ -365,7 +368,11 @@ class _Numbers(ca.Callback):
         return ca.Sparsity.dense(*self._shapes[i])
 
     def eval(self, arguments: Sequence[ca.DM]) -> list[ca.DM]:
-        return [ca.DM(one) for one in self._work(np.asarray(arguments[0]).ravel())]
+        unknowns = np.asarray(arguments[0]).ravel()
+        # IPOPT goes back from where there are no numbers.
+        if not np.isfinite(unknowns).all():
+            return [ca.DM.nan(*shape) for shape in self._shapes]
+        return [ca.DM(one) for one in self._work(unknowns)]
 
 
 @dataclass(frozen=True, eq=False)
