@@ -106,6 +106,7 @@ ARRAY = {"array": [1.0, 2.0], "shape": [2], "dtype": "float64"}
 # What is done to the content of a good file, and a word of the message.
 CONTENT: dict[str, tuple[Callable[[dict], None], str]] = {
     "no class": (changed("class", to=...), "of no known kind"),
+    "a cost without end": (changed(F, "cost", to=10**400), "in place of a number"),
     "another class": (changed("class", to="Popen"), "does not know"),
     "class that is no name": (changed("class", to=["Fit"]), "does not know"),
     "no fields": (changed(F, to=...), "without fields"),
@@ -205,6 +206,16 @@ def test_damaged_content_is_named(tmp_path: Path, act: Callable[[dict], None], w
         Fit.load(place)
     assert word.lower() in str(caught.value).lower()
     assert "fit.json" in str(caught.value)
+
+
+def test_a_number_written_without_a_point_is_a_number(tmp_path: Path) -> None:
+    """What other programs write of a float is read as one, however large."""
+    data = json.loads(OLD.read_text())
+    data["fit"][F]["cost"] = 10**30
+    (tmp_path / "fit.json").write_text(json.dumps(data))
+    fit = Fit.load(tmp_path / "fit.json")
+    assert type(fit.cost) is float
+    assert fit.to_dict()["cost"] == 1e30
 
 
 def whole() -> dict:

@@ -134,7 +134,7 @@ class _Builder:
     def _number(self, item: dict, place: str) -> float:
         try:
             return float(item["number"])
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise _damage(place, f"{item['number']!r:.40} in place of a number") from None
 
     def _array(self, item: dict, place: str) -> np.ndarray:
@@ -185,6 +185,8 @@ class _Builder:
         for key, entry in entries.items():
             within = f"{place}.{key}".lstrip(".")
             content[key] = self.build(entry, within)
+            if hints[key] is float and type(content[key]) is int:  # as JSON may write it
+                content[key] = self._number({"number": entry}, within)
             if not _fits(content[key], hints[key]):
                 kind = getattr(hints[key], "__name__", hints[key])
                 raise _damage(within, f"{content[key]!r:.40}, which is no {kind}")
