@@ -64,7 +64,7 @@ from oed_sysid.likelihood.departures import (
     other_way,
     outputs_of,
 )
-from oed_sysid.likelihood.estimate import ActuatorStart, Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
 from oed_sysid.likelihood.integration import BIAS, step_change
 from oed_sysid.likelihood.noise_levels import (
@@ -469,18 +469,23 @@ def _departure(*kinds: str) -> Callable[[Estimate], Iterator[Found]]:
         if best is None and _own_residuals(fit):
             best = clear_departure(fit)
         if best is not None and best.kind in kinds:
-            units = {one.name: one.unit for one in fit.model.outputs} if best.kind == "off" else {}
-            factor, unit = shown_unit(units.get(best.signal, ""))
-            yield Found(best.size, best.signal, facts={
-                "verb": "acts" if best.kind == "acts late" else "is logged", "unit": unit,
-                "value": abs(factor * best.size), "error": TWO_SIDED_95 * factor * best.std,
-                "late": "late" if best.size > 0 else "early",
-                "side": "high" if best.size > 0 else "low", "share": 100.0 * best.size,
-                "doubt": 100.0 * TWO_SIDED_95 * best.std,
-                "or": f", or {' or '.join(best.rivals)}," if best.rivals else "",
-            })  # fmt: skip
+            yield Found(best.size, best.signal, facts=_facts_of(best, fit))
 
     return find
+
+
+def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
+    """What the sentences name of a departure."""
+    units = {output.name: output.unit for output in fit.model.outputs if one.kind == "off"}
+    factor, unit = shown_unit(units.get(one.signal, ""))
+    many = one.size > 0
+    return {
+        "verb": "acts" if one.kind == "acts late" else "is logged", "unit": unit,
+        "value": abs(factor * one.size), "error": TWO_SIDED_95 * factor * one.std,
+        "late": "late" if many else "early", "side": "high" if many else "low",
+        "share": 100.0 * one.size, "doubt": 100.0 * TWO_SIDED_95 * one.std,
+        "or": f", or {' or '.join(one.rivals)}," if one.rivals else "",
+    }  # fmt: skip
 
 
 def _starts(fit: Estimate) -> Iterator[Found]:
