@@ -833,9 +833,9 @@ CHECKS = (
     ),
     Check(
         "scale", _departure("scale"), f"{CLEAR:g} standard errors; see departures.clear_departure",
-        "The residuals look as if {signal}{or} reads {share:+.2g} ± {doubt:.2g} % of its value too "
-        "much (expected none), and parameters bend to that. Check its calibration and unit, or let "
-        "it be estimated: sensor_scale of oed_sysid.physics.",
+        "The residuals look as if the scale of {signal}{or} were {share:+.2g} ± {doubt:.2g} % off "
+        "(expected none), and parameters bend to that. Check its calibration and unit, or let it "
+        "be estimated: sensor_scale of oed_sysid.physics.",
     ),
     Check(
         "actuator_start", _starts, f"{CLEAR:g} standard errors; see departures.clear_starts",
