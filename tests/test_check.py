@@ -20,6 +20,7 @@ from benchmarks.kinematics import ESSO, HSVA, free_running, hidden_effect_cases,
 from benchmarks.spoilt_logs import COPIES as SPOILS
 from benchmarks.spoilt_logs import named_as, spoil
 from oed_sysid.data.dataset import Dataset, Record, read_csv, write_csv
+from oed_sysid.evidence import inputs
 from oed_sysid.evidence.check import (
     FAR,
     LogCheck,
@@ -29,10 +30,10 @@ from oed_sysid.evidence.check import (
     rank_axes,
     with_estimates,
 )
-from oed_sysid.evidence.contrasts import fitted_law, laws
+from oed_sysid.evidence.contrasts import contrasts, fitted_law, laws
 from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.inputs import between_runs, scaled_inputs
-from oed_sysid.evidence.relations import integral, relations, spare_signals
+from oed_sysid.evidence.relations import Relation, integral, relations, spare_signals
 from oed_sysid.evidence.screens import screen
 from oed_sysid.evidence.traces import Trace
 from oed_sysid.experiments.problem import Problem, load_problem
@@ -665,6 +666,23 @@ def test_an_input_is_named_where_the_values_differ_from_the_nominal_ones(kind, c
         assert found.serious[0].size == pytest.approx(0.5, abs=0.1)
     states = {one.fault: one.state for one in found.judged if one.signal == "fin_command"}
     assert states["sign"] == ("found" if kind == "sign" else "tested")
+
+
+def test_records_that_are_broken_in_one_equation_tell_nothing_of_inputs() -> None:
+    """Two pieces of one equation and none of another are not one of each."""
+    t, rng = 0.1 * np.arange(600), np.random.default_rng(0)
+    rates = {n: np.sin(k * t) + 0.01 * rng.standard_normal(600) for k, n in enumerate("pqr", 1)}
+    angles = {name: np.cumsum(rates["pqr"[k]]) * 0.1 for k, name in enumerate("abc")}
+    rates["p"][250:350], rates["r"][:] = np.nan, np.nan
+    values = {**rates, **angles}
+    units = dict.fromkeys("pqr", "rad/s") | dict.fromkeys("abc", "rad")
+    trace = Trace("run", t, values, units, dict.fromkeys(units, 0.01))
+    equations = tuple(
+        Relation(angle, (rate,), rate, True, (("rate", rate),), {})
+        for angle, rate in zip("abc", "pqr", strict=True)
+    )
+    assert len([*contrasts(trace, equations, [])]) == len(equations)
+    assert not [*inputs._changes_by(trace, "p", equations)]
 
 
 def test_an_input_that_was_not_logged_is_missed_by_the_motion(dives_inputs) -> None:  # type: ignore[no-untyped-def]

@@ -212,7 +212,9 @@ def _left_by(left: np.ndarray, column: np.ndarray, side: np.ndarray) -> float:
 def _changes_by(trace: Trace, name: str, equations: tuple[Relation, ...]) -> Iterator[np.ndarray]:
     """Changes of contrasts, of a unit of an input and of left sides, ``(3, n_equations, n)``."""
     pieces = [*contrasts(trace, equations, [Candidate("bias", (name,), "", 1.0, 0.0)])]
-    if len(pieces) == len(equations):  # a broken record is left out
+    whole = [piece.relation for piece in pieces] == [*range(len(equations))]
+    # A record that is broken, in one equation or in all, is left out.
+    if whole and all(np.array_equal(piece.times, pieces[0].times) for piece in pieces):
         lag = max(1, round(1.0 / pieces[0].span))
         rows = [[p.residual for p in pieces], [p.columns[:, 0] for p in pieces],
                 [p.target for p in pieces]]  # fmt: skip
