@@ -11,13 +11,29 @@ from __future__ import annotations
 import sys
 from collections.abc import Collection, Sequence
 
-from benchmarks.documents import estimation, extrapolation, measured_data, performance, published
+from benchmarks.documents import (
+    check,
+    estimation,
+    extrapolation,
+    measured_data,
+    performance,
+    published,
+    reliability,
+)
 from benchmarks.documents.page import Page, Unfounded
 from benchmarks.harness import command, known
 
 PAGES = {
     one.PAGE.name: one.PAGE
-    for one in (measured_data, extrapolation, published, estimation, performance)
+    for one in (
+        measured_data,
+        extrapolation,
+        published,
+        estimation,
+        performance,
+        check,
+        reliability,
+    )
 }
 
 

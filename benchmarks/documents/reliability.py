@@ -10,7 +10,7 @@ from benchmarks.documents.page import Numbers, Page
 from benchmarks.harness import Row
 
 SEED = 20261129
-INPUTS, FILES, KILLS = 500_000, 1_600, 20
+INPUTS, FILES, KILLS = 500_000, 5_200, 20
 
 
 def counted(measure: Callable[[], Sequence[Row]]) -> Numbers:

@@ -471,8 +471,9 @@ class MultipleShooting:
         absent = [p.channel for p in setting.inputs if not found.noise.level(p.name)[0]]
         asked = ProcessNoiseTest(test.gain, inputs=tuple(absent))
         if fit.names:  # departures of signals and starts of actuators, which the forces absorb
-            asked = replace(asked, actuator_starts=clear_starts(fit))
-            asked = replace(asked, departure=clear_departure(fit))
+            asked = replace(
+                asked, departure=clear_departure(fit), actuator_starts=clear_starts(fit)
+            )
         return fit, replace(found, process_noise=asked, model=model)
 
     def _places(self, model: Model, declared: Sequence[RandomProcess]) -> tuple[Place, ...] | None:

@@ -314,6 +314,7 @@ def solve_innovations(
         "ipopt.acceptable_tol": 0.1,
         "ipopt.acceptable_iter": 5,
         "ipopt.acceptable_obj_change_tol": 1e-9,
+        "ipopt.acceptable_constr_viol_tol": 1e-8,
         "no_nlp_grad": True,
         "grad_f": ca.Function("g", at, [f, gradient.T], ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("j", at, [g, jacobian], ["x", "p"], ["g", "jac_g_x"]),
