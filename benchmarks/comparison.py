@@ -33,6 +33,7 @@ from oed_sysid.baselines.contest import (
     BELIEVERS,
     OURS_DISTURBED,
     OURS_DISTURBED_BELIEVING,
+    OURS_DISTURBED_IPOPT,
     OURS_DISTURBED_TOLD,
     POPULATIONS,
     Cell,
@@ -218,9 +219,10 @@ def summary(rows: Sequence[Row], worlds: Sequence[str], estimators: Sequence[str
 def headline(rows: Sequence[Row]) -> list[str]:
     """Where our default is first, within the scatter or behind, cell by cell."""
     least: list[float] = []
+    others = [name for name in ESTIMATORS if name != OURS_DISTURBED_IPOPT]  # the same estimator
     for world in ACTING:
         for own in (OURS_DISTURBED, *TOLD):
-            names = [name for name in ESTIMATORS if default_for(name) == own != name]
+            names = [name for name in others if default_for(name) == own != name]
             rivals = [ratios(rows, world, name) for name in names]
             for problem in SYSTEMS:
                 if errors := [found[problem] for found in rivals if problem in found]:
