@@ -110,6 +110,7 @@ def ipopt_program() -> Iterator[None]:
     with tempfile.TemporaryDirectory() as folder:
         before = os.environ["PATH"]
         if shutil.which("ipopt") is None:
+            print("no program 'ipopt': CasADi's IPOPT stands in, with CasADi's derivatives")
             program = Path(folder) / "ipopt"
             program.write_text(
                 f'#!/bin/sh\nexec {sys.executable} -m benchmarks.peers.ipopt_program "$@"\n',

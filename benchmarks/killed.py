@@ -122,8 +122,11 @@ def killed(command: Sequence[str], *, kills: int, rng: np.random.Generator) -> O
 
 
 def _start(command: Sequence[str], result: Path, journal: Path) -> subprocess.Popen[bytes]:
-    full = [sys.executable, "-m", "oed_sysid.cli", *command]
-    full += ["--json", str(result), "--journal", str(journal)]
+    return _process([*command, "--json", str(result), "--journal", str(journal)])
+
+
+def _process(words: Sequence[str]) -> subprocess.Popen[bytes]:
+    full = [sys.executable, "-m", "oed_sysid.cli", *words]
     return subprocess.Popen(full, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
@@ -209,7 +212,7 @@ def struck(work: Work, *, kills: int, rng: np.random.Generator) -> Outcome:
         for kill in range(kills):
             folder = place / f"killed_{kill}"
             _copied(made, folder)
-            process = _process(work.words, folder)
+            process = _process(_within(work.words, folder))
             _wait(process, undisturbed * rng.random(), lambda: False)
             if process.poll() is None:
                 process.send_signal(signal.SIGKILL)
@@ -228,13 +231,12 @@ def _copied(made: Path, folder: Path) -> None:
         shutil.copytree(made, folder)
 
 
-def _process(words: Sequence[str], folder: Path, *more: str) -> subprocess.Popen[bytes]:
-    full = [sys.executable, "-m", "oed_sysid.cli", *(w.format(folder=folder) for w in words), *more]
-    return subprocess.Popen(full, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+def _within(words: Sequence[str], folder: Path) -> list[str]:
+    return [word.format(folder=folder) for word in words]
 
 
 def _call(words: Sequence[str], folder: Path, *more: str) -> None:
-    _process(words, folder, *more).wait()
+    _process([*_within(words, folder), *more]).wait()
 
 
 def _state(work: Work, folder: Path) -> Any:

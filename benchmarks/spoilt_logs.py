@@ -320,10 +320,9 @@ _RUNS: dict[tuple[str, int], list[Signals]] = {}
 
 
 def truth(craft: Craft, seed: int) -> list[Signals]:
-    """True signals of three records; kept, for all faults of a seed."""
+    """True signals of three records; kept, for all faults of all seeds."""
     key = (craft.name, seed)
     if key not in _RUNS:
-        _RUNS.clear()
         rng = np.random.default_rng((seed, len(craft.name)))
         _RUNS[key] = [craft.run(k, rng) for k in range(3)]
     return _RUNS[key]

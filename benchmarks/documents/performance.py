@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 
 from benchmarks.documents.page import Numbers, Page
@@ -20,15 +21,7 @@ SPEED: dict[str, Sequence[str]] = {
 def timed(names: Sequence[str]) -> Numbers:
     """What parts of `benchmarks.speed` measured, beside its target."""
     rows = [
-        {
-            "part": name,
-            "what": found.what,
-            "value": found.value,
-            "unit": found.unit,
-            "target": found.target,
-            "at_most": found.at_most,
-            "met": bool(found.met),
-        }
+        {"part": name, **asdict(found), "met": bool(found.met)}
         for name in names
         for found in PARTS[name]()
     ]

@@ -48,6 +48,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
 from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.special import ndtr, stdtr
@@ -464,14 +465,24 @@ def _departure(*kinds: str) -> Callable[[Estimate], Iterator[Found]]:
     """What finds the departure of a signal that explains most, where it is of these kinds."""
 
     def find(fit: Estimate) -> Iterator[Found]:
-        # Disturbance forces absorb a departure: then what was found before them counts.
-        best = None if fit.process_noise is None else fit.process_noise.departure
-        if best is None and _own_residuals(fit):
-            best = clear_departure(fit)
+        best = _sought(fit)
         if best is not None and best.kind in kinds:
             yield Found(best.size, best.signal, facts=_facts_of(best, fit))
 
     return find
+
+
+# What explains most of a fit's departures: each kind of concern asks for the same.
+_SOUGHT: WeakKeyDictionary[Estimate, Departure | None] = WeakKeyDictionary()
+
+
+def _sought(fit: Estimate) -> Departure | None:
+    # Disturbance forces absorb a departure: then what was found before them counts.
+    if fit.process_noise is not None and fit.process_noise.departure is not None:
+        return fit.process_noise.departure
+    if fit not in _SOUGHT:
+        _SOUGHT[fit] = clear_departure(fit) if _own_residuals(fit) else None
+    return _SOUGHT[fit]
 
 
 def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
