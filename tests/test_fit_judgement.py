@@ -168,7 +168,7 @@ def test_groups_that_jump_are_no_motion() -> None:
     step = np.isin(samples, [100, 300, 500])
 
     def found(series: np.ndarray, stepped: np.ndarray) -> list[int]:
-        return np.flatnonzero(spike_masks([series[:, None]], stepped=[stepped])[0]).tolist()
+        return np.flatnonzero(spike_masks([series[:, None]], stepped=lambda: [stepped])[0]).tolist()
 
     smooth = noise + 15.0 * np.exp(-0.5 * ((samples - 600.0) / 10.0) ** 2)
     assert not found(smooth, step)

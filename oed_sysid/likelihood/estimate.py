@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from functools import wraps
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.special import ndtri
@@ -17,6 +19,8 @@ from oed_sysid.likelihood.information import Information, Whiteness, whiteness
 from oed_sysid.likelihood.noise_levels import root_mean_square
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.physics.model import Model
+
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -469,6 +473,19 @@ class Estimate:
             "unit": [self.model.parameter(name).unit for name in self.names],
         }
         return frame(columns).set_index("parameter")
+
+
+def once_a_fit(ask: Callable[[Estimate], Answer]) -> Callable[[Estimate], Answer]:
+    """Remember what is asked of a fit for as long as that fit is there."""
+    known: WeakKeyDictionary[Estimate, Answer] = WeakKeyDictionary()
+
+    @wraps(ask)
+    def asked(fit: Estimate) -> Answer:
+        if fit not in known:
+            known[fit] = ask(fit)
+        return known[fit]
+
+    return asked
 
 
 def by_name(names: Sequence[str], numbers: np.ndarray) -> dict[str, float]:

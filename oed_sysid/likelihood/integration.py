@@ -23,7 +23,7 @@ import numpy as np
 
 from oed_sysid.compiled.kernels import Kernel, kernel
 from oed_sysid.likelihood.departures import outputs_of, values_of
-from oed_sysid.likelihood.estimate import Estimate, Integration
+from oed_sysid.likelihood.estimate import Estimate, Integration, once_a_fit
 from oed_sysid.likelihood.noise_levels import signal_spread, white_levels
 
 # A fit goes on as what it is.
@@ -95,6 +95,12 @@ def step_change(fit: Estimate, finer: int = 4) -> StepChange:
     return replace(worst, total=float(np.sqrt(squares)))
 
 
+@once_a_fit
+def half_step_change(fit: Estimate) -> StepChange:
+    """Change of the outputs with half the step, which verdict and refinement both ask for."""
+    return step_change(fit, 2)
+
+
 def _both_steps(
     fit: Estimate, index: int, coarse: Kernel, fine: Kernel
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -126,7 +132,7 @@ def resolved(fit: Ended, again: Callable[[float, Ended], Ended]) -> Ended:
     """
     first = fit
     for _ in range(4):  # to a sixteenth: what needs more jumps, and no step will do
-        if fit.status.code not in ENDED or step_change(fit, 2).total < BIAS:
+        if fit.status.code not in ENDED or half_step_change(fit).total < BIAS:
             break
         finer = again(0.5 * fit.model.step, fit)
         # What a finer step cures stays cured, though no estimate moved.

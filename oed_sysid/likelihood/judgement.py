@@ -48,7 +48,6 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import chain, islice
 from typing import Any, TypeVar
-from weakref import WeakKeyDictionary
 
 import numpy as np
 from scipy.special import ndtr, stdtr
@@ -65,9 +64,9 @@ from oed_sysid.likelihood.departures import (
     other_way,
     outputs_of,
 )
-from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate
+from oed_sysid.likelihood.estimate import ActuatorStart, Departure, Estimate, once_a_fit
 from oed_sysid.likelihood.information import COLOUR_LIMIT, Whiteness
-from oed_sysid.likelihood.integration import BIAS, step_change
+from oed_sysid.likelihood.integration import BIAS, half_step_change, step_change
 from oed_sysid.likelihood.noise_levels import (
     DIFFERENCE_ERROR,
     fast_level,
@@ -472,17 +471,13 @@ def _departure(*kinds: str) -> Callable[[Estimate], Iterator[Found]]:
     return find
 
 
-# What explains most of a fit's departures: each kind of concern asks for the same.
-_SOUGHT: WeakKeyDictionary[Estimate, Departure | None] = WeakKeyDictionary()
-
-
+@once_a_fit
 def _sought(fit: Estimate) -> Departure | None:
+    """What explains most of a fit's departures: each kind of concern asks for the same."""
     # Disturbance forces absorb a departure: then what was found before them counts.
     if fit.process_noise is not None and fit.process_noise.departure is not None:
         return fit.process_noise.departure
-    if fit not in _SOUGHT:
-        _SOUGHT[fit] = clear_departure(fit) if _own_residuals(fit) else None
-    return _SOUGHT[fit]
+    return clear_departure(fit) if _own_residuals(fit) else None
 
 
 def _facts_of(one: Departure, fit: Estimate) -> dict[str, Any]:
@@ -590,7 +585,7 @@ def _far_outputs(fit: Estimate) -> Iterator[Found]:
 def _integration(fit: Estimate) -> Iterator[Found]:
     """Trajectories that depend on the integration step."""
     # Half the step shows nearly as much, and costs half.
-    if not _has_numbers(fit) or step_change(fit, 2).size < 0.5 * STEP_CHANGE:
+    if not _has_numbers(fit) or half_step_change(fit).size < 0.5 * STEP_CHANGE:
         return
     change = step_change(fit, FINER)
     if change.size >= STEP_CHANGE:

@@ -749,9 +749,13 @@ def _left(fit: Fit, before: np.ndarray) -> Dataset | None:
     if not all(np.isfinite(part).all() for part in fit.predictions):
         return None
     taken = before - _measured(fit.dataset)
-    stepped = [input_steps(record) for record in fit.dataset]
     known = ~fit.sigma_estimated
-    single = spike_masks(fit.series, declared=known, taken=taken, stepped=stepped)
+    single = spike_masks(
+        fit.series,
+        declared=known,
+        taken=taken,
+        stepped=lambda: [input_steps(record) for record in fit.dataset],
+    )
     outputs = [record.outputs for record in fit.dataset]
     held = held_masks(outputs, fit.series, fit.sigma)
     masks = [one | other for one, other in zip(single, held, strict=True)]

@@ -302,13 +302,15 @@ class _Output:
     rows : list of ndarray of int (n,)
         Where they are.
     values : list of ndarray (n,)
-    away : list of ndarray (n,)
-        Their departures from the median of their neighbours.
     """
 
     rows: list[np.ndarray]
     values: list[np.ndarray]
-    away: list[np.ndarray]
+
+    @cached_property
+    def away(self) -> list[np.ndarray]:
+        """Departures ``(n,)`` from the median of the neighbours."""
+        return [_beside(one) for one in self.values]
 
     @cached_property
     def every(self) -> np.ndarray:
@@ -319,6 +321,11 @@ class _Output:
     def middle(self) -> float:
         """Median of all values."""
         return float(np.median(self.every))
+
+    @cached_property
+    def spread(self) -> float:
+        """Standard deviation of the values about it, were they normal."""
+        return robust_deviation(self.every - self.middle)
 
     @cached_property
     def usual(self) -> float:
@@ -356,7 +363,7 @@ def _by_output(
     for column in range(whitened[0].shape[1]):
         rows = [np.flatnonzero(np.isfinite(part[:, column])) for part in whitened]
         values = [part[index, column] for part, index in zip(whitened, rows, strict=True)]
-        parts = find(column, _Output(rows, values, [_beside(one) for one in values]))
+        parts = find(column, _Output(rows, values))
         for one, index, part in zip(found, rows, parts, strict=True) if parts is not None else ():
             one[index, column] = part
     return found
@@ -367,7 +374,7 @@ def spike_masks(
     *,
     declared: np.ndarray | None = None,
     taken: np.ndarray | None = None,
-    stepped: Sequence[np.ndarray] | None = None,
+    stepped: Callable[[], Sequence[np.ndarray]] | None = None,
 ) -> tuple[np.ndarray, ...]:
     """Samples that stand out alone, per record; with inputs, also groups that jump there and back.
 
@@ -380,8 +387,9 @@ def spike_masks(
         no sample is a spike, however smooth the others are.
     taken : ndarray of int (n_outputs,), optional
         Samples of each output that were taken out as spikes before.
-    stepped : sequence of ndarray of bool (n_times,), optional
-        Where an input has just stepped (:func:`input_steps`): a motion may jump there.
+    stepped : callable, optional
+        Says per record where an input has just stepped, ``(n_times,)`` (:func:`input_steps`): a
+        motion may jump there.
 
     Returns
     -------
@@ -397,8 +405,7 @@ def spike_masks(
         found = _outliers(one, least[column], taken[column], RARE / n_outputs)
         if stepped is None:
             return found
-        calm = [~part[index] for part, index in zip(stepped, one.rows, strict=True)]
-        groups = _jumping(one, calm, least[column], RARE / n_outputs)
+        groups = _jumping(one, stepped, least[column], RARE / n_outputs)
         return [alone | group for alone, group in zip(found, groups, strict=True)]
 
     return _by_output(whitened, find)
@@ -419,7 +426,7 @@ def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.
     """
     usual, surely = max(one.usual, BESIDE * least), one.surely(chance)
     off = [values - one.middle for values in one.values]
-    slow = max(robust_deviation(one.every - one.middle), least)
+    slow = max(one.spread, least)
     if slow > 1.1 * usual / BESIDE:
         # A bend of slow residuals is followed by the cubic through the neighbours; a transient
         # here and there makes large departures usual.
@@ -428,6 +435,8 @@ def _outliers(one: _Output, least: float, count: int, chance: float) -> list[np.
         usual = max(usual, np.quantile(np.abs(np.concatenate(one.away)), 0.9) / ndtri(0.95))
         limit = max(surely, STRUCTURED_SPIKE)
         return [size > limit for size in one.sizes(off, usual, spread)]
+    if not np.any(np.abs(one.every - one.middle) > surely * slow):
+        return [np.zeros(len(values), dtype=bool) for values in off]
     # Neighbours that happen to lie on the other side do not make a spike.
     sizes = one.sizes(off, usual, slow)
     every = np.concatenate(sizes)
@@ -476,18 +485,21 @@ def _longest(count: int, n: int) -> int:
 
 
 def _jumping(
-    one: _Output, calm: Sequence[np.ndarray], least: float, chance: float
+    one: _Output, stepped: Callable[[], Sequence[np.ndarray]], least: float, chance: float
 ) -> list[np.ndarray]:
     """Groups of samples that are off and jump as nothing does that moves.
 
     There and back, or from one side to the other. Where most groups begin as an input steps, it
     is the vehicle that answers, at once. Over a gap in the rows a motion may go far. Other
-    parameters as of :func:`_outliers`; ``calm`` are samples before which no input has stepped.
+    parameters as of :func:`_outliers`; ``stepped`` as of :func:`spike_masks`.
     """
-    steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in one.values]
-    far = one.surely(chance) * max(robust_deviation(one.every - one.middle), least)
-    jump = one.surely(chance) * max(robust_deviation(np.concatenate(steps)), np.sqrt(2.0) * least)
+    far = one.surely(chance) * max(one.spread, least)
     found = [np.zeros(len(values), dtype=bool) for values in one.values]
+    if not np.any(np.abs(one.every - one.middle) > far):
+        return found
+    calm = [~part[index] for part, index in zip(stepped(), one.rows, strict=True)]
+    steps = [np.diff(values, prepend=values[:1], append=values[-1:]) for values in one.values]
+    jump = one.surely(chance) * max(robust_deviation(np.concatenate(steps)), np.sqrt(2.0) * least)
     answers, elsewhere = [], 0
     for mask, values, away, row, still in zip(
         found, one.values, steps, one.rows, calm, strict=True
