@@ -319,7 +319,7 @@ def test_colour_counts_independent_samples() -> None:
         return record.outputs + NOISE * slow
 
     fit = WHITE.fit(yaw_model(), changed(yaw_data(6, noise=np.zeros(2)), colour))
-    shares = {c.signal: c.size for c in fit.concerns if c.kind == "colour"}
+    shares = {c.signal: c.size for c in fit.concerns if c.kind == "autocorrelation"}
     assert set(shares) == {"psi", "r"}
     # (1 - 0.7) / (1 + 0.7) = 0.18 of a long series.
     assert all(0.1 < share < 0.45 for share in shares.values())

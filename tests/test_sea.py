@@ -390,7 +390,7 @@ def test_a_swell_that_is_no_sea_is_named_and_its_errors_are_wider(
         away = fit.estimates - truth
         ours.append(away / np.array([fit.std_errors[name] for name in fit.names]))
         bound.append(away / fit.information.std_errors)
-        swings = [concern.size for concern in fit.concerns if concern.kind == "swing"]
+        swings = [concern.size for concern in fit.concerns if concern.kind == "narrow_band"]
         named.append(bool(swings))
         periods += swings
         assert np.all(np.diag(fit.covariance) >= (1 - 1e-9) * np.diag(fit.information.covariance))
@@ -404,7 +404,7 @@ def test_a_swell_that_is_no_sea_is_named_and_its_errors_are_wider(
 def test_forces_without_a_period_are_not_named(number: int) -> None:
     """First-order Gauss-Markov forces: no swing, and errors are the bound's."""
     for fit, _ in fits("medium", range(number, number + 1)):
-        assert not [concern for concern in fit.concerns if concern.kind == "swing"]
+        assert not [concern for concern in fit.concerns if concern.kind == "narrow_band"]
         assert np.array_equal(fit.covariance, fit.information.covariance)
 
 

@@ -170,7 +170,7 @@ class Fit(estimate.Estimate):
     @property
     def _unasked(self) -> str:
         """Why runs under the noise model would not be those of the sea; empty where they would."""
-        waves = [one for one in self.concerns if one.kind == "swing"]
+        waves = [one for one in self.concerns if one.kind == "narrow_band"]
         # Where a sea was looked for, and none or one was found, what is left is no such wave.
         asked = self.process_noise is not None or self.noise.seas
         if not waves or asked or not self.noise.has_forces:

@@ -11,11 +11,13 @@ of the variance of third differences, which slow residuals do not enter,
     f_\Delta^2 = \operatorname{median}\,(\Delta^3 \epsilon)_k^2 \,/\, (0.4549 \cdot 20),
 
 with standard errors :math:`1/\sqrt{2n}` and :math:`1.5/\sqrt{n}` of their logarithms and ``m``
-the output's share of the unknowns. Large ``f`` with small :math:`f_\Delta` is colour, not level.
+the output's share of the unknowns. Large ``f`` with small :math:`f_\Delta` is
+autocorrelation, not a larger standard deviation.
 
-*Colour.* Ljung-Box statistic and effective sample size (:mod:`oed_sysid.likelihood.information`).
+*Autocorrelation.* Ljung-Box statistic and effective sample size
+(:mod:`oed_sysid.likelihood.information`).
 
-*Swing.* Innovations with power about one frequency, as waves leave them
+*Narrow band.* Innovations with power about one frequency, as waves leave them
 (:mod:`oed_sysid.likelihood.covariance`).
 
 *Spikes* and *delays* are found by :mod:`oed_sysid.likelihood.noise_levels` and
@@ -112,23 +114,23 @@ class Concern:
     Attributes
     ----------
     kind : str
-        ``noise_level``, ``colour``, ``swing``, ``spikes``, ``delay``, ``offset``, ``scale``,
-        ``actuator_start``, ``per_record_follows``, ``records_differ``, ``input_noise``,
-        ``other_way``, ``absorbed``, ``process_noise``, ``constraint``, ``integration``,
-        ``finer_step``, ``runaway``, ``degenerate`` or ``few_samples``.
+        ``noise_level``, ``autocorrelation``, ``narrow_band``, ``spikes``, ``delay``, ``offset``,
+        ``scale``, ``actuator_start``, ``per_record_follows``, ``records_differ``,
+        ``input_noise``, ``other_way``, ``absorbed``, ``process_noise``, ``constraint``,
+        ``integration``, ``finer_step``, ``runaway``, ``degenerate`` or ``few_samples``.
     signal : str
         Output, input, state or parameter; empty where it is the whole fit.
     record : str
         Empty where it is all records.
     size : float
         A factor of the level (``noise_level``, ``absorbed``), the share of independent samples
-        (``colour``), a number of samples (``spikes``), seconds (``delay``, ``swing``), the unit of
-        the signal (``offset``, ``actuator_start``), a share (``scale``), a correlation
-        (``per_record_follows``), a factor of the standard error (``records_differ``), the true
-        input over the logged one (``other_way``), noise levels (``integration``,
-        ``input_noise``), multiples of the scale (``runaway``) or of the signal (``degenerate``),
-        samples per unknown (``few_samples``), standard errors (``constraint``, ``finer_step``),
-        the score test's 2 delta ln L (``process_noise``).
+        (``autocorrelation``), a number of samples (``spikes``), seconds (``delay``,
+        ``narrow_band``), the unit of the signal (``offset``, ``actuator_start``), a share
+        (``scale``), a correlation (``per_record_follows``), a factor of the standard error
+        (``records_differ``), the true input over the logged one (``other_way``), noise levels
+        (``integration``, ``input_noise``), multiples of the scale (``runaway``) or of the signal
+        (``degenerate``), samples per unknown (``few_samples``), standard errors (``constraint``,
+        ``finer_step``), the score test's 2 delta ln L (``process_noise``).
     text : str
         What was expected, what was found, what to do.
 
@@ -346,7 +348,7 @@ def _peaks(fit: Estimate) -> list[Peak]:
     return clear_peaks(fit.series, tuple(fit.dataset), fit.model.output_names)
 
 
-def _swings(fit: Estimate) -> Iterator[Found]:
+def _narrow_bands(fit: Estimate) -> Iterator[Found]:
     """Peaks that are no sea of the fit.
 
     Within an octave of one it is the shape of the spectrum that is not quite the assumed one, which
@@ -359,7 +361,7 @@ def _swings(fit: Estimate) -> Iterator[Found]:
         yield Found(peak.period, peak.output, facts={"ratio": peak.ratio})
 
 
-def _colours(fit: Estimate) -> Iterator[Found]:
+def _autocorrelations(fit: Estimate) -> Iterator[Found]:
     """One-step errors that remember, after all the noise that the fit knows."""
     found = [one for name, tests in fit.whiteness().items() if (one := _memory(fit, name, tests))]
     swinging = {peak.output for peak in _peaks(fit)} if found else set()
@@ -870,14 +872,15 @@ CHECKS = (
         "measurement, or smooth the log, or allow a disturbance force at its actuator.",
     ),
     Check(
-        "swing", _swings, "a chance of 1 %; see covariance.clear_peaks",
-        "Innovations of {signal} swing with a period of about {size:.2g} s "
+        "narrow_band", _narrow_bands, "a chance of 1 %; see covariance.clear_peaks",
+        "Innovations of {signal} have a narrow band about a period of {size:.2g} s "
         "({ratio:.1f} times the power of white ones): waves that one sea does not "
         "describe, or motion that the model lacks. Standard errors are from the sandwich "
-        "covariance, which holds the swing; estimates are not as precise as they could be.",
+        "covariance, which holds that band; estimates are not as precise as they could be.",
     ),
     Check(
-        "colour", _colours, f"the chance of {CLEAR:g} standard errors (Ljung-Box), or of lag one",
+        "autocorrelation", _autocorrelations,
+        f"the chance of {CLEAR:g} standard errors (Ljung-Box), or of lag one",
         "{what} of {signal} are correlated: {n} samples count as {effective:.0f}, expected "
         "{n}. {todo}",
     ),

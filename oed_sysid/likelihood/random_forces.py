@@ -15,9 +15,11 @@ first order projected out. Its largest value over a grid of periods is held agai
 :math:`\bar\chi^2` distribution of as many variances at their bound (Silvapulle & Sen 2005,
 *Constrained statistical inference*, ch. 3), each period a test of its own.
 
-Where it is beyond, resonators are estimated *instead* of the forces, first at the period of the
-test, then with everything together; three shapes race, and the sea stays where it is clearly
-likelier. Forces of first order on top are asked last, because a wrong shape lets them in.
+A period is tested where the spectrum of the innovations may show more than white noise about it
+(:func:`_in_spectrum`). Where ``T`` is beyond, resonators are estimated *instead* of the forces,
+first at the period of the test, then with everything together; three shapes compete, and the sea
+stays where it is clearly likelier. Forces of first order on top are asked last, because a wrong
+shape lets them in.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ The hull's forces are the linear ones of a wing with :math:`|u|` for the speed, 
 hold astern, and the cross-flow drag of strips along the length, which stays when the ship
 turns on the spot (Yoshimura, Nakao & Ishibashi 2009, MARSIM). Thrust ahead is
 :math:`\rho(D^4 k_0 n^2 + D^3 k_1 n u_P)`, which has no division by the revolutions; astern
-the propeller's race meets the stern and pushes it sideways. The rudder's normal force
+the propeller slipstream meets the stern and pushes it sideways. The rudder's normal force
 :math:`\frac\rho2 A_R f_\alpha V_R (u_R\sin\delta - v_R\cos\delta)` is Fujii's with the
 angle of attack written out: it holds for flow from any side.
 
@@ -57,7 +57,7 @@ SIGNALS = {
     "jet": f"max(u_P**2 + {8 / math.pi:.9f}*thrust/(rho*D_P**2), 0)",
     "u_W": "epsilon*u_P",
     "u_J": "epsilon*(u_P + kappa*(sqrt(jet + 1e-6) - sqrt(u_P**2 + 1e-6)))",
-    # The race reaches the rudder when the propeller turns ahead and the ship moves ahead.
+    # The slipstream reaches the rudder when the propeller turns ahead and the ship moves ahead.
     "u_R": "u_W*(n_ahead <= 0) + sqrt(eta*u_J**2 + (1 - eta)*u_W**2 + 1e-6)*(n_ahead > 0)",
     "across": "v_r + l_R_prime*L*r",
     "v_R": "-gamma_R*across*(1 - gamma_side*tanh(across/v_side))",
@@ -108,7 +108,7 @@ RUDDER_FORCE = Force(
     },
     RUDDER,
     amplitudes=(),
-    description="rudder in the wake and in the propeller's race",
+    description="rudder in the wake and in the propeller slipstream",
     source=YASUKAWA,
 )
 

@@ -155,7 +155,7 @@ RUDDER_FORCE = Force(
     },
     STEERING,
     amplitudes=(),
-    description="rudder in the wake and in the propeller's race",
+    description="rudder in the wake and in the propeller slipstream",
     source=SOURCE,
 )
 

@@ -65,7 +65,7 @@ YAW = (
 )
 RUDDER = (
     _derivative("N_delta_prime", 0.001, "moment of the rudder"),
-    _derivative("N_deltaT_prime", 0.4, "its share in the propeller's race"),
+    _derivative("N_deltaT_prime", 0.4, "its share in the propeller slipstream"),
     _derivative("N_deltavv_prime", 0.02, "its change with drift"),
 )
 # Wake fraction: 0.46 + c_0 + c_1 (u - U_0) + c_2 delta + c_3 delta^2, and by the side of the drift

@@ -78,7 +78,7 @@ PROPELLER_RACE = Environment(
     "propeller_race",
     {"race": "1 + (race - 1)*(1 + E_propeller_race)"},
     (small("propeller_race", "1", 0.2),),
-    description="the rudder feels more or less of the propeller's race than published",
+    description="the rudder feels more or less of the propeller slipstream than published",
     source=SOURCE,
     needs="the speed loss of strong and weak zigzags, which tells it from the wake ratio epsilon",
 )
