@@ -35,9 +35,9 @@ from oed_sysid.information.shifts import GROUP_WIDTH
 from oed_sysid.likelihood.disturbances import Place, disturbance, places
 from oed_sysid.likelihood.filtered import Filtered, disturbed_model
 from oed_sysid.likelihood.fit import MOST_DRAWN
-from oed_sysid.likelihood.gauss_newton import NEAR, FilteredSolution, Iterate, solve_filtered
+from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
-from oed_sysid.likelihood.random_forces import FEW_STEPS, begun, solved
+from oed_sysid.likelihood.random_forces import begun, solved
 from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 from oed_sysid.text.units import shown_unit
@@ -396,7 +396,7 @@ class _Bench:
         All take a few steps; of those whose gain is no chance, the likeliest and those that their
         equations promise to bring near it go on to the end.
         """
-        looked = ((one, solved(self._begun(one), FEW_STEPS, tolerance=NEAR)) for one in where)
+        looked = ((one, solved(self._begun(one), FEW, tolerance=NEAR)) for one in where)
         found = [Evidence(place, self.quiet, fit.finite or self.quiet) for place, fit in looked]
         found.sort(key=lambda part: -part.reach)
         least = CLEAR

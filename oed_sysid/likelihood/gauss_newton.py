@@ -75,8 +75,9 @@ FROZEN_TOLERANCE, POLISH_STEPS = 1e-3, 8
 NEAR = 0.1
 # Where the frozen gradient promises what no step keeps, few trials show it.
 MOST_DAMPING = 10.0
-# Lengths that are tried there, and steps after which one looks back, and the fall of the cost over
-# these that is too small to go on for, least and in tolerances: its gradient leads to and fro.
+# Lengths that are tried there; steps after which one looks back, or the likeliest of several starts
+# goes on alone; and the fall of the cost over these that is too small to go on for, least and in
+# tolerances: its gradient leads to and fro.
 FEW, LEAST_FALL, FALL_TOLERANCES = 3, 0.05, 10.0
 # Information by differences of whole filters over that at frozen gain beyond which it is rounding
 # that an unstable model amplifies. Rounding falls with the square of the step, information does

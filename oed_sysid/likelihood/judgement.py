@@ -341,6 +341,7 @@ def _declared(fit: Estimate) -> np.ndarray:
     return np.where(fit.sigma_estimated, given, fit.sigma) if fit.innovations is None else given
 
 
+@once_a_fit
 def _peaks(fit: Estimate) -> list[Peak]:
     """Outputs whose innovations have a period of their own."""
     if fit.innovations is None:

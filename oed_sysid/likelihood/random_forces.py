@@ -68,9 +68,6 @@ WORTH = 10.0
 # Decades above these levels that are climbed for the likeliest, and the stride of the climb: where
 # a model hardly damps what disturbs it, records tell of levels far below those that act.
 DECADES, STRIDE = 21, 3
-# Steps after which the likeliest of several starts goes on and the others only where they promise
-# to overtake, and at frozen gain before the exact ones where those before did not converge.
-FEW_STEPS = 3
 # Times its promise that a first look at a shape of a sea falls short of the likeliest so far, from
 # which on it cannot win: gains of at most 1.2 times the promise were measured, and two leaves room.
 PROMISED = 2.0
@@ -179,7 +176,7 @@ def _raced_to_sea(
 
 def _polished(found: FilteredSolution, polish: int) -> FilteredSolution:
     """The end by the exact gradient, which has the last word only where it finds a way."""
-    more = 0 if found.reason == "converged" else FEW_STEPS
+    more = 0 if found.reason == "converged" else FEW
     again = solve_filtered(
         found.problem, found.point, max_iterations=more, polish=polish, begin=found.now
     )
@@ -321,7 +318,7 @@ def _raced(
     if len(apart) == 1:
         return solved(apart[0], most, progress)
     return _first_home(
-        [solved(one, min(FEW_STEPS, most), progress) for one in apart],
+        [solved(one, min(FEW, most), progress) for one in apart],
         lambda one: solved(one, most, progress),
     )
 
@@ -794,7 +791,7 @@ def _at_sea(
         look = _again(near, setting, replace(noise, seas=(one,)), free, 0) if looked else near
         least = min((end.restricted for end in looked), default=np.inf)
         if look.restricted - PROMISED * look.promise < least:
-            looked.append(_again(near, setting, replace(noise, seas=(one,)), free, FEW_STEPS))
+            looked.append(_again(near, setting, replace(noise, seas=(one,)), free, FEW))
 
     def to_the_end(one: FilteredSolution) -> FilteredSolution:
         most = setting.max_iterations
