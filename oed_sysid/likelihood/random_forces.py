@@ -666,24 +666,24 @@ def _likeliest_period(
     tried = periods(found) if places else []
     if not tried:
         return found.problem.records[0].duration / 8 if setting.seas else None
-    # Held over as many steps of a sample as a wave needs: those of one number have one filter.
     sample = max(record.sample_time for record in found.problem.records)
-    steps = [max(int(np.ceil(STEPS_OF_PERIOD * sample / one - 1e-6)), 1) for one in tried]
-    shown = _in_spectrum(found, [_calm(places, one) for one in tried]) | bool(setting.seas)
-    chosen = list(compress(zip(tried, steps, strict=True), shown))
-    if not chosen:
-        return None
-    scored = {count: _Scored.at(found, sample / count) for count in {one for _, one in chosen}}
+    scored = cache(lambda count: _Scored.at(found, sample / count))
     own, names = _own_times(found, found.noise), [f"sea {place} level" for place in places]
-    tests = []
-    for one, count in chosen:
-        # What resonators of this period would gain at variance zero.
-        calm = _calm(places, one)
-        noise, known = replace(found.noise, seas=(calm,)), [replace(calm, levels=None)]
+
+    def gain(period: float) -> float:
+        """What resonators of this period would gain at variance zero."""
+        sea = _calm(places, period)
+        noise, known = replace(found.noise, seas=(sea,)), [replace(sea, levels=None)]
         wide = posed(found, setting, noise, own_times=own, seas=known)
-        tests.append(scored[count].gain(wide, names)[0])
-    shows = max(tests) >= threshold(len(places), len(tried))
-    return chosen[int(np.argmax(tests))][0] if setting.seas or shows else None
+        # Held over as many steps of a sample as a wave needs: those of one number have one filter.
+        steps = int(np.ceil(STEPS_OF_PERIOD * sample / period - 1e-6))
+        return scored(max(steps, 1)).gain(wide, names)[0]
+
+    shown = _in_spectrum(found, [_calm(places, one) for one in tried])
+    asked = list(compress(tried, shown | bool(setting.seas)))
+    gains = [gain(one) for one in asked]
+    shows = max(gains, default=0.0) >= threshold(len(places), len(tried))
+    return asked[int(np.argmax(gains))] if setting.seas or shows else None
 
 
 def _in_spectrum(found: FilteredSolution, calm: Sequence[Sea]) -> np.ndarray:
