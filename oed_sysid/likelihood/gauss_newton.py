@@ -786,14 +786,7 @@ def solve_filtered(
     descent.now = descent.lowest
     # The frozen gain is not the exact gradient: where it finds no way on, the end is near.
     near = ["stalled"]
-    exact_control = StepControl(FEW, MOST_DAMPING)
-    if reason != "interrupted" and polish and descent.refine(restricted, exact_control):
-        last = descent.run(polish, enough=lambda progress: progress.decrement < FROZEN_TOLERANCE)
-        if last == "enough":  # the equations before hold where so small a step has led
-            before = descent.before.equations
-            step = descent.now.point.unknowns - descent.before.point.unknowns
-            kept = replace(before, right=before.right - before.matrix @ step)
-            descent.now = replace(descent.now, derive=partial(_told, kept))
+    if reason != "interrupted" and polish and (last := _polished(descent, polish)):
         # The exact gradient has the last word, whatever the frozen one ended with.
         near.append("iterations")
         reason = last if last == "interrupted" else reason
@@ -803,6 +796,58 @@ def solve_filtered(
     if descent.evaluate is restricted:  # what is told of the fit is its likelihood
         cost = 0.5 * problem.objective(now.point.unknowns)
     return FilteredSolution(now.kept(cost), descent.steps + 1, reason)
+
+
+def _polished(descent: Descent, most: int) -> str:
+    r"""Go on to where the gradient :math:`g` of the filter as it is vanishes; return why it ended.
+
+    It costs a filter for every parameter, that at frozen gain, :math:`g_0`, one in all, and bends
+    alike. Where the second look at it, from :math:`\theta_k`, promises much still, a few steps
+    follow
+
+    .. math:: g(\theta) \approx g_0(\theta) + g(\theta_k) - g_0(\theta_k)
+
+    before the next (defect correction; Stetter 1978, Numer. Math. 29, 425).
+    """
+    last, problem = "", descent.now.problem
+    for look in range(most):
+        if not descent.refine(restricted, StepControl(FEW, MOST_DAMPING)):
+            return last
+        last = descent.run(1, enough=lambda progress: progress.decrement < FROZEN_TOLERANCE)
+        before = descent.before
+        if last == "enough":  # the equations before hold where so small a step has led
+            step = descent.now.point.unknowns - before.point.unknowns
+            right = before.equations.right - before.equations.matrix @ step
+            kept = replace(before.equations, right=right)
+            descent.now = replace(descent.now, derive=partial(_told, kept))
+        if last != "iterations":
+            return last
+        if not look or descent.decrease < NEAR:
+            continue
+        frozen = whitened(problem, before.point).equations
+        evaluate = partial(_corrected, lacks=before.equations.right - frozen.right)
+        begin, control = evaluate(problem, descent.now.point), StepControl(1, MOST_DAMPING)
+        inner = Descent(begin, evaluate, Convergence(FROZEN_TOLERANCE), control, descent.trust)
+        if np.isfinite(begin.cost) and inner.run(FEW) == "interrupted":
+            last = "interrupted"
+            break
+        descent.now, descent.steps = inner.now, descent.steps + inner.steps
+    descent.refine(restricted)
+    return last
+
+
+def _corrected(problem: Filtered, point: Point, *, lacks: np.ndarray) -> Iterate:
+    """Evaluate a point by the restricted likelihood, its gradient at frozen gain and what it lacks.
+
+    As ``lacks`` has it, ``(n_unknowns,)``.
+    """
+    now = whitened(problem, point)
+    if not np.isfinite(now.cost):
+        return now
+    equations, known = now.equations, absorbed(problem, now.equations.matrix)
+    right, closed = equations.right + lacks, equations.closed + known
+    kept = replace(equations, right=right, closed=closed)
+    return replace(now, cost=now.cost + known, derive=partial(_told, kept))
 
 
 def _told(equations: Equations, damping: float) -> Equations:
