@@ -67,7 +67,11 @@ def header(program: Program, file: Path | None = None) -> str:
 def source(program: Program, file: Path | None = None) -> str:
     """Text of the source: the model's functions, and the loop around them."""
     return filled(
-        program, "model.c", IN_C, nd=program.n_signals, any_linear=int(any(program.linear_inputs))
+        program,
+        "model.c",
+        IN_C,
+        nd=len(program.model.actuator_signals),
+        any_linear=int(any(program.graph.linear_inputs)),
     )
 
 
@@ -98,33 +102,26 @@ class Platform:
 
     Attributes
     ----------
-    folders : mapping of str to str
-        Its folder in a unit, by version of the interface; missing where the standard has none.
+    folder_2, folder_3 : str
+        Its folder in a unit of FMI 2.0 and of 3.0; empty where the standard has none.
     ending : str
         Of a shared library.
     target : str
         What zig's compiler calls it.
     """
 
-    folders: Mapping[str, str]
+    folder_2: str
+    folder_3: str
     ending: str
     target: str
 
 
 _PLATFORMS = {
-    ("linux", "x86_64"): Platform(
-        {"2.0": "linux64", "3.0": "x86_64-linux"}, ".so", "x86_64-linux-gnu"
-    ),
-    ("linux", "aarch64"): Platform(
-        {"2.0": "aarch64-linux", "3.0": "aarch64-linux"}, ".so", "aarch64-linux-gnu"
-    ),
-    ("darwin", "x86_64"): Platform(
-        {"2.0": "darwin64", "3.0": "x86_64-darwin"}, ".dylib", "x86_64-macos"
-    ),
-    ("darwin", "arm64"): Platform({"3.0": "aarch64-darwin"}, ".dylib", "aarch64-macos"),
-    ("win32", "AMD64"): Platform(
-        {"2.0": "win64", "3.0": "x86_64-windows"}, ".dll", "x86_64-windows-gnu"
-    ),
+    ("linux", "x86_64"): Platform("linux64", "x86_64-linux", ".so", "x86_64-linux-gnu"),
+    ("linux", "aarch64"): Platform("aarch64-linux", "aarch64-linux", ".so", "aarch64-linux-gnu"),
+    ("darwin", "x86_64"): Platform("darwin64", "x86_64-darwin", ".dylib", "x86_64-macos"),
+    ("darwin", "arm64"): Platform("", "aarch64-darwin", ".dylib", "aarch64-macos"),
+    ("win32", "AMD64"): Platform("win64", "x86_64-windows", ".dll", "x86_64-windows-gnu"),
 }
 
 
@@ -189,8 +186,8 @@ def _compiled(place: Path, name: str, version: str) -> list[Path]:
     found = []
     for key, command in _compilers().items():
         known = _PLATFORMS[key]
-        if version in known.folders:
-            target = place / known.folders[version] / f"{name}{known.ending}"
+        if folder := known.folder_2 if version == "2.0" else known.folder_3:
+            target = place / folder / f"{name}{known.ending}"
             target.parent.mkdir()
             sources = [str(place / one) for one in _sources(name)]
             mathematics = [] if key[0] == "win32" else ["-lm"]
@@ -257,23 +254,25 @@ def _variables(program: Program) -> list[Variable]:
     exact = {"causality": "parameter", "initial": "exact"}
     rows: list[Variable] = []
     for name, unit, linear in zip(
-        names.inputs, names.input_units, program.linear_inputs, strict=True
+        names["inputs"], names["input_units"], program.graph.linear_inputs, strict=True
     ):
         held = "continuous" if linear else "discrete"
         rows.append(Variable(name, unit, 0.0, {"causality": "input", "variability": held}))
-    for name, unit in zip(names.outputs, names.output_units, strict=True):
-        title = f"{name}_measured" if name in names.states else name  # beside the state itself
+    for name, unit in zip(names["outputs"], names["output_units"], strict=True):
+        title = f"{name}_measured" if name in names["states"] else name  # beside the state itself
         rows.append(Variable(title, unit, None, {"causality": "output", **moving}))
     values = program.model.value_vector.tolist()
-    for name, unit, value in zip(names.parameters, names.parameter_units, values, strict=True):
+    for name, unit, value in zip(
+        names["parameters"], names["parameter_units"], values, strict=True
+    ):
         rows.append(Variable(name, unit, value, {"variability": "tunable", **exact}))
-    for name in names.states[: program.graph.n_own]:
+    for name in names["states"][: program.graph.n_own]:
         words = {"description": f"{name} at the start", "variability": "fixed", **exact}
         rows.append(Variable(f"{name}_start", "", 0.0, words))
     first, local = len(rows), {"causality": "local", **moving}
-    rows += [Variable(name, "", None, local) for name in names.states]
+    rows += [Variable(name, "", None, local) for name in names["states"]]
     if _exchanges(program):
-        states = enumerate(names.states, start=first)
+        states = enumerate(names["states"], start=first)
         rows += [Variable(f"der({name})", "", None, local, k) for k, name in states]
     return rows
 
@@ -311,7 +310,7 @@ def description(program: Program, guid: str, version: str = "2.0") -> str:
         variables=list(zip(titles, rows, strict=True)),
         time=time,
         # The C code counts a derivative for each state, whether the importer may ask for it or not.
-        time_number=own + len(program.names.states),
+        time_number=own + len(program.names["states"]),
         structure=[
             ("Outputs", "Output", outputs),
             ("Derivatives", "ContinuousStateDerivative", list(slopes)),

@@ -25,7 +25,7 @@ from __future__ import annotations
 import keyword
 import re
 import tomllib
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.resources import files
@@ -39,7 +39,9 @@ from oed_sysid.compiled.graph import GAMMA, STAGES, Graph, build
 from oed_sysid.errors import ModelError
 from oed_sysid.experiments.trajectory import simulate_inputs
 from oed_sysid.likelihood.fit import Fit
+from oed_sysid.physics.channels import Input, Output
 from oed_sysid.physics.model import Model
+from oed_sysid.physics.parameters import Parameter
 from oed_sysid.runtime.display import as_dict
 from oed_sysid.runtime.version import __version__
 from oed_sysid.text.callables import OPERATION_WORDS
@@ -92,29 +94,6 @@ class Routine:
     arguments: tuple[tuple[str, int], ...]
     results: tuple[tuple[str, int], ...]
     operations: tuple[Operation, ...] = field(repr=False)
-
-
-@dataclass(frozen=True)
-class Names:
-    """Names and units as they are written into code: ASCII letters, digits and few signs.
-
-    Attributes
-    ----------
-    states, inputs, outputs, parameters, free, signals : tuple of str
-        In the order of the program; ``free`` are the estimated parameters.
-    input_units, output_units, parameter_units : tuple of str
-        As they are read back by :func:`oed_sysid.text.units.dimension`.
-    """
-
-    states: tuple[str, ...]
-    inputs: tuple[str, ...]
-    outputs: tuple[str, ...]
-    parameters: tuple[str, ...]
-    free: tuple[str, ...]
-    signals: tuple[str, ...]
-    input_units: tuple[str, ...]
-    output_units: tuple[str, ...]
-    parameter_units: tuple[str, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,42 +150,31 @@ class Program:
         functions += [_slopes(graph.rates)] if self.implicit else []
         return tuple(map(_routine, functions))
 
-    def routine(self, name: str) -> Routine:
-        """Return one of the functions."""
-        return next(one for one in self.routines if one.name == name)
-
-    @property
-    def n_signals(self) -> int:
-        """Number of signals behind the actuators."""
-        return self.routine("actuate").results[0][1]
-
     @property
     def implicit(self) -> bool:
         """Whether the integration step is implicit."""
         return self.model.integrator != "explicit"
 
     @property
-    def linear_inputs(self) -> tuple[bool, ...]:
-        """For each input, whether it is interpolated linearly between samples."""
-        return tuple(one.interpolation == "linear" for one in self.model.inputs)
+    def names(self) -> dict[str, tuple[str, ...]]:
+        """Names and units that may stand in code of any language: ASCII letters, digits, few signs.
 
-    @property
-    def names(self) -> Names:
-        """Names and units that may stand in code of any language."""
+        Those of ``states inputs outputs parameters signals``, of ``free`` (the estimated
+        parameters), and ``input_units output_units parameter_units``, which
+        :func:`oed_sysid.text.units.dimension` reads back; all in the order of the program.
+        """
         model = self.model
-        parameters = distinct(model.parameter_names)
-        of = dict(zip(model.parameter_names, parameters, strict=True))
-        return Names(
-            distinct(self.graph.state_names),
-            distinct(model.input_names),
-            distinct(model.output_names),
-            parameters,
-            tuple(of[name] for name in self.free),
-            distinct(model.actuator_signals),
-            tuple(safe_unit(one.unit) for one in model.inputs),
-            tuple(safe_unit(one.unit) for one in model.outputs),
-            tuple(safe_unit(model.parameter(name).unit) for name in model.parameter_names),
-        )
+        parts: dict[str, Sequence[Input | Output | Parameter]]
+        parts = {"input": model.inputs, "output": model.outputs, "parameter": model.all_parameters}
+        found = {f"{kind}s": distinct(one.name for one in part) for kind, part in parts.items()}
+        for kind, part in parts.items():
+            found[f"{kind}_units"] = tuple(safe_unit(one.unit) for one in part)
+        written = dict(zip(model.parameter_names, found["parameters"], strict=True))
+        return found | {
+            "states": distinct(self.graph.state_names),
+            "free": tuple(written[name] for name in self.free),
+            "signals": distinct(model.actuator_signals),
+        }
 
     @property
     def origin(self) -> str:
@@ -491,15 +459,14 @@ def template(name: str) -> Template:
 
 def filled(program: Program, page: str, language: Dialect, /, **more: object) -> str:
     """Text of a template, with names, numbers and functions as a language writes them."""
-    names = program.names
-    words = {key: language.strings(getattr(names, key)) for key in Names.__dataclass_fields__}
+    words = {key: language.strings(names) for key, names in program.names.items()}
     step = template(f"{'implicit' if program.implicit else 'explicit'}{language.loop}")
     weights = ", ".join(repr(w) for row in STAGES for w in row)
     return template(page).substitute(
         program.head
         | words
         | {
-            "linear": language.flags(program.linear_inputs),
+            "linear": language.flags(program.graph.linear_inputs),
             "values": language.numbers(program.model.value_vector),
             "covariance": language.numbers(np.array(program.covariance)),
             "functions": language.gap.join(map(language.function, program.routines)),

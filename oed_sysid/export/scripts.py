@@ -52,7 +52,7 @@ def python_text(program: Program, file: Path) -> str:
     rows = [
         f"    {name!r}: {float(value)!r},  # {unit}"
         for name, unit, value in zip(
-            names.parameters, names.parameter_units, model.value_vector, strict=True
+            names["parameters"], names["parameter_units"], model.value_vector, strict=True
         )
     ]
     return filled(
@@ -97,28 +97,14 @@ def write_casadi(program: Program, folder: Path) -> tuple[Path, ...]:
     tuple of Path
         The files.
     """
-    graph = program.graph
-    functions = (
-        graph.rates,
-        graph.actuate,
-        graph.observe,
-        graph.start,
-        graph.advance,
-        graph.sample,
-    )
-    files = []
-    for function in functions:
-        file = folder / f"{function.name()}.casadi"
-        with whole_file(file) as part:
+    files, words = [], {}
+    for name in ("rates", "actuate", "observe", "start", "advance", "sample"):
+        function = getattr(program.graph, name)
+        files.append(folder / f"{name}.casadi")
+        with whole_file(files[-1]) as part:
             function.save(str(part))
-        files.append(file)
-    words = {
-        function.name(): {
-            "arguments": function.name_in(),
-            "shapes": [list(function.size_in(i)) for i in range(function.n_in())],
-        }
-        for function in functions
-    }
+        shapes = [list(function.size_in(i)) for i in range(function.n_in())]
+        words[name] = {"arguments": function.name_in(), "shapes": shapes}
     text = json.dumps(program.describe() | {"functions": words}, indent=2)
     write_text(folder / "model.json", text + "\n")
     return (*files, folder / "model.json")
@@ -151,8 +137,8 @@ def control_text(program: Program, file: Path, trim: Mapping[str, float] | None 
     for name, step in program.std_errors.items():
         # A thousandth of the standard error is far below the curvature and above rounding.
         size = 1e-3 * step or 1e-9
-        up, _ = _linear(_moved(model, name, size), dict(trim or {}), guess=point)
-        down, _ = _linear(_moved(model, name, -size), dict(trim or {}), guess=point)
+        moved = (model.with_values({name: model.values[name] + by}) for by in (size, -size))
+        up, down = (_linear(one, dict(trim or {}), guess=point)[0] for one in moved)
         for k, found in enumerate(slopes):
             found.append((up[k] - down[k]) / (2 * size))
     spread = []
@@ -164,23 +150,19 @@ def control_text(program: Program, file: Path, trim: Mapping[str, float] | None 
     return template("linear.py.txt").substitute(
         origin=program.origin,
         file=safe(file.name),
-        states=dict(zip(names.states, point.states.values(), strict=False)),
-        inputs=dict(zip(names.inputs, point.inputs.values(), strict=True)),
+        states=dict(zip(names["states"], point.states.values(), strict=False)),
+        inputs=dict(zip(names["inputs"], point.inputs.values(), strict=True)),
         **dict(zip("abcd", map(_rows, matrices), strict=True)),
         a_std=_rows(spread[0]),
         b_std=_rows(spread[1]),
-        parameters=dict(zip(names.parameters, values, strict=True)),
-        estimated=names.free,
+        parameters=dict(zip(names["parameters"], values, strict=True)),
+        estimated=names["free"],
         covariance=program.covariance.tolist(),
-        input_names=list(names.inputs),
-        output_names=list(names.outputs),
-        state_names=list(names.states),
+        input_names=list(names["inputs"]),
+        output_names=list(names["outputs"]),
+        state_names=list(names["states"]),
         name=repr(program.identifier),
     )
-
-
-def _moved(model: Model, name: str, by: float) -> Model:
-    return model.with_values({name: model.values[name] + by})
 
 
 def _linear(
@@ -216,16 +198,16 @@ def module_text(program: Program, file: Path) -> str:
         return f"({inside},)" if names else "()"
 
     known, graph = program.names, program.graph
-    used = {"t", "h", *known.states, *known.parameters}
-    signals = tuple(name if name not in used else f"{name}_signal" for name in known.signals)
+    used = {"t", "h", *known["states"], *known["parameters"]}
+    signals = tuple(name if name not in used else f"{name}_signal" for name in known["signals"])
     return filled(
         program,
         "sympy.py.txt",
         IN_SYMPY,
-        states=symbols(known.states),
-        inputs=symbols(known.inputs),
+        states=symbols(known["states"]),
+        inputs=symbols(known["inputs"]),
         signals=symbols(signals),
-        parameters=symbols(known.parameters),
+        parameters=symbols(known["parameters"]),
         memory_a=symbols(tuple(f"actuator_memory_{i}" for i in range(graph.n_actuator_memory))),
         memory_s=symbols(tuple(f"sensor_memory_{i}" for i in range(graph.n_sensor_memory))),
     )
