@@ -287,8 +287,7 @@ def _block_means(at: np.ndarray, values: np.ndarray, times: np.ndarray) -> np.nd
     half = 0.5 * (times[1] - times[0])
     if at.size <= times.size:
         return np.interp(times, at, values)
-    steps = 0.5 * np.diff(at) * (values[1:] + values[:-1])
-    whole = np.append(0.0, np.cumsum(steps))
+    whole = _integrals(at, values[:, None])[:, 0]
     low, high = np.maximum(times - half, at[0]), np.minimum(times + half, at[-1])
     width = np.maximum(high - low, 1e-12)
     return (np.interp(high, at, whole) - np.interp(low, at, whole)) / width
@@ -298,6 +297,12 @@ def _integrals(times: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """Cumulative integrals of columns ``(n, k)``, by trapezia."""
     steps = np.diff(times)[:, None] * 0.5 * (columns[1:] + columns[:-1])
     return np.concatenate([np.zeros((1, columns.shape[1])), np.cumsum(steps, axis=0)])
+
+
+def _line(by: np.ndarray, series: np.ndarray) -> tuple[float, float]:
+    """Share of a series that a multiple of another explains, and the factor; both without mean."""
+    power, both = float(by @ by), float(by @ series)
+    return both**2 / max(power * float(series @ series), 1e-300), both / max(power, 1e-300)
 
 
 @cache
@@ -413,9 +418,9 @@ class _Work:
         self.times, self.fields = _gridded(log, _factor(time_unit) / _factor(log.clock_unit or "s"))
         self.found: dict[str, Guess] = {}
         self.used: set[int] = set()
-        self.known: dict[tuple[int, str], dict[str, float]] = {}
-        self.paired: dict[str, list[_Angle]] = {}
-        self.planes: dict[tuple[int, str, int], _Plane] = {}
+        # Asked again and again of the same fields.
+        self.options, self.pairs = cache(self._options), cache(self._pairs)
+        self.plane_of = cache(self._plane_of)
         step = float(np.median(np.diff(self.times)))
         # Vehicles are logged some times in a second to some times in a minute.
         self.score = TIMES.get(time_unit, 0.0) - 0.5 * float(np.log(step / 0.5) / 2.5) ** 2
@@ -432,13 +437,8 @@ class _Work:
         base = np.linalg.qr(base)[0]
         return np.asarray(columns - base @ (base.T @ columns))
 
-    def options(self, index: int, role: str) -> dict[str, float]:
-        """Units in which a field may be that of a role, with their nats."""
-        if (index, role) not in self.known:
-            self.known[index, role] = self._options(index, role)
-        return self.known[index, role]
-
     def _options(self, index: int, role: str) -> dict[str, float]:
+        """Units in which a field may be that of a role, with their nats."""
         one = self.fields[index]
         needed, size, spread = TABLE["roles"][role]
         if one.stated:
@@ -458,22 +458,17 @@ class _Work:
 
         return {unit: nats + worth(unit) for unit, nats in units.items()}
 
-    def pairs(self, role: str) -> list[_Angle]:
+    def _pairs(self, role: str) -> list[_Angle]:
         """Angles with their rates, and angles without one, that may be of a role; best first."""
-        if role not in self.paired:
-            found = [one for a in self.open_to(role) for one in self._pairs(a, role)]
-            self.paired[role] = sorted(found, key=lambda one: -one.score)
-        return self.paired[role]
+        found = [one for a in self.open_to(role) for one in self._angles(a, role)]
+        return sorted(found, key=lambda one: -one.score)
 
-    def _pairs(self, a: int, role: str) -> Iterator[_Angle]:
+    def _angles(self, a: int, role: str) -> Iterator[_Angle]:
         """A field as an angle: without a rate, and with each that may be its rate."""
         for unit, score in self.options(a, role).items():
             yield _Angle(a, unit, -1, "", 1, score)
             for b in self.open_to(RATES[role]):
-                power = float(self.sums[:, b] @ self.sums[:, b])
-                both = float(self.free[:, a] @ self.sums[:, b])
-                whole = float(self.free[:, a] @ self.free[:, a])
-                share, slope = both**2 / max(power * whole, 1e-300), both / max(power, 1e-300)
+                share, slope = _line(self.sums[:, b], self.free[:, a])
                 if a == b or share < SPURIOUS:
                     continue
                 for by, more in self.options(b, RATES[role]).items():
@@ -526,10 +521,9 @@ class _Work:
 
     def _some(self, role: str) -> list[_Angle]:
         """The likeliest angles of a role, each with its likeliest rates and with none."""
-        pairs = self.pairs(role)
         seen: Counter[tuple[int, bool]] = Counter()
         found = []
-        for one in pairs:
+        for one in self.pairs(role):
             seen[one.angle, one.rate < 0] += 1
             if seen[one.angle, one.rate < 0] <= 2:
                 found.append(one)
@@ -556,14 +550,10 @@ class _Work:
 
     def _plane(self, angle: _Angle) -> _Plane:
         """Positions that an angle explains, with the speed that does it best."""
-        key = (angle.angle, angle.unit, angle.rate)
-        if key not in self.planes:
-            self.planes[key] = self._new_plane(angle)
-        return self.planes[key]
+        return self.plane_of(angle.angle, angle.unit, angle.rate)
 
-    def _new_plane(self, angle: _Angle) -> _Plane:
-        taken = {angle.angle, angle.rate}
-        psi = self.columns[:, angle.angle] * _factor(angle.unit)
+    def _plane_of(self, angle: int, unit: str, rate: int) -> _Plane:
+        taken, psi = {angle, rate}, self.columns[:, angle] * _factor(unit)
         speeds = [i for i in self.open_to("u") if i not in taken and self.options(i, "u")]
         steady = self._along(psi, -1, taken)
         found = [self._along(psi, s, taken | {s}) for s in speeds]
@@ -678,11 +668,9 @@ class _Work:
             said = f"it follows {one.name}"
             self._take(role, best[role], plane.unit, best[f"{role} sign"], asked, said)
         if plane.speed >= 0:
-            unsure = ("sign",) * (not sure("u sign"))
+            asked = (*plane.doubts, *("sign",) * (not sure("u sign")))
             said = "the positions move as fast"
-            self._take(
-                "u", plane.speed, plane.speed_unit, best["u sign"], (*plane.doubts, *unsure), said
-            )
+            self._take("u", plane.speed, plane.speed_unit, best["u sign"], asked, said)
 
     def _why(self, angle: _Angle, plane: _Plane) -> str:
         """What told a heading."""
@@ -809,9 +797,9 @@ class _Work:
     ) -> list[_Row]:
         """What a field explains of what ``base`` leaves of a motion, by unit."""
         both = np.column_stack([base, column])
-        left = target - base * float(base @ target / max(base @ base, 1e-300))
-        slope = float(np.linalg.lstsq(both, target, rcond=1e-9)[0][-1])
-        rest = target - both @ np.linalg.lstsq(both, target, rcond=1e-9)[0]
+        left = target - base * _line(base, target)[1]
+        solution = np.linalg.lstsq(both, target, rcond=1e-9)[0]
+        rest, slope = target - both @ solution, float(solution[-1])
         share = 1.0 - float(rest @ rest) / max(float(left @ left), 1e-300)
         rows = []
         for unit, nats in self.options(i, role).items():
@@ -884,10 +872,9 @@ class _Work:
         """The depth that a pitch explains."""
         angle = self.columns[:, theta.angle] * _factor(theta.unit)
         column = self._sum((1.0 if u is None else u) * np.sin(angle))
-        power, rows = float(column @ column), []
+        rows = []
         for i in self.open_to("z") if among is None else among:
-            both, own = float(column @ self.free[:, i]), float(self.free[:, i] @ self.free[:, i])
-            share, slope = both**2 / max(power * own, 1e-300), both / max(power, 1e-300)
+            share, slope = _line(column, self.free[:, i])
             if i in (theta.angle, theta.rate) or share < SPURIOUS:
                 continue
             for unit, nats in self.options(i, "z").items():
@@ -937,9 +924,7 @@ class _Work:
         # Through the other angles their doubtful signs are its own.
         others = (one for one in self.found.values() if one.role in (*RATES, "q", "r"))
         if role in self.found and any("sign" in one.doubts for one in others):
-            one = self.found[role]
-            doubts = tuple(dict.fromkeys((*one.doubts, "sign")))
-            self.found[role] = replace(one, doubts=doubts)
+            self.found[role] = _asked(self.found[role], "sign")
 
     def _by_name(self, role: str) -> None:
         """Take the field that is called so."""
@@ -973,13 +958,14 @@ class _Work:
         order = (*MOTION, *COMMANDS)
         found = tuple(self.found[role] for role in order if role in self.found)
         if doubts:  # a rate is known as well as the clock is
-            found = tuple(
-                replace(one, doubts=tuple(dict.fromkeys((*one.doubts, "unit"))))
-                if one.role in RATES.values() and "rate" in one.why
-                else one
-                for one in found
-            )
+            rates = [one for one in found if one.role in RATES.values() and "rate" in one.why]
+            found = tuple(_asked(one, "unit") if one in rates else one for one in found)
         return Recognised(found, self.time_unit, doubts)
+
+
+def _asked(one: Guess, doubt: str) -> Guess:
+    """A guess with one more thing to be asked."""
+    return replace(one, doubts=tuple(dict.fromkeys((*one.doubts, doubt))))
 
 
 def _is_up(name: str) -> bool:
