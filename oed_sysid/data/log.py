@@ -188,11 +188,16 @@ class Series:
     derived: str = ""
 
     @property
-    def rate(self) -> float:
-        """Samples per second: the inverse of the median step; NaN with a single sample."""
+    def step(self) -> float:
+        """Median time from one sample to the next, s; infinite with a single sample."""
         steps = np.diff(self.times)
         steps = steps[steps > 0.0]
-        return float(1.0 / np.median(steps)) if steps.size else np.nan
+        return float(np.median(steps)) if steps.size else np.inf
+
+    @property
+    def rate(self) -> float:
+        """Samples per second: the inverse of the median step; NaN with a single sample."""
+        return 1.0 / self.step if np.isfinite(self.step) else np.nan
 
     @property
     def span(self) -> tuple[float, float]:

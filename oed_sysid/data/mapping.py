@@ -195,10 +195,6 @@ class WhileCuts:
         if sum(getattr(self, name) is not None for name in _TESTS) != 1:
             raise DataError("Give one of equals, above and below.")
 
-    def of(self, log: Log) -> Iterator[Cut]:
-        """Yield the stretches of a log."""
-        yield from self.find(log[self.field], log.span[1])
-
     def find(self, series: Series, end: float) -> Iterator[Cut]:
         """Yield the stretches of one field; its value is held until the next sample."""
         stated = [(name, getattr(self, name)) for name in _TESTS]

@@ -55,22 +55,6 @@ class Imported:
     notes: tuple[str, ...] = field(default=(), repr=False)
 
 
-@dataclass(frozen=True, eq=False)
-class _Signal:
-    """One channel over the whole log, SI."""
-
-    name: str
-    times: np.ndarray
-    values: np.ndarray
-    wrap: bool = False
-
-    @property
-    def step(self) -> float:
-        steps = np.diff(self.times)
-        steps = steps[steps > 0.0]
-        return float(np.median(steps)) if steps.size else np.inf
-
-
 def import_log(
     log: Log, mapping: LogMapping, channels: Channels | None = None, *, name: str | None = None
 ) -> Imported:
@@ -128,7 +112,7 @@ def import_log(
 
 
 class _Import:
-    """A log, its mapping, and all channels over the whole log."""
+    """A log, its mapping, and all channels over the whole log, SI."""
 
     def __init__(self, log: Log, mapping: LogMapping, channels: Channels) -> None:
         self.log, self.mapping, self.channels = log, mapping, channels
@@ -154,7 +138,7 @@ class _Import:
                 "name its field, or give constant = number if it did not change."
             )
 
-    def _signal(self, source: Source, channel: Input | Output) -> _Signal:
+    def _signal(self, source: Source, channel: Input | Output) -> Series:
         """A channel in SI at the times when it was so."""
         log, name = self.log, channel.name
         if source.constant is not None:
@@ -175,15 +159,15 @@ class _Import:
         present = np.isfinite(values)
         if not present.any():
             raise DataError(f"{source.field!r} of {log.path.name} holds no number.")
-        return _Signal(name, series.times[present] - source.delay, values[present], source.wrap)
+        return Series(name, series.times[present] - source.delay, values[present])
 
-    def _constant(self, source: Source, value: float, channel: Input | Output) -> _Signal:
+    def _constant(self, source: Source, value: float, channel: Input | Output) -> Series:
         """An input that was not logged."""
         name, unit = channel.name, source.unit or channel.unit
         _check_unit(f"{self.mapping.where}: [inputs.{name}]", unit, channel.unit)
         held = source.sign * float(to_si(value, unit)[0])
         self.notes.append(f"{name} was not logged: {held:.6g} {channel.unit} throughout.")
-        return _Signal(name, np.array([self.log.span[0]]), np.array([held]))
+        return Series(name, np.array([self.log.span[0]]), np.array([held]))
 
     def _unit(self, source: Source, series: Series, channel: Input | Output) -> str:
         """Unit of a field, as the mapping says it, or else the log."""
@@ -212,7 +196,7 @@ class _Import:
             )
         made: list[Cut] = []
         if mapping.while_ is not None:
-            made += mapping.while_.of(self.log)
+            made += mapping.while_.find(self.log[mapping.while_.field], last)
         if mapping.by_commands is not None:
             commands = {name: (one.times, one.values) for name, one in self.inputs.items()}
             made += mapping.by_commands.find(commands, last)
@@ -298,7 +282,7 @@ class _Manoeuvre:
             self._note(f"{lost} samples away from those of {clock!r} were left out.")
         return outputs
 
-    def _piece(self, signal: _Signal) -> _Signal:
+    def _piece(self, signal: Series) -> Series:
         """What lies within the cut, its times checked to increase."""
         inside = (signal.times >= self.cut.start) & (signal.times <= self.cut.stop)
         times, values = signal.times[inside], signal.values[inside]
@@ -316,16 +300,16 @@ class _Manoeuvre:
                 f"{signal.name}: {again} repeated times; the first sample is kept."
             )
             times, values = times[steps > 0.0], values[steps > 0.0]
-        if signal.wrap:
+        if self.work.mapping.outputs[signal.name].wrap:
             # Within a manoeuvre: what was turned between two of them does not matter.
             whole = unwrapped(values)
             turns = int(np.sum(np.abs(np.diff(whole - values)) > 1.0))
             if turns:
                 self._note(f"{signal.name} was unwrapped, jumps by a full turn undone: {turns}.")
             values = whole
-        return _Signal(signal.name, times, values)
+        return Series(signal.name, times, values)
 
-    def _thinned(self, piece: _Signal, step: float) -> _Signal:
+    def _thinned(self, piece: Series, step: float) -> Series:
         """One sample per interval: the one nearest to its centre, at its own time."""
         if piece.step >= step or not piece.times.size:
             return piece
@@ -337,7 +321,7 @@ class _Manoeuvre:
             f"{piece.name}: {keep.size} of {piece.times.size} samples kept, one per {step:g} s, "
             "without averaging."
         )
-        return _Signal(piece.name, piece.times[keep], piece.values[keep])
+        return Series(piece.name, piece.times[keep], piece.values[keep])
 
     def _rows(self) -> np.ndarray:
         """Times of the rows: every sample is near one of them, no two are near each other."""
@@ -374,7 +358,7 @@ class _Manoeuvre:
                 )
         return rows
 
-    def _at(self, signal: _Signal, rows: np.ndarray, channel: Input) -> np.ndarray:
+    def _at(self, signal: Series, rows: np.ndarray, channel: Input) -> np.ndarray:
         """An input at every row: held, or interpolated and said so."""
         order = np.argsort(signal.times, kind="stable")
         times, values = signal.times[order], signal.values[order]
@@ -393,7 +377,7 @@ class _Manoeuvre:
         return values[np.maximum(held, 0)]
 
 
-def _place(piece: _Signal, rows: np.ndarray, column: np.ndarray) -> float:
+def _place(piece: Series, rows: np.ndarray, column: np.ndarray) -> float:
     """Write an output's samples into their rows; the largest shift of a time, s."""
     if not piece.times.size:
         return 0.0
