@@ -17,6 +17,7 @@ import numpy as np
 from oed_sysid.data.record import TIME_ADVICE, check_wraps, time_fault
 from oed_sysid.errors import DataError, UnitWarning, closest, listed, located
 from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.runtime.display import counted
 from oed_sysid.text.csv_table import Table, time_stamp
 from oed_sysid.text.units import (
     converts,
@@ -95,9 +96,7 @@ class Columns:
         """Return the times in s, shape ``(n_rows,)``, checked to increase."""
         index = self.time_column(time)
         times = self._times(index)
-        complaint = time_complaint(self.table, index, times)
-        if complaint is not None:
-            raise DataError(complaint)
+        check_times(self.table, index, times)
         return times
 
     def time_column(self, time: str | None = None) -> int:
@@ -157,10 +156,9 @@ class Columns:
             )
         step = float(np.median(np.diff(times))) if times.size > 1 else 0.0
         if step >= SUSPICIOUS_STEP and unit == "s" and "time" not in self.units:
-            self._suspect_unit(
-                f"{self._where(index)} steps by {step:.4g} s. If it is in "
-                f"milliseconds, write the header as 't [ms]'."
-            )
+            words = f"{self._where(index)} steps by {step:.4g} s. If it is in "
+            words += "milliseconds, write the header as 't [ms]'."
+            self.suspicions.append(UnitWarning(words))
 
     def _check_count(self, index: int, times: np.ndarray) -> None:
         """Refuse numbers under seconds that are digits of a clock, days, or count from 1970."""
@@ -184,9 +182,6 @@ class Columns:
                 f"{where} starts at {first:.12g}, which is no time in s but looks like {counted} "
                 f"since 1970. Write the header as 't [{counted}]'."
             )
-
-    def _suspect_unit(self, words: str) -> None:
-        self.suspicions.append(UnitWarning(words))
 
     def _cell(self, row: int, column: int) -> str:
         return f"{self.table.values[row, column]:.12g}"
@@ -358,20 +353,18 @@ class Columns:
         self, channel: Input | Output, index: int, unit: str, si_unit: str, size: float
     ) -> None:
         """Note what is larger than a vehicle makes it."""
-        where, name = self._where(index), self._named(index, channel)[0]
+        words = f"{self._where(index)} reaches {size:.3g} {si_unit}, "
         if size <= SUSPICIOUS_SIZE.get(si_unit, np.inf):
             return
         if si_unit == unit == "rad":
-            self._suspect_unit(
-                f"{where} reaches {size:.3g} rad, more than three turns. If it is in degrees, "
-                f"write the header as '{name} [deg]'."
-            )
+            words += "more than three turns. If it is in degrees, write the header as "
+            words += f"'{self._named(index, channel)[0]} [deg]'."
         # A compass may count many turns in degrees, and a propeller turns as fast as it likes.
-        elif si_unit != "rad" and not (si_unit == "rad/s" and isinstance(channel, Input)):
-            self._suspect_unit(
-                f"{where} reaches {size:.3g} {si_unit}, which no vehicle does. Check that "
-                f"[{unit}] is its unit."
-            )
+        elif si_unit == "rad" or (si_unit == "rad/s" and isinstance(channel, Input)):
+            return
+        else:
+            words += f"which no vehicle does. Check that [{unit}] is its unit."
+        self.suspicions.append(UnitWarning(words))
 
     def _check_plausible(self, index: int, where: str) -> None:
         """Refuse numbers that stand for something else, or are too large to be squared."""
@@ -483,8 +476,8 @@ def clock_of_digits(times: np.ndarray) -> bool:
 # -- words for a column of times that cannot be used -----------------------------------
 
 
-def time_complaint(table: Table, column: int, times: np.ndarray) -> str | None:
-    """Sentences about the first time that is missing or not later than the one before.
+def check_times(table: Table, column: int, times: np.ndarray) -> None:
+    """Refuse times of which one is missing or not later than the one before.
 
     Parameters
     ----------
@@ -495,32 +488,33 @@ def time_complaint(table: Table, column: int, times: np.ndarray) -> str | None:
     times : numpy.ndarray
         Shape ``(n_rows,)``, s.
 
-    Returns
-    -------
-    str or None
-        ``None`` if the times increase.
+    Raises
+    ------
+    DataError
+        About the first such time.
     """
-    fault = time_fault(times)
-    if fault is None:
-        return None
+    if (fault := time_fault(times)) is None:
+        return
     row, what = fault
     where = f"Row {table.row_numbers[row]} of {table.path.name}"
     if np.isnan(times[row]):
         n = int(np.isnan(times).sum())
-        return (
-            f"{where}: the time is empty or no number ({n} such {'row' if n == 1 else 'rows'}). "
+        raise DataError(
+            f"{where}: the time is empty or no number ({counted(n, 'such row')}). "
             "Every row needs one: write it, or remove the row."
         )
     now, before = (f"{table.values[max(at, 0), column]:.12g}" for at in (row, row - 1))
     if np.array_equal(table.values[row], table.values[row - 1], equal_nan=True):
-        return f"{where} repeats the row before (time {now}). Remove one of them."
+        raise DataError(f"{where} repeats the row before (time {now}). Remove one of them.")
     if what == "repeats":
-        return f"{where}: time {now} repeats that of the row before. {TIME_ADVICE}"
+        raise DataError(f"{where}: time {now} repeats that of the row before. {TIME_ADVICE}")
     if np.isfinite(times[row]) and np.all(np.diff(times) < 0.0):
-        return f"{table.path.name} runs backwards: its rows stand in reverse. Turn them around."
+        raise DataError(
+            f"{table.path.name} runs backwards: its rows stand in reverse. Turn them around."
+        )
     after = f" after {before}" if row else ""
     midnight = _past_midnight(table, column, row, times)
-    return f"{where}: {midnight or f'time {now}{after} {what}. {TIME_ADVICE}'}"
+    raise DataError(f"{where}: {midnight or f'time {now}{after} {what}. {TIME_ADVICE}'}")
 
 
 def _past_midnight(table: Table, column: int, row: int, times: np.ndarray) -> str:

@@ -28,6 +28,7 @@ import hashlib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -533,22 +534,16 @@ def check_disjoint(train: Iterable[Record], validation: Iterable[Record]) -> Non
     rows are the same. What was learnt from cannot judge; give records of other runs, or divide \
     with dataset.split().
     """
-    train = tuple(train)
-    for judged in validation:
-        for known in train:
-            found = overlap(known, judged)
-            if found is not None:
-                raise DataError(_words(known, judged, found))
-
-
-def _words(known: Record, judged: Record, found: Overlap) -> str:
-    clock = f", {abs(found.shift):.6g} s {'later' if found.shift > 0 else 'earlier'} there"
-    moved = clock if abs(found.shift) > 0.5 * judged.sample_time else ""
-    return (
-        f"Validation record {judged.name!r} is training record {known.name!r}: {found.n_equal} of "
-        f"its {judged.n_samples} rows are the same{moved}. What was learnt from cannot judge; give "
-        "records of other runs, or divide with dataset.split()."
-    )
+    for judged, known in product(validation, train):
+        if (found := overlap(known, judged)) is None:
+            continue
+        clock = f", {abs(found.shift):.6g} s {'later' if found.shift > 0 else 'earlier'} there"
+        moved = clock if abs(found.shift) > 0.5 * judged.sample_time else ""
+        raise DataError(
+            f"Validation record {judged.name!r} is training record {known.name!r}: {found.n_equal} "
+            f"of its {judged.n_samples} rows are the same{moved}. What was learnt from cannot "
+            "judge; give records of other runs, or divide with dataset.split()."
+        )
 
 
 def overlap(a: Record, b: Record) -> Overlap | None:

@@ -105,7 +105,8 @@ def samples(
         if first is None:
             raise DataError(f"Nothing came from {source!r} for {silence:g} s.")
         if first.lstrip("\\0123456789.,; \t")[:1] in ("$", "!"):
-            found = _gathered(_sentences(first, lines), places or {}, period)
+            said = filter(None, map(sentence_of, chain((first,), lines)))
+            found = _gathered(said, places or {}, period)
         else:
             found = _rows(source, first, lines, channels)
     yield from _unwrapped(found, channels)
@@ -205,14 +206,8 @@ def _number(cell: str, unit: str) -> float:
     return float(to_si(float(cell), unit)[0]) if cell.strip() else math.nan
 
 
+# Time in front of it if there is one, type, numbers.
 Message = tuple[float | None, str, Mapping[str, Any]]
-
-
-def _sentences(first: str, lines: Iterable[str]) -> Iterator[Message]:
-    """NMEA sentences: time in front of the line if there is one, type, numbers."""
-    for line in chain((first,), lines):
-        if (message := sentence_of(line)) is not None:
-            yield message
 
 
 def _messages(address: str, silence: float) -> Iterator[Message]:
