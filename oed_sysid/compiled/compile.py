@@ -86,11 +86,8 @@ def _machine_digest() -> str:
 @lru_cache(maxsize=1)
 def _generator_digest() -> str:
     """Digest of the files that turn a model's structure into code."""
-    digest = hashlib.sha256()
-    package = files("oed_sysid")
-    for name in _GENERATOR:
-        digest.update(package.joinpath(name).read_bytes())
-    return digest.hexdigest()
+    texts = (files("oed_sysid").joinpath(name).read_bytes() for name in _GENERATOR)
+    return hashlib.sha256(b"".join(texts)).hexdigest()
 
 
 def load(model: Model, *, filtered: bool = False) -> ctypes.CDLL | None:

@@ -52,19 +52,10 @@ def listed(kind: str, **known: Any) -> list[Any]:
     ]
 
 
-def product(
-    *, name: str, axis: str, factor: str, unit: str, scale: float, description: str, needs: str
-) -> Force:
-    """A force in proportion to a product of signals."""
+def product(*, name: str, axis: str, factor: str, unit: str, scale: float, **words: Any) -> Force:
+    """A force in proportion to a product of signals; ``words`` are description and needs."""
     size = amplitude(name, unit, scale=scale)
-    return Force(
-        name,
-        {axis: f"{size.name}*{factor}"},
-        (size,),
-        description=description,
-        source=FOSSEN,
-        needs=needs,
-    )
+    return Force(name, {axis: f"{size.name}*{factor}"}, (size,), source=FOSSEN, **words)
 
 
 _CONSTRUCTORS: Mapping[str, Any] = {**vars(forces), **vars(signals), "product": product}

@@ -32,6 +32,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -309,13 +310,14 @@ class RigidBody:
         ahead, *across = (plus(v, w) for v, w in zip(flow, swept, strict=True))
         into = plus(*(times(n, part) for n, part in zip(side[1:], across, strict=True)))
         u, v = f"{name}_u", f"{name}_v" if into != "0" else "0"
-        slope = _coefficient(lift, f"L_{name}", "kg/m", f"lift slope of {name}")
+        slope = _parameter(lift, f"L_{name}", "kg/m", f"lift slope of {name}", lower=0.0)
         parameters = [slope]
         # u (u delta - v): lift at the small angle of attack delta - v/u times u squared.
         push = times(slope.name, u, plus(times(u, deflection), minus(v)))
         force = [times(push, n) for n in side]
         if drag is not None:
-            loss = _coefficient(drag, f"D_{name}", "kg/m", f"drag of a deflected {name}")
+            words = f"drag of a deflected {name}"
+            loss = _parameter(drag, f"D_{name}", "kg/m", words, lower=0.0)
             parameters.append(loss)
             force[0] = plus(force[0], minus(times(loss.name, f"{u}**2", f"({deflection})**2")))
         return Force(
@@ -437,24 +439,20 @@ def placed(name: str, at: Sequence[float | Parameter]) -> tuple[list[str], list[
     """Coordinates of a place as texts, and a parameter for each that is not zero."""
     if len(at) != 3:
         raise ModelError(f"{name!r} has the place {at!r}; give x, y and z in m.")
-    texts, parameters = [], []
-    for letter, value in zip("xyz", at, strict=True):
-        if not isinstance(value, Parameter) and float(value) == 0.0:
-            texts.append("0")
-            continue
-        if not isinstance(value, Parameter):
-            value = Parameter(
-                f"{letter}_{name}", float(value), "m", fixed=True, description=f"place of {name}"
-            )
-        parameters.append(value)
-        texts.append(value.name)
+    texts, parameters = ["0", "0", "0"], list[Parameter]()
+    for i, value in enumerate(at):
+        if isinstance(value, Parameter) or float(value) != 0.0:
+            own = f"{'xyz'[i]}_{name}"
+            parameters.append(_parameter(value, own, "m", f"place of {name}", fixed=True))
+            texts[i] = parameters[-1].name
     return texts, parameters
 
 
-def _coefficient(value: float | Parameter, name: str, unit: str, words: str) -> Parameter:
+def _parameter(value: Number, name: str, unit: str, words: str, **facts: Any) -> Parameter:
+    """A parameter as it was given, or one that is made of a number."""
     if isinstance(value, Parameter):
         return value
-    return Parameter(name, float(value), unit, lower=0.0, description=words)
+    return Parameter(name, float(value), unit, description=words, **facts)
 
 
 def _on(axes: Collection[str], six: Sequence[frames.Component], name: str = "") -> dict[str, str]:
@@ -657,14 +655,10 @@ class _Body:
         self, name: str, value: Number, unit: str, words: str, *, optional: bool = False
     ) -> str:
         """Keep a constant and return its name; an optional zero is left out."""
-        if isinstance(value, Parameter):
-            self.parameters.append(replace(value, name=name, unit=value.unit or unit))
-        elif float(value) != 0.0 or not optional:
-            self.parameters.append(
-                Parameter(name, float(value), unit, fixed=True, description=words)
-            )
-        else:
+        if optional and not isinstance(value, Parameter) and float(value) == 0.0:
             return "0"
+        made = _parameter(value, name, unit, words, fixed=True)
+        self.parameters.append(replace(made, name=name, unit=made.unit or unit))
         return name
 
     def centre(self, of: str, values: Sequence[Number]) -> list[str]:

@@ -80,7 +80,8 @@ class Deduction:
         """
         walk = _Walk(self, expression, known, where)
         form = self.reduced(walk.of(walk.tree))
-        return None if self._is_open(form) else form
+        is_open = any(not self._text(index) for index in form.unknown)
+        return None if is_open else form
 
     def equal(self, one: Dimension, other: Dimension) -> bool:
         """Make two dimensions equal; False where no unit of a number makes them so."""
@@ -145,9 +146,6 @@ class Deduction:
 
     def _text(self, index: int) -> str:
         return self._numbers[index].text
-
-    def _is_open(self, form: Dimension) -> bool:
-        return any(not self._text(index) for index in form.unknown)
 
 
 def _merged(groups: list[set[int]], one: set[int]) -> list[set[int]]:
@@ -216,8 +214,12 @@ class _Walk:
                 return self.units.new(_Number()) if form is None else form
             case ast.UnaryOp():
                 return self.of(node.operand)
+            case ast.BinOp(op=ast.Mult() | ast.Div()):
+                return self._product(node)
+            case ast.BinOp(op=ast.Pow()):
+                return self._power(node)
             case ast.BinOp():
-                return self._binary(node)
+                return self._same([self.of(node.left), self.of(node.right)])
             case ast.Call():
                 return self._call(node)
             case ast.Compare():
@@ -228,13 +230,6 @@ class _Walk:
                     self.of(value)
                 return Dimension()
         return self.units.new(_Number())
-
-    def _binary(self, node: ast.BinOp) -> Dimension:
-        if isinstance(node.op, ast.Mult | ast.Div):
-            return self._product(node)
-        if isinstance(node.op, ast.Pow):
-            return self._power(node)
-        return self._same([self.of(node.left), self.of(node.right)])
 
     def _numbers(self, above: list[ast.expr], below: list[ast.expr]) -> Dimension:
         """The joint unit of the bare numbers of a product."""

@@ -228,7 +228,8 @@ def _product(text: str, unit: str) -> Dimension:
     if re.search(r"\(\s*\)", terms):
         raise _unknown("()", unit)
     if alone := re.search(r"(?:^|[*/(])\s*([*/])|([*/])\s*(?:$|\))", terms):
-        raise _dangling(alone[1] or alone[2], unit)
+        mark = alone[1] or alone[2]
+        raise DataError(f"{mark!r} stands alone in the unit [{unit}]. Write 'kg m^2/s^2', say.")
     depth = max(accumulate((letter == "(") - (letter == ")") for letter in terms))
     if depth > DEEPEST:
         raise DataError(f"The unit [{unit:.30}] has brackets {depth} deep. Write a short product.")
@@ -238,10 +239,6 @@ def _product(text: str, unit: str) -> Dimension:
         return eval(whole, {"__builtins__": {}}, found)
     except SyntaxError:
         raise _unknown("(" if terms.count("(") > terms.count(")") else ")", unit) from None
-
-
-def _dangling(mark: str, unit: str) -> DataError:
-    return DataError(f"{mark!r} stands alone in the unit [{unit}]. Write 'kg m^2/s^2', say.")
 
 
 def _too_large(unit: str) -> DataError:
