@@ -113,17 +113,8 @@ def plus(*terms: str) -> str:
     >>> plus(times("m", "u"), minus(times("m", "0", "r")), times("1", "q"))
     'm*u + q'
     """
-    text = ""
-    for term in terms:
-        if term == "0":
-            continue
-        if not text:
-            text = term
-        elif term.startswith("-"):
-            text += f" - {term[1:]}"
-        else:
-            text += f" + {term}"
-    return text or "0"
+    text, *others = [term for term in terms if term != "0"] or ["0"]
+    return text + "".join(f" - {t[1:]}" if t.startswith("-") else f" + {t}" for t in others)
 
 
 def cross(first: Sequence[str], second: Sequence[str]) -> tuple[str, str, str]:
@@ -379,11 +370,7 @@ def coriolis_matrix(matrix: np.ndarray, velocity: np.ndarray) -> np.ndarray:
     """
     both = matrix @ velocity
     result = np.zeros((6, 6))
-    result[:3, 3:] = result[3:, :3] = -_skew(both[:3])
-    result[3:, 3:] = -_skew(both[3:])
+    # Minus the skew matrix of a vector: its products with the axes.
+    result[:3, 3:] = result[3:, :3] = np.cross(both[:3], np.eye(3))
+    result[3:, 3:] = np.cross(both[3:], np.eye(3))
     return result
-
-
-def _skew(vector: np.ndarray) -> np.ndarray:
-    x, y, z = vector
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

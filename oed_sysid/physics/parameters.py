@@ -150,6 +150,12 @@ class Parameter:
         return self if same else replace(self, value=float(value))
 
 
+def about_zero(name: str, unit: str, std: float, description: str) -> Parameter:
+    """A number of each record that is normal about zero, with this standard deviation."""
+    known: dict[str, Any] = {"prior_mean": 0.0, "prior_std": std, "scale": std}
+    return Parameter(name, 0.0, unit, per_record=True, description=description, **known)
+
+
 def _check_number(who: str, field: str, given: Any) -> None:
     """Refuse what is no number; only bounds may be infinite. Sizes are judged by their sign."""
     if isinstance(given, bool) or not isinstance(given, int | float | np.number):

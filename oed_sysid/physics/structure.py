@@ -234,14 +234,8 @@ def _check_settings(model: Structure) -> None:
     is_number = isinstance(step, int | float) and not isinstance(step, bool)
     if not is_number or not 0 < step < math.inf:
         raise ModelError(f"Model {model.name!r} has step {step!r:.40}. Give seconds above zero.")
-    known = ("explicit", "implicit")
-    located(
-        ModelError,
-        "There is no integrator",
-        [model.integrator],
-        known,
-        "Implicit is for stiff models.",
-    )
+    known, advice = ("explicit", "implicit"), "Implicit is for stiff models."
+    located(ModelError, "There is no integrator", [model.integrator], known, advice)
 
 
 def _check_equations(model: Structure) -> None:

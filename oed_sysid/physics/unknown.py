@@ -32,7 +32,7 @@ from typing import TypeVar
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import base
 from oed_sysid.physics.base import Actuator, Effect, Force, Sensor
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics.parameters import Parameter, about_zero
 
 GELB = "Gelb (1974), Applied optimal estimation, section 3.8."
 SOURCE = "Jategaonkar (2015), Flight vehicle system identification, chapter 3 (unknown inputs)."
@@ -254,19 +254,11 @@ def _parameters(
             f"The unknown input of {name!r} has {count + 1} nodes, more than {MOST_NODES}. Give a "
             "longer spacing; what changes faster is a RandomForce."
         )
-    return tuple(
-        Parameter(
-            f"E_{name}_{k}",
-            0.0,
-            unit,
-            prior_mean=0.0,
-            prior_std=step if k else scale,
-            scale=step if k else scale,
-            per_record=True,
-            description=f"change up to {k * spacing:g} s" if k else "value at the beginning",
-        )
-        for k in range(count + 1)
+    changes = (
+        about_zero(f"E_{name}_{k}", unit, step, f"change up to {k * spacing:g} s")
+        for k in range(1, count + 1)
     )
+    return (about_zero(f"E_{name}_0", unit, scale, "value at the beginning"), *changes)
 
 
 def _series(parameters: tuple[Parameter, ...]) -> str:

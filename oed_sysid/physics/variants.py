@@ -18,7 +18,7 @@ from dataclasses import replace
 
 from oed_sysid.errors import ModelError
 from oed_sysid.physics.base import Actuator, Effect
-from oed_sysid.physics.parameters import Parameter
+from oed_sysid.physics.parameters import about_zero
 
 BY_RECORD = "_by_record"
 
@@ -117,19 +117,8 @@ def unknown_start(effect: Actuator, std: float, unit: str = "rad") -> Actuator:
         )
     many = len(signals) > 1
     names = {signal: f"start_{effect.name}" + f"_{signal}" * many for signal in signals}
-    starts = tuple(
-        Parameter(
-            name,
-            0.0,
-            unit,
-            prior_mean=0.0,
-            prior_std=std,
-            scale=std,
-            per_record=True,
-            description=f"actual {signal} before the record, less its first command",
-        )
-        for signal, name in names.items()
-    )
+    words = "actual {} before the record, less its first command"
+    starts = (about_zero(name, unit, std, words.format(one)) for one, name in names.items())
     memory = tuple(
         replace(m, initial=f"{m.initial} + {names[m.initial]}") if m.initial in names else m
         for m in effect.memory
