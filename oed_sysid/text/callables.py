@@ -374,19 +374,14 @@ def digest(entry: Table | Function) -> tuple[str, ...]:
     return tuple(np.asarray(part, float).tobytes().hex() for part in entry)
 
 
-def symbolic_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., ca.SX]]:
-    """Tables and functions as functions of CasADi symbols."""
+def library(entries: Mapping[str, Any], *, symbolic: bool) -> dict[str, Callable[..., Any]]:
+    """Tables and functions as functions of CasADi symbols, or else of numbers or arrays."""
+    called, looked_up = "evaluate", interpolate
+    if symbolic:
+        called, looked_up = "symbolic", _symbolic_table
     return {
-        name: entry.symbolic if isinstance(entry, Function) else partial(_symbolic_table, entry)
-        for name, entry in entries.items()
-    }
-
-
-def numeric_library(entries: Mapping[str, Any]) -> dict[str, Callable[..., np.ndarray]]:
-    """Tables and functions as functions of numbers or arrays."""
-    return {
-        name: entry.evaluate if isinstance(entry, Function) else partial(interpolate, entry)
-        for name, entry in entries.items()
+        name: getattr(one, called) if isinstance(one, Function) else partial(looked_up, one)
+        for name, one in entries.items()
     }
 
 

@@ -34,7 +34,7 @@ import numpy as np
 
 from oed_sysid.errors import ModelError
 from oed_sysid.text import typeset
-from oed_sysid.text.callables import Function, Table, n_arguments, numeric_library, symbolic_library
+from oed_sysid.text.callables import Function, Table, library, n_arguments
 
 # -- the grammar of expressions --------------------------------------------------------
 
@@ -399,8 +399,8 @@ def to_casadi(
     tables : mapping, optional
         Tables and functions by name, see :mod:`oed_sysid.text.callables`.
     """
-    library = SYMBOLIC | symbolic_library(tables) if tables else SYMBOLIC
-    return ca.SX(walk(parse(expression), scope, library))
+    known = SYMBOLIC | library(tables, symbolic=True) if tables else SYMBOLIC
+    return ca.SX(walk(parse(expression), scope, known))
 
 
 def to_numpy(
@@ -411,10 +411,10 @@ def to_numpy(
     >>> float(to_numpy("2*w*abs(w) if w < 0 and w > -pi else 0", {"w": -3.0}))
     -18.0
     """
-    library = NUMERIC | numeric_library(tables) if tables else NUMERIC
+    known = NUMERIC | library(tables, symbolic=False) if tables else NUMERIC
     # As arrays, so that a division by zero gives infinity and no exception.
     numbers = {name: np.asarray(value) for name, value in scope.items()}
-    return np.asarray(walk(parse(expression), numbers, library))
+    return np.asarray(walk(parse(expression), numbers, known))
 
 
 def to_text(expression: str) -> str:
