@@ -937,16 +937,11 @@ class _Part(Kernel):
         )
         kept = [*self._own, *range(wide.n_full, width)]
         by_start, by_end = found.output_sensitivities, found.end_sensitivities
+        found = replace(found, states=found.states[:, self._own], ends=found.ends[:, self._own])
         if by_start is None or by_end is None:
-            return replace(found, states=found.states[:, self._own], ends=found.ends[:, self._own])
-        return Run(
-            found.outputs,
-            found.states[:, self._own],
-            by_start[:, :, kept],
-            found.ends[:, self._own],
-            by_end[:, self._own][:, :, kept],
-            found.failed_at,
-        )
+            return found
+        by_end = by_end[:, self._own][:, :, kept]
+        return replace(found, output_sensitivities=by_start[:, :, kept], end_sensitivities=by_end)
 
 
 def steps_between(times: np.ndarray, longest_step: float) -> tuple[np.ndarray, np.ndarray]:

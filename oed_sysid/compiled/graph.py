@@ -230,14 +230,6 @@ def _chain(effects: Iterable[Effect], stage: str) -> list[Effect]:
     return [effect for effect in effects if effect.stage == stage]
 
 
-def _actuators(model: Model) -> tuple[list[Effect], list[Effect]]:
-    """Those that act sample by sample, and those that move with the vehicle."""
-    found: tuple[list[Effect], list[Effect]] = [], []
-    for effect in _chain(model.effects, "actuator"):
-        found[not is_sampled(model, effect)].append(effect)
-    return found
-
-
 def _apply(effect: Effect, scope: Scope, tables: Mapping) -> tuple[Scope, Scope]:
     """Evaluate definitions and terms of a signal effect; all read the old values."""
     local = dict(scope)
@@ -264,7 +256,9 @@ def _build(model: Model) -> Graph:
     p, x, command = (_vertcat(part.values()) for part in (parameters, states, inputs))
 
     # Actuators: sampled, with memory; those with states of their own move with the vehicle.
-    sampled, lasting = _actuators(model)
+    actuators = _chain(model.effects, "actuator")
+    sampled = [effect for effect in actuators if is_sampled(model, effect)]
+    lasting = [effect for effect in actuators if not is_sampled(model, effect)]
     scope = inputs | always
     ideal = {name: to_casadi(text, scope, tables) for name, text in model.actuator_signals.items()}
     acting = _Sampled.of(sampled, scope, ideal, tables)

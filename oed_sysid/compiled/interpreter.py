@@ -44,8 +44,7 @@ class Interpreted:
         self, own: np.ndarray, inputs: np.ndarray, values: np.ndarray, time: float
     ) -> tuple[np.ndarray, np.ndarray]:
         """See :meth:`oed_sysid.compiled.kernels.Kernel.start`."""
-        z, dz = self._start(own, inputs, values, time)
-        return z, dz
+        return self._start(own, inputs, values, time)
 
     def sample(
         self, z: np.ndarray, record: Commands, k: int, values: np.ndarray
@@ -54,8 +53,7 @@ class Interpreted:
         times, inputs = record
         before = max(k, 1)
         since = times[before] - times[before - 1] if len(times) > 1 else 1.0
-        y, after, dy, dafter = self._sample(z, inputs[k], values, times[k], since)
-        return y, after, dy, dafter
+        return self._sample(z, inputs[k], values, times[k], since)
 
     def move(
         self,

@@ -394,13 +394,12 @@ def _key_in(_stated: str, _user: int) -> bytes:
         folder = private_cache()
         place = folder / "key"
         if not _is_key(place):
-            part = folder / f".{secrets.token_hex(8)}"
-            handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-            with os.fdopen(handle, "wb") as file:
-                file.write(secrets.token_bytes(KEY_BYTES))
-                file.flush()
-                os.fsync(file.fileno())
+            handle, name = tempfile.mkstemp(prefix=".", dir=folder)  # readable by the user only
+            part = Path(name)
             try:
+                with os.fdopen(handle, "wb") as file:
+                    file.write(secrets.token_bytes(KEY_BYTES))
+                _to_disk(part)
                 if place.exists():  # one that cannot be trusted
                     os.replace(part, place)
                 else:
