@@ -392,16 +392,16 @@ def _likeliest(rows: Sequence[_Row]) -> _Row:
     return best._replace(doubts=doubts)
 
 
+# None of them.
+_STILL = _Angle(-1, "", -1, "", 1, 0.0)
 _NOWHERE = _Plane(-1, "", (-1, -1), "", (0.0, 0.0), 0.0)
 _LEVEL = _Row(0.0, -1, "", 0, True)
 
 
-def _indices(one: _Angle | None, more: Any) -> list[int]:
-    """Fields that an angle and its rates take."""
-    every = [] if one is None else [one.angle, one.rate]
-    every += [more.speed, *more.axes] if isinstance(more, _Plane) else []
-    every += [more.at] if isinstance(more, _Row) else []
-    return [i for i in every if i >= 0]
+def _indices(one: _Angle, more: _Plane | _Row) -> list[int]:
+    """Fields that an angle, its rate and what it explains take."""
+    theirs = [more.speed, *more.axes] if isinstance(more, _Plane) else [more.at]
+    return [i for i in (one.angle, one.rate, *theirs) if i >= 0]
 
 
 def _apart(indices: Iterable[int]) -> bool:
@@ -498,26 +498,26 @@ class _Work:
             role: ("field",) * (not self._alone(role, index, rows))
             for index, role in enumerate(RATES)
         }
-        if psi[1] is not None:
+        if psi[1].angle >= 0:
             asked = self._unit_doubts("psi", psi[1]) + doubts["psi"]
             self._senses(psi[1], psi[2], asked)
         for role, (_, angle, dive) in (("theta", theta), ("phi", phi)):
-            if angle is not None:
-                self._attitude(role, angle, doubts[role], dive or _LEVEL)
-        if psi[1] is not None and psi[2].axes[0] >= 0:
+            if angle.angle >= 0:
+                self._attitude(role, angle, doubts[role], dive)
+        if psi[2].axes[0] >= 0:
             self._sway(psi[2])
 
-    def _turning(self, role: str) -> list[tuple[float, _Angle | None, Any]]:
-        """Angles of a role with their rates and nats; first that there is none."""
-        found: list[tuple[float, _Angle | None, Any]] = [(0.0, None, None)]
-        least = NAMED - 2.0 if role == "psi" else 1.5 * USUAL
-        explains: dict[str, Callable[[_Angle], Any]] = {"psi": self._plane, "theta": self._dive}
-        for one in self._some(role):
-            more = explains[role](one) if role in explains else None
-            score = one.score + (more.score if more else 0.0)
-            if score > least:
-                found.append((score, one, more))
-        return found
+    def _turning(self, role: str) -> list[tuple[float, _Angle, Any]]:
+        """Angles of a role, what they explain, and nats of both; first that there is none."""
+        ways: dict[str, tuple[Any, float, Callable[[_Angle], Any]]] = {
+            "psi": (_NOWHERE, NAMED - 2.0, self._plane),
+            "phi": (_LEVEL, 1.5 * USUAL, lambda one: _LEVEL),
+            "theta": (_LEVEL, 1.5 * USUAL, self._dive),
+        }
+        nothing, least, explained = ways[role]
+        rows = [(one, explained(one)) for one in self._some(role)]
+        found = [(one.score + more.score, one, more) for one, more in rows]
+        return [(0.0, _STILL, nothing), *(row for row in found if row[0] > least)]
 
     def _some(self, role: str) -> list[_Angle]:
         """The likeliest angles of a role, each with its likeliest rates and with none."""
@@ -532,12 +532,9 @@ class _Work:
     def _alone(self, role: str, index: int, rows: Sequence[tuple[float, Any]]) -> bool:
         """Whether no other field could as well be the angle of a role."""
         score, best = rows[0]
-        if best[index][1] is None:
+        if best[index][1].angle < 0:
             return True
-        others = [
-            s for s, row in rows
-            if row[index][1] is None or row[index][1].angle != best[index][1].angle
-        ]  # fmt: skip
+        others = [s for s, row in rows if row[index][1].angle != best[index][1].angle]
         return bool(_chances([score, max(others, default=score - 99.0)])[0] > SURE)
 
     def _unit_doubts(self, role: str, angle: _Angle) -> tuple[str, ...]:
@@ -816,7 +813,8 @@ class _Work:
         """Take an angle and its rate, and with a pitch the depth."""
         doubts = (*doubts, *self._unit_doubts(role, one))
         if dive.at >= 0:
-            dive = self._dive(one, self.series("u"), (dive.at,)) or dive
+            again = self._dive(one, self.series("u"), (dive.at,))
+            dive = again if again.at >= 0 else dive
         worlds = list(self._ways(role, one, dive))
         scores = [w[0] for w in worlds]
         unsure = ("sign",) * bool(max(_chances(scores)) < SURE)
@@ -868,8 +866,8 @@ class _Work:
 
     def _dive(
         self, theta: _Angle, u: np.ndarray | None = None, among: Sequence[int] | None = None
-    ) -> _Row | None:
-        """The depth that a pitch explains."""
+    ) -> _Row:
+        """The depth that a pitch explains, if there is one."""
         angle = self.columns[:, theta.angle] * _factor(theta.unit)
         column = self._sum((1.0 if u is None else u) * np.sin(angle))
         rows = []
@@ -883,7 +881,7 @@ class _Work:
                 sure = _certain(share, fits, self._named(i, "z"))
                 score = nats + _explained(share) + fits
                 rows.append(_Row(score, i, unit, int(np.sign(slope)), sure))
-        return _likeliest(rows) if rows else None
+        return _likeliest(rows) if rows else _LEVEL
 
     # -- what has a name only --
 

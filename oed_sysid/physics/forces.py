@@ -13,6 +13,7 @@ well below the velocities that matter and the integration step well below :math:
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -28,16 +29,9 @@ _BECH = "Bech & Wagner Smith (1969), Analogue simulation of ship manoeuvres, HyA
 _AIR_DENSITY = 1.225  # kg/m3, ICAO standard atmosphere at sea level
 
 
-def _fixed(
-    name: str,
-    value: float,
-    unit: str,
-    description: str = "",
-    lower: float = -np.inf,
-    upper: float = np.inf,
-) -> Parameter:
+def _fixed(name: str, value: float, unit: str, words: str = "", **bounds: Any) -> Parameter:
     """A known constant of an effect; free it to estimate it."""
-    return Parameter(name, value, unit, lower, upper, fixed=True, description=description)
+    return Parameter(name, value, unit, fixed=True, description=words, **bounds)
 
 
 # Rows of a table: laid out to be read as such.
