@@ -271,14 +271,13 @@ def _build(model: Model) -> Graph:
 
     # Motion between the samples.
     drive = _symbols(acting.signals)
-    motion = _Motion.of(model, states, states | drive | always, lasting)
+    speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
+    rates, balance, scope = _motion(model, speeds, states | drive | always, lasting)
     d = _vertcat(drive.values())
-    speeds = _vertcat(motion.speeds.values())
-    move = ca.Function("rates", [x, d, p, t], [_vertcat(motion.rates.values())], {"cse": True})
-    balance = ca.Function("balance", [x, speeds, d, p, t], [_vertcat(motion.balance.values())])
+    move = ca.Function("rates", [x, d, p, t], [rates], {"cse": True})
+    equations = ca.Function("balance", [x, _vertcat(speeds.values()), d, p, t], [balance])
 
     # Sensors: sampled, with memory.
-    scope = motion.scope
     measured = {o.name: to_casadi(o.source, scope, tables) for o in model.outputs}
     sensing = _Sampled.of(_chain(model.effects, "sensor"), scope, measured, tables)
     observe = ca.Function(
@@ -305,7 +304,7 @@ def _build(model: Model) -> Graph:
         model=model,
         actuate=actuate,
         rates=move,
-        balance=balance,
+        balance=equations,
         observe=observe,
         start=start,
         state_names=tuple(states),
@@ -350,39 +349,33 @@ class _Sampled:
         return cls(_vertcat(memory), _vertcat(following), _vertcat(initial), signals, settled)
 
 
-@dataclass(frozen=True)
-class _Motion:
-    """Rates of all states, the equations they come from, and all that a sensor may see."""
+def _motion(
+    model: Model, speeds: Scope, scope: Scope, lasting: Iterable[Effect]
+) -> tuple[ca.SX, ca.SX, Scope]:
+    """Rates of all states, the equations of their ``speeds``, and all that a sensor may see.
 
-    rates: Scope
-    balance: Scope
-    speeds: Scope
-    scope: Scope
-
-    @classmethod
-    def of(cls, model: Model, states: Scope, scope: Scope, lasting: Iterable[Effect]) -> _Motion:
-        """Forces from ``scope``, in which ``lasting`` actuators act before everything else."""
-        tables = model.library
-        rates: Scope = {}
-        for effect in lasting:
-            local, new = _apply(effect, scope, tables)
-            rates |= {state.name: to_casadi(state.rate, local, tables) for state in effect.states}
-            scope = scope | new
-        scope = _with_flow(model, scope)
-        forces, sensed = _forces(model, scope, rates)
-        for name, text in model.kinematics.items():
-            rates[name] = to_casadi(text, scope, tables) + forces.get(name, ca.SX(0))
-        speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
-        # x' - f = 0: the form that is linear in masses and forces, which regressions use.
-        balance = {name: speeds[name] - rates[name] for name in rates}
-        accelerations, momentum = _momentum(model, scope, forces, tables, speeds)
-        rates |= accelerations
-        balance |= momentum
-        for key in (*model.axes, *model.kinematics):
-            sensed[f"force({key})"] = forces.get(key, ca.SX(0))
-        sensed |= {f"dot({name})": rate for name, rate in rates.items()}
-        rates, balance = ({name: part[name] for name in states} for part in (rates, balance))
-        return cls(rates, balance, speeds, scope | sensed)
+    Forces are those from ``scope``, in which ``lasting`` actuators act before everything else.
+    """
+    tables = model.library
+    rates: Scope = {}
+    for effect in lasting:
+        local, new = _apply(effect, scope, tables)
+        rates |= {state.name: to_casadi(state.rate, local, tables) for state in effect.states}
+        scope = scope | new
+    scope = _with_flow(model, scope)
+    forces, sensed = _forces(model, scope, rates)
+    for name, text in model.kinematics.items():
+        rates[name] = to_casadi(text, scope, tables) + forces.get(name, ca.SX(0))
+    # x' - f = 0: the form that is linear in masses and forces, which regressions use.
+    balance = {name: speeds[name] - rates[name] for name in rates}
+    accelerations, momentum = _momentum(model, scope, forces, tables, speeds)
+    rates |= accelerations
+    balance |= momentum
+    for key in (*model.axes, *model.kinematics):
+        sensed[f"force({key})"] = forces.get(key, ca.SX(0))
+    sensed |= {f"dot({name})": rate for name, rate in rates.items()}
+    stacked = [_vertcat(part[name] for name in speeds) for part in (rates, balance)]
+    return stacked[0], stacked[1], scope | sensed
 
 
 def _with_flow(model: Model, scope: Scope) -> Scope:
