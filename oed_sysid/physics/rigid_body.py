@@ -212,12 +212,7 @@ class RigidBody:
 
         Velocities are those through the water. Numbers become free parameters.
         """
-        pairs = (
-            coefficients.items()
-            if isinstance(coefficients, Mapping)
-            else [(one.name, one) for one in coefficients]
-        )
-        listed = [v if isinstance(v, Parameter) else Parameter(k, float(v)) for k, v in pairs]
+        listed = [_parameter(value, name, "", "") for name, value in _named(coefficients)]
         for parameter in listed:
             parsed = notation.parse(parameter.name)
             moving = {factor.symbol for factor in parsed.factors} & set(frames.VELOCITIES)
@@ -446,6 +441,11 @@ def placed(name: str, at: Sequence[float | Parameter]) -> tuple[list[str], list[
             parameters.append(_parameter(value, own, "m", f"place of {name}", fixed=True))
             texts[i] = parameters[-1].name
     return texts, parameters
+
+
+def _named(given: Mapping[str, Number] | Sequence[Parameter]) -> list[tuple[str, Number]]:
+    """Numbers or parameters with their names; one may be there twice."""
+    return [*given.items()] if isinstance(given, Mapping) else [(one.name, one) for one in given]
 
 
 def _parameter(value: Number, name: str, unit: str, words: str, **facts: Any) -> Parameter:
@@ -709,9 +709,8 @@ class _Body:
 
     def added_mass(self, given: Mapping[str, Number] | Sequence[Parameter]) -> list[str]:
         """Keep the acceleration derivatives; return their names."""
-        pairs = given.items() if isinstance(given, Mapping) else [(p.name, p) for p in given]
         places: dict[tuple[str, ...], str] = {}
-        for name, value in pairs:
+        for name, value in _named(given):
             parsed = notation.parse(name)
             if not parsed.is_dot:
                 raise ModelError(

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
@@ -26,24 +27,21 @@ Table = tuple[np.ndarray, ...]
 # Elementary operations that a function may consist of: the word stored, its meaning.
 _OPERATIONS: dict[str, tuple[int, Callable[..., Any]]] = {
     "copy": (ca.OP_ASSIGN, lambda a: a),
-    "add": (ca.OP_ADD, lambda a, b: a + b),
-    "sub": (ca.OP_SUB, lambda a, b: a - b),
-    "mul": (ca.OP_MUL, lambda a, b: a * b),
-    "div": (ca.OP_DIV, lambda a, b: a / b),
-    "neg": (ca.OP_NEG, lambda a: -a),
+    "div": (ca.OP_DIV, operator.truediv),
     "pow": (ca.OP_POW, ca.power),
     "sq": (ca.OP_SQ, lambda a: a * a),
     "twice": (ca.OP_TWICE, lambda a: 2 * a),
     "inv": (ca.OP_INV, lambda a: 1 / a),
     "abs": (ca.OP_FABS, ca.fabs),
-    "lt": (ca.OP_LT, lambda a, b: a < b),
-    "le": (ca.OP_LE, lambda a, b: a <= b),
-    "eq": (ca.OP_EQ, lambda a, b: a == b),
-    "ne": (ca.OP_NE, lambda a, b: a != b),
     "not": (ca.OP_NOT, ca.logic_not),
     "and": (ca.OP_AND, ca.logic_and),
     "or": (ca.OP_OR, ca.logic_or),
     "if": (ca.OP_IF_ELSE_ZERO, lambda c, a: ca.if_else(c, a, 0)),
+    # Python's operators are called as CasADi calls them.
+    **{
+        word: (getattr(ca, f"OP_{word.upper()}"), getattr(operator, word))
+        for word in ("add", "sub", "mul", "neg", "lt", "le", "eq", "ne")
+    },
     # CasADi calls these alike in both places.
     **{
         word: (getattr(ca, f"OP_{word.upper()}"), getattr(ca, word))
