@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import ast
 import re
-from abc import ABC, abstractmethod
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import ClassVar
 
@@ -70,8 +68,13 @@ def terms(node: ast.expr, negative: bool = False) -> list[Product]:
     return [product]
 
 
-class Printer(ABC):
-    """Writes a syntax tree; what differs between the kinds of print is abstract."""
+class TextPrinter:
+    """Writes a syntax tree as plain text, ``Z_absww w |w| - m g sin(theta)²``."""
+
+    # Between factors, between a factor and a number; what opens and closes; words of logic.
+    gaps, brackets = (" ", " · "), ("(", ")")
+    comparisons: ClassVar = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}
+    words: ClassVar = {word: f" {word} " for word in ("and", "or", "not")}
 
     def sum(self, node: ast.expr) -> str:
         """Write any expression."""
@@ -140,68 +143,30 @@ class Printer(ABC):
         """Put parentheses around a sum."""
         return f"{self.brackets[0]}{text}{self.brackets[1]}"
 
-    # Between factors, between a factor and a number; what opens and closes; words of logic.
-    gaps: ClassVar[tuple[str, str]]
-    brackets: ClassVar[tuple[str, str]]
-    comparisons: ClassVar[Mapping[type[ast.cmpop], str]]
-    words: ClassVar[Mapping[str, str]]
-
-    @abstractmethod
     def stands_alone(self, node: ast.expr, product: Product) -> bool:
-        """Whether a factor needs no parentheses, being the only one."""
-
-    @abstractmethod
-    def quotient(self, above: str, below: list[ast.expr]) -> str:
-        """Write a fraction."""
-
-    @abstractmethod
-    def number(self, value: float) -> str:
-        """Write a number, to six significant digits."""
-
-    @abstractmethod
-    def name(self, name: str) -> str:
-        """Write a symbol."""
-
-    @abstractmethod
-    def call(self, function: str, arguments: list[ast.expr]) -> str:
-        """Write a function of arguments."""
-
-    @abstractmethod
-    def power(self, base: ast.expr, exponent: ast.expr) -> str:
-        """Write a power."""
-
-
-class TextPrinter(Printer):
-    """``Z_absww w |w| - m g sin(theta)²``."""
-
-    gaps, brackets = (" ", " · "), ("(", ")")
-    comparisons: ClassVar = {ast.Lt: "<", ast.LtE: "≤", ast.Gt: ">", ast.GtE: "≥"}
-    words: ClassVar = {word: f" {word} " for word in ("and", "or", "not")}
-
-    def stands_alone(self, node: ast.expr, product: Product) -> bool:
-        """A condition that is all of its term."""
+        """Whether a factor needs no parentheses: a condition that is all of its term."""
         return len(product.above) == 1 and not product.below and isinstance(node, ast.Compare)
 
     def quotient(self, above: str, below: list[ast.expr]) -> str:
-        """``a/b``."""
+        """Write a fraction, ``a/b``."""
         text = self.joined([self.factor(node) for node in below])
         return f"{above}/{text}" if len(below) == 1 else f"{above}/({text})"
 
     def number(self, value: float) -> str:
-        """As Python writes it."""
+        """Write a number, to six significant digits."""
         return f"{value:g}"
 
     def name(self, name: str) -> str:
-        """Return the name as it is."""
+        """Write a symbol: the name as it is."""
         return name
 
     def call(self, function: str, arguments: list[ast.expr]) -> str:
-        """``|x|`` for the absolute value, ``f(x, y)`` otherwise."""
+        """Write a function: ``|x|`` for the absolute value, ``f(x, y)`` otherwise."""
         inner = ", ".join(self.sum(argument) for argument in arguments)
         return f"|{inner}|" if function == "abs" else f"{function}({inner})"
 
     def power(self, base: ast.expr, exponent: ast.expr) -> str:
-        """Superscripts for whole numbers."""
+        """Write a power, with superscripts for whole numbers."""
         text = self.sum(exponent)
         if text.lstrip("-").isdigit():
             return self.base(base) + text.translate(_SUPERSCRIPT)
@@ -209,8 +174,8 @@ class TextPrinter(Printer):
         return f"{self.base(base)}^{text if simple else self.parentheses(text)}"
 
 
-class LatexPrinter(Printer):
-    r"""``Z_{w|w|} w \left|w\right| - m g \sin^{2}\theta``, without dollar signs."""
+class LatexPrinter(TextPrinter):
+    r"""LaTeX without dollar signs, ``Z_{w|w|} w \left|w\right| - m g \sin^{2}\theta``."""
 
     gaps, brackets = (r" \, ", r" \cdot "), (r"\left(", r"\right)")
     comparisons: ClassVar = {ast.Lt: "<", ast.LtE: r"\le", ast.Gt: ">", ast.GtE: r"\ge"}
