@@ -44,14 +44,8 @@ FACTOR_UNITS: Mapping[str, str] = {
     **dict.fromkeys(("p", "q", "r"), "1/s"),
     **dict.fromkeys(("phi", "theta", "delta", "dr", "ds", "db"), "1"),
 }
-_LATEX = {
-    "phi": r"\phi",
-    "theta": r"\theta",
-    "delta": r"\delta",
-    "dr": r"\delta_r",
-    "ds": r"\delta_s",
-    "db": r"\delta_b",
-}
+_LATEX = {name: f"\\{name}" for name in ("phi", "theta", "delta")}
+_LATEX |= {f"d{side}": rf"\delta_{side}" for side in "rsb"}
 _GREEK = frozenset(
     {"alpha", "beta", "gamma", "delta", "epsilon", "zeta", "eta", "theta", "kappa", "lambda"}
     | {"mu", "nu", "xi", "rho", "sigma", "tau", "phi", "chi", "psi", "omega"}

@@ -22,13 +22,8 @@ _LATEX_FORMS = {
     "sqrt": r"\sqrt{{{0}}}",
     "where": r"\begin{{cases}} {1} & {0} \\ {2} & \text{{otherwise}} \end{{cases}}",
 }
-_LATEX_NAMES = {
-    "asin": r"\arcsin",
-    "acos": r"\arccos",
-    "atan": r"\arctan",
-    "log": r"\ln",
-    "sign": r"\operatorname{sgn}",
-}
+_LATEX_NAMES = {"log": r"\ln", "sign": r"\operatorname{sgn}"}
+_LATEX_NAMES |= {f"a{name}": rf"\arc{name}" for name in ("sin", "cos", "tan")}
 
 
 @dataclass
