@@ -36,7 +36,7 @@ import numpy as np
 
 from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
-from oed_sysid.data.record import Record, empty_outputs
+from oed_sysid.data.record import Record, empty_outputs, nearest
 from oed_sysid.errors import DataError, located
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import as_html
@@ -635,14 +635,11 @@ def _compared(
     a: Record, b: Record, shift: float, span: np.ndarray, how: _Comparison
 ) -> Overlap | None:
     """Compare all rows at one shift; None if they are not the same."""
-    wanted = b.times + shift
-    right = np.clip(np.searchsorted(a.times, wanted), 1, a.n_samples - 1)
-    nearer = np.abs(a.times[right] - wanted) < np.abs(a.times[right - 1] - wanted)
-    partner = np.where(nearer, right, right - 1)
+    partner, distance = nearest(b.times + shift, a.times)
     clock = _CLOCK * min(a.sample_time, b.sample_time)
     first, second = a.outputs[partner], b.outputs
     both = np.isfinite(first) & np.isfinite(second)
-    compared = (np.abs(a.times[partner] - wanted) <= clock) & both.any(axis=1) & _moves(b)
+    compared = (distance <= clock) & both.any(axis=1) & _moves(b)
     with np.errstate(invalid="ignore"):
         equal = np.all(~both | (np.abs(first - second) <= how.tolerance * span), axis=1)
     if how.noise is None and b.inputs.shape[1]:

@@ -571,6 +571,14 @@ class Record:
         )
 
 
+def nearest(times: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest of ascending times of rows for every time, and how far it is."""
+    right = np.clip(np.searchsorted(rows, times), 0, rows.size - 1)
+    left = np.maximum(right - 1, 0)
+    index = np.where(np.abs(rows[left] - times) <= np.abs(rows[right] - times), left, right)
+    return index, np.abs(rows[index] - times)
+
+
 def empty_outputs(outputs: np.ndarray, names: tuple[str, ...]) -> tuple[str, ...]:
     """Names of the outputs ``(n_samples, n_outputs)`` without any sample."""
     empty = np.all(np.isnan(outputs), axis=0)

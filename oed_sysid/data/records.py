@@ -23,6 +23,7 @@ from oed_sysid.data.record import (
     Record,
     check_wraps,
     empty_outputs,
+    nearest,
     unwrapped,
 )
 from oed_sysid.errors import DataError, located
@@ -336,7 +337,7 @@ class _Manoeuvre:
 
     def _joined(self, rows: np.ndarray, times: np.ndarray) -> np.ndarray:
         """Rows, and the times that are near none of them."""
-        _, distance = _nearest(times, rows)
+        _, distance = nearest(times, rows)
         return np.sort(np.concatenate([rows, times[distance > self.tolerance]]))
 
     def _with_switches(self, rows: np.ndarray) -> np.ndarray:
@@ -381,17 +382,9 @@ def _place(piece: Series, rows: np.ndarray, column: np.ndarray) -> float:
     """Write an output's samples into their rows; the largest shift of a time, s."""
     if not piece.times.size:
         return 0.0
-    index, distance = _nearest(piece.times, rows)
+    index, distance = nearest(piece.times, rows)
     # Of several samples at one row the nearest is taken: it is written last.
     order = np.argsort(-distance, kind="stable")
     order = order[distance[order] <= 0.5 * piece.step]
     column[index[order]] = piece.values[order]
     return float(np.max(distance[order], initial=0.0))
-
-
-def _nearest(times: np.ndarray, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest row of every time, and how far it is."""
-    right = np.clip(np.searchsorted(rows, times), 0, rows.size - 1)
-    left = np.maximum(right - 1, 0)
-    index = np.where(np.abs(rows[left] - times) <= np.abs(rows[right] - times), left, right)
-    return index, np.abs(rows[index] - times)

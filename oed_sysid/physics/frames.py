@@ -222,13 +222,12 @@ def euler(active: Collection[str]) -> Attitude:
 
 def quaternion() -> Attitude:
     """Unit quaternion of a body that turns about all three axes."""
-    rates = {
-        "e0": "0.5*(-e1*p - e2*q - e3*r)",
+    states = {
+        "de0": "0.5*(-e1*p - e2*q - e3*r)",
         "e1": "0.5*(e0*p - e3*q + e2*r)",
         "e2": "0.5*(e3*p + e0*q - e1*r)",
         "e3": "0.5*(-e2*p + e1*q + e0*r)",
     }
-    states = {state: rates[name] for state, name in zip(QUATERNION, rates, strict=True)}
     rows = (
         ("1 - 2*(e2**2 + e3**2)/e_norm", "2*(e1*e2 - e3*e0)/e_norm", "2*(e1*e3 + e2*e0)/e_norm"),
         ("2*(e1*e2 + e3*e0)/e_norm", "1 - 2*(e1**2 + e3**2)/e_norm", "2*(e2*e3 - e1*e0)/e_norm"),
