@@ -14,7 +14,7 @@ from typing import Any, ClassVar, Self
 
 from oed_sysid.errors import ModelError, located
 from oed_sysid.physics.channels import check_signal, settle
-from oed_sysid.physics.parameters import Parameter, check_unique, with_parameters
+from oed_sysid.physics.parameters import Parameter, changed, check_unique
 from oed_sysid.text import callables, expressions
 from oed_sysid.text.callables import Function, Table, argument_names
 
@@ -312,18 +312,11 @@ class Effect:
         """Return the effect with some parameter values replaced."""
         if not any(parameter.name in values for parameter in self.parameters):
             return self
-        return with_parameters(
-            self,
-            tuple(p.with_value(values[p.name]) if p.name in values else p for p in self.parameters),
-        )
+        return changed(self, values, lambda p: p.with_value(values[p.name]))
 
     def widened(self) -> Effect:
         """Return the effect without those bounds of its amplitudes that nobody declared."""
-        sizes = self.amplitude_names
-        return with_parameters(
-            self,
-            tuple(_unbounded(p) if p.name in sizes else p for p in self.parameters),
-        )
+        return changed(self, self.amplitude_names, _unbounded)
 
     def structure(self) -> tuple[Hashable, ...]:
         """Everything that shapes the equations, values of parameters excluded."""

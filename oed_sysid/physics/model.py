@@ -19,7 +19,7 @@ import casadi as ca
 from oed_sysid.errors import ModelError
 from oed_sysid.physics import Effect
 from oed_sysid.physics.channels import Input, Output, State
-from oed_sysid.physics.parameters import Parameter, with_parameters
+from oed_sysid.physics.parameters import Parameter, changed
 from oed_sysid.physics.structure import Structure, settle_parts, validate
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text import callables, expressions
@@ -231,12 +231,8 @@ class Model(Structure):
         """Return the model with some of its parameters changed, wherever they are declared."""
         for name in names:
             self.parameter(name)
-
-        def changed(parts: tuple[Parameter, ...]) -> tuple[Parameter, ...]:
-            return tuple(change(p) if p.name in names else p for p in parts)
-
-        effects = tuple(with_parameters(one, changed(one.parameters)) for one in self.effects)
-        return with_parameters(self, changed(self.parameters), effects=effects)
+        effects = tuple(changed(one, names, change) for one in self.effects)
+        return changed(self, names, change, effects=effects)
 
     # -- words ---------------------------------------------------------------------
 

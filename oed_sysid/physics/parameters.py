@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -176,6 +177,14 @@ def with_parameters(part: Part, parameters: tuple[Parameter, ...], **changes: An
     for field in fields(part):
         object.__setattr__(other, field.name, changes.get(field.name, getattr(part, field.name)))
     return other
+
+
+def changed(
+    part: Part, names: Collection[str], change: Callable[[Parameter], Parameter], **others: Any
+) -> Part:
+    """Return a model or effect with some of its own parameters changed."""
+    own: tuple[Parameter, ...] = part.parameters  # type: ignore[attr-defined]
+    return with_parameters(part, tuple(change(p) if p.name in names else p for p in own), **others)
 
 
 def check_unique(parameters: tuple[Parameter, ...], *, owner: str) -> None:
