@@ -427,15 +427,10 @@ def _momentum(
     if not model.axes:
         return {}, {}
     axes, velocities = list(model.axes), list(model.axes.values())
-    mass = ca.SX.zeros(len(axes), len(axes))
     stated = {axis for axis, _ in model.inertia}
-    for row, axis in enumerate(axes):
-        if axis not in stated:
-            mass[row, row] = 1.0
-    entries = list(model.inertia.items())
-    for effect in _chain(model.effects, "inertia"):
-        entries += list(effect.terms.items())
-    for (axis, velocity), text in entries:
+    mass = ca.SX(ca.densify(ca.diag([float(axis not in stated) for axis in axes])))
+    parts = (model.inertia, *(effect.terms for effect in _chain(model.effects, "inertia")))
+    for (axis, velocity), text in (entry for part in parts for entry in part.items()):
         row, column = axes.index(axis), velocities.index(velocity)
         mass[row, column] += to_casadi(text, scope, tables)
     right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))

@@ -141,9 +141,7 @@ def _times(
         )
     moments = np.array([of_day[index] for index in known], dtype=float)
     # Times of day that go back by more than half a day are those of the next.
-    back = np.flatnonzero(np.diff(moments) < -0.5 * DAY)
-    for index in back:
-        moments[index + 1 :] += DAY
+    moments[1:] += DAY * np.cumsum(np.diff(moments) < -0.5 * DAY)
     # Sentences of one moment come after each other: the first of them has the time.
     first = np.concatenate([[True], np.diff(moments) > 0.0])
     places, values = np.array(known)[first].astype(float), moments[first]

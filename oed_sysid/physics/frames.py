@@ -290,9 +290,7 @@ def rigid_matrix(present: Mapping[str, object]) -> Matrix:
     entries: Matrix = {(i, i): "m" for i in range(3)}
     levers = {(0, 4): "z_G", (0, 5): "-y_G", (1, 3): "-z_G", (1, 5): "x_G", (2, 3): "y_G"}
     levers[2, 4] = "-x_G"
-    for key, lever in levers.items():
-        if lever.lstrip("-") in present:
-            entries[key] = times("m", lever)
+    entries |= {key: times("m", arm) for key, arm in levers.items() if arm.lstrip("-") in present}
     # Products of inertia stand with a minus, moments with a plus.
     names = {(3, 3): "I_xx", (4, 4): "I_yy", (5, 5): "I_zz"}
     names |= {(3, 4): "-I_xy", (3, 5): "-I_xz", (4, 5): "-I_yz"}

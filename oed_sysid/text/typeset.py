@@ -80,14 +80,9 @@ class TextPrinter:
             return word.join(self.condition(value) for value in node.values)
         if isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.Not):
             return f"{self.words['not'].lstrip()}{self.condition(node.operand)}"
-        text = ""
-        for product in terms(node):
-            if text:
-                text += " - " if product.negative else " + "
-            elif product.negative:
-                text = "-"
-            text += self.product(product)
-        return text
+        products = terms(node)
+        text = "".join(f" {'-' if one.negative else '+'} {self.product(one)}" for one in products)
+        return "-" * products[0].negative + text[3:]
 
     def condition(self, node: ast.expr) -> str:
         """Write a condition so that it can stand beside ``and``, ``or`` and ``not``."""
@@ -123,11 +118,8 @@ class TextPrinter:
 
     def joined(self, pieces: list[str]) -> str:
         """Factors with what stands between them."""
-        text = ""
-        for piece in pieces:
-            text += self.gaps[piece[0].isdigit()] if text else ""
-            text += piece
-        return text
+        others = (self.gaps[piece[0].isdigit()] + piece for piece in pieces[1:])
+        return "".join([*pieces[:1], *others])
 
     def comparison(self, node: ast.Compare) -> str:
         """Write a condition, as ``a ≤ b``."""
