@@ -28,7 +28,7 @@ import hashlib
 import warnings
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import compress, product
 from pathlib import Path
 from typing import Any
 
@@ -350,13 +350,9 @@ def write_csv(record: Record, path: str | Path) -> None:
     t [s],psi [rad]
     """
     headers, values = _columns_of(record)
-    first = 1 + len(record.channels.inputs)
-    written = list(range(first)) + [
-        first + index
-        for index, name in enumerate(record.channels.output_names)
-        if name not in record.missing_outputs
-    ]
-    write_table(Path(path), [headers[i] for i in written], values[:, written])
+    measured = [name not in record.missing_outputs for name in record.channels.output_names]
+    written = [True] * (1 + len(record.channels.inputs)) + measured
+    write_table(Path(path), [*compress(headers, written)], values[:, written])
 
 
 def _columns_of(record: Record) -> tuple[list[str], np.ndarray]:

@@ -322,9 +322,8 @@ class Record:
         [1. 1. 1. 1. 1.]
         """
         difference = self.outputs - predicted
-        for column, output in enumerate(self.channels.outputs):
-            if output.wrap:
-                difference[:, column] = on_circle(difference[:, column])
+        wraps = [output.wrap for output in self.channels.outputs]
+        difference[:, wraps] = on_circle(difference[:, wraps])
         return difference
 
     def on_its_turn(self, output: str, angle: float) -> float:
