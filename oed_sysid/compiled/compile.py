@@ -73,8 +73,8 @@ _GENERATOR = (
 @lru_cache(maxsize=1)
 def _machine_digest() -> str:
     """Digest of the compiler and the processor the code is for."""
-    digest = hashlib.sha256()
-    digest.update(repr((ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())).encode())
+    facts = (ca.CasadiMeta.version(), _FLAGS, _compiler(), platform.machine())
+    digest = hashlib.sha256(repr(facts).encode())
     try:  # -march=native: another processor needs its own code
         with open("/proc/cpuinfo") as handle:
             digest.update(next((line for line in handle if line.startswith("flags")), "").encode())
@@ -312,11 +312,9 @@ def _braces(items: Iterable[str]) -> str:
 
 def _start(graph: Graph) -> ca.Function:
     """Start function with its dense derivative, row by row, by own states and free parameters."""
-    symbols = [ca.SX.sym(graph.start.name_in(i), graph.start.sparsity_in(i)) for i in range(4)]
-    (z,) = graph.start.call(symbols)
-    free = list(graph.free_indices)
-    by_own = ca.jacobian(z, symbols[0])
-    by_free = ca.jacobian(z, symbols[2])[:, free] if free else ca.SX(z.numel(), 0)
+    symbols = graph.start.sx_in()
+    found = differentiated(graph.start, (0, 2), 2, graph.free_indices, "own")
+    z, by_own, by_free = found.call(symbols)
     # CasADi stores columns; the transpose hands rows to C.
     dense = ca.densify(ca.horzcat(by_own, by_free).T)
     return ca.Function("start_jac", symbols, [z, dense])

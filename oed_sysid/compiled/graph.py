@@ -214,9 +214,7 @@ def differentiated(
 
     The argument ``p``, of all parameters, stands for its ``free`` entries only.
     """
-    symbols = [
-        ca.SX.sym(function.name_in(i), function.sparsity_in(i)) for i in range(function.n_in())
-    ]
+    symbols = function.sx_in()
     results = function.call(symbols)
     jacobians = []
     for result in results:

@@ -38,7 +38,7 @@ from oed_sysid.data.csv_columns import Columns
 from oed_sysid.data.frames import RECORD, frame, tables_of
 from oed_sysid.data.record import Record, empty_outputs, nearest
 from oed_sysid.errors import DataError, located
-from oed_sysid.physics.channels import Channels, Input, Output
+from oed_sysid.physics.channels import Channels
 from oed_sysid.runtime.display import as_html
 from oed_sysid.text.csv_table import Table, read_table, write_table
 from oed_sysid.text.units import parse_header
@@ -284,6 +284,7 @@ def read_csv(
     >>> path = Path(folder.name) / "step.csv"
     >>> rows = [f"{0.5 * i},{10 if i > 1 else 0},{i}" for i in range(6)]
     >>> _ = path.write_text("\n".join(["t_s,fin_deg,q [deg/s]", *rows]))
+    >>> from oed_sysid.physics.channels import Input, Output
     >>> channels = Channels((Input("fin", "rad"),), (Output("q", "rad/s"),))
     >>> record = read_csv(path, channels)["step"]
     >>> print(record.duration, record.input("fin").max().round(4))
@@ -358,9 +359,8 @@ def write_csv(record: Record, path: str | Path) -> None:
 def _columns_of(record: Record) -> tuple[list[str], np.ndarray]:
     """Headers with SI units and the columns below them, signs as in the log."""
     headers, columns = ["t [s]"], [record.times]
-    channels: list[Input | Output] = [*record.channels.inputs, *record.channels.outputs]
     signals = np.hstack([record.inputs, record.outputs]).T
-    for channel, signal in zip(channels, signals, strict=True):
+    for channel, signal in zip(record.channels.all, signals, strict=True):
         title = parse_header(channel.column)[0] if channel.column else channel.name
         headers.append(f"{title} [{channel.unit or '-'}]")
         columns.append(channel.sign * signal)

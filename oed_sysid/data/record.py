@@ -442,10 +442,8 @@ class Record:
         Equal for two records exactly if they hold the same numbers of the same
         channels, on every machine.
         """
-        digest = hashlib.sha256()
-        named = [(one.name, one.unit) for one in self.channels.inputs]
-        named += [(one.name, one.unit) for one in self.channels.outputs]
-        digest.update(repr(named).encode())
+        named = [(one.name, one.unit) for one in self.channels.all]
+        digest = hashlib.sha256(repr(named).encode())
         if self.independent:
             digest.update(b"independent")
         for array in (self.times, self.inputs, self.outputs):

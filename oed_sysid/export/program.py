@@ -346,7 +346,7 @@ def _routine(function: ca.Function) -> Routine:
 
 def _slopes(rates: ca.Function) -> ca.Function:
     """Dense derivatives of the rates by the states, row by row."""
-    symbols = [ca.SX.sym(rates.name_in(i), rates.sparsity_in(i)) for i in range(rates.n_in())]
+    symbols = rates.sx_in()
     jacobian = ca.densify(ca.jacobian(rates.call(symbols)[0], symbols[0]))
     return ca.Function("slopes", symbols, [ca.vec(jacobian.T)], {"cse": True})
 
