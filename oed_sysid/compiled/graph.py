@@ -189,11 +189,10 @@ class Graph:
             ca.SX.sym("h"),
         )
 
-    def _split(self, z: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        first = self.n_states
-        second = first + self.n_actuator_memory
-        # Two indices: an empty part of a single element would otherwise be 1 by 0.
-        return z[:first, 0], z[first:second, 0], z[second:, 0]
+    def _split(self, z: ca.SX) -> list[ca.SX]:
+        """States, memory of actuators and memory of sensors."""
+        memories = self.n_states, self.n_states + self.n_actuator_memory
+        return ca.vertsplit(z, [0, *memories, self.n_full])
 
 
 _CACHE: dict[str, Graph] = {}
@@ -256,7 +255,6 @@ def _build(model: Model) -> Graph:
     # Actuators: sampled, with memory; those with states of their own move with the vehicle.
     actuators = _chain(model.effects, "actuator")
     sampled = [effect for effect in actuators if is_sampled(model, effect)]
-    lasting = [effect for effect in actuators if not is_sampled(model, effect)]
     scope = inputs | always
     ideal = {name: to_casadi(text, scope, tables) for name, text in model.actuator_signals.items()}
     acting = _Sampled.of(sampled, scope, ideal, tables)
@@ -270,7 +268,7 @@ def _build(model: Model) -> Graph:
     # Motion between the samples.
     drive = _symbols(acting.signals)
     speeds = {name: ca.SX.sym(f"{name}_rate") for name in states}
-    rates, balance, scope = _motion(model, speeds, states | drive | always, lasting)
+    rates, balance, scope = _motion(model, speeds, states | drive | always)
     d = _vertcat(drive.values())
     move = ca.Function("rates", [x, d, p, t], [rates], {"cse": True})
     equations = ca.Function("balance", [x, _vertcat(speeds.values()), d, p, t], [balance])
@@ -347,16 +345,17 @@ class _Sampled:
         return cls(_vertcat(memory), _vertcat(following), _vertcat(initial), signals, settled)
 
 
-def _motion(
-    model: Model, speeds: Scope, scope: Scope, lasting: Iterable[Effect]
-) -> tuple[ca.SX, ca.SX, Scope]:
+def _motion(model: Model, speeds: Scope, scope: Scope) -> tuple[ca.SX, ca.SX, Scope]:
     """Rates of all states, the equations of their ``speeds``, and all that a sensor may see.
 
-    Forces are those from ``scope``, in which ``lasting`` actuators act before everything else.
+    Forces are those from ``scope``, in which actuators that move with the vehicle act before
+    everything else.
     """
     tables = model.library
     rates: Scope = {}
-    for effect in lasting:
+    for effect in _chain(model.effects, "actuator"):
+        if is_sampled(model, effect):
+            continue
         local, new = _apply(effect, scope, tables)
         rates |= {state.name: to_casadi(state.rate, local, tables) for state in effect.states}
         scope = scope | new
@@ -427,8 +426,10 @@ def _momentum(
     axes, velocities = list(model.axes), list(model.axes.values())
     stated = {axis for axis, _ in model.inertia}
     mass = ca.SX(ca.densify(ca.diag([float(axis not in stated) for axis in axes])))
-    parts = (model.inertia, *(effect.terms for effect in _chain(model.effects, "inertia")))
-    for (axis, velocity), text in (entry for part in parts for entry in part.items()):
+    entries = [*model.inertia.items()]
+    for effect in _chain(model.effects, "inertia"):
+        entries += effect.terms.items()
+    for (axis, velocity), text in entries:
         row, column = axes.index(axis), velocities.index(velocity)
         mass[row, column] += to_casadi(text, scope, tables)
     right = ca.vertcat(*(forces.get(axis, ca.SX(0)) for axis in axes))

@@ -15,6 +15,7 @@ import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import islice
 from typing import Any
 
 import casadi as ca
@@ -289,11 +290,10 @@ def _called(digest: str, result: int, arguments: list[ca.SX]) -> ca.SX:
             "stored with it. Build the model from its CasADi functions first "
             "(oed_sysid.Model.from_casadi), then read what was saved."
         )
-    function, parts, first = _CALLED[digest], list[ca.SX](), 0
+    function, rest, parts = _CALLED[digest], iter(arguments), list[ca.SX]()
     for i in range(function.n_in()):
-        last = first + function.nnz_in(i)
-        parts.append(ca.SX(function.sparsity_in(i), ca.vertcat(*arguments[first:last])))
-        first = last
+        own = ca.vertcat(*islice(rest, function.nnz_in(i)))
+        parts.append(ca.SX(function.sparsity_in(i), own))
     return ca.vertcat(*(part.nz[:] for part in function.call(parts)))[result]
 
 
