@@ -195,8 +195,13 @@ class Excitation(ABC):
 
     @property
     @abstractmethod
+    def parts(self) -> tuple[Manoeuvre, ...]:
+        """The manoeuvres that act at the same time, one for each input."""
+
+    @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the commanded channels."""
+        return tuple(part.input for part in self.parts)
 
     @property
     @abstractmethod
@@ -208,9 +213,9 @@ class Excitation(ABC):
     def duration(self) -> float | None:
         """Suggested time to run it [s]; None if it has no natural end."""
 
-    @abstractmethod
     def controllers(self) -> dict[str, Controller]:
-        """Return one fresh controller for each input."""
+        """Return one fresh controller for each input; see :func:`command_all`."""
+        return {part.input: part.controller() for part in self.parts}
 
     @abstractmethod
     def describe(self) -> str:
@@ -295,18 +300,14 @@ class Manoeuvre(Excitation):
             )
 
     @property
-    def inputs(self) -> tuple[str, ...]:
-        """The one commanded channel, as a tuple."""
-        return (self.input,)
+    def parts(self) -> tuple[Manoeuvre, ...]:
+        """The manoeuvre alone."""
+        return (self,)
 
     @property
     def duration(self) -> float | None:
         """None: it depends on the vehicle or has no end; for kinds that do not know it."""
         return None
-
-    def controllers(self) -> dict[str, Controller]:
-        """Return the fresh controller under the name of the input."""
-        return {self.input: self.controller()}
 
     @abstractmethod
     def controller(self) -> Controller:

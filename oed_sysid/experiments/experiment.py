@@ -244,12 +244,7 @@ class Experiment:
     @property
     def manoeuvres(self) -> tuple[Manoeuvre, ...]:
         """The manoeuvres on the single inputs."""
-        match self.excitation:
-            case Combined() as combined:
-                return tuple(combined.manoeuvres)
-            case Manoeuvre() as single:
-                return (single,)
-        return ()
+        return self.excitation.parts if self.excitation else ()
 
     @property
     def inputs(self) -> tuple[str, ...]:

@@ -237,9 +237,10 @@ class ZigZagLike(_Reversing):
 
     def describe(self) -> str:
         """Return one line in words."""
+        amplitudes, switches, *_ = self.swings
         return (
-            f"zigzag of {self.input} with {_degrees(self.amplitudes)} deg, reversed when "
-            f"{self.feedback[0]} reaches {_degrees(self.switches)} deg, {_ending(self)}"
+            f"zigzag of {self.input} with {_degrees(amplitudes)} deg, reversed when "
+            f"{self.feedback[0]} reaches {_degrees(switches)} deg, {_ending(self)}"
         )
 
 
@@ -248,41 +249,38 @@ class _Swings(base.Controller):
 
     def __init__(self, settings: ZigZag | ZigZagLike) -> None:
         self._settings = settings
-        self._signal = settings.feedback[0]
         self._amplitudes, self._switches, self._lead, self._keep_gain = settings.swings
         self._limit = SlopeLimit(settings.rate, initial=settings.neutral)
-        self._reference = settings.reference
+        # Not a number until they are measured.
+        self._reference = math.nan if settings.reference is None else settings.reference
+        self._kept = math.nan
         self._reversals = -1
         self._reverse()
-        self._kept: float | None = None
 
     def command(self, time: float, signals: Mapping[str, float]) -> float:
         if time < self._settings.start:
             return self._limit.follow(self._settings.neutral, time)
         names = self._settings.feedback
-        seen = {name: measured_signal(self._settings.input, name, signals) for name in names}
-        measured = seen[self._signal]
+        seen = [measured_signal(self._settings.input, name, signals) for name in names]
         # Headings count from the first measured value, whatever the course of the approach.
-        if self._reference is None and math.isfinite(measured):
-            self._reference = measured
-        if self._keep_gain and self._kept is None:
-            kept = seen[self._settings.feedback[-1]]
-            self._kept = kept if math.isfinite(kept) else None
-        if self._reference is not None and self._swing(seen) >= self._switch:
+        if not math.isfinite(self._reference):
+            self._reference = seen[0]
+        if not math.isfinite(self._kept):
+            self._kept = seen[-1]
+        if self._swing(seen) >= self._switch:
             self._reverse()
         return self._limit.follow(self._order, time)
 
-    def _swing(self, seen: Mapping[str, float]) -> float:
-        """How far the feedback has gone to the side of the order, rad."""
-        deviation = seen[self._signal] - (self._reference or 0.0)
-        names = self._settings.feedback
+    def _swing(self, seen: abc.Sequence[float]) -> float:
+        """How far the feedback has gone to the side of the order, rad; NaN while not known."""
+        deviation = seen[0] - self._reference
         if self._lead:
-            deviation = deviation + self._lead * seen[names[1]]
-        if self._keep_gain and self._kept is not None:
+            deviation += self._lead * seen[1]
+        if self._keep_gain and math.isfinite(self._kept):
             # The keeper may shift the reference by half a switch, so that every swing still ends.
             most = 0.5 * self._switch
-            shift = self._keep_gain * (seen[names[-1]] - self._kept)
-            deviation = deviation - min(max(shift, -most), most)
+            shift = self._keep_gain * (seen[-1] - self._kept)
+            deviation -= min(max(shift, -most), most)
         return self._settings.sign * self._side * deviation
 
     def _reverse(self) -> None:
@@ -304,9 +302,8 @@ def measured_signal(owner: str, name: str, signals: Mapping[str, float]) -> floa
     return float(signals[name])
 
 
-def _degrees(values: float | Numbers) -> str:
-    sequence = (values,) if isinstance(values, int | float) else values
-    return ", ".join(f"{math.degrees(value):.3g}" for value in sequence)
+def _degrees(values: abc.Iterable[float]) -> str:
+    return ", ".join(f"{math.degrees(value):.3g}" for value in values)
 
 
 def _ending(manoeuvre: ZigZag | ZigZagLike) -> str:
@@ -444,9 +441,9 @@ class Combined(base.Excitation):
             )
 
     @property
-    def inputs(self) -> tuple[str, ...]:
-        """Names of the commanded channels."""
-        return tuple(part.input for part in self.manoeuvres)
+    def parts(self) -> tuple[base.Manoeuvre, ...]:
+        """The manoeuvres."""
+        return tuple(self.manoeuvres)
 
     @property
     def feedback(self) -> abc.Sequence[str]:
@@ -456,13 +453,8 @@ class Combined(base.Excitation):
     @property
     def duration(self) -> float | None:
         """The longest suggestion [s]; None if no manoeuvre has one."""
-        return max(
-            (d for part in self.manoeuvres if (d := part.duration) is not None), default=None
-        )
-
-    def controllers(self) -> dict[str, base.Controller]:
-        """Return one fresh controller for each input; see :func:`command_all`."""
-        return {part.input: part.controller() for part in self.manoeuvres}
+        known = (part.duration for part in self.manoeuvres)
+        return max((one for one in known if one is not None), default=None)
 
     def describe(self) -> str:
         """Return one line in words."""
