@@ -20,7 +20,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, Run, kernel
+from oed_sysid.compiled.kernels import Run, kernel
 from oed_sysid.data.dataset import Record
 from oed_sysid.errors import SimulationError
 from oed_sysid.experiments.base import ROUNDING
@@ -167,8 +167,7 @@ def _draw_noise(
 ) -> np.ndarray:
     """Noise of all outputs, shape ``(n_times, n_outputs)``."""
     stds = {output.name: output.noise_std for output in model.outputs} | dict(experiment.noise)
-    unknown = [name for name, std in stds.items() if std is None]
-    if unknown:
+    if unknown := [name for name, std in stds.items() if std is None]:
         raise SimulationError(
             f"The noise of {', '.join(unknown)} is not known. Give Output(noise_std=...), "
             f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate without noise (noise=False, "
@@ -187,6 +186,14 @@ def _draw_noise(
 # -- manoeuvres that react ----------------------------------------------------------------
 
 
+def _seen(model: Model, experiment: Experiment) -> tuple[dict[str, int], set[str]]:
+    """Columns of the signals that manoeuvres react to, and which of these are true states."""
+    states, outputs = model.all_state_names, model.output_names
+    wanted = [name for one in experiment.manoeuvres for name in one.feedback]
+    true = {*wanted} - {*outputs} if experiment.feedback == "measured" else {*wanted} & {*states}
+    return {name: (states if name in true else outputs).index(name) for name in wanted}, true
+
+
 class _Loop:
     """A run of controllers and vehicle, window by window."""
 
@@ -197,7 +204,8 @@ class _Loop:
         self.columns = [names.index(name) for name in self.controllers]
         self.values, self.runner = model.value_vector, kernel(model)
         self.own = start_array(model, experiment.initial)
-        self.signals = _Signals(model, experiment, noise)
+        self.seen, self.states = _seen(model, experiment)
+        self.noise = noise if experiment.feedback == "measured" else None
         # Before the first decision the commanded inputs are at rest.
         self.rest = np.array([experiment.constants.get(name, 0.0) for name in names])
         self.linear = any(channel.interpolation == "linear" for channel in model.inputs)
@@ -247,64 +255,32 @@ class _Loop:
         return inputs
 
     def _measured(self, times: np.ndarray, commands: np.ndarray, window: Run) -> Run:
-        """What the manoeuvres see in a window."""
-        untouched = self.signals.of_states and not self.linear
+        """What is measured at each sample of a window while the command before it still acts.
+
+        Each sample is one step from the state of the one before. Steps that begin at even and at
+        odd samples make two records of segments of two samples.
+        """
+        # States are not touched by a command of the same sample.
+        untouched = self.states == self.seen.keys() and not self.linear
         if untouched or np.all(commands == commands[0]):
             return window
-        return _seen(self.runner, times, commands, self.values, window)
+        states, outputs = window.states.copy(), window.outputs.copy()
+        for first in range(min(2, len(times) - 1)):
+            starts = np.arange(first, len(times) - 1, 2)
+            span = slice(first, starts[-1] + 2)
+            held = commands[span].copy()
+            # The measurement of a sample is taken while the command of the one before still acts.
+            held[1::2] = held[::2]
+            begin = window.states[starts]
+            part = self.runner.run(times[span], held, self.values, begin, starts=starts - first)
+            states[starts + 1], outputs[starts + 1] = part.states[1::2], part.outputs[1::2]
+        return replace(window, states=states, outputs=outputs)
 
     def _decide(self, sample: int, window: Run, row: int) -> list[float]:
         """Commands of the inputs that react, on what is seen in a row of a window."""
-        seen = self.signals.at(sample, window, row)
-        return list(command_all(self.controllers, float(self.times[sample]), seen).values())
-
-
-def _seen(
-    runner: Kernel, times: np.ndarray, commands: np.ndarray, values: np.ndarray, window: Run
-) -> Run:
-    """What is measured at each sample of a window while the command before it still acts.
-
-    Each sample is one step from the state of the one before. Steps that begin at even and at odd
-    samples make two records of segments of two samples.
-    """
-    states, outputs = window.states.copy(), window.outputs.copy()
-    for first in range(min(2, len(times) - 1)):
-        starts = np.arange(first, len(times) - 1, 2)
-        stop = starts[-1] + 2
-        held = commands[first:stop].copy()
-        # The measurement of a sample is taken while the command of the one before still acts.
-        held[1::2] = held[::2]
-        part = runner.run(
-            times[first:stop], held, values, window.states[starts], starts=starts - first
-        )
-        states[starts + 1], outputs[starts + 1] = part.states[1::2], part.outputs[1::2]
-    return replace(window, states=states, outputs=outputs)
-
-
-class _Signals:
-    """What the manoeuvres see: the signals they react to, measured or true."""
-
-    def __init__(self, model: Model, experiment: Experiment, noise: np.ndarray | None) -> None:
-        states, outputs = model.all_state_names, model.output_names
-        wanted = experiment.excitation.feedback if experiment.excitation else ()
-        measured = experiment.feedback == "measured"
-        self._noise = noise if measured else None
-        self._outputs = {
-            name: outputs.index(name)
-            for name in wanted
-            if name in outputs and (measured or name not in states)
+        noisy = window.outputs[row] + (0.0 if self.noise is None else self.noise[sample])
+        seen = {
+            name: float(window.states[row, i] if name in self.states else noisy[i])
+            for name, i in self.seen.items()
         }
-        self._states = {name: states.index(name) for name in wanted if name not in self._outputs}
-
-    @property
-    def of_states(self) -> bool:
-        """Whether all are states, which a command of the same sample does not touch."""
-        return not self._outputs
-
-    def at(self, sample: int, window: Run, row: int) -> dict[str, float]:
-        """Signals at one sample, found in a row of a short run."""
-        seen = {name: float(window.states[row, i]) for name, i in self._states.items()}
-        for name, index in self._outputs.items():
-            error = 0.0 if self._noise is None else self._noise[sample, index]
-            seen[name] = float(window.outputs[row, index] + error)
-        return seen
+        return list(command_all(self.controllers, float(self.times[sample]), seen).values())
