@@ -226,7 +226,8 @@ class Problem:
         """
         if name in self.others:
             return self.others[name]
-        self._check_known("model", name, self.variants, f"{DEFAULT} is the nominal one.")
+        lacking, advice = f"Problem {self.name!r} has no model", f"{DEFAULT} is the nominal one."
+        located(ProblemError, lacking, [name], self.variants, advice)
         if name == DEFAULT:
             return self
         model = self.models[name]
@@ -253,18 +254,14 @@ class Problem:
 
     def effect(self, name: str) -> Effect:
         """Return one candidate effect by name."""
-        names = [effect.name for effect in self.effects]
-        self._check_known("candidate", name, names)
-        return self.effects[names.index(name)]
+        known = {effect.name: effect for effect in self.effects}
+        located(ProblemError, f"Problem {self.name!r} has no candidate", [name], known)
+        return known[name]
 
     def experiment(self, name: str) -> Experiment:
         """Return one experiment by name."""
-        self._check_known("experiment", name, self.experiments)
+        located(ProblemError, f"Problem {self.name!r} has no experiment", [name], self.experiments)
         return self.experiments[name]
-
-    def _check_known(self, kind: str, name: str, known: Iterable[str], advice: str = "") -> None:
-        """Raise :class:`ProblemError` for a part that there is not."""
-        located(ProblemError, f"Problem {self.name!r} has no {kind}", [name], known, advice)
 
     def data(self) -> Dataset:
         """Return the measured records of this problem.

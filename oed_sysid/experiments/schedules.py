@@ -594,10 +594,8 @@ def maximum_length_sequence(order: int, *, seed: int = 1) -> FloatArray:
     bits = np.empty(length)
     for index in range(length):
         bits[index] = register & 1
-        fed_back = 0
-        for tap in _TAPS[order]:
-            fed_back ^= register >> (order - tap)
-        register = (register >> 1) | ((fed_back & 1) << (order - 1))
+        fed_back = sum(register >> (order - tap) for tap in _TAPS[order]) & 1
+        register = (register >> 1) | (fed_back << (order - 1))
     return 2 * bits - 1
 
 
@@ -778,15 +776,12 @@ class Multisine(base.OpenLoop, base.Timed):
     def largest(self) -> float:
         """Upper bound of the absolute command, within 0.2 % of it for a periodic signal."""
         total = float(np.sum(np.asarray(self.amplitudes)))
-        if self.period is None:
+        if (period := self.period) is None:
             return total
-        grid = np.max(np.abs(self._cycle(self.period)))
-        return min(total, float(grid) / math.cos(math.pi / _OVERSAMPLING))
-
-    def _cycle(self, period: float) -> FloatArray:
-        """One period about neutral, on a grid of the shortest cycle's parts."""
+        # One period about neutral, on a grid of the shortest cycle's parts.
         n_points = _OVERSAMPLING * round(period * self.frequencies[-1])
-        return self._sum(np.arange(n_points) * period / n_points)
+        grid = np.max(np.abs(self._sum(np.arange(n_points) * period / n_points)))
+        return min(total, float(grid) / math.cos(math.pi / _OVERSAMPLING))
 
     @property
     def duration(self) -> float | None:

@@ -142,21 +142,18 @@ def simulate_inputs(
     runner = kernel(model)
     own = start_array(model, initial)
     run = runner.simulate(moments, commands, values, own)
-    n_extra = sum(len(effect.states) for effect in model.effects)
     trajectory = Trajectory(
         times=moments,
         inputs=commands,
-        states=run.states[:, : len(model.states) + n_extra],
+        states=run.states[:, : len(model.all_state_names)],
         outputs=run.outputs,
         input_names=model.input_names,
         state_names=model.all_state_names,
         output_names=model.output_names,
         failed_at=run.failed_at,
     )
-    if throw:
-        end = _runaway(model, trajectory)
-        if end >= 0:
-            raise SimulationError(_divergence(model, trajectory, end))
+    if throw and (end := _runaway(model, trajectory)) >= 0:
+        raise SimulationError(_divergence(model, trajectory, end))
     return trajectory
 
 
@@ -208,13 +205,12 @@ def input_array(
 def start_array(model: Model, initial: Mapping[str, float] | ArrayLike | None) -> np.ndarray:
     """Return the model's own start states ``(n_own,)``, or raise."""
     names = model.state_names
-    if initial is None:
-        return np.zeros(len(names))
-    if isinstance(initial, Mapping):
-        located(SimulationError, f"Model {model.name!r} has no state", initial, names)
-        own = np.array([initial.get(name, 0.0) for name in names], dtype=float)
+    given = {} if initial is None else initial
+    if isinstance(given, Mapping):
+        located(SimulationError, f"Model {model.name!r} has no state", given, names)
+        own = np.array([given.get(name, 0.0) for name in names], dtype=float)
     else:
-        own = np.asarray(initial, dtype=float)
+        own = np.asarray(given, dtype=float)
     if own.shape != (len(names),) or not np.isfinite(own).all():
         raise SimulationError(
             f"The start state is {own}; expected {len(names)} finite numbers: {', '.join(names)}."
