@@ -196,34 +196,30 @@ def _found_instead(module: ModuleType, file: Path) -> str:
     return found
 
 
-# What to do about an error of the problem's own file: its type, a part of its words, the advice.
-_HINTS = (
-    (ModuleNotFoundError, "", " Install it, or write 'from .name import ...' for a file of the "
-     "same folder."),
-    (TypeError, "unexpected keyword argument", " Check the spelling; help(oed_sysid.Model) and so "
-     "on list what there is."),
-    (EOFError, "", " It waits for something to be typed: write the numbers into the file."),
+# What is said of an error of the problem's own file: its type, a part of its words, the sentence,
+# with the words themselves where they say something. The first that fits counts.
+_SAID = (
+    (SystemExit, "", "it ends the program (sys.exit or exit). A problem only defines 'problem': "
+     "put what runs below if __name__ == '__main__'."),
+    (RecursionError, "", "it calls or imports itself without end."),
+    (ModuleNotFoundError, "", "{kind}: {words} Install it, or write 'from .name import ...' for a "
+     "file of the same folder."),
+    (TypeError, "unexpected keyword argument", "{kind}: {words} Check the spelling; "
+     "help(oed_sysid.Model) and so on list what there is."),
+    (EOFError, "", "{kind}: {words} It waits for something to be typed: write the numbers into the "
+     "file."),
+    (ProblemError, "", "{words}"),
+    (BaseException, "", "{kind}: {words}"),
 )  # fmt: skip
-
-
-# Errors whose own words say nothing.
-_ALONE: dict[type[BaseException], str] = {
-    SystemExit: "it ends the program (sys.exit or exit). A problem only defines 'problem': put "
-    "what runs below if __name__ == '__main__'.",
-    RecursionError: "it calls or imports itself without end.",
-}
 
 
 def _fault(file: Path, error: BaseException) -> str:
     """Say where in the problem's own file an exception came from, and what it is."""
     if isinstance(error, SyntaxError):
         return _syntax(file, error)
-    if said := next((words for kind, words in _ALONE.items() if isinstance(error, kind)), ""):
-        return f"{_place(file, error)}: {said}"
-    kind = "" if isinstance(error, ProblemError) else f"{type(error).__name__}: "
     words = str(error) or "no message"
-    hints = (hint for type_, part, hint in _HINTS if isinstance(error, type_) and part in words)
-    return f"{_place(file, error)}: {kind}{words}{next(hints, '')}"
+    said = next(said for kind, part, said in _SAID if isinstance(error, kind) and part in words)
+    return f"{_place(file, error)}: {said.format(kind=type(error).__name__, words=words)}"
 
 
 def _syntax(file: Path, error: SyntaxError) -> str:

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Generator, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from copy import copy
 from dataclasses import KW_ONLY, dataclass, field, replace
 from itertools import chain
@@ -408,25 +408,18 @@ class _Units:
 
     def _line(self, line: Line, where: str, effect: Effect | None = None) -> Iterator[str]:
         """Yield what is wrong in one text, and keep the dimension of what it defines."""
-        found = yield from self._derived(where, line.text, self._needed(line, effect))
-        if line.role == "value":
-            self.known[line.key] = found
-
-    def _derived(
-        self, where: str, text: str, needed: Dimension | None = None
-    ) -> Generator[str, None, Dimension | None]:
-        """Yield a fault if there is one, and return the dimension."""
+        found = needed = self._needed(line, effect)
         try:
-            found = self.units.form(text, self.known, where=where)
+            found = self.units.form(line.text, self.known, where=where)
         except OedSysidError as error:
             yield f"{where}: {error}"
-            return needed
         if needed is not None and found is not None and not self.units.equal(found, needed):
             yield (
-                f"{where}: {text!r} is in {self.units.dimension(found)}, expected "
+                f"{where}: {line.text!r} is in {self.units.dimension(found)}, expected "
                 f"{self.units.dimension(needed)}."
             )
-        return found
+        if line.role == "value":
+            self.known[line.key] = found
 
     def _rate(self, name: str) -> Dimension | None:
         own = self.known.get(name)

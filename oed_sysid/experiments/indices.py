@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.integrate import trapezoid
 from scipy.special import ndtri
 
 from oed_sysid.errors import DataError
@@ -223,21 +224,19 @@ def zigzag_indices(
     # Which way the first swing went: indices are the same for port and starboard.
     side = math.copysign(1.0, at_execute[1] - original)
 
-    overshoots: list[float] = []
-    check_times: list[float] = []
-    for index in range(1, len(executes)):
-        sign = side * (-1) ** (index - 1)
-        end = executes[index + 1] if index + 1 < len(executes) else math.inf
-        peak = summit(moments, sign * angle, begin=executes[index], end=end)
+    peaks = list[tuple[float, float]]()
+    for index, (begin, end) in enumerate(pairwise([*executes[1:], math.inf])):
+        sign = side * (-1) ** index
+        peak = summit(moments, sign * angle, begin=begin, end=end)
         if peak is None:
             break
-        overshoots.append(peak[1] - sign * float(at_execute[index]))
-        check_times.append(peak[0] - executes[index])
-    if not overshoots:
+        peaks.append((peak[1] - sign * float(at_execute[index + 1]), peak[0] - begin))
+    if not peaks:
         raise DataError(
             f"The record ends at {moments[-1]:g} s, before the heading turns back after the rudder "
             f"reversal at {executes[1]:.4g} s. Record the zigzag for longer."
         )
+    overshoots, check_times = zip(*peaks, strict=True)
     track = None
     if speed is not None:
         _, speeds = columns(times, speed=speed)
@@ -246,8 +245,8 @@ def zigzag_indices(
     back = first_reach(moments, -side * (angle - original), 0.0, after=turned_back)
     return ZigZagIndices(
         executes=tuple(executes),
-        overshoots=tuple(overshoots),
-        check_times=tuple(check_times),
+        overshoots=overshoots,
+        check_times=check_times,
         initial_turning_time=executes[1] - executes[0],
         initial_turning_heading=abs(float(at_execute[1]) - original),
         initial_turning_track=track,
@@ -569,8 +568,7 @@ def travelled(times: FloatArray, speeds: FloatArray, begin: float, end: float) -
     """Return the distance [m] between two times, by the trapezoidal rule."""
     inner = times[(times > begin) & (times < end)]
     nodes = np.concatenate([[begin], inner, [end]])
-    at_nodes = np.interp(nodes, times, speeds)
-    return float(np.sum((at_nodes[1:] + at_nodes[:-1]) / 2 * np.diff(nodes)))
+    return float(trapezoid(np.interp(nodes, times, speeds), nodes))
 
 
 def circle_radius(x: FloatArray, y: FloatArray) -> float:
