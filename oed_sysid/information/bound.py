@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from scipy.special import chdtri
@@ -139,22 +140,17 @@ class RunInformation:
 
     def factor(self, play: Play) -> np.ndarray:
         """Factor of one run on the shared parameters and absent effects, ``(n, n)``."""
-        model, innovations = self._model, self._innovations
-        response, moved = None, None
-        if innovations is None or self._shifts is not None:
-            response = respond(model, play)
-        if self._shifts is not None and response is not None:
-            moved = self._shifts.columns(play, response.outputs)
-        if innovations is not None:
-            rows, _ = innovations.rows(play, outputs=self._outputs, changes=moved)
+        model = self._model
+        moved = None if self._shifts is None else partial(self._shifts.columns, play)
+        if self._innovations is not None:
+            rows = self._innovations.rows(play, outputs=self._outputs, changes=moved)
             return eliminated(model, rows, self._start)
-        assert response is not None
-        present = play.present
+        response, present = respond(model, play), play.present
         if self._outputs is not None:
             present = present & [name in self._outputs for name in model.output_names]
         jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=play.noise)
         if moved is not None:
-            jacobian = np.concatenate([jacobian, moved], axis=2)
+            jacobian = np.concatenate([jacobian, moved(response.outputs)], axis=2)
         white = np.where(present[:, :, None], jacobian / sigma[:, None], 0.0)
         return eliminated(model, white.reshape(-1, white.shape[2]), self._start)
 

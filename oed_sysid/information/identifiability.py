@@ -60,7 +60,9 @@ def collinearity_index(information: Information, names: Sequence[str] | None = N
     >>> float(round(collinearity_index(Information.from_jacobian(("a", "b"), rows)), 3))
     3.162
     """
-    columns = _columns(information, names or information.names)
+    known = information.names
+    chosen = located(DesignError, "Information has no", names or known, known)
+    columns = information.factor[:, chosen]
     norms = np.linalg.norm(columns, axis=0)
     if not np.all(norms > 0) or columns.shape[0] < columns.shape[1]:
         return float(np.inf)
@@ -331,7 +333,8 @@ class _Search:
 
     def best(self) -> list[int]:
         """The largest set, and of these the one whose columns are least alike."""
-        found = self.exchanged()
+        # The better end of two exchanges: from nothing, and from all but those most alike.
+        found = max(self._improved([]), self._improved(self._reduced()), key=self._worth)
         if len(self.candidates) > ENUMERATED:
             return found
         # From the largest size down, so that the first size with a set is the answer.
@@ -341,10 +344,6 @@ class _Search:
             if values.max(initial=0.0) > 0:
                 return list(sets[int(np.argmax(values))])
         return found
-
-    def exchanged(self) -> list[int]:
-        """The better end of two exchanges: from nothing, and from all but those most alike."""
-        return max(self._improved([]), self._improved(self._reduced()), key=self._worth)
 
     def _worth(self, kept: Sequence[int]) -> tuple[int, float]:
         return len(kept), float(self._of([kept])[0]) if kept else 0.0
@@ -469,11 +468,6 @@ def _cosine(one: Sequence[str], other: Sequence[str], motions: Mapping[str, np.n
     return float(first @ second) / size if size else 0.0
 
 
-def _columns(information: Information, names: Sequence[str]) -> np.ndarray:
-    known = information.names
-    return information.factor[:, located(DesignError, "Information has no", names, known)]
-
-
 @dataclass(frozen=True)
 class Structure:
     """Rank of the sensitivities over random values and inputs.
@@ -593,11 +587,24 @@ def structural_identifiability(
     names = tuple(p.name for p in model.free_parameters if not p.per_record)
     times = np.arange(0.0, duration + 0.5 * sample_time, sample_time)
 
+    def random_play() -> Play:
+        """Random steps of all inputs, from near the start."""
+        commands = np.empty((len(times), len(model.inputs)))
+        for column, name in enumerate(model.input_names):
+            # Steps of random length hold both fast and slow motion.
+            hold = max(1, int(rng.uniform(0.02, 0.15) * len(times)))
+            levels = rng.uniform(*inputs[name], size=len(times) // hold + 1)
+            commands[:, column] = np.repeat(levels, hold)[: len(times)]
+        own = np.array([(initial or {}).get(state.name, 0.0) for state in model.states])
+        own = own + 0.1 * rng.standard_normal(len(own)) * [state.scale for state in model.states]
+        present = np.ones((len(times), len(model.outputs)), dtype=bool)
+        return Play("random steps", times, commands, own, present)
+
     def at_random_values() -> Information | None:
         """Information of random runs at random values; None where none stays finite."""
         drawn, factors = _draw(model, rng, spread), []
         for _ in range(n_runs):
-            play = _random_play(drawn, inputs, rng, times, initial or {})
+            play = random_play()
             with suppress(SimulationError):
                 spans = np.ptp(respond(drawn, play).outputs, axis=0)
                 # Noise in proportion to what each output does: rank must not depend on units.
@@ -631,22 +638,3 @@ def _draw(model: Model, rng: np.random.Generator, spread: float) -> Model:
         centre = parameter.value or parameter.magnitude * rng.choice([-1.0, 1.0])
         values[parameter.name] = centre * (1 + spread * rng.uniform(-1, 1))
     return model.within_bounds(values)
-
-
-def _random_play(
-    model: Model,
-    inputs: Mapping[str, tuple[float, float]],
-    rng: np.random.Generator,
-    times: np.ndarray,
-    initial: Mapping[str, float],
-) -> Play:
-    commands = np.empty((len(times), len(model.inputs)))
-    for column, name in enumerate(model.input_names):
-        # Steps of random length hold both fast and slow motion.
-        hold = max(1, int(rng.uniform(0.02, 0.15) * len(times)))
-        levels = rng.uniform(*inputs[name], size=len(times) // hold + 1)
-        commands[:, column] = np.repeat(levels, hold)[: len(times)]
-    own = np.array([initial.get(state.name, 0.0) for state in model.states])
-    own = own + 0.1 * rng.standard_normal(len(own)) * [state.scale for state in model.states]
-    present = np.ones((len(times), len(model.outputs)), dtype=bool)
-    return Play("random steps", times, commands, own, present)

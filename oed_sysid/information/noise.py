@@ -316,19 +316,17 @@ def sea_words(noise: NoiseModel) -> str:
     -------
     str
     """
-    parts = [
-        f"{place.removeprefix('force ')} {level:.3g}"
-        for place, level in zip(noise.places, noise.force, strict=True)
-        if level > 0
-    ]
+
+    def levels(source: NoiseModel | Sea, sizes: Iterable[float]) -> str:
+        each = zip(source.places, sizes, strict=True)
+        return ", ".join(f"{p.removeprefix('force ')} {v:.3g}" for p, v in each if v > 0)
+
     said = []
-    if parts:
+    if listed := levels(noise, noise.force):
         times = np.unique(noise.force_time[noise.force > 0].round(6))
-        said.append(f"{', '.join(parts)} over {', '.join(f'{t:.3g}' for t in times)} s")
+        said.append(f"{listed} over {', '.join(f'{t:.3g}' for t in times)} s")
     for sea in noise.seas:
-        levels = zip(sea.places, sea.level, strict=True)
-        listed = ", ".join(f"{p.removeprefix('force ')} {v:.3g}" for p, v in levels if v > 0)
-        if listed:
+        if listed := levels(sea, sea.level):
             width = 100.0 * float(sea.bandwidth or 0.0)
             said.append(f"{listed} in {_waves(sea)}, {width:.2g} % wide")
     return "; ".join(said) or "none"

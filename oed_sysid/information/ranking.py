@@ -135,6 +135,7 @@ class SensitivityRanking:
             "value.",
             size=(7.6, 1.4 + 0.3 * len(rows)),
         )  # fmt: skip
+        said = [f"Not determined: {text}." for text in self.information.null_directions()]
         best, worst = self.rows[0], self.rows[-1]
         runs = ", ".join(self.runs)
         return Report(
@@ -149,15 +150,12 @@ class SensitivityRanking:
             ),
             sections=(
                 Section("Accuracy to expect", (), (Table(headers, rows, words=(1,)),), (drawing,)),
-                Section("What this says", self._remarks()),
+                Section("What this says", said),
                 *self.together.document().sections,
             ),
         )
 
     report = as_text
-
-    def _remarks(self) -> list[str]:
-        return [f"Not determined: {text}." for text in self.information.null_directions()]
 
     to_dict = as_dict(
         "runs", "signals", "change", "by_information", "by_output_change",
@@ -278,8 +276,8 @@ def _sensitivities(
 def _signals(model: Model, play: Play, names: Sequence[str]) -> np.ndarray:
     """Chosen outputs or states of one run, shape ``(n_times, n_names)``."""
     run = simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial, throw=False)
-    known = {name: run.signal(name) for name in run.state_names}
-    known |= {name: run.output(name) for name in run.output_names}
+    columns = (*run.states.T, *run.outputs.T)
+    known = dict(zip((*run.state_names, *run.output_names), columns, strict=True))
     located(DesignError, f"Model {model.name!r} has no output or state", names, known)
     return np.column_stack([known[name] for name in names])
 

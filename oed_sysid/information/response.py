@@ -26,7 +26,7 @@ counts as information that is not there.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -257,8 +257,8 @@ class Innovations:
         play: Play,
         *,
         outputs: Sequence[str] | None = None,
-        changes: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray]:
+        changes: Callable[[np.ndarray], np.ndarray] | None = None,
+    ) -> np.ndarray:
         """Derivatives of the innovations of one run, in units of their standard deviations.
 
         Parameters
@@ -267,16 +267,15 @@ class Innovations:
             Inputs and start of the run.
         outputs : sequence of str, optional
             Outputs that are measured; by default all.
-        changes : ndarray (n_times, n_outputs, n_changes), optional
-            What else may move the outputs; each is put through the same filter.
+        changes : callable, optional
+            What else may move the outputs, ``(n_times, n_outputs, n_changes)`` of those without
+            noise ``(n_times, n_outputs)``; each is put through the same filter.
 
         Returns
         -------
-        rows : ndarray (n_rows, n_own + n_free + n_changes)
+        ndarray (n_rows, n_own + n_free + n_changes)
             By own start states, free parameters and changes; samples that are not measured left
             out.
-        nominal : ndarray (n_times, n_outputs)
-            Outputs without noise.
 
         Raises
         ------
@@ -317,16 +316,16 @@ class Innovations:
         seen = np.isfinite(measured)
         rows = swept.rows[seen][:, :n_columns]
         if changes is None or swept.gains is None:
-            return rows, nominal.outputs
+            return rows
         roots, moved = np.sqrt(swept.variances[seen]), []
-        for change in np.moveaxis(changes, 2, 0):
+        for change in np.moveaxis(changes(nominal.outputs), 2, 0):
             # Small, so that the filter stays on the nominal trajectory, where it is linear.
             share = TANGENT / max(float(np.abs(change / white).max()), 1.0)
             moving = replace(along, measured=measured + share * change)
             innovations, _ = kernel.replay(moving, swept.gains)
             # A model that had the change would lower the innovations by it.
             moved.append(-innovations[seen] / share / roots)
-        return np.column_stack([rows, *moved]), nominal.outputs
+        return np.column_stack([rows, *moved])
 
 
 def expected_noise(

@@ -128,11 +128,7 @@ class Shifts:
             else _of_effect(nominal, wide, runner, rival, size)
             for rival in rivals
         ]
-        return cls._joined(parts)
-
-    @classmethod
-    def _joined(cls, parts: Sequence[Shifts]) -> Shifts:
-        """Shifts of one effect or model each, beside one another."""
+        # One effect or model each, beside one another.
         first = np.cumsum([0, *map(len, parts)])
         groups = [
             replace(one, columns=one.columns + begin)
