@@ -353,14 +353,12 @@ class Decision:
             brings = f"brings {far.goal.name} from {now} to {then}"
         if np.isfinite(self.hours_left):
             left = f"{counted(self.runs_left, 'run')}, {self.hours_left:.2g} h to go"
-        warned = (
-            ""
-            if self.contradiction is None
-            else (
+        warned = ""
+        if self.contradiction is not None:
+            warned = (
                 "WARNING: the records contradict one another, so that the errors do not hold; look "
                 "for what the model lacks (improve) first; "
             )
-        )
         safe = self.assurance.report() if self.assurance else NO_LIMIT
         return (
             f"{warned}GO ON{done}: {run.name} next ({run.cost / 3600:.2g} h) {brings}; {left}; "
@@ -458,9 +456,7 @@ def decide(
     chosen: int | None = None
     safe: Assurance | None = None
     if needs_check or not outlook.is_met:
-        outlook, chosen, safe = _safe_run(
-            outlook, expected, limits, certainty, rng, check=needs_check
-        )
+        outlook, chosen, safe = outlook.safe_run(limits, certainty, rng, check=needs_check)
     next_run, then, steps = outlook.plan(chosen, check=needs_check)
     action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
     return Decision(
@@ -491,34 +487,6 @@ def _action(
     if next_run is None:
         return "unchecked" if needs_check else "useless"
     return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
-
-
-def _safe_run(
-    outlook: _Outlook,
-    expected: ExpectedInformation,
-    limits: Limits | None,
-    certainty: float,
-    rng: np.random.Generator,
-    *,
-    check: bool,
-) -> tuple[_Outlook, int | None, Assurance | None]:
-    """Take the best run, and refuse those that leave their limits on too many vehicles."""
-    # Drawn once: runs are refused or taken on the same vehicles.
-    others = draw_models(expected.model, None, CHECKED, expected.prior, rng)
-    vehicles = (expected.model, *others)
-    refused: list[int] = []
-    for best in outlook.ranked(check=check):
-        run = outlook.runs[best].experiment
-        bounds = LimitBounds.of(expected.model, limits or run.limits)
-        if kept_on(run, vehicles, bounds, certainty) is not None:
-            found = assess_limits(
-                expected.model, run, rng=rng, limits=limits, spread=None, vehicles=others,
-                prior=expected.prior, wanted=certainty, sea=expected.sea,
-            )  # fmt: skip
-            if found.is_enough:
-                return replace(outlook, refused=refused), best, found
-        refused.append(best)
-    return replace(outlook, refused=refused), None, None
 
 
 def _contradiction(fit: Fit | Model, goals: Sequence[Goal]) -> Contradiction | None:
@@ -552,6 +520,7 @@ def _allowance(fit: Fit, goals: Sequence[Goal]) -> np.ndarray:
 class _Outlook:
     """What is known, what each run would tell (relative units), and what is wanted."""
 
+    expected: ExpectedInformation
     matrix: np.ndarray
     told: tuple[np.ndarray, ...]
     runs: tuple[Candidate, ...]
@@ -570,7 +539,7 @@ class _Outlook:
         finite = [i for i, one in enumerate(each) if one is not None]
         rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
         return cls(
-            expected.total(None), tuple(expected.relative(each[i]) for i in finite),  # type: ignore[arg-type]
+            expected, expected.total(None), tuple(expected.relative(each[i]) for i in finite),  # type: ignore[arg-type]
             tuple(candidates[i] for i in finite),
             np.array([candidates[i].cost for i in finite]), tuple(rows),
             np.array([goal.tolerance for goal in goals]),
@@ -615,6 +584,27 @@ class _Outlook:
             worth = (gains > WORTH) | meets
         order = np.argsort(-gains / self.costs[left], kind="stable")
         return [left[int(i)] for i in order if worth[i]]
+
+    def safe_run(
+        self, limits: Limits | None, certainty: float, rng: np.random.Generator, *, check: bool
+    ) -> tuple[_Outlook, int | None, Assurance | None]:
+        """Take the best run, and refuse those that leave their limits on too many vehicles."""
+        model, prior = self.expected.model, self.expected.prior
+        # Drawn once: runs are refused or taken on the same vehicles.
+        others = draw_models(model, None, CHECKED, prior, rng)
+        refused: list[int] = []
+        for best in self.ranked(check=check):
+            run = self.runs[best].experiment
+            bounds = LimitBounds.of(model, limits or run.limits)
+            if kept_on(run, (model, *others), bounds, certainty) is not None:
+                found = assess_limits(
+                    model, run, rng=rng, limits=limits, spread=None, vehicles=others,
+                    prior=prior, wanted=certainty, sea=self.expected.sea,
+                )  # fmt: skip
+                if found.is_enough:
+                    return replace(self, refused=refused), best, found
+            refused.append(best)
+        return replace(self, refused=refused), None, None
 
     def plan(
         self, chosen: int | None, *, check: bool

@@ -210,78 +210,8 @@ def design_programme(
         if plan.chosen.value - before < 1e-3:
             break
     tell("checking limits on other vehicles")
-    return _programme(planner, *planner.kept_within(plan), options, began)
-
-
-def _programme(
-    planner: _Planner,
-    plan: _Plan,
-    safe: Mapping[str, Assurance],
-    options: Sequence[_Plan],
-    began: float,
-) -> Programme:
-    """What is chosen as a result, beside what other sensors and no refinement would tell."""
-    expected, budget = planner.expected, planner.budget
-    unrefined, most = planner.unrefined(plan), max(one.chosen.value for one in options)
-    library, chosen = plan.library, plan.chosen
-    sequence = [plan.runs[i] for i in order(library, [int(n) for n in chosen.counts])]
-    joint = library.total(chosen.counts.astype(float))
-    totals, scales = joint[:, : len(expected.names), : len(expected.names)], planner.scales
-    # Of every vehicle: where coefficients differ, so does what the same runs tell.
-    errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
-    sensor_options = {
-        ", ".join(one.subset) or "none": (
-            one.chosen.value, library.factor(one.chosen.value - most)
-        )
-        for one in options
-    }  # fmt: skip
-    return Programme(
-        model=expected.model,
-        runs=tuple(sequence),
-        candidates=plan.runs,
-        weights=plan.shares.repetitions,
-        information=Information.from_matrix(
-            expected.names, totals[0] / scales[:, None] / scales, scales
-        ),
-        prior=expected.prior,
-        criterion=expected.criterion.name,
-        value=chosen.value,
-        bound=plan.shares.bound,
-        relaxed=plan.shares.value,
-        share=min(1.0, library.factor(chosen.value - plan.shares.bound)),
-        greedy_share=library.factor(unrefined.chosen.greedy - unrefined.chosen.value),
-        refined_factor=library.factor(chosen.value - unrefined.chosen.value),
-        assurances={run.name: safe[run.name] for run in sequence},
-        sea=expected.sea,
-        spread=AccuracyRange(
-            expected.names, errors.min(axis=0), errors.max(axis=0), len(errors), expected.sea
-        ),
-        standard=_standard(expected.names, plan),
-        outputs=planner.measured(plan.subset),
-        sensor_hours=planner.sensor_hours(plan.subset),
-        sensor_options=sensor_options if budget.sensors else {},
-        turnaround=budget.turnaround,
-        budget=(budget.hours, budget.n_runs),
-        misfits=expected.misfits(joint[0]),
-        chances=expected.detections(joint[0]),
-        seconds=time.perf_counter() - began,
-    )
-
-
-def _leaving(
-    picked: Sequence[Candidate], safe: Mapping[str, Assurance], certainty: float
-) -> set[str]:
-    """Runs that are left out for the limits: each unsafe one, or what is worst for all together."""
-    limited = {run.name: safe[run.name] for run in picked if safe[run.name].limited}
-    leaves = {name for name, one in limited.items() if one.probability < certainty}
-    if leaves or Assurance.joint(limited.values()).probability >= certainty:
-        return leaves
-
-    def without(name: str) -> float:
-        others = (one for other, one in limited.items() if other != name)
-        return Assurance.joint(others).probability
-
-    return {max(limited, key=without)}
+    plan, safe = planner.kept_within(plan)
+    return planner.programme(plan, safe, options, began)
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,11 +327,69 @@ class _Planner:
                         wanted=self.certainty, sea=expected.sea, vehicles=judges,
                         spread=self.spread, prior=expected.prior,
                     )  # fmt: skip
-            leaves = _leaving(plan.picked, safe, self.certainty)
+            leaves = self.leaving(plan, safe)
             kept = [run for run in plan.runs if run.name not in leaves]
             if len(kept) == len(plan.runs) or not kept:
                 return plan, safe
             plan = self.solve(kept, plan.subset)
+
+    def leaving(self, plan: _Plan, safe: Mapping[str, Assurance]) -> set[str]:
+        """Runs left out for the limits: each unsafe one, or what is worst for all together."""
+        limited = {run.name: safe[run.name] for run in plan.picked if safe[run.name].limited}
+        leaves = {name for name, one in limited.items() if one.probability < self.certainty}
+        if leaves or Assurance.joint(limited.values()).probability >= self.certainty:
+            return leaves
+
+        def without(name: str) -> float:
+            others = (one for other, one in limited.items() if other != name)
+            return Assurance.joint(others).probability
+
+        return {max(limited, key=without)}
+
+    def programme(
+        self, plan: _Plan, safe: Mapping[str, Assurance], options: Sequence[_Plan], began: float
+    ) -> Programme:
+        """What is chosen as a result, beside what other sensors and no refinement would tell."""
+        expected, budget, scales = self.expected, self.budget, self.scales
+        unrefined, most = self.unrefined(plan), max(one.chosen.value for one in options)
+        library, chosen, names = plan.library, plan.chosen, expected.names
+        sequence = [plan.runs[i] for i in order(library, [int(n) for n in chosen.counts])]
+        joint = library.total(chosen.counts.astype(float))
+        totals = joint[:, : len(names), : len(names)]
+        # Of every vehicle: where coefficients differ, so does what the same runs tell.
+        errors = np.array([np.sqrt(np.diag(inverse(matrix))) for matrix in totals])
+        low, high = errors.min(axis=0), errors.max(axis=0)
+        worth = {", ".join(one.subset) or "none": one.chosen.value for one in options}
+        optional = {words: (value, library.factor(value - most)) for words, value in worth.items()}
+        return Programme(
+            model=expected.model,
+            runs=tuple(sequence),
+            candidates=plan.runs,
+            weights=plan.shares.repetitions,
+            information=Information.from_matrix(
+                names, totals[0] / scales[:, None] / scales, scales
+            ),
+            prior=expected.prior,
+            criterion=expected.criterion.name,
+            value=chosen.value,
+            bound=plan.shares.bound,
+            relaxed=plan.shares.value,
+            share=min(1.0, library.factor(chosen.value - plan.shares.bound)),
+            greedy_share=library.factor(unrefined.chosen.greedy - unrefined.chosen.value),
+            refined_factor=library.factor(chosen.value - unrefined.chosen.value),
+            assurances={run.name: safe[run.name] for run in sequence},
+            sea=expected.sea,
+            spread=AccuracyRange(names, low, high, len(errors), expected.sea),
+            standard=_standard(names, plan),
+            outputs=self.measured(plan.subset),
+            sensor_hours=self.sensor_hours(plan.subset),
+            sensor_options=optional if budget.sensors else {},
+            turnaround=budget.turnaround,
+            budget=(budget.hours, budget.n_runs),
+            misfits=expected.misfits(joint[0]),
+            chances=expected.detections(joint[0]),
+            seconds=time.perf_counter() - began,
+        )
 
     def unrefined(self, plan: _Plan) -> _Plan:
         """The best of the library without refined commands."""

@@ -238,16 +238,73 @@ class _Progressed:
     def _tried(self, objective: Objective, slope: Slope) -> tuple[Score, np.ndarray, float]:
         """Member at the end of the best linear step, the step, and the merit it promised."""
         current = self.current
-        step, predicted = _program(objective, current, slope, self.radius)
+        step, predicted = self._program(objective, slope)
         trial = objective.score(np.clip(current.numbers + step, 0.0, 1.0))
         poor = _merit(trial) - _merit(current) < 0.5 * predicted
         if poor and trial.evaluations and trial.excess > -_MARGIN:
             # Limits bend: once more, with their values at the end of the step.
-            bent, _ = _program(objective, current, slope, self.radius, after=(trial, step))
+            bent, _ = self._program(objective, slope, after=(trial, step))
             second = objective.score(np.clip(current.numbers + bent, 0.0, 1.0))
             if _merit(second) > _merit(trial):
                 return second, bent, predicted
         return trial, step, predicted
+
+    def _program(
+        self, objective: Objective, slope: Slope, after: tuple[Score, np.ndarray] | None = None
+    ) -> tuple[np.ndarray, float]:
+        """Best step of the linearised problem, and the merit that it promises.
+
+        ``after`` holds a trial and its step: the limits are then linearised
+        through the values found there (second-order correction).
+        """
+        score, radius = self.current, self.radius
+        lower = np.maximum(-radius, -score.numbers)
+        upper = np.minimum(radius, 1.0 - score.numbers)
+        rows: list[np.ndarray] = []
+        rights: list[np.ndarray] = []
+
+        def limit(excess: np.ndarray, by_numbers: np.ndarray, *, thin: bool = False) -> None:
+            # The most that a step within the region can change a signal, to first order.
+            reach = np.abs(by_numbers) @ radius
+            for side, sign in enumerate((-1.0, 1.0)):
+                beyond = excess[:, :, side] + _MARGIN
+                if after is not None:
+                    beyond = beyond - sign * (by_numbers @ after[1])
+                # Other samples cannot reach their limit within this step.
+                near = beyond + reach > 0
+                if thin:
+                    near &= _telling(beyond)
+                rows.append(sign * by_numbers[near])
+                rights.append(-beyond[near])
+
+        basis = score if after is None else after[0]
+        for i, evaluation in enumerate(basis.evaluations):
+            excess = objective.bounds.excess(objective.bounds.limited(evaluation.signals))
+            limit(excess, slope.signals[i] / objective.bounds.width[:, None])
+        for i, by_numbers in slope.scenarios.items():
+            if objective.scenarios is not None and np.isfinite(basis.scenarios[i].excess):
+                bounds = objective.scenarios.bounds
+                excess = bounds.excess(basis.scenarios[i].signals)
+                limit(excess, by_numbers / bounds.width[:, None], thin=True)
+        matrix, right = np.vstack(rows), np.concatenate(rights)
+        present = max(0.0, float(-right.min(initial=0.0)))
+        if not len(right):
+            # Without limits the best vertex is that of the signs of the gradient.
+            step = np.where(slope.criterion > 0, upper, lower)
+            return step, float(slope.criterion @ step)
+        # One elastic variable, the largest excess, keeps the program solvable.
+        elastic = -np.ones((len(right), 1))
+        solved = linprog(
+            np.append(-slope.criterion, _PRICE),
+            A_ub=np.hstack([matrix, elastic]),
+            b_ub=right,
+            bounds=[*zip(lower, upper, strict=True), (0.0, None)],
+            method="highs",
+        )
+        if solved.x is None:
+            return np.zeros_like(radius), 0.0
+        step = solved.x[:-1]
+        return step, float(slope.criterion @ step + _PRICE * (present - solved.x[-1]))
 
 
 def _merit(score: Score) -> float:
@@ -255,67 +312,6 @@ def _merit(score: Score) -> float:
     if not np.isfinite(score.value):
         return -np.inf
     return score.value - _PRICE * max(score.excess + _MARGIN, 0.0)
-
-
-def _program(
-    objective: Objective,
-    score: Score,
-    slope: Slope,
-    radius: np.ndarray,
-    after: tuple[Score, np.ndarray] | None = None,
-) -> tuple[np.ndarray, float]:
-    """Best step of the linearised problem, and the merit that it promises.
-
-    ``after`` holds a trial and its step: the limits are then linearised
-    through the values found there (second-order correction).
-    """
-    lower = np.maximum(-radius, -score.numbers)
-    upper = np.minimum(radius, 1.0 - score.numbers)
-    rows: list[np.ndarray] = []
-    rights: list[np.ndarray] = []
-
-    def limit(excess: np.ndarray, by_numbers: np.ndarray, *, thin: bool = False) -> None:
-        # The most that a step within the region can change a signal, to first order.
-        reach = np.abs(by_numbers) @ radius
-        for side, sign in enumerate((-1.0, 1.0)):
-            beyond = excess[:, :, side] + _MARGIN
-            if after is not None:
-                beyond = beyond - sign * (by_numbers @ after[1])
-            # Other samples cannot reach their limit within this step.
-            near = beyond + reach > 0
-            if thin:
-                near &= _telling(beyond)
-            rows.append(sign * by_numbers[near])
-            rights.append(-beyond[near])
-
-    basis = score if after is None else after[0]
-    for i, evaluation in enumerate(basis.evaluations):
-        excess = objective.bounds.excess(objective.bounds.limited(evaluation.signals))
-        limit(excess, slope.signals[i] / objective.bounds.width[:, None])
-    for i, by_numbers in slope.scenarios.items():
-        if objective.scenarios is not None and np.isfinite(basis.scenarios[i].excess):
-            bounds = objective.scenarios.bounds
-            excess = bounds.excess(basis.scenarios[i].signals)
-            limit(excess, by_numbers / bounds.width[:, None], thin=True)
-    matrix, right = np.vstack(rows), np.concatenate(rights)
-    present = max(0.0, float(-right.min(initial=0.0)))
-    if not len(right):
-        # Without limits the best vertex is that of the signs of the gradient.
-        step = np.where(slope.criterion > 0, upper, lower)
-        return step, float(slope.criterion @ step)
-    # One elastic variable, the largest excess, keeps the program solvable.
-    elastic = -np.ones((len(right), 1))
-    solved = linprog(
-        np.append(-slope.criterion, _PRICE),
-        A_ub=np.hstack([matrix, elastic]),
-        b_ub=right,
-        bounds=[*zip(lower, upper, strict=True), (0.0, None)],
-        method="highs",
-    )
-    if solved.x is None:
-        return np.zeros_like(radius), 0.0
-    step = solved.x[:-1]
-    return step, float(slope.criterion @ step + _PRICE * (present - solved.x[-1]))
 
 
 def _telling(excess: np.ndarray) -> np.ndarray:

@@ -444,7 +444,7 @@ class _Judge:
         except (OedSysidError, np.linalg.LinAlgError) as error:
             return replace(nothing, note=str(error).split(". ")[0])
         step = math.sqrt(squares[0] / max(squares[1], 1))
-        moved = _changes(candidate.name, values, early, self.scored)
+        moved = self.changes(candidate.name, values, early)
         drift = float(np.sqrt(np.mean(np.square(moved))))
         # A product: a structure has to do well in all three, in whatever units.
         score = step * forces * math.hypot(drift, self.floor)
@@ -473,30 +473,27 @@ class _Judge:
             count += int(seen.sum())
         return total, count
 
-
-def _changes(
-    structure: str,
-    values: Mapping[str, float],
-    early: Sequence[Mapping[str, float]],
-    scored: Sequence[str],
-) -> list[float]:
-    """Relative changes of the scored quantities from each rung to all records."""
-    located(ModelError, "The purpose has no quantity", scored, values)
-    if not values:
-        raise ModelError("The purpose gives no quantity. Return at least one, by name.")
-    moved = []
-    for one in early:
-        if set(one) != set(values):
-            raise ModelError(
-                f"The purpose gives {', '.join(one) or 'nothing'} for a part of the records and "
-                f"{', '.join(values)} for all, with structure {structure!r}. Return the same names."
-            )
-        for name in scored or values:
-            if abs(values[name]) <= NEARLY_ZERO * abs(one[name]) or values[name] == 0.0:
+    def changes(
+        self, structure: str, values: Mapping[str, float], early: Sequence[Mapping[str, float]]
+    ) -> list[float]:
+        """Relative changes of the scored quantities from each rung to all records."""
+        located(ModelError, "The purpose has no quantity", self.scored, values)
+        if not values:
+            raise ModelError("The purpose gives no quantity. Return at least one, by name.")
+        moved = []
+        for one in early:
+            if set(one) != set(values):
                 raise ModelError(
-                    f"Quantity {name!r} is {values[name]:.3g} with structure {structure!r}: a "
-                    "relative change of nothing says nothing. Name the others in scored, or ask "
-                    "for a quantity that is not about zero."
+                    f"The purpose gives {', '.join(one) or 'nothing'} for a part of the records "
+                    f"and {', '.join(values)} for all, with structure {structure!r}. Return the "
+                    "same names."
                 )
-            moved.append(one[name] / values[name] - 1.0)
-    return moved
+            for name in self.scored or values:
+                if abs(values[name]) <= NEARLY_ZERO * abs(one[name]) or values[name] == 0.0:
+                    raise ModelError(
+                        f"Quantity {name!r} is {values[name]:.3g} with structure {structure!r}: "
+                        "a relative change of nothing says nothing. Name the others in scored, or "
+                        "ask for a quantity that is not about zero."
+                    )
+                moved.append(one[name] / values[name] - 1.0)
+        return moved
