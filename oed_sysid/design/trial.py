@@ -225,19 +225,14 @@ class Task:
         """Check a design task, and draw the vehicles that it is judged on."""
         model, known = expected.model, expected.prior
         grid = trial.grid(model)
-        models: tuple[Model, ...] = (model,)
-        scenarios: tuple[Model, ...] = ()
-        if robust is not None:
-            models = (model, *draw_models(model, robust.spread, robust.n_sets, known, rng))
-        if caution is not None:
-            scenarios = draw_models(
-                model, caution.spread, caution.n_sets, known, rng, caution.others
-            )
+        others = draw_models(model, robust.spread, robust.n_sets, known, rng) if robust else ()
         task = cls(
             expected, trial, grid, LimitBounds.of(model, trial.limits, trial.end),
-            np.array([model.input_names.index(name) for name in grid.inputs]), models,
+            np.array([model.input_names.index(name) for name in grid.inputs]),
+            (model, *others),
             softness=robust.softness if robust is not None and robust.worst else None,
-            scenarios=scenarios, caution=caution, n_waived=caution.n_waived if caution else 0,
+            scenarios=caution.vehicles(model, known, rng) if caution else (), caution=caution,
+            n_waived=caution.n_waived if caution else 0,
         )  # fmt: skip
         return task._with_waves(rng)
 
@@ -295,9 +290,7 @@ class Task:
         caution = self.caution
         if caution is None:
             return self
-        more = draw_models(
-            self.model, caution.spread, caution.n_sets, self.expected.prior, rng, caution.others
-        )
+        more = caution.vehicles(self.model, self.expected.prior, rng)
         grown = self.n_waived * (1 + len(more) / len(self.scenarios))
         share = (1 - caution.probability) / max(1 - found.probability, 1e-3)
         allowed = int(_STRICTER * share * grown)

@@ -339,41 +339,32 @@ def draw_models(
     others : sequence of Model
         Other structures, taken in turn; what the prior does not know of them stays at its value.
     """
+
+    def drawn(structure: Model, n_drawn: int) -> list[Model]:
+        """One structure at values drawn about its own."""
+        names = structure.free_names
+        values = np.array([p.value for p in structure.free_parameters])
+        deviations, far = np.zeros((len(names),) * 2), np.full(len(names), spread or 0.0)
+        if spread is None:
+            deviations = _deviations(structure, prior)
+            far = np.where(deviations.any(axis=1), 0.0, UNCERTAINTY)
+        found = []
+        for number in range(n_drawn):
+            wide = DOUBT if prior is None and number % 2 else 1.0
+            moved = values.copy()
+            if deviations.any():
+                # Every other vehicle from a prior that is wider: a mixture, since priors are wrong
+                # themselves.
+                moved += wide * deviations @ rng.standard_normal(len(names))
+            if far.any():
+                moved += values * far * rng.uniform(-1, 1, len(names))
+            found.append(structure.within_bounds(dict(zip(names, moved, strict=True))))
+        return found
+
     structures = (model, *others)
     n = len(structures)
-    drawn = [
-        _drawn(one, spread, prior, rng, len(range(first, n_sets, n)))
-        for first, one in enumerate(structures)
-    ]
-    return tuple(drawn[number % n][number // n] for number in range(n_sets))
-
-
-def _drawn(
-    model: Model,
-    spread: float | None,
-    prior: Information | None,
-    rng: np.random.Generator,
-    n_sets: int,
-) -> list[Model]:
-    """One structure at values drawn about its own; see :func:`draw_models`."""
-    names = model.free_names
-    values = np.array([p.value for p in model.free_parameters])
-    deviations, far = np.zeros((len(names),) * 2), np.full(len(names), spread or 0.0)
-    if spread is None:
-        deviations = _deviations(model, prior)
-        far = np.where(deviations.any(axis=1), 0.0, UNCERTAINTY)
-    found = []
-    for number in range(n_sets):
-        wide = DOUBT if prior is None and number % 2 else 1.0
-        moved = values.copy()
-        if deviations.any():
-            # Every other vehicle from a prior that is wider: a mixture, since priors are wrong
-            # themselves.
-            moved += wide * deviations @ rng.standard_normal(len(names))
-        if far.any():
-            moved += values * far * rng.uniform(-1, 1, len(names))
-        found.append(model.within_bounds(dict(zip(names, moved, strict=True))))
-    return found
+    sets = [drawn(one, len(range(first, n_sets, n))) for first, one in enumerate(structures)]
+    return tuple(sets[number % n][number // n] for number in range(n_sets))
 
 
 def in_doubt(
@@ -454,6 +445,12 @@ class Caution:
     def n_waived(self) -> int:
         """Vehicles that may fail in the search."""
         return int(_USABLE * (1 - self.probability) * self.n_sets)
+
+    def vehicles(
+        self, model: Model, prior: Information | None, rng: np.random.Generator
+    ) -> tuple[Model, ...]:
+        """Vehicles that the search sees; see :func:`draw_models`."""
+        return draw_models(model, self.spread, self.n_sets, prior, rng, self.others)
 
     def __post_init__(self) -> None:
         if not 0.5 <= self.probability < 1 or min(self.n_sets, self.n_checks) < 20:
@@ -574,16 +571,15 @@ class Scenarios:
         n_waived: int = 0,
         waves: Sequence[tuple[Model, np.ndarray]] = (),
     ) -> None:
-        vehicles = [vehicle for vehicle, _ in waves] or list(models)
-        self.kernels = [kernel(model) for model in vehicles]
-        self.values = [model.value_vector for model in vehicles]
-        self._waves = [forces for _, forces in waves]
+        calm = np.empty((len(times), 0))
+        met = waves or [(model, calm) for model in models]
+        self._vehicles = [(kernel(one), one.value_vector, forces) for one, forces in met]
         self.times, self.edges, self.own = times, edges, own
         self.bounds, self.n_waived = bounds.during(), n_waived
         self._waived: frozenset[int] = frozenset()
 
     def __len__(self) -> int:
-        return len(self.values)
+        return len(self._vehicles)
 
     def run(self, index: int, commands: np.ndarray) -> ScenarioRun:
         """Simulate one vehicle."""
@@ -604,12 +600,11 @@ class Scenarios:
         self, index: int, commands: np.ndarray, first: int = 0, node: np.ndarray | None = None
     ) -> tuple[Run, np.ndarray]:
         """Run of one vehicle, in its own waves, from a sample on, and the limited signals."""
-        values, runner, z = self.values[index], self.kernels[index], node
-        if self._waves:
-            commands = np.hstack([commands, self._waves[index]])
-        if z is None or first == 0:
-            z, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
-        run = runner.run(self.times[first:], commands[first:], values, z)
+        runner, values, forces = self._vehicles[index]
+        commands = np.hstack([commands, forces])
+        if node is None or first == 0:
+            node, _ = runner.start(self.own, commands[0], values, float(self.times[0]))
+        run = runner.run(self.times[first:], commands[first:], values, node)
         # Own states come first in every structure; outputs count after those of the nominal one.
         states, n_full = run.states[:, : self.bounds.n_full], self.bounds.n_full
         missing = np.zeros((len(states), n_full - states.shape[1]))
