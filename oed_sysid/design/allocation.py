@@ -277,10 +277,9 @@ def _exchanged(library: Library, counts: np.ndarray) -> np.ndarray:
 
 def _best_added(library: Library, fewer: np.ndarray) -> list[np.ndarray]:
     """With the few runs added that tell most on their own."""
-    if not len(runs := library.fits(fewer)):
-        return []
+    runs = library.fits(fewer)
     best = runs[np.argsort(-library.added(fewer, runs))[:_TRIED]]
-    return [fewer + np.bincount([run], minlength=len(fewer)) for run in best]
+    return list(fewer + np.eye(len(fewer), dtype=int)[best])
 
 
 def select(library: Library, shares: Weights, begin: Sequence[np.ndarray] = ()) -> Selection:

@@ -438,7 +438,8 @@ class PredictedTracks:
         found = [one for one in others if one is not None]
         if run is None or own is None or not found:
             return None
-        vertical = not _knows(run, "psi") and not _knows(run, "x", "y")
+        known = _motion(run).keys()
+        vertical = "psi" not in known and not {"x", "y"} <= known
         return cls(run.times, own, np.stack(found), vertical)
 
     @property
@@ -479,30 +480,27 @@ class PredictedTracks:
         return text if self.length is None else f"{text} ({metres / self.length:.2g} L)"
 
 
-def _knows(run: Trajectory, *names: str) -> bool:
-    return {*names} <= {*run.state_names, *run.output_names}
+def _motion(run: Trajectory) -> dict[str, np.ndarray]:
+    """States and outputs of a run by name."""
+    return {name: run.signal(name) for name in (*run.state_names, *run.output_names)}
 
 
 def _track(run: Trajectory) -> np.ndarray | None:
     """Track from the start, ``(n_times, 2)``."""
-    if _knows(run, "x", "y"):
-        track = np.column_stack([run.signal("x"), run.signal("y")])
+    known, still = _motion(run), np.zeros(len(run.times))
+    if {"x", "y"} <= known.keys():
+        track = np.column_stack([known["x"], known["y"]])
         return np.asarray(track - track[0])
-    if not _knows(run, "u"):
-        return None
-    u = run.signal("u")
-    if _knows(run, "psi"):
-        psi = run.signal("psi") - run.signal("psi")[0]
-        v = run.signal("v") if _knows(run, "v") else np.zeros_like(u)
+    if {"u", "psi"} <= known.keys():
+        u, v, psi = known["u"], known.get("v", still), known["psi"] - known["psi"][0]
         # Kinematics in the plane, from the heading at the start.
         rates = [u * np.cos(psi) - v * np.sin(psi), u * np.sin(psi) + v * np.cos(psi)]
         return cumulative_trapezoid(np.column_stack(rates), run.times, axis=0, initial=0)
-    if not _knows(run, "theta", "z"):
+    if not {"u", "theta", "z"} <= known.keys():
         return None
-    theta = run.signal("theta")
-    w = run.signal("w") if _knows(run, "w") else np.zeros_like(u)
+    u, w, theta = known["u"], known.get("w", still), known["theta"]
     ahead = u * np.cos(theta) + w * np.sin(theta)
-    return np.column_stack([cumulative_trapezoid(ahead, run.times, initial=0), run.signal("z")])
+    return np.column_stack([cumulative_trapezoid(ahead, run.times, initial=0), known["z"]])
 
 
 def stated(error: float, sea: NoiseModel | None) -> str:

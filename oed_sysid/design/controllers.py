@@ -157,12 +157,9 @@ def write_controller(
     located(DesignError, "This package has no controller", [kind], KINDS)
     plan = plan_of(model, experiment, aborts)
     place = Path(path)
-    if kind == "words":
-        write_text(place, "\n".join(words(model, plan)) + "\n")
-        return place
-    if kind == "mission":
-        _with_servos(plan, servos or {})
-        write_text(place, "\n".join(_mission(plan, servos or {})) + "\n")
+    if not KINDS[kind][1]:
+        lines = words(model, plan) if kind == "words" else _mission(plan, servos or {})
+        write_text(place, "\n".join(lines) + "\n")
         return place
     if unknown := [name for name in plan["signals"] if name not in SEEN]:
         raise DesignError(
@@ -239,9 +236,9 @@ def _channel(manoeuvre: Manoeuvre, experiment: Experiment) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _mission(plan: Mapping[str, Any], servos: Mapping[str, Servo]) -> list[str]:
+def _mission(plan: dict[str, Any], servos: Mapping[str, Servo]) -> list[str]:
     """Lines of a mission: servos, then the time until the next order; neutral at the end."""
-    name = plan["name"]
+    name = _with_servos(plan, servos)["name"]
     if loops := [one["input"] for one in plan["channels"] if one["kind"] != "table"]:
         raise DesignError(
             f"The run {name!r} reacts in {', '.join(loops)}, and a mission has no feedback. Write "

@@ -183,8 +183,7 @@ def find_design(
     kept = keep or Journal()
     references = standard_manoeuvres(_bench(task))
     if references:
-        told = task.expected.seen_white(references[0][1])
-        task = replace(task, expected=told)
+        task = replace(task, expected=task.expected.seen_white(references[0][1]))
 
     def tried(task: Task, begin: Score | None = None) -> tuple[_Found, Assurance | None]:
         """What is found, from rough manoeuvres or a given one, and how surely it keeps limits."""
@@ -379,18 +378,17 @@ def _actuator_limits(grid: Grid, commands: np.ndarray, units: Mapping[str, str])
     """Actuator limits that the commands reach, in words."""
     words = []
     for i, name in enumerate(grid.inputs):
-        width = grid.upper[i] - grid.lower[i]
-        for bound, side in ((grid.lower[i], "lower"), (grid.upper[i], "upper")):
-            share = float(np.mean(np.abs(commands[:, i] - bound) < REACHED * width))
-            if share > 0:
-                reached = quantity(bound, units[name])
-                words.append(f"{name} {side} limit {reached} for {share:.0%} of the time")
-        if np.isfinite(grid.rates[i]):
-            slopes = np.abs(np.diff(commands[:, i])) / grid.step
-            share = float(np.mean(slopes > (1 - REACHED) * grid.rates[i]))
-            if share > 0:
-                reached = quantity(grid.rates[i], units[name])
-                words.append(f"{name} rate limit {reached}/s for {share:.0%} of the time")
+        command, unit, (low, high) = commands[:, i], units[name], (grid.lower[i], grid.upper[i])
+        room, slopes = REACHED * (high - low), np.abs(np.diff(command)) / grid.step
+        for limit, reached in (
+            (f"lower limit {quantity(low, unit)}", np.abs(command - low) < room),
+            (f"upper limit {quantity(high, unit)}", np.abs(command - high) < room),
+            # An infinite rate is never reached.
+            (f"rate limit {quantity(grid.rates[i], unit)}/s",
+             slopes > (1 - REACHED) * grid.rates[i]),
+        ):  # fmt: skip
+            if reached.any():
+                words.append(f"{name} {limit} for {reached.mean():.0%} of the time")
     return tuple(words)
 
 

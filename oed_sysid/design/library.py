@@ -235,7 +235,7 @@ def candidate_runs(
     if not speeds or turnaround < 0:
         raise DesignError("Give one pattern or more, and a turnaround that is not negative.")
     for pattern, tail, length in _variants(model, speeds, durations):
-        bench = Bench.of(model, limits, pattern, length, vehicles, kept)
+        bench = replace(Bench.of(model, limits, pattern, length), vehicles=vehicles, kept=kept)
         for experiment, kind, share in bench.runs(kinds, rng):
             named = replace(experiment, name=f"{experiment.name}{tail}")
             found.append(Candidate(named, kind, length + turnaround, share))
@@ -319,15 +319,7 @@ class Bench:
     feedback: str = ""
 
     @classmethod
-    def of(
-        cls,
-        model: Model,
-        limits: Limits,
-        pattern: Experiment,
-        length: float,
-        vehicles: Sequence[Model],
-        kept: float,
-    ) -> Bench:
+    def of(cls, model: Model, limits: Limits, pattern: Experiment, length: float) -> Bench:
         """One pattern and length on which all kinds are tried."""
         held = dict(pattern.constants)
         names = [n for n in model.input_names if n in limits.inputs and n not in held]
@@ -338,8 +330,7 @@ class Bench:
             )
         held |= {n: neutral_within(*limits.inputs[n]) for n in names[1:]}
         grid = Grid.of(limits, names[:1], length, pattern.sample_time, {})
-        bounds = LimitBounds.of(model, limits)
-        return cls(model, grid, held, pattern.initial, limits, bounds, vehicles, kept)
+        return cls(model, grid, held, pattern.initial, limits, LimitBounds.of(model, limits))
 
     @property
     def name(self) -> str:

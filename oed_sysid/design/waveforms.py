@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -299,18 +300,13 @@ class _PulseShape:
         shortest, longest = 2 * grid.step, self._block / 7
         unit = shortest + share[:, 1] * (longest - shortest)
         orders = np.zeros((len(share), len(grid.times), len(grid.inputs)))
-        edges = np.array([0.0, 3.0, 5.0, 6.0, 7.0])
+        ends = grid.times[None, :, None] + grid.step
         for block, begin in enumerate(self._starts):
-            for pulse in range(4):
-                first = begin + edges[pulse] * unit[:, block]
-                last = begin + edges[pulse + 1] * unit[:, block]
-                # Share of each sample's interval inside the pulse: smooth in the unit time.
-                inside = np.clip(
-                    (grid.times[None, :, None] + grid.step - first[:, None]) / grid.step, 0, 1
-                ) - np.clip(
-                    (grid.times[None, :, None] + grid.step - last[:, None]) / grid.step, 0, 1
-                )
-                orders += (-1) ** pulse * height[:, None, block] * inside
+            edges = [begin + n * unit[:, None, block] for n in (0.0, 3.0, 5.0, 6.0, 7.0)]
+            # Share of each sample's interval inside a pulse: smooth in the unit time.
+            passed = [np.clip((ends - edge) / grid.step, 0, 1) for edge in edges]
+            for pulse, (first, last) in enumerate(pairwise(passed)):
+                orders += (-1) ** pulse * height[:, None, block] * (first - last)
         span = np.where(orders > 0, grid.upper - grid.neutral, grid.neutral - grid.lower)
         return grid.limited(grid.neutral + orders * span)
 
