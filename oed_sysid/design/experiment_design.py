@@ -25,7 +25,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -39,7 +39,7 @@ from oed_sysid.design.library import Bench, Reference, Standard, ZigZags, standa
 from oed_sysid.design.objective import Objective, Score
 from oed_sysid.design.result import Design
 from oed_sysid.design.search import Progress, again, refine_all, starts
-from oed_sysid.design.trial import Search, Task, Trial
+from oed_sysid.design.trial import Search, Task, Trial, held_by
 from oed_sysid.design.vehicles import REACHED, Caution, Robust, motion, quantity, units_of
 from oed_sysid.design.waveforms import Grid, Levels
 from oed_sysid.errors import DesignError, OedSysidError, respelled
@@ -55,13 +55,9 @@ from oed_sysid.runtime.threads import single_threaded
 # The caution that nobody asked for must not take minutes.
 _USUAL = Caution(n_sets=80, n_checks=400)
 # Arguments that are gone: fields of what now holds them.
-_RUN = {one.name: f"trial=Trial({one.name}=...)" for one in fields(Trial)}
-_GONE = (
-    _RUN
-    | {one.name: f"search=Search({one.name}=...)" for one in fields(Search)}
-    | {one.name: f"knowledge=Knowledge({one.name}=...)" for one in fields(Knowledge)}
-    | {"parametrisation": "search=Search(family=...)"}
-)
+_RUN = held_by(trial=Trial)
+_GONE = _RUN | held_by(search=Search, knowledge=Knowledge)
+_GONE |= {"parametrisation": "search=Search(family=...)"}
 _GONE_IN_SERIES = {
     name: new if name in _RUN else f"design=partial(design_experiment, {new})"
     for name, new in _GONE.items()
@@ -306,7 +302,7 @@ def _searched(
             "it is unstable on its own. Design a shorter run, or in Python a closed loop, "
             "search=Search(family=ZigZags(...))."
         )
-    found = refine_all(objective, first, n_steps=search.n_steps, progress=progress, journal=keep)
+    found = refine_all(objective, first, n_steps=search.n_steps, progress=progress, keep=keep)
     if found.best is None:
         raise DesignError(_infeasible(task, found.nearest))
     best = found.best

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain, combinations
 
@@ -34,7 +34,7 @@ from oed_sysid.design.experiment_design import find_design
 from oed_sysid.design.knowledge import ExpectedInformation, Knowledge
 from oed_sysid.design.library import KINDS, Candidate, as_piecewise, candidate_runs
 from oed_sysid.design.result import Design, Programme, Standard
-from oed_sysid.design.trial import Search, Task, Trial
+from oed_sysid.design.trial import Search, Task, Trial, held_by
 from oed_sysid.design.vehicles import CHECKED, LimitBounds, draw_models, kept_on
 from oed_sysid.design.waveforms import Levels
 from oed_sysid.errors import DesignError, OedSysidError, located, respelled
@@ -114,18 +114,7 @@ class ProgrammeSearch:
     n_rounds: int = 1
 
 
-_GONE = {
-    name: f"{holder}({name}=...)"
-    for holder, cls in (
-        ("budget=Budget", Budget),
-        ("knowledge=Knowledge", Knowledge),
-        ("search=ProgrammeSearch", ProgrammeSearch),
-    )
-    for name in (one.name for one in fields(cls))
-}
-
-
-@respelled(DesignError, _GONE)
+@respelled(DesignError, held_by(budget=Budget, knowledge=Knowledge, search=ProgrammeSearch))
 @single_threaded
 def design_programme(
     model: Model | Fit,

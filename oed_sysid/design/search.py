@@ -326,9 +326,9 @@ def refine_all(
     objective: Objective,
     begin: list[Score],
     *,
-    n_steps: int = 40,
-    progress: Callable[[Progress], None] | None = None,
-    journal: Journal | None = None,
+    n_steps: int,
+    progress: Callable[[Progress], None] | None,
+    keep: Journal,
 ) -> SearchResult:
     """Refine several starts roughly, the best one further, by sequential linear programming.
 
@@ -343,7 +343,7 @@ def refine_all(
         the best.
     progress : callable, optional
         Called with a :class:`Progress` after each step.
-    journal : Journal, optional
+    keep : Journal
         Keeps every refined start, and where the search stands within one.
 
     References
@@ -354,7 +354,6 @@ def refine_all(
     K. Svanberg, The method of moving asymptotes, *Int. J. Numerical Methods in
     Engineering* 24 (1987) 359-373: bounds that follow the sign of the steps.
     """
-    keep = journal or Journal()
 
     def refined(number: int, start: Score, n_steps: int) -> tuple[Score | None, Score]:
         """Best member met that keeps all limits, and the one with the smallest excess."""

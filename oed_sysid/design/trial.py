@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -173,6 +174,19 @@ class Search:
     def workers(self) -> int:
         """Threads that are used."""
         return self.n_workers or min(4, os.cpu_count() or 1)
+
+
+def held_by(**holders: Any) -> dict[str, str]:
+    """What to write instead of arguments that are fields of dataclasses now, by argument.
+
+    >>> held_by(search=Search)["n_starts"]
+    'search=Search(n_starts=...)'
+    """
+    return {
+        one.name: f"{argument}={holder.__name__}({one.name}=...)"
+        for argument, holder in holders.items()
+        for one in fields(holder)
+    }
 
 
 @dataclass(frozen=True, eq=False)
