@@ -14,7 +14,7 @@ and
 .. math:: \Phi(x^*) \le \Phi(x) + \max_y \sum_i d_i (y_i - x_i)
 
 over all :math:`y \ge 0` within the budget: the equivalence theorem (Kiefer & Wolfowitz 1960) as a
-bound, ``gap`` being the last term. It holds for every programme made of *these* runs, whole or not;
+bound, the gap being the last term. It holds for every programme made of *these* runs, whole or not;
 commands that are not in the library may do better.
 
 Weights: the multiplicative algorithm :math:`w_i \leftarrow w_i d_i^\lambda / \sum_j w_j
@@ -147,11 +147,6 @@ class Weights:
     value: float
     bound: float
 
-    @property
-    def gap(self) -> float:
-        """How far the value may be below the best of all weights."""
-        return self.bound - self.value
-
 
 def relaxed(library: Library, costs: np.ndarray) -> Weights:
     """Maximise the worth over weights, ``sum(costs * x) = 1``.
@@ -172,15 +167,14 @@ def relaxed(library: Library, costs: np.ndarray) -> Weights:
     power = 1.0 if isinstance(library.criterion, DOptimal) else 0.5
     # Weights that start above zero can reach any design; a zero would stay one.
     w = np.full(library.n_runs, 1.0 / library.n_runs)
-    best: Weights | None = None
-    ceiling = np.inf
+    best, ceiling = Weights(w / costs, -np.inf, np.inf), np.inf
     for sweep in range(1, 6000 + 1):
         value, by_run = library.slope(w / costs)
         d = np.maximum(by_run / costs, 0.0)
         if sweep % 20 == 1 or sweep == 6000:
             # Every sweep gives a bound; the smallest counts.
             ceiling = min(ceiling, value + float(d.max() - w @ d))
-            if best is None or value > best.value:
+            if value > best.value:
                 best = Weights(w / costs, value, ceiling)
             if ceiling - best.value < GAP * scale:
                 break
@@ -190,7 +184,6 @@ def relaxed(library: Library, costs: np.ndarray) -> Weights:
         if not grown.sum() > 0:
             break  # everything that these runs could tell is told already
         w = grown / grown.sum()
-    assert best is not None
     return replace(best, bound=ceiling)
 
 

@@ -194,12 +194,11 @@ def plan_of(
     ends = experiment.limits.signals.items()
     if aborts is not None:
         ends = {one.signal: (one.lower, one.upper) for one in aborts}.items()
-    # Bounds that every language can write.
-    rules = [
-        dict(zip(("signal", "lower", "upper"), (name, *np.clip(pair, -1e30, 1e30).tolist()),
-                 strict=True))
-        for name, pair in ends
-    ]  # fmt: skip
+    rules = []
+    for name, pair in ends:
+        # Bounds that every language can write.
+        lower, upper = np.clip(pair, -1e30, 1e30).tolist()
+        rules.append({"signal": name, "lower": lower, "upper": upper})
     signals = [name for one in channels for name in one.get("signals", ())]
     return {
         "name": safe(experiment.name),
@@ -298,12 +297,11 @@ def _moos_names(model: Model, plan: Mapping[str, Any]) -> dict[str, tuple[str, f
     """MOOS variable and unit of each command; angles in degrees, others as they are."""
     units, found = units_of(model), {}
     for name in {**plan["constants"], **plan["neutral"]}:
-        if units[name] != "rad":
-            found[name] = ("DESIRED_THRUST" if name in ("n", "thrust") else name.upper(), 1.0)
-        elif name.startswith(("rudder", "delta", "dr")):
-            found[name] = ("DESIRED_RUDDER", degrees(1.0))
+        if units[name] == "rad":
+            turns = name.startswith(("rudder", "delta", "dr"))
+            found[name] = ("DESIRED_RUDDER" if turns else "DESIRED_ELEVATOR", degrees(1.0))
         else:
-            found[name] = ("DESIRED_ELEVATOR", degrees(1.0))
+            found[name] = ("DESIRED_THRUST" if name in ("n", "thrust") else name.upper(), 1.0)
     return found
 
 

@@ -188,7 +188,7 @@ class VehicleInformation:
         # <W, S chain> = <W chain', S>: one product, no copy of the sensitivities.
         pulled = weights[:, :, :n_kept].reshape(-1, n_kept) @ chain.T
         total = float(np.vdot(pulled, run.output_sensitivities))
-        nodes = [every[edge] for every in evaluation.rival_nodes] if edge else None
+        nodes = [every[edge] for every in evaluation.rival_nodes] if edge else []
         if (others := self._rivals(part, run.outputs, first, nodes)) is None:
             return None
         for position, (moved, _) in enumerate(others, start=n_kept):
@@ -203,19 +203,16 @@ class VehicleInformation:
         commands: np.ndarray,
         outputs: np.ndarray,
         first: int = 0,
-        nodes: Sequence[np.ndarray] | None = None,
+        nodes: Sequence[np.ndarray] = (),
     ) -> list[tuple[np.ndarray, np.ndarray]] | None:
         """Shifts of some outputs by every rival from a sample on, and its states.
 
         None where one diverges.
         """
         times, found = self.times[first:], []
-        for position, (rival, values, factor) in enumerate(self.rivals):
-            node = (
-                rival.start(self.own, commands[0], values, float(times[0]))[0]
-                if nodes is None
-                else nodes[position]
-            )
+        begin = float(times[0])
+        for i, (rival, values, factor) in enumerate(self.rivals):
+            node = nodes[i] if nodes else rival.start(self.own, commands[0], values, begin)[0]
             other = rival.run(times, commands, values, node)
             if not other.ok:
                 return None
@@ -233,20 +230,17 @@ class VehicleInformation:
 
     def worth(self, evaluation: Evaluation) -> tuple[float, np.ndarray]:
         """Criterion and its derivative by the whole information matrix."""
-        reduced, mapping = eliminate(self.information(evaluation.rows), self.n_nuisance)
-        n_known = len(self.prior)
-        reduced[:n_known, :n_known] += self.prior
-        value, gradient = self.measure(reduced)
-        return value, mapping.T @ gradient @ mapping
-
-    def information(self, rows: np.ndarray) -> np.ndarray:
-        """Scaled information on ``[nuisance, parameters, rival shifts]``."""
-        flat = rows.reshape(-1, rows.shape[2])
+        flat = evaluation.rows.reshape(-1, evaluation.rows.shape[2])
+        # Scaled information on nuisance unknowns, parameters and rival shifts.
         matrix = flat.T @ flat
         index = np.arange(self.n_nuisance)
         # What is known of starts is information too; on parameters it is added per vehicle.
         matrix[index, index] += self.nuisance_prior
-        return matrix
+        reduced, mapping = eliminate(matrix, self.n_nuisance)
+        n_known = len(self.prior)
+        reduced[:n_known, :n_known] += self.prior
+        value, gradient = self.measure(reduced)
+        return value, mapping.T @ gradient @ mapping
 
 
 # Difference step of the numbers between 0 and 1; information derivatives are exact.

@@ -34,7 +34,7 @@ known, every other vehicle is drawn :data:`DOUBT` times as far from the nominal 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from math import degrees
 
 import numpy as np
@@ -195,10 +195,8 @@ class LimitBounds:
     def during(self) -> LimitBounds:
         """The limits that hold during the run."""
         n = int((~self.at_end).sum())
-        return LimitBounds(
-            self.names[:n], self.columns[:n], self.lower[:n], self.upper[:n], self.width[:n],
-            self.at_end[:n], self.n_full, self.units[:n],
-        )  # fmt: skip
+        by_limit = [one.name for one in fields(self) if one.name != "n_full"]
+        return replace(self, **{name: getattr(self, name)[:n] for name in by_limit})
 
     def worst(self, limited: np.ndarray) -> float:
         """Largest excess of a whole run; negative if all limits are kept."""

@@ -284,9 +284,8 @@ class Pulses:
 class _PulseShape:
     def __init__(self, grid: Grid, n_blocks: int) -> None:
         self._grid, self._n_blocks = grid, n_blocks
-        starts = np.floor(np.arange(n_blocks) * (len(grid.times) - 1) / n_blocks).astype(int)
-        self.edges = starts
-        self._starts = grid.times[starts]
+        self.edges = np.floor(np.arange(n_blocks) * (len(grid.times) - 1) / n_blocks).astype(int)
+        self._starts = grid.times[self.edges]
         self._block = (grid.times[-1] - grid.times[0]) / n_blocks
 
     @property

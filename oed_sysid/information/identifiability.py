@@ -511,12 +511,12 @@ class Structure:
             f"Structure: rank {self.rank} of {len(self.names)} over {len(self.ranks)} random sets "
             f"of values, {self.n_runs} random manoeuvres each (smallest share {self.margin:.1e})."
         )
-        if self.identifiable:
-            words = "All parameters are locally identifiable from these outputs."
-            return Report(head, answer=words, sections=(Section("Verdict", (words,)),))
-        words = "No manoeuvre separates:"
-        section = Section(words, self.directions, heading=True, indent=2)
-        return Report(head, answer=f"{words} {'; '.join(self.directions)}", sections=(section,))
+        words = "All parameters are locally identifiable from these outputs."
+        section = Section("Verdict", (words,))
+        if not self.identifiable:
+            section = Section("No manoeuvre separates:", self.directions, heading=True, indent=2)
+            words = f"{section.title} {'; '.join(self.directions)}"
+        return Report(head, answer=words, sections=(section,))
 
     report = as_text
 

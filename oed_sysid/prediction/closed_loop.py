@@ -212,13 +212,12 @@ class CourseControl(Control):
         """The law with other values of the evidence's names."""
         names = self.evidence.names if self.evidence else ()
         value = dict(zip(names, map(float, values), strict=True))
-        kept = [self.course, *(course for _, course in self.changes)]
+        times, kept = zip((0.0, self.course), *self.changes, strict=True)
         courses = [value[name] for name in names if name.startswith("course")] or kept
-        times = [time for time, _ in self.changes]
         return replace(
             self, gain=value["gain"], damping=value["damping"], rate=abs(value["rate"]),
             limit=abs(value["limit"]), neutral=value.get("neutral", self.neutral),
-            course=courses[0], changes=tuple(zip(times, courses[1:], strict=True)),
+            course=courses[0], changes=tuple(zip(times[1:], courses[1:], strict=True)),
         )  # fmt: skip
 
     def document(self) -> Report:
