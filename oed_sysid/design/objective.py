@@ -98,8 +98,9 @@ class VehicleInformation:
         self.values = model.value_vector
         self.rivals: list[tuple[Kernel, np.ndarray, float]] = []
         if shifts is not None:
-            values = [rival.value_vector for rival in shifts.models]
-            self.rivals = list(zip(shifts.kernels, values, map(float, shifts.factors), strict=True))
+            values = [(kernel(rival), rival.value_vector) for rival in shifts.models]
+            factors = map(float, shifts.factors)
+            self.rivals = [(*one, factor) for one, factor in zip(values, factors, strict=True)]
         self.columns, weights = unknowns(model, expected.start)
         self.n_nuisance = len(weights)
         units = [one.scale for one in model.states]
@@ -213,8 +214,7 @@ class VehicleInformation:
         begin = float(times[0])
         for i, (rival, values, factor) in enumerate(self.rivals):
             node = nodes[i] if nodes else rival.start(self.own, commands[0], values, begin)[0]
-            other = rival.run(times, commands, values, node)
-            if not other.ok:
+            if not (other := rival.run(times, commands, values, node)).ok:
                 return None
             found.append((factor * (other.outputs - outputs), other.states))
         return found

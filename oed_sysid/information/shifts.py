@@ -26,7 +26,7 @@ from itertools import chain
 
 import numpy as np
 
-from oed_sysid.compiled.kernels import Kernel, kernel
+from oed_sysid.compiled.kernels import kernel
 from oed_sysid.errors import DesignError, SimulationError
 from oed_sysid.information.response import TANGENT, Play
 from oed_sysid.physics import Effect
@@ -70,15 +70,12 @@ class Shifts:
     ----------
     models : tuple of Model
         One for each column.
-    kernels : tuple of Kernel
-        Of these models.
     factors : ndarray (n_columns,)
         From the difference of the outputs to the column.
     groups : tuple of Group
     """
 
     models: tuple[Model, ...]
-    kernels: tuple[Kernel, ...]
     factors: np.ndarray
     groups: tuple[Group, ...]
 
@@ -121,11 +118,10 @@ class Shifts:
         fresh = tuple(e.absent() for e in effects if e.name not in nominal.effect_names)
         # One structure for all: compiled once, values are arguments.
         wide = nominal + fresh if fresh else nominal
-        runner = kernel(wide)
         parts = [
             _of_model(nominal, rival)
             if isinstance(rival, Model)
-            else _of_effect(nominal, wide, runner, rival, size)
+            else _of_effect(nominal, wide, rival, size)
             for rival in rivals
         ]
         # One effect or model each, beside one another.
@@ -137,7 +133,6 @@ class Shifts:
         ]
         return cls(
             tuple(chain.from_iterable(part.models for part in parts)),
-            tuple(chain.from_iterable(part.kernels for part in parts)),
             np.concatenate([part.factors for part in parts]), tuple(groups),
         )  # fmt: skip
 
@@ -156,9 +151,9 @@ class Shifts:
             If the vehicle with an effect diverges.
         """
         found = np.empty((*outputs.shape, len(self)))
-        for position, (rival, runner) in enumerate(zip(self.models, self.kernels, strict=True)):
+        for position, rival in enumerate(self.models):
             values = rival.value_vector
-            run = runner.simulate(play.times, play.inputs, values, play.initial)
+            run = kernel(rival).simulate(play.times, play.inputs, values, play.initial)
             if not run.ok:
                 name = next(g.name for g in self.groups if position in g.columns)
                 raise SimulationError(
@@ -178,16 +173,15 @@ def _of_model(nominal: Model, rival: Model) -> Shifts:
             "the same channels."
         )
     group = Group(rival.name, np.array([0]), np.eye(1), 1, {})
-    return Shifts((rival,), (kernel(rival),), np.ones(1), (group,))
+    return Shifts((rival,), np.ones(1), (group,))
 
 
-def _of_effect(nominal: Model, wide: Model, runner: Kernel, effect: Effect, size: float) -> Shifts:
+def _of_effect(nominal: Model, wide: Model, effect: Effect, size: float) -> Shifts:
     """A tangent for each amplitude that may have either sign, else one whole change."""
     sizes = _sizes(effect, size)
     base = wide
     if effect.name in nominal.effect_names:
         base = nominal.without(effect.name) + effect.absent()
-        runner = kernel(base)
     # An effect that the nominal model has already is taken out: the shift is its whole change.
     smooth = two_sided(effect) and base is wide
     parts = [{name: value} for name, value in sizes.items()] if smooth else [sizes]
@@ -198,7 +192,7 @@ def _of_effect(nominal: Model, wide: Model, runner: Kernel, effect: Effect, size
     ]
     n, freedom = len(parts), len(sizes) + len(effect.shape_names)
     group = Group(effect.name, np.arange(n), _weight(effect, n), freedom, sizes)
-    return Shifts(tuple(models), (runner,) * n, np.full(n, 1.0 / share), (group,))
+    return Shifts(tuple(models), np.full(n, 1.0 / share), (group,))
 
 
 def _weight(effect: Effect, n: int) -> np.ndarray:
