@@ -89,8 +89,7 @@ class Library:
 
     def slope(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Worth of a programme and its derivatives by the repetitions, ``(n_runs,)``."""
-        matrices = self.total(x)
-        parts = [self.measure(matrix) for matrix in matrices]
+        parts = [self.measure(matrix) for matrix in self.total(x)]
         gradient = np.stack([part[1] for part in parts]) / len(parts)
         by_run = np.einsum("sab,siab->i", gradient, self.information)
         return float(np.mean([part[0] for part in parts])), by_run

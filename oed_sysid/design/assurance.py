@@ -356,8 +356,7 @@ def _behaviour(
     """What several vehicles do in their runs."""
     found: list[_Behaviour] = []
     for vehicle, experiment in met:
-        run = motion(vehicle, experiment)
-        if run is None:
+        if (run := motion(vehicle, experiment)) is None:
             # Beyond whatever range anybody states.
             found.append(("diverged", np.tile([-np.inf, np.inf], (len(names), 1)), None))
             continue
@@ -610,8 +609,7 @@ def accuracy_range(
         except OedSysidError:
             continue
         names = found.names
-        sizes = [model.parameter(name).reference for name in names]
-        errors.append(found.std_errors / sizes)
+        errors.append(found.std_errors / [model.parameter(name).reference for name in names])
     if len(errors) < max(2, n_draws // 2):
         raise DesignError(
             f"The runs stay finite on {len(errors)} of {n_draws} vehicles only, so that no range "

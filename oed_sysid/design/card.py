@@ -118,8 +118,7 @@ class TrialCard:
 
     def text(self) -> str:
         """Return one page of text."""
-        lines = self.document().text().split("\n")
-        return "\n".join(folded(lines))
+        return "\n".join(folded(self.document().text().split("\n")))
 
     @property
     def tracks(self) -> PredictedTracks | None:

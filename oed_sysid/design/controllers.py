@@ -492,8 +492,7 @@ def write_overrides(
     ...     print(file.read_text().splitlines())
     ['time [ms],chan1_raw [us]', '0.0,1500.0', '1000.0,1700.0', '2000.0,1700.0']
     """
-    lacking = f"Model {model.name!r} has no input"
-    columns = located(DesignError, lacking, servos, model.input_names)
+    columns = located(DesignError, f"Model {model.name!r} has no input", servos, model.input_names)
     channels = [servo.channel for servo in servos.values()]
     if len(set(channels)) < len(channels) or not channels:
         raise DesignError("Give one servo or more, each on a channel of its own.")
@@ -538,8 +537,7 @@ def write_bag(path: str | Path, model: Model, times: np.ndarray, inputs: np.ndar
 
         write_bag("run_bag", design.model, design.trajectory.times, design.trajectory.inputs)
     """
-    place = Path(path)
-    if place.exists():
+    if (place := Path(path)).exists():
         raise FileError(f"{str(place)!r} exists already. Name a folder that does not.")
     rosbag2 = library("rosbags.rosbag2", "Writing a ROS bag")
     typesys = library("rosbags.typesys", "Writing a ROS bag")

@@ -712,8 +712,7 @@ class Detect:
             rare, sure = (
                 float(np.exp(log_power(v, group.freedom, gain)[0])) for v in (first, last)
             )
-            sizes = dict(group.sizes)
-            found.append(Detection(group.name, sizes, first, last, rare, sure, least))
+            found.append(Detection(group.name, dict(group.sizes), first, last, rare, sure, least))
         return tuple(found)
 
 

@@ -185,10 +185,8 @@ class PredictionGoal:
 
     def rows(self, model: Model, names: Sequence[str]) -> np.ndarray:
         """Derivatives of the output at every sample."""
-        outputs = model.output_names
-        (column,) = located(
-            DesignError, f"Model {model.name!r} has no output", [self.output], outputs
-        )
+        lacking = f"Model {model.name!r} has no output"
+        (column,) = located(DesignError, lacking, [self.output], model.output_names)
         response = respond(model, plays(model, self.experiment)[0])
         wanted = [len(model.states) + model.free_names.index(name) for name in names]
         return np.asarray(response.jacobian[:, column, wanted])
@@ -564,8 +562,7 @@ class _Outlook:
 
     def ranked(self, more: np.ndarray | float = 0.0, *, check: bool = False) -> list[int]:
         """Runs to do next, the best first: what brings goals nearer, or what could contradict."""
-        left = [i for i in range(len(self.runs)) if i not in self.refused]
-        if not left:
+        if not (left := [i for i in range(len(self.runs)) if i not in self.refused]):
             return []
         told = np.stack([self.told[i] for i in left])
         if check:

@@ -177,8 +177,7 @@ def find_design(
     """
     began = time.perf_counter()
     kept = keep or Journal()
-    references = standard_manoeuvres(_bench(task))
-    if references:
+    if references := standard_manoeuvres(_bench(task)):
         task = replace(task, expected=task.expected.seen_white(references[0][1]))
 
     def tried(task: Task, begin: Score | None = None) -> tuple[_Found, Assurance | None]:
@@ -352,8 +351,7 @@ def _check_start(task: Task) -> None:
 
 def _infeasible(task: Task, nearest: Score) -> str:
     """Say which limits the nearest manoeuvre breaks, and what to do."""
-    limited = task.bounds.limited(nearest.evaluations[0].signals)
-    words = task.bounds.broken(task.grid.times, limited)
+    words = task.bounds.broken(task.grid.times, task.bounds.limited(nearest.evaluations[0].signals))
     if not words and task.caution is not None:
         return (
             f"No manoeuvre was found that keeps all limits on {task.caution.probability:.0%} of "

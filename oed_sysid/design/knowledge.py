@@ -93,8 +93,7 @@ class Knowledge:
             known = self.prior
         elif isinstance(given, Fit):
             known = _information(given)
-        rows = prior_factor(model, names, known)
-        if not rows.any():
+        if not (rows := prior_factor(model, names, known)).any():
             return None
         scales = np.array([model.parameter(name).magnitude for name in names])
         return Information(names, triangle(rows) * scales, scales)
@@ -142,9 +141,7 @@ class ExpectedInformation:
     ) -> ExpectedInformation:
         """Return what is expected of runs of a vehicle, or after a fit."""
         model = given.model if isinstance(given, Fit) else given
-        noise = knowledge.noise
-        if isinstance(given, Fit) and noise is None:
-            noise = given
+        noise = given if isinstance(given, Fit) and knowledge.noise is None else knowledge.noise
         sea, levels = expected_noise(model, noise)
         sigma = noise_of(model, levels)
         # The levels belong to the model, so that reports and cards state them.
@@ -200,8 +197,7 @@ class ExpectedInformation:
     def relative(self, matrix: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
         """A matrix in SI units in units of the parameters; effects are in units of their size."""
         units = self.scales() if scales is None else scales
-        n_effects = matrix.shape[-1] - len(units)
-        units = np.concatenate([units, np.ones(n_effects)])
+        units = np.concatenate([units, np.ones(matrix.shape[-1] - len(units))])
         return matrix * units[:, None] * units
 
     def told(

@@ -322,8 +322,7 @@ class Bench:
     def of(cls, model: Model, limits: Limits, pattern: Experiment, length: float) -> Bench:
         """One pattern and length on which all kinds are tried."""
         held = dict(pattern.constants)
-        names = [n for n in model.input_names if n in limits.inputs and n not in held]
-        if not names:
+        if not (names := [n for n in model.input_names if n in limits.inputs and n not in held]):
             raise DesignError(
                 f"Pattern {pattern.name!r} leaves no input with a range to command. Give "
                 "Limits(inputs={'rudder': (-0.3, 0.3)}), on the command line --limit rudder=-17:17."

@@ -253,8 +253,7 @@ class _Planner:
         """Time that is left for runs beside some of the optional sensors, s."""
         if self.budget.hours is None:
             return np.inf
-        left = 3600.0 * (self.budget.hours - self.sensor_hours(subset))
-        if left <= 0:
+        if (left := 3600.0 * (self.budget.hours - self.sensor_hours(subset))) <= 0:
             raise DesignError("The sensors alone take longer than there is time. Give more hours.")
         return left
 
@@ -285,8 +284,7 @@ class _Planner:
     ) -> _Plan:
         """Weights and whole runs, measured with some of the optional sensors."""
         expected, told = self.expected, self.information(runs, self.measured(subset))
-        there = [(run, m) for run, m in zip(runs, told, strict=True) if m is not None]
-        if not there:
+        if not (there := [(run, m) for run, m in zip(runs, told, strict=True) if m is not None]):
             raise DesignError("No candidate run stays finite on all vehicles. Make them gentler.")
         kept = tuple(run for run, _ in there)
         library = Library(
@@ -297,8 +295,7 @@ class _Planner:
         )  # fmt: skip
         shares = weights(library)
         before = [] if begin is None else [np.append(begin, np.zeros(len(there) - len(begin), int))]
-        chosen = select(library, shares, before)
-        return _Plan(kept, subset, library, shares, chosen)
+        return _Plan(kept, subset, library, shares, select(library, shares, before))
 
     def kept_within(self, plan: _Plan) -> tuple[_Plan, dict[str, Assurance]]:
         """Leave out runs that leave their limits, until all together keep them often enough.

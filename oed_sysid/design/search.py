@@ -293,10 +293,9 @@ class _Progressed:
             step = np.where(slope.criterion > 0, upper, lower)
             return step, float(slope.criterion @ step)
         # One elastic variable, the largest excess, keeps the program solvable.
-        elastic = -np.ones((len(right), 1))
         solved = linprog(
             np.append(-slope.criterion, _PRICE),
-            A_ub=np.hstack([matrix, elastic]),
+            A_ub=np.hstack([matrix, -np.ones((len(right), 1))]),
             b_ub=right,
             bounds=[*zip(lower, upper, strict=True), (0.0, None)],
             method="highs",

@@ -105,8 +105,7 @@ class Trial:
         limits, held = self.limits, self.constants
         limits.check_names(model)
         free = (n for n in model.input_names if n in limits.inputs and n not in held)
-        names = tuple(free if self.inputs is None else self.inputs)
-        if not names:
+        if not (names := tuple(free if self.inputs is None else self.inputs)):
             raise DesignError(
                 "No input is left to design. Give its range: Limits(inputs={'rudder': (-0.3, "
                 "0.3)}), on the command line --limit rudder=-17:17."
@@ -301,8 +300,7 @@ class Task:
             What this task led to; it was not enough.
         rng : numpy.random.Generator
         """
-        caution = self.caution
-        if caution is None:
+        if (caution := self.caution) is None:
             return self
         more = caution.vehicles(self.model, self.expected.prior, rng)
         grown = self.n_waived * (1 + len(more) / len(self.scenarios))
@@ -315,8 +313,7 @@ class Task:
 
     def _with_waves(self, rng: np.random.Generator) -> Task:
         """The task whose uncertain vehicles meet waves, each its own, where any are expected."""
-        sea = self.expected.sea
-        if sea is None or not sea.has_forces or not self.scenarios:
+        if (sea := self.expected.sea) is None or not sea.has_forces or not self.scenarios:
             return self
         run, n_inputs = self.experiment(self.still()), len(self.model.inputs)
         met = [in_own_waves(vehicle, run, sea, rng) for vehicle in self.scenarios]
@@ -325,8 +322,7 @@ class Task:
 
     def assured(self, experiment: Experiment, rng: np.random.Generator) -> Assurance | None:
         """On how many fresh vehicles an experiment keeps the limits; None without caution."""
-        caution = self.caution
-        if caution is None:
+        if (caution := self.caution) is None:
             return None
         return assess_limits(
             self.model, experiment, rng=rng, limits=self.trial.limits, spread=caution.spread,

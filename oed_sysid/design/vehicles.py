@@ -204,8 +204,7 @@ class LimitBounds:
 
     def first_left(self, run: Trajectory) -> str | None:
         """Limit that a motion leaves first; None if it keeps all, those on its end waived."""
-        bounds = self.during()
-        if not bounds.names:
+        if not (bounds := self.during()).names:
             return None
         excess = bounds.excess(np.column_stack([run.signal(name) for name in bounds.names]))
         outside = excess.max(axis=(1, 2)) > 0
@@ -569,8 +568,7 @@ class Scenarios:
         n_waived: int = 0,
         waves: Sequence[tuple[Model, np.ndarray]] = (),
     ) -> None:
-        calm = np.empty((len(times), 0))
-        met = waves or [(model, calm) for model in models]
+        met = waves or [(model, np.empty((len(times), 0))) for model in models]
         self._vehicles = [(kernel(one), one.value_vector, forces) for one, forces in met]
         self.times, self.edges, self.own = times, edges, own
         self.bounds, self.n_waived = bounds.during(), n_waived

@@ -42,8 +42,7 @@ def finite(owner: str, name: str, value: float) -> float:
 
 def positive(owner: str, name: str, value: float, advice: str = "") -> float:
     """Return ``value`` as a float, or raise if it is not above zero."""
-    number = finite(owner, name, value)
-    if number <= 0:
+    if (number := finite(owner, name, value)) <= 0:
         raise ModelError(f"{owner} has {name} {number:g}; it must be above zero. {advice}".rstrip())
     return number
 
@@ -52,8 +51,7 @@ def not_zero(advice: str) -> Rule:
     """Rule of a number that is not zero, with advice for one that is."""
 
     def check(owner: str, name: str, value: float) -> float:
-        number = finite(owner, name, value)
-        if number == 0:
+        if (number := finite(owner, name, value)) == 0:
             raise ModelError(f"{owner} has {name} 0, which moves nothing. {advice}")
         return number
 
@@ -95,8 +93,7 @@ def numbers(owner: str, name: str, values: Numbers) -> tuple[float, ...]:
 
 def increasing(owner: str, name: str, values: tuple[float, ...]) -> tuple[float, ...]:
     """Return the values, or raise if they are not strictly increasing."""
-    steps = np.diff(values)
-    if np.any(steps <= 0):
+    if np.any((steps := np.diff(values)) <= 0):
         where = int(np.flatnonzero(steps <= 0)[0])
         raise ModelError(
             f"{owner} has {name} that do not increase: {values[where]:g} is followed by "

@@ -45,8 +45,7 @@ def list_problems() -> tuple[str, ...]:
     >>> "kvlcc2" in list_problems()
     True
     """
-    folder = catalogue_folder()
-    if folder is None:
+    if (folder := catalogue_folder()) is None:
         return ()
     return tuple(sorted(file.parent.name for file in folder.glob(f"*/{FILE}")))
 
@@ -183,11 +182,9 @@ def _execute(module: ModuleType, file: Path) -> None:
 
 def _found_instead(module: ModuleType, file: Path) -> str:
     """Say what a file defines in place of a problem."""
-    others = [key for key, value in vars(module).items() if isinstance(value, Problem)]
-    if others:
+    if others := [key for key, value in vars(module).items() if isinstance(value, Problem)]:
         return f"it has a Problem called {others[0]!r}: rename it to 'problem'"
-    problem = getattr(module, "problem", None)
-    if problem is not None:
+    if (problem := getattr(module, "problem", None)) is not None:
         return f"its 'problem' is a {type(problem).__name__}: use problem = Problem(...)"
     public = [key for key in vars(module) if not key.startswith("_")]
     found = f"it defines {', '.join(public) or 'nothing'}: end it with problem = Problem(...)"

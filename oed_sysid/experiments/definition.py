@@ -444,8 +444,7 @@ class _Units:
     def _force(self, axis: str) -> Dimension | None:
         """Dimension of an axis: inertia times acceleration, or by the name of the axis."""
         state = self.model.axes[axis]
-        rate = self._rate(state)
-        if rate is None:
+        if (rate := self._rate(state)) is None:
             return None
         if not any(row == axis for row, _ in self.model.inertia):
             return rate

@@ -227,8 +227,7 @@ def zigzag_indices(
     peaks = list[tuple[float, float]]()
     for index, (begin, end) in enumerate(pairwise([*executes[1:], math.inf])):
         sign = side * (-1) ** index
-        peak = summit(moments, sign * angle, begin=begin, end=end)
-        if peak is None:
+        if (peak := summit(moments, sign * angle, begin=begin, end=end)) is None:
             break
         peaks.append((peak[1] - sign * float(at_execute[index + 1]), peak[0] - begin))
     if not peaks:
@@ -319,8 +318,7 @@ def turning_indices(
     change = angle - course
     during = moments >= begin
     side = 1 if np.max(change[during]) >= -np.min(change[during]) else -1
-    turned = float(np.max(side * change[during]))
-    if turned < math.pi:
+    if (turned := float(np.max(side * change[during]))) < math.pi:
         raise DataError(
             f"The turn reaches {math.degrees(turned):.1f} degrees of heading change, but the "
             "tactical diameter is defined at 180. Record a longer turn (540 degrees are usual), "
@@ -534,8 +532,7 @@ def summit(
     The height is that of the parabola through the three samples around the
     largest one. None if the values still rise where the record ends.
     """
-    window = np.flatnonzero((times >= begin) & (times <= end))
-    if len(window) == 0:
+    if not len(window := np.flatnonzero((times >= begin) & (times <= end))):
         return None
     top = int(window[np.argmax(values[window])])
     if top == len(times) - 1:
@@ -554,8 +551,7 @@ def first_reach(
     times: FloatArray, values: FloatArray, level: float, *, after: float
 ) -> float | None:
     """Return the time, after a given one, at which values first reach a level from below."""
-    reached = np.flatnonzero((values >= level) & (times > after))
-    if len(reached) == 0:
+    if not len(reached := np.flatnonzero((values >= level) & (times > after))):
         return None
     above = int(reached[0])
     if above == 0 or values[above - 1] >= level:

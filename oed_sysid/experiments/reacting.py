@@ -646,8 +646,7 @@ class Saturated(_Shaped):
 
 def _parts(owner: str, manoeuvres: abc.Iterable[base.Manoeuvre]) -> tuple[base.Manoeuvre, ...]:
     """Return the manoeuvres as a tuple that is not empty."""
-    parts = tuple(manoeuvres)
-    if not parts:
+    if not (parts := tuple(manoeuvres)):
         raise ModelError(f"{owner} has no manoeuvres. Give at least one.")
     for part in parts:
         if not isinstance(part, base.Manoeuvre):

@@ -873,8 +873,7 @@ class Chirp(base.OpenLoop, base.Timed):
 
     def waveform(self) -> Waveform:
         """Return the function of time."""
-        swing = within(self.start, self.start + self.sweep_time, self._sweep)
-        return about(self.neutral, swing)
+        return about(self.neutral, within(self.start, self.start + self.sweep_time, self._sweep))
 
     def describe(self) -> str:
         """Return one line in words."""

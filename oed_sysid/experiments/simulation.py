@@ -173,8 +173,7 @@ def _draw_noise(
             f"Experiment(noise={{{unknown[0]!r}: ...}}), or simulate without noise (noise=False, "
             "on the command line --no-noise)."
         )
-    scales = np.array([stds[name] for name in model.output_names], dtype=float)
-    if not scales.any():
+    if not (scales := np.array([stds[name] for name in model.output_names], dtype=float)).any():
         return np.zeros((n_times, len(scales)))
     if rng is None:
         raise SimulationError(

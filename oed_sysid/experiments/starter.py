@@ -208,8 +208,7 @@ def write_from_log(place: Path, log: Path, inputs: tuple[str, ...], words: dict[
     given, log, inputs = log, *(told or (log, inputs))
     times, signals = _signals(log)
     commands = _commands(log, signals, inputs)
-    measured = [s for s in signals if s not in commands]
-    if not measured:
+    if not (measured := [s for s in signals if s not in commands]):
         raise ProblemError(f"All columns of {log.name} are commands; at least one is an output.")
     parts = _Log(times, commands, measured).parts() | {"log": safe(given.name)}
     code = _filled_template("from_log", words | parts)
@@ -236,8 +235,7 @@ def _told(log: Path, place: Path) -> tuple[Path, tuple[str, ...]] | None:
         if any(one.name in _EQUATIONS or one.name in _INTEGRALS.values() for one in signals):
             return None
     opened = open_log(log)
-    mapping = draft(opened)
-    if mapping is None or not mapping.inputs:
+    if (mapping := draft(opened)) is None or not mapping.inputs:
         return None
     data = place / "data"
     make_folder(data)

@@ -154,8 +154,7 @@ def equilibrium(
     def slopes(trial: np.ndarray) -> np.ndarray:
         return settled(trial)[2][np.ix_(rows, columns)] / scales[rows, np.newaxis]
 
-    bounds = _bounds(limits, unknowns)
-    best = _zero(misses, slopes, point[columns], scales[columns], bounds)
+    best = _zero(misses, slopes, point[columns], scales[columns], _bounds(limits, unknowns))
     full, found, _ = settled(best)
     left, rates = np.abs(misses(best)), dict(zip(names, found.tolist(), strict=True))
     ok = bool(np.isfinite(left).all() and (left < _STEADY).all())

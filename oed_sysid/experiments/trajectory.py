@@ -140,8 +140,7 @@ def simulate_inputs(
     commands = input_array(model, len(moments), inputs)
     values = model.value_vector
     runner = kernel(model)
-    own = start_array(model, initial)
-    run = runner.simulate(moments, commands, values, own)
+    run = runner.simulate(moments, commands, values, start_array(model, initial))
     trajectory = Trajectory(
         times=moments,
         inputs=commands,
@@ -234,8 +233,7 @@ def _divergence(model: Model, trajectory: Trajectory, end: int) -> str:
     text = f"Model {model.name!r} diverged between t = {trajectory.times[last]:g} and "
     text += f"{trajectory.times[end]:g} s; the {'latter' if is_number else 'last finite sample'} "
     text += f"has {value}"
-    fastest = _fastest_mode(model, trajectory)
-    if fastest * model.step > _STABLE_PRODUCT:
+    if (fastest := _fastest_mode(model, trajectory)) * model.step > _STABLE_PRODUCT:
         return (
             f"{text}. Its fastest motion decays or grows at {fastest:.3g} 1/s, too fast for steps "
             f"of {model.step:g} s: use replace(model, step={_STABLE_PRODUCT / fastest / 2:.1g})."
@@ -251,8 +249,7 @@ def _fastest_mode(model: Model, trajectory: Trajectory) -> float:
     z, _ = kernel(model).start(own, first, values, time)
     memory = z[graph.n_states : graph.n_states + graph.n_actuator_memory]
     signals, _ = graph.actuate(memory, first, values, time, model.step)
-    jacobian = graph.rates.jacobian()(trajectory.states[0], signals, values, time, 0)[0]
-    matrix = np.array(jacobian)
+    matrix = np.array(graph.rates.jacobian()(trajectory.states[0], signals, values, time, 0)[0])
     return float(np.abs(np.linalg.eigvals(matrix)).max()) if np.isfinite(matrix).all() else 0.0
 
 

@@ -422,8 +422,7 @@ def confirm_bound(
         errors = np.array([fit.values[name] - truth[name] for name in names])
         return fit.status.ok, errors, np.array([fit.std_errors[name] for name in names])
 
-    results = map(one, rng.spawn(n_runs))
-    good = [(errors, stated) for ok, errors, stated in results if ok]
+    good = [(errors, stated) for ok, errors, stated in map(one, rng.spawn(n_runs)) if ok]
     if len(good) < 3:
         raise DesignError(
             f"Only {len(good)} of {n_runs} estimations converged; the experiments do not determine "

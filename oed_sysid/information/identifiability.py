@@ -203,8 +203,7 @@ class Subset:
             f"{self.size} of {len(self.order)} parameters can be estimated together "
             f"(collinearity {self.collinearity:.3g}, at most {self.limit:g}); to fix: {fixed}"
         )
-        table = Table(headers, rows, words=(0, 1, 4))
-        sections = [Section(title, (), (table,), heading=True)]
+        sections = [Section(title, (), (Table(headers, rows, words=(0, 1, 4)),), heading=True)]
         if self.reasons:
             sections.append(Section("What these runs cannot separate", list(self.reasons)))
         return Report("", answer=self.words(), sections=tuple(sections))
@@ -612,8 +611,7 @@ def structural_identifiability(
                 factors.append(told.factor(play))
         return told.joint(factors, None) if factors else None
 
-    found = [*filter(None, (at_random_values() for _ in range(n_points)))]
-    if not found:
+    if not (found := [*filter(None, (at_random_values() for _ in range(n_points)))]):
         raise DesignError(
             f"No random run of model {model.name!r} stays finite. Make the ranges of the inputs "
             "smaller, the runs shorter, or give initial={...} in the operating range."

@@ -194,8 +194,7 @@ def sea_noise(
     (('force r',), array([0.00022]), array([2.]))
     """
     known = tuple(reference)
-    white = noise_of(model)
-    calm = NoiseModel.white_only(white, model.output_names)
+    calm = NoiseModel.white_only(noise_of(model), model.output_names)
     if sea.startswith("swell="):
         swell = Swell.of(sea, {"bandwidth": USUAL_WIDTH, **(sizes or {})})
         return replace(calm, seas=(swell.sea(model, tuple(runs) or known),))
@@ -235,9 +234,7 @@ def _in_words(
 
 def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:
     """The sensors' noise with the forces that a saved fit has estimated."""
-    fit = Fit.load(path)
-    found = fit.noise
-    if found is None or not found.has_forces:
+    if (found := Fit.load(path).noise) is None or not found.has_forces:
         raise DesignError(
             f"The fit {path!r} found no disturbance forces. Say still, or take the fit of a record "
             "in such a sea."
@@ -449,11 +446,9 @@ class Swell:
                 f"{model.name!r} has an equation of {unknown[0]!r}. Give levels by equation."
             )
         straight, commands = _straight(model, runs)
-        speed = straight.get("u")
-        if speed is None:
+        if (speed := straight.get("u")) is None:
             speed = self._known(model, "speed", self.speed, "speed=1.5")
-        depth = straight.get("z", 0.0)
-        if not depth > 0:
+        if not (depth := straight.get("z", 0.0)) > 0:
             depth = 0.5 * self._known(model, "draught", self.draught, "draught=0.4")
         water = self._water(self._known(model, "length", self.length, "length=7"), depth)
         wide = with_disturbance_inputs(model, place)

@@ -237,11 +237,10 @@ def rank_parameters(
     moved = np.vstack(
         [np.hstack([_signals(model, play, model.state_names), play.inputs]) for play in played]
     )
-    known = {p.name: p.prior_spread for p in model.free_parameters if p.prior_spread}
     subset = identifiable_subset(
         expected.joint(factors, None),
         model.values,
-        assumed=known,
+        assumed={p.name: p.prior_spread for p in model.free_parameters if p.prior_spread},
         motions=dict(zip((*model.state_names, *model.input_names), moved.T, strict=True)),
     )
     return SensitivityRanking(

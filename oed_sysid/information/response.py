@@ -292,8 +292,7 @@ class Innovations:
         # A disturbance is random, and no parameter to be estimated.
         free = tuple(name for name in model.free_names if name not in self.disturbances)
         values = wide.value_vector
-        nominal = kernel.simulate(play.times, play.inputs, values, play.initial)
-        if not nominal.ok:
+        if not (nominal := kernel.simulate(play.times, play.inputs, values, play.initial)).ok:
             raise DesignError(
                 f"Run {play.name!r} diverges under model {model.name!r}. Make it smaller or "
                 "shorter."

@@ -243,8 +243,7 @@ class CourseControl(Control):
                 f"explains {share(self.evidence.explained)} of the rudder's variance, rms "
                 f"{DEGREE * self.evidence.rms:.2g} deg left"
             )
-        table = Table(("", "value", "std error"), rows)
-        section = Section("Law", explained, (table,), indent=2)
+        section = Section("Law", explained, (Table(("", "value", "std error"), rows),), indent=2)
         return Report(f"course law of {self.input}", sections=(section,))
 
     report = as_text
@@ -434,8 +433,7 @@ class ZigzagControl(Control):
 
     def drawn(self, rng: np.random.Generator) -> ZigzagControl:
         """Law with numbers drawn from their uncertainty; itself where it was given."""
-        known = self.evidence
-        if known is None:
+        if (known := self.evidence) is None:
             return self
         orders = self.orders + np.nan_to_num(known.orders) * rng.standard_normal(len(self.orders))
         moved = rng.standard_normal(len(self.reversals))
@@ -650,8 +648,7 @@ def _lost(record: Record, drawn: np.ndarray, heading: str) -> str:
         return ""
     column = record.channels.output_names.index(heading)
     amplitude = np.nanstd(record.outputs[:, column])
-    beyond = np.flatnonzero(drawn[:, :, column].std(axis=0) > LOST * amplitude)
-    if not beyond.size:
+    if not (beyond := np.flatnonzero(drawn[:, :, column].std(axis=0) > LOST * amplitude)).size:
         return ""
     return (
         f"From {record.times[beyond[0]] - record.times[0]:.4g} s on the draws differ by more than "
@@ -689,8 +686,7 @@ def _run(
     memory, last = control.start(), inputs[0, column]
     noisy = sigma * control.noise_share
     loose = control.disturbance(len(times), rng) if sigma.any() else np.zeros(len(times))
-    first = compiled.run(times[:2], inputs[:2], values, state)
-    seen = first.outputs[0]
+    seen = compiled.run(times[:2], inputs[:2], values, state).outputs[0]
     for k in range(len(times) - 1):
         outputs[k] = seen
         sensed = seen + noisy * rng.standard_normal(len(sigma))

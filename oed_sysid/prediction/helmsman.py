@@ -155,11 +155,10 @@ class _Equations:
             right[:, column] += inverse * self.measured[:, column]
         # Lower band: element (i, j) of the matrix stands at [i - j, j].
         band = np.zeros((6, 3 * self.n))
-        for i in range(3):
-            for j in range(3):
-                if i >= j:
-                    band[i - j, j::3] = diagonal[:, i, j]
-                band[3 + i - j, j : 3 * (self.n - 1) : 3] -= before[:, i, j]
+        for i, j in np.ndindex(3, 3):
+            if i >= j:
+                band[i - j, j::3] = diagonal[:, i, j]
+            band[3 + i - j, j : 3 * (self.n - 1) : 3] -= before[:, i, j]
         factor = cholesky_banded(band, lower=True)
         states = cho_solve_banded((factor, True), right.ravel()).reshape(self.n, 3)
         misfit = np.where(self.seen, self.measured - states[:, :2], 0.0) / noise

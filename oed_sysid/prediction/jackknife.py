@@ -177,8 +177,7 @@ def leave_out(
         fit = fitted(data)
         return fit.values if purpose is None else purpose(fit)
 
-    whole = {name: float(value) for name, value in wanted(dataset).items()}
-    if not whole:
+    if not (whole := {name: float(value) for name, value in wanted(dataset).items()}):
         raise ModelError("Nothing is wanted: no parameter is free, or purpose returns nothing.")
     without: dict[str, np.ndarray] = {}
     for left in dataset.names:

@@ -349,8 +349,7 @@ def average_structures(
 def _weights(found: Sequence[Transfer]) -> np.ndarray:
     """Share of each structure by its score; structures that give nothing, or others, are said."""
     scores = np.array([one.score for one in found])
-    best = min(scores)
-    if not math.isfinite(best):
+    if not math.isfinite(best := min(scores)):
         raise ModelError(
             "No structure gives the wanted quantities: "
             + "; ".join(f"{one.name}: {one.note or 'not finite'}" for one in found)
@@ -463,8 +462,7 @@ class _Judge:
         compiled, values = kernel(held), held.value_vector
         total, count = 0.0, 0
         for part in (part for record in dataset for part in record.segments(self.horizon)):
-            own = first_state(held, part)
-            run = compiled.simulate(part.times, part.inputs, values, own)
+            run = compiled.simulate(part.times, part.inputs, values, first_state(held, part))
             if not np.isfinite(run.outputs).all():
                 return math.inf, 1
             seen = np.isfinite(part.outputs)
