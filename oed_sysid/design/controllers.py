@@ -502,9 +502,8 @@ def write_overrides(
     changed = np.concatenate([[True], np.any(np.diff(pulses, axis=0) != 0, axis=1)])
     changed[-1] = True
     table = np.column_stack([np.rint(1000.0 * (times - times[0])), pulses])[changed]
-    names = ["time [ms]", *(f"chan{channel}_raw [us]" for channel in channels)]
     place = Path(path)
-    write_table(place, names, table)
+    write_table(place, ["time [ms]", *(f"chan{channel}_raw [us]" for channel in channels)], table)
     return place
 
 

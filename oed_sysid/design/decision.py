@@ -456,7 +456,8 @@ def decide(
     if needs_check or not outlook.is_met:
         outlook, chosen, safe = outlook.safe_run(limits, certainty, rng, check=needs_check)
     next_run, then, steps = outlook.plan(chosen, check=needs_check)
-    action = _action(outlook.is_met, needs_check, contradiction is not None, next_run, hours)
+    contradicted = contradiction is not None
+    action = outlook.action(next_run, hours, contradicted=contradicted, check=needs_check)
     return Decision(
         model=expected.model,
         action=action,
@@ -470,21 +471,6 @@ def decide(
         assurance=safe,
         contradiction=contradiction,
     )
-
-
-def _action(
-    is_met: bool,
-    needs_check: bool,
-    contradicted: bool,
-    next_run: Candidate | None,
-    hours: float | None,
-) -> str:
-    """What to do; see :class:`Decision`."""
-    if is_met and not needs_check:
-        return "contradicted" if contradicted else "enough"
-    if next_run is None:
-        return "unchecked" if needs_check else "useless"
-    return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
 
 
 def _contradiction(fit: Fit | Model, goals: Sequence[Goal]) -> Contradiction | None:
@@ -611,6 +597,16 @@ class _Outlook:
             return None, self.now, []
         steps = [chosen] if check else self.path()
         return self.runs[chosen], self.deviations(self.told[chosen]), steps
+
+    def action(
+        self, next_run: Candidate | None, hours: float | None, *, contradicted: bool, check: bool
+    ) -> str:
+        """What to do; see :class:`Decision`."""
+        if self.is_met and not check:
+            return "contradicted" if contradicted else "enough"
+        if next_run is None:
+            return "unchecked" if check else "useless"
+        return "no time" if hours is not None and next_run.cost > 3600.0 * hours else "go on"
 
     def path(self) -> list[int]:
         """Runs, one after the other, until the goals are met, or nothing helps."""

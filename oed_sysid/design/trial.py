@@ -308,8 +308,7 @@ class Task:
         allowed = int(_STRICTER * share * grown)
         # Without progress by counting, none may fail any more.
         n_waived = allowed if allowed < grown else 0
-        wider = replace(self, scenarios=(*self.scenarios, *more), n_waived=n_waived)
-        return wider._with_waves(rng)
+        return replace(self, scenarios=(*self.scenarios, *more), n_waived=n_waived)._with_waves(rng)
 
     def _with_waves(self, rng: np.random.Generator) -> Task:
         """The task whose uncertain vehicles meet waves, each its own, where any are expected."""

@@ -372,8 +372,28 @@ class ReverseSpiral(base.Stepwise, base.Timed):
         return self.start + self.hold * len(self.rates)
 
     def controller(self) -> base.Controller:
-        """Return a fresh controller."""
-        return _RateSteering(self)
+        """Return a fresh controller: proportional-integral steering."""
+        edges = self.start + self.hold * np.arange(len(self.rates))
+        # No time has elapsed at the first sample.
+        integral, before, order = 0.0, math.inf, self.neutral
+
+        def command(time: float, signals: Mapping[str, float]) -> float:
+            nonlocal integral, before, order
+            leg = int(interval(np.array([time]), edges)[0]) - 1
+            if leg < 0:
+                return self.neutral
+            measured = measured_signal(self.input, self.feedback[0], signals)
+            elapsed, before = max(time - before, 0.0), time
+            if math.isnan(measured):  # no new measurement: keep the command
+                return order
+            error = self.sign * self.gain * (self.rates[leg] - measured)
+            # An integral beyond the limit could not be undone in time (windup).
+            summed = integral + error * elapsed / self.reset_time
+            integral = float(np.clip(summed, -self.limit, self.limit))
+            order = self.neutral + float(np.clip(error + integral, -self.limit, self.limit))
+            return order
+
+        return base.Law(command)
 
     def describe(self) -> str:
         """Return one line in words."""
@@ -381,35 +401,6 @@ class ReverseSpiral(base.Stepwise, base.Timed):
             f"reverse spiral of {self.input}: {len(self.rates)} values of {self.feedback[0]}, "
             f"{self.hold:g} s each"
         )
-
-
-class _RateSteering(base.Controller):
-    """Proportional-integral steering of a sequence of yaw rates."""
-
-    def __init__(self, settings: ReverseSpiral) -> None:
-        self._settings = settings
-        self._edges = settings.start + settings.hold * np.arange(len(settings.rates))
-        self._integral = 0.0
-        self._time: float | None = None
-        self._command = settings.neutral
-
-    def command(self, time: float, signals: Mapping[str, float]) -> float:
-        settings = self._settings
-        leg = int(interval(np.array([time]), self._edges)[0]) - 1
-        if leg < 0:
-            return settings.neutral
-        measured = measured_signal(settings.input, settings.feedback[0], signals)
-        elapsed = 0.0 if self._time is None else time - self._time
-        self._time = time
-        if math.isnan(measured):  # no new measurement: keep the command
-            return self._command
-        error = settings.sign * settings.gain * (settings.rates[leg] - measured)
-        integral = self._integral + error * elapsed / settings.reset_time
-        # An integral beyond the limit could not be undone in time (windup).
-        self._integral = float(np.clip(integral, -settings.limit, settings.limit))
-        swing = float(np.clip(error + self._integral, -settings.limit, settings.limit))
-        self._command = settings.neutral + swing
-        return self._command
 
 
 @dataclass(frozen=True)

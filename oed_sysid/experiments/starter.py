@@ -149,8 +149,7 @@ def _write_template(place: Path, template: str, words: dict[str, str]) -> None:
     problem = load_problem(place / FILE)
     runs = [run for run in problem.experiments if run != kind.get("test")]
     words = words | kind | {"train": " ".join(f"{words['folder']}/data/{r}.csv" for r in runs)}
-    page = _filled_template("readme" if kind else "generic_readme", words)
-    write_text(place / "README.md", page)
+    write_text(place / "README.md", _filled_template("readme" if kind else "generic_readme", words))
     rng = np.random.default_rng(20240229)  # example data is the same wherever it is made
     true = problem.true_model()
     for experiment in problem.experiments.values():

@@ -138,9 +138,8 @@ def simulate_inputs(
     if moments.ndim != 1 or len(moments) < 2 or not np.all(np.diff(moments) > 0):
         raise SimulationError("Times have to be two or more, increasing strictly. Sort them.")
     commands = input_array(model, len(moments), inputs)
-    values = model.value_vector
-    runner = kernel(model)
-    run = runner.simulate(moments, commands, values, start_array(model, initial))
+    own = start_array(model, initial)
+    run = kernel(model).simulate(moments, commands, model.value_vector, own)
     trajectory = Trajectory(
         times=moments,
         inputs=commands,

@@ -287,8 +287,7 @@ def identifiable_subset(
     wrong = np.array([(assumed or {}).get(name, np.nan) for name in names]) / sizes
     wrong = np.where(np.isfinite(wrong), wrong, ASSUMED)
     errors = wrong if largest_error is None else np.full(len(names), largest_error)
-    search = _Search(relative / np.where(norms > 0, norms, 1.0), norms, limit, errors)
-    chosen = search.best()
+    chosen = _Search(relative / np.where(norms > 0, norms, 1.0), norms, limit, errors).best()
     places = [_place(relative, names, chosen, index, wrong[index]) for index in range(len(names))]
     places.sort(key=lambda place: (not place.free, place.error))
     reasons = [
@@ -619,13 +618,12 @@ def structural_identifiability(
     # Rank may drop at special values; the largest one met is that of almost all values.
     best = max(found, key=lambda information: information.rank)
     _, values, _, _ = best._svd
-    margin = values[best.rank - 1] / values[0] if best.rank else 0.0
     return Structure(
         names,
         best.rank,
         tuple(information.rank for information in found),
         best.null_directions(),
-        float(margin),
+        float(values[best.rank - 1] / values[0] if best.rank else 0.0),
         n_runs,
     )
 

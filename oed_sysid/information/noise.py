@@ -104,7 +104,6 @@ def noise_of(
     >>> noise_of(load_problem("nomoto_sparse_heading").model, {"psi": 0.01})
     array([0.01])
     """
-    names = model.output_names
     stds: dict[str, float | None] = {o.name: o.noise_std for o in model.outputs}
     stds |= {**_by_output(model, levels), **(changed or {})}
     for name, std in stds.items():
@@ -113,7 +112,7 @@ def noise_of(
                 f"The noise of {name!r} is {std}. Accuracy cannot be predicted without it: give "
                 f"Output(noise_std=...) or noise={{{name!r}: standard deviation}}."
             )
-    return np.array([stds[name] for name in names], dtype=float)
+    return np.array([stds[name] for name in model.output_names], dtype=float)
 
 
 def _by_output(model: Model, levels: Levels) -> Mapping[str, float]:
@@ -228,8 +227,7 @@ def _in_words(
     if wave is not None:
         named = dict(zip(places, levels.tolist(), strict=True))
         return replace(calm, seas=(Sea(period=wave, bandwidth=width, levels=named),))
-    times = np.full(len(levels), lasting)
-    return replace(calm, force=levels, force_time=times, places=places)
+    return replace(calm, force=levels, force_time=np.full(len(levels), lasting), places=places)
 
 
 def _of_fit(calm: NoiseModel, model: Model, path: str) -> NoiseModel:
@@ -287,9 +285,8 @@ def natural_forces(
 
     # One short step with and without each unit force: d x'/d w without asking for the masses.
     own = first.states[0, : len(model.states)]
-    still = after_a_step(np.zeros(n))
     moved = np.array([after_a_step(unit) for unit in np.eye(n)])
-    answer = np.abs(np.diag(moved - still)) / model.step
+    answer = np.abs(np.diag(moved - after_a_step(np.zeros(n)))) / model.step
     if not np.all(answer > 0):
         blind = found[int(np.argmin(answer))].name
         raise DesignError(f"A random {blind} moves nothing in model {model.name!r}. Give levels.")

@@ -177,9 +177,8 @@ def respond(model: Model, play: Play) -> Response:
     >>> respond(ship.model, play).jacobian.shape
     (4001, 1, 4)
     """
-    runner = kernel(model)
     values = model.value_vector
-    run = runner.simulate(play.times, play.inputs, values, play.initial, sensitivities=True)
+    run = kernel(model).simulate(play.times, play.inputs, values, play.initial, sensitivities=True)
     if not run.ok or run.output_sensitivities is None:
         # The simulator says in words which state grew and what to do.
         simulate_inputs(model, play.times, inputs=play.inputs, initial=play.initial)

@@ -152,8 +152,7 @@ class Shifts:
         """
         found = np.empty((*outputs.shape, len(self)))
         for position, rival in enumerate(self.models):
-            values = rival.value_vector
-            run = kernel(rival).simulate(play.times, play.inputs, values, play.initial)
+            run = kernel(rival).simulate(play.times, play.inputs, rival.value_vector, play.initial)
             if not run.ok:
                 name = next(g.name for g in self.groups if position in g.columns)
                 raise SimulationError(

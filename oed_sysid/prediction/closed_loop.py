@@ -559,17 +559,15 @@ class ClosedLoop:
     def rms(self, *, open_loop: bool = False) -> dict[str, float]:
         """Rms error of each output."""
         errors = self.record.residuals(self.open_loop if open_loop else self.outputs)
-        names = self.record.channels.output_names
         size = np.sqrt(np.nanmean(errors**2, axis=0))
-        return dict(zip(names, map(float, size), strict=True))
+        return dict(zip(self.record.channels.output_names, map(float, size), strict=True))
 
     def coverage(self) -> dict[str, float]:
         """Share of the measurements within the 95 % band, by output."""
         inside = (self.record.outputs >= self.lower) & (self.record.outputs <= self.upper)
         seen = np.isfinite(self.record.outputs) & np.isfinite(self.lower)
-        names = self.record.channels.output_names
         share = [float(inside[s, i].mean()) if s.any() else math.nan for i, s in enumerate(seen.T)]
-        return dict(zip(names, share, strict=True))
+        return dict(zip(self.record.channels.output_names, share, strict=True))
 
     def document(self) -> Report:
         """Return errors in and out of the loop as a table."""

@@ -64,9 +64,8 @@ def draw(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:
     for name in fit.local_values[0] if fit.local_values else ():
         spread = np.std([local[name] for local in fit.local_values])
         table[:, position[name]] += spread * rng.standard_normal(len(shared))
-    lower = [parameter.lower for parameter in model.all_parameters]
-    upper = [parameter.upper for parameter in model.all_parameters]
-    return np.clip(table, lower, upper)
+    bounds = [(parameter.lower, parameter.upper) for parameter in model.all_parameters]
+    return np.clip(table, *np.reshape(bounds, (-1, 2)).T)
 
 
 def _shared(fit: Fit, n_draws: int, rng: np.random.Generator) -> np.ndarray:

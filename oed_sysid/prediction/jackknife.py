@@ -181,9 +181,8 @@ def leave_out(
         raise ModelError("Nothing is wanted: no parameter is free, or purpose returns nothing.")
     without: dict[str, np.ndarray] = {}
     for left in dataset.names:
-        rest = Dataset(tuple(record for record in dataset if record.name != left))
         try:
-            found = wanted(rest)
+            found = wanted(Dataset(tuple(record for record in dataset if record.name != left)))
         except OedSysidError:
             continue  # one fit fewer, which the factor of the variance counts
         row = np.array([found[name] for name in whole], dtype=float)

@@ -336,9 +336,8 @@ def average_structures(
     rungs = ladder(dataset, strength)
     judge = _Judge(dataset, rungs, purpose, horizon, tests, tuple(scored), floor)
     found = [judge.transfer(one) for one in candidates]
-    weights = _weights(found)
     done = []
-    for candidate, each, weight in zip(candidates, found, weights, strict=True):
+    for candidate, each, weight in zip(candidates, found, _weights(found), strict=True):
         std = {}
         if weight >= LEAST_WEIGHT:
             std = leave_out(candidate.fit, dataset, purpose).std_errors

@@ -300,10 +300,8 @@ def _check(
             f"rudder is {rudder:g}, an angle in rad of at most a quarter of a turn. If these are "
             f"degrees, give math.radians({rudder:g}), which is {math.radians(rudder):.2g}."
         )
-    in_metres = above_zero("Give the length of the ship in m, or None.")
-    in_rad = above_zero("Give rad/s, or None for a rudder that jumps.")
-    optional(in_metres)(owner, "length", length)
-    optional(in_rad)(owner, "rate", rate)
+    optional(above_zero("Give the length of the ship in m, or None."))(owner, "length", length)
+    optional(above_zero("Give rad/s, or None for a rudder that jumps."))(owner, "rate", rate)
     if n_draws < 0:
         raise ModelError(f"n_draws is {n_draws}. Give 0 for none, or their number.")
 
@@ -342,8 +340,7 @@ def _unsteady(model: Model, steered: str, trim: float, start: Mapping[str, float
     """A sentence about a speed of approach that the propulsion does not keep."""
     if "u" not in model.state_names:
         return []
-    sideways = ("psi", *TURNING)
-    held = {name: start.get(name, 0.0) for name in sideways if name in model.state_names}
+    held = {name: start.get(name, 0.0) for name in ("psi", *TURNING) if name in model.state_names}
     added = model.all_state_names[len(model.states) :]
     try:
         found = equilibrium(
