@@ -255,7 +255,9 @@ def _bench(task: Task) -> Bench:
 
 def _worth(task: Task, score: Score) -> float:
     """Criterion under the noise that is expected; a search sees white noise."""
-    return score.value if task.expected.sea is None else task.worth(score.commands)
+    if task.expected.sea is None:
+        return score.value
+    return task.expected.worth(task.experiment(score.commands))
 
 
 @dataclass(frozen=True, eq=False)
@@ -301,13 +303,13 @@ def _searched(
             "it is unstable on its own. Design a shorter run, or in Python a closed loop, "
             "search=Search(family=ZigZags(...))."
         )
-    found = refine_all(objective, first, n_steps=search.n_steps, progress=progress, keep=keep)
-    if found.best is None:
-        raise DesignError(_infeasible(task, found.nearest))
-    best = found.best
-    if task.expected.sea is not None and len(found.others) > 1:
-        best = max(found.others, key=partial(_worth, task))
-    return _Found(best, task.experiment(best.commands), found.values, objective.n_evaluations)
+    reached, nearest, values = refine_all(
+        objective, first, n_steps=search.n_steps, progress=progress, keep=keep
+    )
+    if not reached:
+        raise DesignError(_infeasible(task, nearest))
+    best = max(reached, key=partial(_worth, task))
+    return _Found(best, task.experiment(best.commands), values, objective.n_evaluations)
 
 
 def _closed(task: Task, family: ZigZags, objective: Objective) -> _Found:

@@ -179,28 +179,6 @@ class Progress:
     excess: float
 
 
-@dataclass(frozen=True, eq=False)
-class SearchResult:
-    """Best member that keeps all limits, and how the search went.
-
-    Attributes
-    ----------
-    best : Score or None
-        None where nothing keeps the limits.
-    nearest : Score
-        Smallest excess met, for words about what cannot be kept.
-    values : tuple of float
-        Criterion reached from each start.
-    others : tuple of Score
-        What was reached from each start and keeps the limits, the best included.
-    """
-
-    best: Score | None
-    nearest: Score
-    values: tuple[float, ...]
-    others: tuple[Score, ...] = ()
-
-
 class _Progressed:
     """Where a refinement stands: the present member, the best, and the bounds of its steps."""
 
@@ -328,7 +306,7 @@ def refine_all(
     n_steps: int,
     progress: Callable[[Progress], None] | None,
     keep: Journal,
-) -> SearchResult:
+) -> tuple[tuple[Score, ...], Score, tuple[float, ...]]:
     """Refine several starts roughly, the best one further, by sequential linear programming.
 
     Parameters
@@ -344,6 +322,16 @@ def refine_all(
         Called with a :class:`Progress` after each step.
     keep : Journal
         Keeps every refined start, and where the search stands within one.
+
+    Returns
+    -------
+    reached : tuple of Score
+        What was reached from each start and keeps the limits, the best last; empty where nothing
+        does.
+    nearest : Score
+        Smallest excess met, for words about what cannot be kept.
+    values : tuple of float
+        Criterion reached from each start.
 
     References
     ----------
@@ -382,7 +370,7 @@ def refine_all(
     values = tuple(-np.inf if found is None else found.value for found in reached)
     nearest = min((*begin, *closest), key=lambda score: score.excess)
     if not rough:
-        return SearchResult(None, nearest, values)
+        return (), nearest, values
     best = max(rough, key=lambda score: score.value)
     for number in range(len(begin), len(begin) + 3):
         # From slightly smaller commands other corners come within reach.
@@ -390,4 +378,4 @@ def refine_all(
         start = best if first else objective.score(inner)
         found = refined(number, start, 2 * n_steps)[0] if start.evaluations else None
         best = max(filter(None, (best, found)), key=lambda score: score.value)
-    return SearchResult(best, nearest, values, (*rough, best))
+    return (*rough, best), nearest, values

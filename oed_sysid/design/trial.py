@@ -287,10 +287,6 @@ class Task:
             limits=trial.limits,
         )  # fmt: skip
 
-    def worth(self, commands: np.ndarray) -> float:
-        """Criterion of commands ``(n_times, n_inputs)`` under the noise that is expected."""
-        return self.expected.worth(self.experiment(commands))
-
     def stricter(self, found: Assurance, rng: np.random.Generator) -> Task:
         """Return the task with more uncertain vehicles, of which fewer may fail.
 
