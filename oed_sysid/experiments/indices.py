@@ -238,8 +238,7 @@ def zigzag_indices(
     overshoots, check_times = zip(*peaks, strict=True)
     track = None
     if speed is not None:
-        _, speeds = columns(times, speed=speed)
-        track = travelled(moments, speeds, executes[0], executes[1])
+        track = travelled(moments, columns(times, speed=speed)[1], *executes[:2])
     turned_back = executes[1] + check_times[0]
     back = first_reach(moments, -side * (angle - original), 0.0, after=turned_back)
     return ZigZagIndices(
@@ -334,10 +333,7 @@ def turning_indices(
     assert quarter is not None  # the turn is longer
     assert half is not None
     track_north, track_east = np.gradient(north, moments), np.gradient(east, moments)
-    if speed is None:
-        speeds = np.hypot(track_north, track_east)
-    else:
-        _, speeds = columns(times, speed=speed)
+    speeds = np.hypot(track_north, track_east) if speed is None else columns(times, speed=speed)[1]
 
     radius = ratio = drift = None
     steady = during & (side * change >= steady_from)
