@@ -508,7 +508,6 @@ class _Outlook:
     matrix: np.ndarray
     told: tuple[np.ndarray, ...]
     runs: tuple[Candidate, ...]
-    costs: np.ndarray
     rows: tuple[np.ndarray, ...]
     wanted: np.ndarray
     refused: Sequence[int] = ()
@@ -519,13 +518,13 @@ class _Outlook:
     ) -> _Outlook:
         """Return the outlook, without runs that diverge on what is known now."""
         # Before their time: what the runs would tell does not depend on which is taken.
-        each = [*map(expected.told().matrix, (run.experiment for run in candidates))]
-        finite = [i for i, one in enumerate(each) if one is not None]
+        told = expected.told()
+        each = ((run, told.matrix(run.experiment)) for run in candidates)
+        finite = [(run, expected.relative(one)) for run, one in each if one is not None]
         rows = (goal.rows(expected.model, expected.names) * expected.scales() for goal in goals)
         return cls(
-            expected, expected.total(None), tuple(expected.relative(each[i]) for i in finite),  # type: ignore[arg-type]
-            tuple(candidates[i] for i in finite),
-            np.array([candidates[i].cost for i in finite]), tuple(rows),
+            expected, expected.total(None), tuple(one for _, one in finite),
+            tuple(run for run, _ in finite), tuple(rows),
             np.array([goal.tolerance for goal in goals]),
         )  # fmt: skip
 
@@ -565,7 +564,7 @@ class _Outlook:
             # What is nearly met needs little: a run that meets it is worth its fuel all the same.
             meets = (then > self.wanted).sum(axis=-1) < (now > self.wanted).sum()
             worth = (gains > WORTH) | meets
-        order = np.argsort(-gains / self.costs[left], kind="stable")
+        order = np.argsort(-gains / [self.runs[i].cost for i in left], kind="stable")
         return [left[int(i)] for i in order if worth[i]]
 
     def safe_run(
@@ -625,7 +624,7 @@ class _Outlook:
         after = self.deviations(sum((self.told[i] for i in steps), np.zeros_like(self.matrix)))
         if not np.all(after <= self.wanted):
             return float("inf")
-        return float(self.costs[list(steps)].sum()) / 3600.0
+        return float(np.sum([self.runs[i].cost for i in steps])) / 3600.0
 
 
 def goals_of(model: Model, given: Mapping[str, float]) -> tuple[ParameterGoal, ...]:

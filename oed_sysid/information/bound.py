@@ -141,17 +141,17 @@ class RunInformation:
     def factor(self, play: Play) -> np.ndarray:
         """Factor of one run on the shared parameters and absent effects, ``(n, n)``."""
         model = self._model
+        if self._outputs is not None:
+            measured = [name in self._outputs for name in model.output_names]
+            play = replace(play, present=play.present & measured)
         moved = None if self._shifts is None else partial(self._shifts.columns, play)
         if self._innovations is not None:
-            rows = self._innovations.rows(play, outputs=self._outputs, changes=moved)
-            return eliminated(model, rows, self._start)
-        response, present = respond(model, play), play.present
-        if self._outputs is not None:
-            present = present & [name in self._outputs for name in model.output_names]
+            return eliminated(model, self._innovations.rows(play, moved), self._start)
+        response = respond(model, play)
         jacobian, sigma = response.jacobian, noise_of(model, self._levels, changed=play.noise)
         if moved is not None:
             jacobian = np.concatenate([jacobian, moved(response.outputs)], axis=2)
-        white = np.where(present[:, :, None], jacobian / sigma[:, None], 0.0)
+        white = np.where(play.present[:, :, None], jacobian / sigma[:, None], 0.0)
         return eliminated(model, white.reshape(-1, white.shape[2]), self._start)
 
     def matrix(self, run: Run) -> np.ndarray | None:

@@ -252,11 +252,7 @@ class Innovations:
         return cls(model, noise, disturbed_model(model, names), names)
 
     def rows(
-        self,
-        play: Play,
-        *,
-        outputs: Sequence[str] | None = None,
-        changes: Callable[[np.ndarray], np.ndarray] | None = None,
+        self, play: Play, changes: Callable[[np.ndarray], np.ndarray] | None = None
     ) -> np.ndarray:
         """Derivatives of the innovations of one run, in units of their standard deviations.
 
@@ -264,8 +260,6 @@ class Innovations:
         ----------
         play : Play
             Inputs and start of the run.
-        outputs : sequence of str, optional
-            Outputs that are measured; by default all.
         changes : callable, optional
             What else may move the outputs, ``(n_times, n_outputs, n_changes)`` of those without
             noise ``(n_times, n_outputs)``; each is put through the same filter.
@@ -299,8 +293,6 @@ class Innovations:
         # Fed with what the model says, innovations vanish and their derivatives are those at the
         # truth.
         measured = np.where(play.present, nominal.outputs, np.nan)
-        if outputs is not None:
-            measured[:, [name not in outputs for name in model.output_names]] = np.nan
         along = Along(
             play.times, play.inputs, values, play.initial, measured, random, longest_step=held
         )
