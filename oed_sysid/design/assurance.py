@@ -454,9 +454,7 @@ class PredictedTracks:
         low = np.quantile(every.min(axis=1), _TAIL, axis=0)
         high = np.quantile(every.max(axis=1), 1 - _TAIL, axis=0)
         own = self.nominal
-        return np.column_stack(
-            [np.minimum(low, own.min(axis=0)), np.maximum(high, own.max(axis=0))]
-        )
+        return np.array([np.minimum(low, own.min(axis=0)), np.maximum(high, own.max(axis=0))]).T
 
     def words(self) -> list[str]:
         """Sea room in words, in metres and lengths of the vehicle."""

@@ -98,9 +98,8 @@ def played(model: Model, experiment: Experiment) -> Experiment:
         return experiment
     run = trajectory_of(model, experiment)
     columns = dict(zip(model.input_names, run.inputs.T, strict=True))
-    tables = [
-        as_piecewise(one.input, run.times, columns[one.input]) for one in experiment.manoeuvres
-    ]
+    moved = [one.input for one in experiment.manoeuvres]
+    tables = (as_piecewise(name, run.times, columns[name]) for name in moved)
     return replace(experiment, manoeuvre=tuple(tables))
 
 

@@ -134,9 +134,7 @@ def _largest(
 ) -> list[Score]:
     """Shrink a manoeuvre towards the neutral command until all limits are kept."""
     # Towards the neutral command, at which nothing moves and most limits are kept.
-    still = objective.shape.start(
-        np.broadcast_to(grid.neutral, (len(grid.times), len(grid.inputs)))
-    )
+    still = objective.shape.start(np.tile(grid.neutral, (len(grid.times), 1)))
     if still is None:
         score = objective.score(numbers, with_scenarios=with_scenarios)
         return [score] if np.isfinite(score.value) else []

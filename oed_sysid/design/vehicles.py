@@ -617,9 +617,8 @@ class Scenarios:
 
     def level(self, runs: Sequence[ScenarioRun]) -> float:
         """Largest excess, waived vehicles left out; below zero if the others are inside."""
-        return max(
-            (run.excess for i, run in enumerate(runs) if i not in self._waived), default=-np.inf
-        )
+        kept = (run.excess for i, run in enumerate(runs) if i not in self._waived)
+        return max(kept, default=-np.inf)
 
     def decisive(self, runs: Sequence[ScenarioRun]) -> list[int]:
         """Vehicles nearest to their limits, without those that are waived."""

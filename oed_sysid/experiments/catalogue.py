@@ -228,9 +228,7 @@ def _syntax(file: Path, error: SyntaxError) -> str:
 
 def _place(file: Path, error: BaseException) -> str:
     """File and line of the problem's own folder that an exception came from."""
-    frames = [
-        frame
-        for frame in traceback.extract_tb(error.__traceback__)
-        if Path(frame.filename).parent == file.parent
-    ]
-    return f"{frames[-1].filename}, line {frames[-1].lineno}" if frames else str(file)
+    for frame in reversed(traceback.extract_tb(error.__traceback__)):
+        if Path(frame.filename).parent == file.parent:
+            return f"{frame.filename}, line {frame.lineno}"
+    return str(file)

@@ -289,9 +289,8 @@ class Experiment:
         if missing := [name for name in wanted if name not in known]:
             raise DesignError(self._no_command(missing))
         n_times = len(self.times)
-        return np.column_stack(
-            [np.broadcast_to(known[name], n_times) for name in wanted] or [np.empty((n_times, 0))]
-        )
+        columns = [np.broadcast_to(known[name], n_times) for name in wanted]
+        return np.column_stack([np.empty((n_times, 0)), *columns])
 
     def known_commands(self) -> dict[str, np.ndarray]:
         """Commands ``(n_times,)`` of the inputs that do not react, by name."""

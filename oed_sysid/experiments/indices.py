@@ -510,11 +510,8 @@ def _rate(
     times: FloatArray, rudder: FloatArray, ramps: Sequence[NDArray[np.intp]], moves: FloatArray
 ) -> tuple[float, float]:
     """Rate of the rudder on its ramps and its standard error; without ramps it jumps a sample."""
-    slopes = [
-        abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0]))
-        for ramp in ramps
-        if len(ramp) >= _FEWEST_HELD
-    ]
+    telling = [ramp for ramp in ramps if len(ramp) >= _FEWEST_HELD]
+    slopes = [abs(float(np.polyfit(times[ramp], rudder[ramp], 1)[0])) for ramp in telling]
     if not slopes:
         return float(np.max(moves / np.median(np.diff(times)))), 0.0
     return float(np.median(slopes)), 1.25 * float(np.std(slopes)) / math.sqrt(len(slopes))

@@ -730,6 +730,7 @@ class Multisine(base.OpenLoop, base.Timed):
     """
 
     kind: ClassVar[str] = "multisine"
+    rules: ClassVar[Mapping[str, Rule]] = {"frequencies": base.RULES["times"]}
     frequencies: Numbers
     _: KW_ONLY
     amplitudes: Numbers | None = None
@@ -738,9 +739,7 @@ class Multisine(base.OpenLoop, base.Timed):
 
     def _validate(self) -> None:
         owner = self._owner
-        lines = base.increasing(
-            owner, "frequencies", base.numbers(owner, "frequencies", self.frequencies)
-        )
+        lines = self.frequencies
         base.positive(owner, "first frequency", lines[0], "Use Constant for a mean value.")
         if self.amplitudes is None and self.peak is None:
             raise ModelError(f"{owner} has neither amplitudes nor a peak. Give one of them.")
@@ -754,7 +753,7 @@ class Multisine(base.OpenLoop, base.Timed):
                     f"{owner} has {len(lines)} frequencies but {len(values)} {name}. "
                     "Give one of each for every line."
                 )
-        self._set(frequencies=lines, amplitudes=sizes, phases=angles)
+        self._set(amplitudes=sizes, phases=angles)
         if self.peak is not None:
             factor = base.positive(owner, "peak", self.peak) / self.largest
             # Stored numbers that are already at the limit are kept as they are.

@@ -278,8 +278,6 @@ class _Loop:
     def _decide(self, sample: int, window: Run, row: int) -> list[float]:
         """Commands of the inputs that react, on what is seen in a row of a window."""
         noisy = window.outputs[row] + (0.0 if self.noise is None else self.noise[sample])
-        seen = {
-            name: float(window.states[row, i] if name in self.states else noisy[i])
-            for name, i in self.seen.items()
-        }
+        true = window.states[row]
+        seen = {n: float((true if n in self.states else noisy)[i]) for n, i in self.seen.items()}
         return list(command_all(self.controllers, float(self.times[sample]), seen).values())

@@ -342,9 +342,8 @@ class _Log:
     @cached_property
     def scales(self) -> dict[str, float]:
         """Size of every measured signal."""
-        return {
-            s.name: float(np.std(_without_gaps(self.times, s.values))) or 1.0 for s in self.states
-        }
+        spreads = ((s.name, np.std(_without_gaps(self.times, s.values))) for s in self.states)
+        return {name: float(spread) or 1.0 for name, spread in spreads}
 
     def parts(self) -> dict[str, str]:
         """What the template of a first model is filled with."""

@@ -313,9 +313,8 @@ def simulate_batch(
             f"Values have {n_parameters} columns; model {model.name!r} has the "
             f"{len(model.all_parameters)} parameters {', '.join(model.parameter_names)}."
         )
-    commands = [
-        input_array(model, len(moments), one) for one in _each(inputs, 3, n_batch, "sets of inputs")
-    ]
+    each = _each(inputs, 3, n_batch, "sets of inputs")
+    commands = [input_array(model, len(moments), one) for one in each]
     starts = [start_array(model, one) for one in _each(initials, 2, n_batch, "start states")]
     runner = kernel(model)
     outputs = np.full((n_batch, len(moments), len(model.outputs)), np.nan)

@@ -290,9 +290,8 @@ def identifiable_subset(
     chosen = _Search(relative / np.where(norms > 0, norms, 1.0), norms, limit, errors).best()
     places = [_place(relative, names, chosen, index, wrong[index]) for index in range(len(names))]
     places.sort(key=lambda place: (not place.free, place.error))
-    reasons = [
-        _reason(place, motions or {}) for place in places if not place.free and place.partners
-    ]
+    left_out = (place for place in places if not place.free and place.partners)
+    reasons = [_reason(place, motions or {}) for place in left_out]
     index = collinearity_index(information, [names[i] for i in chosen]) if chosen else 0.0
     return Subset(tuple(places), index, limit, tuple(reasons))
 
@@ -382,9 +381,8 @@ def _place(
     others = [i for i in chosen if i != index]
     own = relative[:, index]
     # With this parameter last, its standard error is that beside the set, everything else fixed.
-    bound = Information.from_jacobian(
-        [names[i] for i in (*others, index)], relative[:, [*others, index]]
-    )
+    order = [*others, index]
+    bound = Information.from_jacobian([names[i] for i in order], relative[:, order])
     # b of the docstring for a unit error: what the others do to imitate this parameter.
     change = np.linalg.lstsq(relative[:, others], own, rcond=None)[0] if others else np.zeros(0)
     rest = own - relative[:, others] @ change

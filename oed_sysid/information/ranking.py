@@ -419,10 +419,8 @@ def reduce_model(
     information = expected.joint([expected.factor(play) for play in played], None)
     n_samples = sum(int(play.present.sum()) for play in played)
     values = np.array([model.values[name] for name in information.names]) / information.scales
-    may = [
-        name not in keep and (one := model.parameter(name)).lower <= 0.0 <= one.upper
-        for name in information.names
-    ]
+    parameters = map(model.parameter, information.names)
+    may = [one.name not in keep and one.lower <= 0.0 <= one.upper for one in parameters]
     order = _dropping(information.factor, values, may)
     drops = tuple(
         Drop(information.names[i], cost, float(np.sqrt(cost / n_samples))) for i, cost in order

@@ -220,9 +220,8 @@ def smooth_heading(
     def fitted(first: np.ndarray, *sizes: float) -> np.ndarray:
         """Levels of the largest likelihood; those of size zero stay."""
         free = np.array(sizes) != 0
-        simplex = first[free] + np.vstack(
-            [np.zeros(free.sum()), np.diag(sizes)[np.ix_(free, free)]]
-        )
+        moved = np.array(sizes)[free]
+        simplex = first[free] + np.vstack([np.zeros(len(moved)), np.diag(moved)])
         start = first.copy()
 
         def value(some: np.ndarray) -> float:
