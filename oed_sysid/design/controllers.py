@@ -544,10 +544,8 @@ def write_bag(path: str | Path, model: Model, times: np.ndarray, inputs: np.ndar
     message = store.types[kind]
     make_folder(place.parent)
     with rosbag2.Writer(place, version=8) as writer:
-        links = [
-            writer.add_connection(f"{TOPIC}/{name}", kind, typestore=store)
-            for name in model.input_names
-        ]
+        topics = (f"{TOPIC}/{name}" for name in model.input_names)
+        links = [writer.add_connection(topic, kind, typestore=store) for topic in topics]
         for time, row in zip(times - times[0], inputs, strict=True):
             for link, value in zip(links, row, strict=True):
                 content = store.serialize_cdr(message(float(value)), kind)

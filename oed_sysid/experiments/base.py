@@ -22,6 +22,8 @@ from oed_sysid.runtime.display import plain
 
 #: Times and commands are floating-point sums: they count as equal within this share.
 ROUNDING = 1e-9
+#: Advice for sizes below zero, where ``first`` says the side.
+OTHER_SIDE = "Use first=-1 to begin to the other side."
 FloatArray = NDArray[np.float64]
 Numbers = Sequence[float] | FloatArray
 Waveform = Callable[[FloatArray], FloatArray]

@@ -67,10 +67,8 @@ class ZigZagIndices:
     def document(self) -> Report:
         """Return the numbers, angles in degrees."""
         overshoots = ", ".join(f"{math.degrees(angle):.2f}" for angle in self.overshoots)
-        turning = (
-            f"{self.initial_turning_time:.2f} s to "
-            f"{math.degrees(self.initial_turning_heading):.2f} deg"
-        )
+        heading = math.degrees(self.initial_turning_heading)
+        turning = f"{self.initial_turning_time:.2f} s to {heading:.2f} deg"
         return Report(
             "zigzag",
             head=(

@@ -20,7 +20,6 @@ from oed_sysid.experiments import base
 from oed_sysid.experiments.base import Numbers, Rule
 from oed_sysid.experiments.schedules import interval
 
-_OTHER_SIDE = "Use first=-1 to begin to the other side."
 _SWITCH = "It is the deviation at which the command reverses."
 # Amplitudes and switches of the swings, lead [s] and gain of the signal that is kept.
 Swings = tuple[tuple[float, ...], tuple[float, ...], float, float]
@@ -137,7 +136,7 @@ class ZigZag(_Reversing):
 
     kind: ClassVar[str] = "zigzag"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitude": base.above_zero(_OTHER_SIDE),
+        "amplitude": base.above_zero(base.OTHER_SIDE),
         "switch": base.above_zero(_SWITCH),
     }
     amplitude: float
@@ -217,7 +216,7 @@ class ZigZagLike(_Reversing):
 
     kind: ClassVar[str] = "zigzag_like"
     rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitudes": base.each_positive(_OTHER_SIDE),
+        "amplitudes": base.each_positive(base.OTHER_SIDE),
         "switches": base.each_positive(_SWITCH),
         "feedback": lambda owner, _, signals: base.feedback_of(owner, signals),
     }

@@ -226,9 +226,7 @@ class Pulses(Scheduled):
     """Alternating pulses of ``lengths`` in units of time, then neutral again."""
 
     lengths: ClassVar[tuple[int, ...]]
-    rules: ClassVar[Mapping[str, Rule]] = {
-        "amplitude": base.above_zero("Use first=-1 to begin to the other side.")
-    }
+    rules: ClassVar[Mapping[str, Rule]] = {"amplitude": base.above_zero(base.OTHER_SIDE)}
     amplitude: float
     first: int
 

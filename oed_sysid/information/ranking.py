@@ -418,18 +418,17 @@ def reduce_model(
     expected = RunInformation(model, noise)
     information = expected.joint([expected.factor(play) for play in played], None)
     n_samples = sum(int(play.present.sum()) for play in played)
-    values = np.array([model.values[name] for name in information.names]) / information.scales
-    parameters = map(model.parameter, information.names)
+    names = information.names
+    values = np.array([model.values[name] for name in names]) / information.scales
+    parameters = map(model.parameter, names)
     may = [one.name not in keep and one.lower <= 0.0 <= one.upper for one in parameters]
     order = _dropping(information.factor, values, may)
-    drops = tuple(
-        Drop(information.names[i], cost, float(np.sqrt(cost / n_samples))) for i, cost in order
-    )
+    drops = tuple(Drop(names[i], cost, float(np.sqrt(cost / n_samples))) for i, cost in order)
     # The first that is missed ends it: costs grow faster than the number of parameters.
     missed = (i for i, drop in enumerate(drops) if drop.cost > 2.0 * (i + 1))
     n_dropped = next(missed, len(drops))
-    names = [drop.name for drop in drops[:n_dropped]]
-    small = model.with_values(dict.fromkeys(names, 0.0)).fix(*names)
+    gone = [drop.name for drop in drops[:n_dropped]]
+    small = model.with_values(dict.fromkeys(gone, 0.0)).fix(*gone)
     named = replace(small, name=f"{model.name}, reduced")
     return Reduction(named, model, drops, n_dropped, n_samples)
 
