@@ -338,11 +338,10 @@ class _Prediction:
             raise DesignError("Name the manoeuvres to be predicted: manoeuvres=[Experiment(...)].")
         columns = [len(setting.model.states) + setting.model.free_names.index(n)
                    for n in setting.names]  # fmt: skip
-        rows = [
-            (respond(setting.model, play).jacobian[:, :, columns] / setting.sigma[:, None])
-            for play in plays(setting.model, self.manoeuvres)
-        ]
-        return np.vstack([r.reshape(-1, len(columns)) for r in rows]) * setting.scales
+        played = plays(setting.model, self.manoeuvres)
+        rows = np.concatenate([respond(setting.model, play).jacobian for play in played])
+        rows = rows[:, :, columns] / setting.sigma[:, None]
+        return np.asarray(rows.reshape(-1, len(columns)) * setting.scales)
 
 
 @dataclass(frozen=True)

@@ -829,10 +829,8 @@ _KEPT = [one.name for one in fields(Logbook) if one.name not in ("folder", "mode
 
 
 def _noise(data: Mapping[str, Any]) -> NoiseModel:
-    arrays = {
-        name: np.array(data[name], dtype=float)
-        for name in ("white", "colour", "force", "colour_time", "force_time")
-    }
+    levels = ("white", "colour", "force", "colour_time", "force_time")
+    arrays = {name: np.array(data[name], dtype=float) for name in levels}
     names = {name: tuple(data[name]) for name in ("outputs", "places")}
     seas = tuple(Sea(**sea) for sea in data.get("seas", ()))
     return NoiseModel(**arrays, **names, seas=seas)  # type: ignore[arg-type]

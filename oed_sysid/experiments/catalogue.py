@@ -136,11 +136,9 @@ def _load(file: Path) -> Problem:
         problem = getattr(module, "problem", None)
         if not isinstance(problem, Problem):
             raise ProblemError(f"{file} does not export 'problem'; {_found_instead(module, file)}.")
-        unsound = [
-            fault
-            for one in (problem, *problem.others.values())
-            for fault in faults(one.name, one.models, one.effects)
-        ]
+        unsound = list[str]()
+        for one in (problem, *problem.others.values()):
+            unsound += faults(one.name, one.models, one.effects)
         if unsound:
             more = f" ({len(unsound) - 1} more of this kind.)" if len(unsound) > 1 else ""
             raise ProblemError(f"{file}: {unsound[0]}{more}")

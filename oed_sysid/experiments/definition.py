@@ -535,17 +535,13 @@ def faults(name: str, models: Mapping[str, Model], effects: tuple[Effect, ...]) 
     effects : tuple of Effect
         Its candidates.
     """
-    found = [
-        f"Problem {name!r}, model {which!r}, {fault}"
-        for which, model in models.items()
-        for fault in _Units(model).faults
-    ]
-    nominal = next(iter(models.values()))
-    found += [f"Problem {name!r}, {fault}" for fault in effect_faults(effects, nominal)]
+    nominal, found = next(iter(models.values())), list[str]()
+    for which, model in models.items():
+        found += [f"model {which!r}, {fault}" for fault in _Units(model).faults]
+    found += effect_faults(effects, nominal)
     for effect in effects:
         found += [
-            f"Problem {name!r}, effect {effect.name!r}: {fault}. A candidate has to be absent "
-            "there."
+            f"effect {effect.name!r}: {fault}. A candidate has to be absent there."
             for fault in presence_at_zero(effect, nominal)
         ]
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(f"Problem {name!r}, {fault}" for fault in found))
