@@ -178,20 +178,20 @@ class ExpectedInformation:
         """Noise under which the information is taken."""
         return self.sigma if self.sea is None else self.sea
 
-    def scales(self, vehicle: Model | None = None) -> np.ndarray:
+    def scales(self) -> np.ndarray:
         """Units of the shared parameters, ``(n_names,)``."""
-        model = vehicle or self.model
-        return np.array([model.parameter(name).magnitude for name in self.names])
+        return np.array([self.model.parameter(name).magnitude for name in self.names])
 
-    def shifts_of(self, vehicle: Model) -> Shifts | None:
-        """Absent effects on a vehicle."""
-        return self.shifts if vehicle is self.model else _shifts(self.criterion, vehicle)
+    def on(self, vehicle: Model) -> ExpectedInformation:
+        """What is expected on another vehicle, and what absent effects do there."""
+        if vehicle is self.model:
+            return self
+        return replace(self, model=vehicle, shifts=_shifts(self.criterion, vehicle))
 
-    def measure(self, vehicle: Model | None = None, scales: np.ndarray | None = None) -> Measure:
+    def measure(self, scales: np.ndarray | None = None) -> Measure:
         """The criterion as a function of matrices in units of the parameters."""
-        model = vehicle or self.model
-        units = self.scales(model) if scales is None else scales
-        setting = Setting(model, self.names, units, self.sigma, self.shifts_of(model))
+        units = self.scales() if scales is None else scales
+        setting = Setting(self.model, self.names, units, self.sigma, self.shifts)
         return self.criterion.bind(setting)
 
     def relative(self, matrix: np.ndarray, scales: np.ndarray | None = None) -> np.ndarray:
@@ -200,20 +200,15 @@ class ExpectedInformation:
         units = np.concatenate([units, np.ones(matrix.shape[-1] - len(units))])
         return matrix * units[:, None] * units
 
-    def told(
-        self, vehicle: Model | None = None, outputs: Sequence[str] | None = None
-    ) -> RunInformation:
+    def told(self, outputs: Sequence[str] | None = None) -> RunInformation:
         """What single runs tell, nothing known before.
 
         Parameters
         ----------
-        vehicle : Model, optional
-            By default the nominal one.
         outputs : sequence of str, optional
             Outputs that are measured; by default all.
         """
-        model = vehicle or self.model
-        return RunInformation(model, self.expected, self.start, outputs, self.shifts_of(model))
+        return RunInformation(self.model, self.expected, self.start, outputs, self.shifts)
 
     def total(self, run: Experiment | None) -> np.ndarray:
         """Relative information after a run, or before it (None).

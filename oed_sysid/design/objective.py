@@ -34,7 +34,6 @@ from oed_sysid.design.vehicles import ScenarioRun, Scenarios
 from oed_sysid.design.waveforms import Shape
 from oed_sysid.experiments.trajectory import RUNAWAY
 from oed_sysid.information.bound import unknowns
-from oed_sysid.physics.model import Model
 from oed_sysid.runtime.threads import in_chunks
 
 
@@ -70,10 +69,9 @@ class VehicleInformation:
 
     Parameters
     ----------
-    model : Model
-        At these values.
     expected : ExpectedInformation
-        Criterion, noise, what is known before, and absent effects that the criterion asks for.
+        Model at these values, criterion, noise, what is known before, and absent effects that the
+        criterion asks for.
     times : ndarray (n_times,)
         Sample times, s.
     edges : ndarray of int (n_edges,)
@@ -83,16 +81,12 @@ class VehicleInformation:
     """
 
     def __init__(
-        self,
-        model: Model,
-        expected: ExpectedInformation,
-        times: np.ndarray,
-        edges: np.ndarray,
-        own: np.ndarray,
+        self, expected: ExpectedInformation, times: np.ndarray, edges: np.ndarray, own: np.ndarray
     ) -> None:
+        model = expected.model
         self.times, self.own, self.sigma = times, own, expected.raised * expected.sigma
-        self.measure, shifts = expected.measure(model), expected.shifts_of(model)
-        self.prior = expected.relative(expected.before, expected.scales(model))
+        self.measure, shifts = expected.measure(), expected.shifts
+        self.prior = expected.relative(expected.before)
         self.edges = np.ascontiguousarray(edges, dtype=np.intc)
         self.kernel = kernel(model)
         self.values = model.value_vector
@@ -315,9 +309,8 @@ class Objective:
     def __init__(self, task: Task, shape: Shape, n_workers: int = 1) -> None:
         self.task, self.shape, self.bounds = task, shape, task.bounds
         times, edges, own = task.grid.times, shape.edges, task.own
-        self.vehicles = [
-            VehicleInformation(model, task.expected, times, edges, own) for model in task.models
-        ]
+        each = map(task.expected.on, task.models)
+        self.vehicles = [VehicleInformation(expected, times, edges, own) for expected in each]
         self.scenarios = None
         if task.bounds.names and task.scenarios:
             self.scenarios = Scenarios(

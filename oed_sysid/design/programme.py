@@ -266,8 +266,8 @@ class _Planner:
         """
         missing = [run for run in runs if (id(run), outputs) not in self.known]
         told = [
-            list(map(self.expected.told(vehicle, outputs).matrix, (r.experiment for r in missing)))
-            for vehicle in (self.expected.model, *self.vehicles[: self.n_draws])
+            list(map(one.told(outputs).matrix, (run.experiment for run in missing)))
+            for one in map(self.expected.on, (self.expected.model, *self.vehicles[: self.n_draws]))
         ]
         for run, parts in zip(missing, zip(*told, strict=True), strict=True):
             found = [self.expected.relative(one, self.scales) for one in parts if one is not None]
@@ -290,7 +290,7 @@ class _Planner:
         library = Library(
             np.stack([matrix for _, matrix in there], axis=1),
             expected.relative(expected.before, self.scales), np.array([run.cost for run in kept]),
-            expected.criterion, expected.measure(scales=self.scales), self.seconds(subset),
+            expected.criterion, expected.measure(self.scales), self.seconds(subset),
             np.inf if self.budget.n_runs is None else self.budget.n_runs,
         )  # fmt: skip
         shares = weights(library)
