@@ -342,7 +342,7 @@ def average_structures(
         if weight >= LEAST_WEIGHT:
             std = leave_out(candidate.fit, dataset, purpose).std_errors
         done.append(replace(each, weight=float(weight), std=std))
-    return _averaged(done, rungs, len(dataset), floor)
+    return judge.averaged(done)
 
 
 def _weights(found: Sequence[Transfer]) -> np.ndarray:
@@ -364,31 +364,6 @@ def _weights(found: Sequence[Transfer]) -> np.ndarray:
     # Nothing is better than no error at all.
     raw = (scores / best) ** -4 if best > 0 else (scores == 0).astype(float)
     return np.asarray(raw / raw.sum())
-
-
-def _averaged(
-    done: Sequence[Transfer],
-    rungs: Sequence[tuple[tuple[str, ...], tuple[str, ...]]],
-    n_records: int,
-    floor: float,
-) -> StructureAverage:
-    """Mean of the structures by their weights, and the three parts of its variance."""
-    used = [one for one in done if one.weight > 0]
-    # Those too light for a jackknife are taken to scatter as the others do.
-    told = [one for one in used if one.std]
-    share, known = (np.array([one.weight for one in some]) for some in (used, told))
-    values, total, between, within = (dict[str, float]() for _ in range(4))
-    for name in used[0].values:
-        table = np.array([one.values[name] for one in used])
-        part = np.array([one.std[name] for one in told])
-        values[name] = float(share @ table)
-        between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
-        within[name] = float(np.sqrt(known @ part**2 / known.sum()))
-        # Variances of structures, records, and what no record tells, as if independent.
-        total[name] = math.hypot(between[name], within[name], floor * values[name])
-    heaviest = tuple(sorted(done, key=lambda one: -one.weight))
-    weaker = tuple(fitted for fitted, _ in rungs)
-    return StructureAverage(values, total, between, within, heaviest, weaker, n_records)
 
 
 @dataclass(frozen=True, eq=False)
@@ -494,3 +469,23 @@ class _Judge:
                     )
                 moved.append(one[name] / values[name] - 1.0)
         return moved
+
+    def averaged(self, done: Sequence[Transfer]) -> StructureAverage:
+        """Mean of the structures by their weights, and the three parts of its variance."""
+        used = [one for one in done if one.weight > 0]
+        # Those too light for a jackknife are taken to scatter as the others do.
+        told = [one for one in used if one.std]
+        share, known = (np.array([one.weight for one in some]) for some in (used, told))
+        values, total, between, within = (dict[str, float]() for _ in range(4))
+        for name in used[0].values:
+            table = np.array([one.values[name] for one in used])
+            part = np.array([one.std[name] for one in told])
+            values[name] = float(share @ table)
+            between[name] = float(np.sqrt(share @ (table - values[name]) ** 2))
+            within[name] = float(np.sqrt(known @ part**2 / known.sum()))
+            # Variances of structures, records, and what no record tells, as if independent.
+            total[name] = math.hypot(between[name], within[name], self.floor * values[name])
+        heaviest = tuple(sorted(done, key=lambda one: -one.weight))
+        weaker = tuple(fitted for fitted, _ in self.rungs)
+        n_records = len(self.dataset)
+        return StructureAverage(values, total, between, within, heaviest, weaker, n_records)
