@@ -598,7 +598,11 @@ def structural_identifiability(
 
     def at_random_values() -> Information | None:
         """Information of random runs at random values; None where none stays finite."""
-        drawn, factors = _draw(model, rng, spread), []
+        values = {}
+        for one in model.free_parameters:
+            centre = one.value or one.magnitude * rng.choice([-1.0, 1.0])
+            values[one.name] = centre * (1 + spread * rng.uniform(-1, 1))
+        drawn, factors = model.within_bounds(values), []
         for _ in range(n_runs):
             play = random_play()
             with suppress(SimulationError):
@@ -624,11 +628,3 @@ def structural_identifiability(
         float(values[best.rank - 1] / values[0] if best.rank else 0.0),
         n_runs,
     )
-
-
-def _draw(model: Model, rng: np.random.Generator, spread: float) -> Model:
-    values = {}
-    for parameter in model.free_parameters:
-        centre = parameter.value or parameter.magnitude * rng.choice([-1.0, 1.0])
-        values[parameter.name] = centre * (1 + spread * rng.uniform(-1, 1))
-    return model.within_bounds(values)
