@@ -158,14 +158,8 @@ def regression_form(model: Model) -> RegressionForm:
     )
     _check_measured(model, needed)
     _check_sensors(model, needed)
-    return RegressionForm(
-        model=model,
-        names=names,
-        equations=tuple(graph.state_names[i] for i in rows),
-        needed=needed,
-        graph=graph,
-        _function=function,
-    )
+    equations = tuple(graph.state_names[i] for i in rows)
+    return RegressionForm(model, names, equations, needed, graph, function)
 
 
 def _check_linear(model: Model, graph: Graph, slope: ca.SX, p_free: ca.SX) -> None:
@@ -350,7 +344,7 @@ def rows_of(
     """
     check_rule(rule, window)
     check_channels(form.model, dataset)
-    targets, regressors = [], []
+    pairs = []
     for record in dataset:
         states = states_of(form, record.outputs)
         given = None
@@ -361,10 +355,8 @@ def rows_of(
                     f"Exact rates of record {record.name!r} are missing or not of shape "
                     f"{states.shape}, one column for each of {', '.join(form.graph.state_names)}."
                 )
-        pair = rows_from(form, record.times, states, record.inputs, rule, window, given)
-        targets.append(pair[0])
-        regressors.append(pair[1])
-    return Rows(form, dataset, tuple(targets), tuple(regressors))
+        pairs.append(rows_from(form, record.times, states, record.inputs, rule, window, given))
+    return Rows(form, dataset, *zip(*pairs, strict=True))
 
 
 def rows_from(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 
@@ -226,6 +227,7 @@ class GibbsRegression(RegressionEstimator):
     'Gibbs sampling (joint draws, 4 x 500)'
     """
 
+    words: ClassVar[str] = "Gibbs sampling ({draw} draws, {n_chains} x {n_draws})"
     n_draws: int = 2000
     burn_in: int = 500
     n_chains: int = 4
@@ -243,11 +245,6 @@ class GibbsRegression(RegressionEstimator):
                 f"{self.n_chains} chains of {self.n_draws} draws cannot be judged. Give at least 2 "
                 "chains of 100."
             )
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"Gibbs sampling ({self.draw} draws, {self.n_chains} x {self.n_draws})"
 
     def _solve(self, rows: Rows) -> Regression:
         """Draw from each equation; the posterior holds the draws, and how far to trust them."""

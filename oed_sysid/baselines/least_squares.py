@@ -139,6 +139,7 @@ class TotalLeastSquares(RegressionEstimator):
     'total least squares (local derivatives)'
     """
 
+    words: ClassVar[str] = "total least squares ({rule} derivatives)"
     rule: str = "local"
     window: int = WINDOW
     seed: int = 0
@@ -147,11 +148,6 @@ class TotalLeastSquares(RegressionEstimator):
         check_rule(self.rule, self.window)
         if self.rule == "exact":
             raise ModelError("Exact rates have no noise to share out. Use EquationError.")
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"total least squares ({self.rule} derivatives)"
 
     def _solve(self, rows: Rows) -> Regression:
         column_errors = self._column_errors(rows)
@@ -297,15 +293,11 @@ class HeadingDifferences(Baseline):
     'heading differences (central)'
     """
 
+    words: ClassVar[str] = "heading differences ({scheme})"
     scheme: str = "forward"
 
     def __post_init__(self) -> None:
         check_choice("scheme", self.scheme, SCHEMES)
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"heading differences ({self.scheme})"
 
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         check_channels(model, dataset)

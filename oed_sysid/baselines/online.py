@@ -15,6 +15,7 @@ import warnings
 from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from scipy.linalg import cho_solve, solve_triangular
@@ -450,17 +451,13 @@ class OnlineRegression(RegressionEstimator):
     'online regression (C 30000)'
     """
 
+    words: ClassVar[str] = "online regression (C {C:g})"
     C: float = WEIGHT
     rule: str = "trapezoid"
 
     def __post_init__(self) -> None:
         check_weight(self.C)
         check_choice("rule", self.rule, SPANS)
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"online regression (C {self.C:g})"
 
     def _solve(self, rows: Rows) -> Regression:
         found = separate(rows, self._play)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy.optimize import differential_evolution
@@ -305,6 +305,9 @@ class DifferentialSwarm(TrajectorySearch):
     'differential swarm (30 particles, 50 generations)'
     """
 
+    words: ClassVar[str] = (
+        "differential swarm ({n_particles} particles, {n_generations} generations)"
+    )
     n_particles: int = 60
     n_generations: int = 300
     omega: float = 1.0
@@ -319,13 +322,6 @@ class DifferentialSwarm(TrajectorySearch):
                 f"A swarm of {self.n_particles} particles and {self.n_generations} generations is "
                 "too small. Give at least 4 particles and 1 generation."
             )
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return (
-            f"differential swarm ({self.n_particles} particles, {self.n_generations} generations)"
-        )
 
     def _search(self, cost: TrajectoryCost) -> Regression:
         """Move the swarm; ``extras["history"]`` holds the least cost of each generation."""
@@ -408,14 +404,10 @@ class DifferentialEvolution(TrajectorySearch):
     'differential evolution (30 members)'
     """
 
+    words: ClassVar[str] = "differential evolution ({n_particles} members)"
     n_particles: int = 60
     n_generations: int = 400
     tolerance: float = 1e-6
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"differential evolution ({self.n_particles} members)"
 
     def _search(self, cost: TrajectoryCost) -> Regression:
         n_free = len(cost.lower)
@@ -460,14 +452,10 @@ class CovarianceMatrixAdaptation(TrajectorySearch):
     'CMA-ES'
     """
 
+    words: ClassVar[str] = "CMA-ES"
     n_particles: int | None = None
     n_generations: int = 400
     spread: float = 0.25
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return "CMA-ES"
 
     def _search(self, cost: TrajectoryCost) -> Regression:
         cma = library("cma", self.name, extra="baselines", error=ModelError)
@@ -512,13 +500,9 @@ class ParticleSwarm(TrajectorySearch):
     'particle swarm (30 particles)'
     """
 
+    words: ClassVar[str] = "particle swarm ({n_particles} particles)"
     n_particles: int = 60
     n_generations: int = 400
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"particle swarm ({self.n_particles} particles)"
 
     def _search(self, cost: TrajectoryCost) -> Regression:
         swarm, problems, optimize = (

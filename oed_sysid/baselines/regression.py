@@ -90,10 +90,13 @@ class Baseline(ABC):
     or from ``initial``, the known start of some states in all records, where a kind has it.
     """
 
+    # Name and settings, for reports; settings by name in braces.
+    words: ClassVar[str]
+
     @property
-    @abstractmethod
     def name(self) -> str:
         """Name and settings, for reports."""
+        return self.words.format_map(vars(self))
 
     @abstractmethod
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:

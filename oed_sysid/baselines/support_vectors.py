@@ -330,6 +330,7 @@ class SupportVectorRegression(RegressionEstimator):
     'support vector regression (C 100, epsilon 0.01)'
     """
 
+    words: ClassVar[str] = "support vector regression (C {C:g}, epsilon {epsilon:g})"
     C: float = 100.0  # of data scaled to one: errors outweigh the size of coefficients
     epsilon: float = 1e-3
     scale: str | Mapping[str, float] = "unit"
@@ -343,11 +344,6 @@ class SupportVectorRegression(RegressionEstimator):
         check_rule(self.rule, self.window)
         if not self.epsilon >= 0:
             raise ModelError(f"epsilon is {self.epsilon}. Give the half-width of the zone, >= 0.")
-
-    @property
-    def name(self) -> str:
-        """Name and settings, for reports."""
-        return f"support vector regression (C {self.C:g}, epsilon {self.epsilon:g})"
 
     def _solve(self, rows: Rows) -> Regression:
         svm = library("sklearn.svm", self.name, extra="baselines", error=ModelError)
