@@ -104,8 +104,7 @@ class Chart:
         for mark in self.marks:
             self._mark(ax, mark)
         if self.logarithmic:
-            ax.set_yscale("log")
-            draw.decades(ax.yaxis, (1.0, 2.0, 5.0))
+            draw.decades(ax, "y")
         if self.names:
             ax.set_xticks(range(len(self.names)), self.names)
             ax.set_xlim(-0.4, len(self.names) - 0.4)

@@ -148,8 +148,7 @@ def draw_motion(
     ax.plot(times, turned, color=draw.COLOURS[1], lw=1.3, **draw.stepped(channel))
     ranges = limits.inputs if isinstance(channel, Input) else limits.signals
     for bound in draw.shown(channel, ranges.get(channel.name, ())):
-        near = abs(bound - turned).min() < 1.5 * (np.ptp(turned) + 1e-9)
-        if np.isfinite(bound) and near:
+        if np.isfinite(bound) and abs(bound - turned).min() < 1.5 * (np.ptp(turned) + 1e-9):
             ax.axhline(bound, color=draw.TRUTH, ls="--", lw=0.9)
     draw.done(ax, draw.between(channel, turned), ylabel=draw.label(channel, lines=2))
 
@@ -190,7 +189,7 @@ def _in_percent(ax: Axes) -> None:
     """Make the axis of shares logarithmic, and label it at 1, 2, 5, 10 ... per cent."""
     ax.set_xscale("log")
     n_decades = np.diff(np.log10(ax.get_xlim()))[0]
-    draw.decades(ax.xaxis, (1.0, 2.0, 5.0) if n_decades < 2.5 else (1.0,))
+    draw.decades(ax, "x", (1.0, 2.0, 5.0) if n_decades < 2.5 else (1.0,))
     ax.xaxis.set_major_formatter(FuncFormatter(lambda share, _: f"{100 * share:.4g}"))
 
 
@@ -255,15 +254,14 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
     """
     ax = draw.new_axes(ax, size=(5.4, 4.6))
     # Tracks over ground: north up, starboard to the right; in depth: along to the right, down down.
-    right, up = (0, 1) if tracks.is_vertical else (1, 0)
-    for number, track in enumerate(tracks.plausible[:60]):
-        ax.plot(track[:, right], track[:, up], color=draw.COLOURS[0], lw=0.5, alpha=0.35,
-                label="other vehicles" if number == 0 else None)  # fmt: skip
-    own = tracks.nominal
-    ax.plot(own[:, right], own[:, up], color=draw.TRUTH, lw=1.5, label="predicted")
-    ax.plot(own[0, right], own[0, up], "o", mfc="white", mec=draw.TRUTH, ms=6, label="start")
-    room = tracks.room
-    box = (room[right, 0], room[up, 0]), np.ptp(room[right]), np.ptp(room[up])
+    right_up = [0, 1] if tracks.is_vertical else [1, 0]
+    others = tracks.plausible[:60, :, right_up].T
+    ax.plot(*others, color=draw.COLOURS[0], lw=0.5, alpha=0.35, label="other vehicles")
+    own, room = tracks.nominal[:, right_up], tracks.room[right_up]
+    ax.plot(*own.T, color=draw.TRUTH, lw=1.5, label="predicted")
+    ax.plot(*own[0], "o", mfc="white", mec=draw.TRUTH, ms=6, label="start")
+    wide, long = np.ptp(room, axis=1)
+    box = (room[0, 0], room[1, 0]), wide, long
     ax.add_patch(Rectangle(*box, fill=False, ls="--", ec=draw.NEUTRAL, label="sea room (95 %)"))
     if tracks.is_vertical:
         words = ("along the course [m]", "depth [m]")
@@ -272,7 +270,6 @@ def plot_tracks(tracks: PredictedTracks, *, ax: Axes | None = None) -> Axes:
         words = ("to starboard [m]", "ahead [m]")
         ax.set_aspect("equal", adjustable="datalim")
     draw.legend_above(ax, 2, fontsize=6.5)
-    wide, long = np.ptp(room[right]), np.ptp(room[up])
     many = len(tracks.plausible)
     said = f"95 % of {many} vehicles stay in a sea room of {wide:.0f} by {long:.0f} m."
     return draw.done(ax, said, xlabel=words[0], ylabel=words[1])

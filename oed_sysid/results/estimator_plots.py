@@ -358,8 +358,7 @@ def plot_errors(rows: Sequence[Row], *, ax: Axes | None = None) -> Axes:
     if OURS in names:
         place = names.index(OURS)
         ax.axhspan(place - 0.45, place + 0.45, color=draw.NEUTRAL, alpha=0.18, lw=0)
-    ax.set_xscale("log")
-    draw.decades(ax.xaxis)
+    draw.decades(ax, "x", (1.0,))
     ax.set_yticks(range(len(names)), [name.replace("_", " ") for name in names])
     words = "error of determined parameters [%]"
     said = f"{names[0].replace('_', ' ')} errs least." if names else "No estimator ran."

@@ -209,8 +209,7 @@ def chart_input(record: Record, channel: Input) -> Chart:
     line = ("", "_") if record.independent else ("-", "")
     held = channel.interpolation == "hold"
     mark = Mark(along, values, "commanded", draw.TRUTH, *line, held=held)
-    said = draw.between(channel, values)
-    return Chart((mark,), words, draw.label(channel, lines=2), said)
+    return Chart((mark,), words, draw.label(channel, lines=2), draw.between(channel, values))
 
 
 def chart_signal(record: Record, channel: Input | Output, models: Sequence[Said] = ()) -> Chart:
@@ -366,6 +365,7 @@ def plot_polar(
     if ax.name != "polar":
         raise DataError("A speed polar needs polar axes. Make them with projection='polar'.")
     names = labels or [f"{polar.wind_speed:g} m/s wind" for polar in several]
+    said = []
     for index, (polar, name) in enumerate(zip(several, names, strict=True)):
         look = draw.model_style(index)
         ax.plot(polar.angles, polar.speeds, **look.line, lw=1.6, label=name)
@@ -374,6 +374,9 @@ def plot_polar(
             ax.fill_between(
                 polar.angles, low, high, color=look.colour, alpha=0.25, lw=0, label=f"{level:.0%}"
             )
+        best = int(np.argmax(polar.speeds))
+        angle = np.degrees(polar.angles[best])
+        said.append(f"{name}: {polar.speeds[best]:.3g} m/s at most, at {angle:.0f} deg.")
     if truth is not None:
         ax.plot(truth.angles, truth.speeds, ".", color=draw.TRUTH, ms=6, label="truth")
     ax.set(theta_zero_location="N", theta_direction=-1, thetamin=0, thetamax=180, rlim=0.0)
@@ -381,11 +384,6 @@ def plot_polar(
     ax.tick_params(colors="0.25", labelsize=9)
     ax.set_title("speed [m/s] over angle to the true wind", fontsize=11)
     draw.spread_legend(ax, loc="center left", bbox_to_anchor=(-0.28, 0.5))
-    said = []
-    for name, polar in zip(names, several, strict=True):
-        best = int(np.argmax(polar.speeds))
-        angle = np.degrees(polar.angles[best])
-        said.append(f"{name}: {polar.speeds[best]:.3g} m/s at most, at {angle:.0f} deg.")
     return draw.say(ax, " ".join(said))
 
 
@@ -632,9 +630,6 @@ def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:
     )  # fmt: skip
 
 
-_BARE = str.maketrans("", "", "[]")  # a unit without its brackets
-
-
 def _covariance(information: Information, pair: tuple[str, str]) -> np.ndarray:
     """Covariance of two parameters, shape ``(2, 2)``."""
     rows = located(DataError, "The information has no parameter", pair, information.names)
@@ -701,8 +696,8 @@ def plot_ellipses(
         ax.plot(*centre, "+", color=look.colour, ms=8)
         errors = np.sqrt(np.diag(covariance))
         half = ", ".join(
-            f"{n} ± {TWO_SIDED_95 * e:.2g}{unit.translate(_BARE)}"
-            for n, e, unit in zip(pair, errors, in_units, strict=True)
+            f"{n} ± {TWO_SIDED_95 * e:.2g} {unit}".rstrip()
+            for n, e, unit in zip(pair, errors, units, strict=True)
         )
         rho = covariance[0, 1] / errors.prod()
         said.append(f"{name}: {half} (95 %), correlation {rho:+.2f}.")

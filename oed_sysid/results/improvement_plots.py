@@ -503,12 +503,8 @@ def slice_means(x: np.ndarray, y: np.ndarray, share: float, n_slices: int = 12) 
 
 
 def _column(located: Located, equation: str) -> int:
-    return located_names(
-        DataError,
-        "The finding has no residual force of the equation",
-        [equation],
-        located.force_names,
-    )[0]
+    lacking = "The finding has no residual force of the equation"
+    return located_names(DataError, lacking, [equation], located.force_names)[0]
 
 
 def _unit(located: Located, equation: str) -> str:

@@ -93,8 +93,7 @@ def chart(figure: Figure) -> Chart | None:
     describe = getattr(improvement_plots, figure.name.replace("plot_", "chart_", 1), None)
     if describe is None or not figure.name.startswith("plot_"):
         return None
-    made: Chart = describe(figure.subject, *figure.arguments)
-    return made
+    return describe(figure.subject, *figure.arguments)
 
 
 def drawn(part: Any) -> Any:
@@ -140,8 +139,7 @@ def page(result: Any, *arguments: Any, **options: Any) -> Report:
     >>> print(page(LogCheck((), ("run_1",))).title)
     Log check
     """
-    made: Report = result.document(*arguments, **options)
-    return made
+    return result.document(*arguments, **options)
 
 
 def numbers_page(content: Mapping[str, Any]) -> Report:
@@ -235,8 +233,7 @@ def style_sheet() -> str:
     >>> style_sheet().count("{") == style_sheet().count("}")
     True
     """
-    text: str = _environment().get_template("style.css.j2").render()
-    return text
+    return _environment().get_template("style.css.j2").render()
 
 
 @cache

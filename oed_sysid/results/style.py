@@ -206,10 +206,11 @@ def bars(
     ax.barh(rows, lengths, hatch=hatch or None, **settings)
 
 
-def decades(axis: Any, subs: Sequence[float] | None = None) -> None:
-    """Write plain numbers along a logarithmic axis, none between its ticks."""
-    if subs is not None:
-        axis.set_major_locator(LogLocator(subs=subs))
+def decades(ax: Axes, which: str, subs: Sequence[float] = (1.0, 2.0, 5.0)) -> None:
+    """Make the axis ``x`` or ``y`` logarithmic, plain numbers along it, none between its ticks."""
+    ax.set(**{f"{which}scale": "log"})  # type: ignore[arg-type]
+    axis = ax.xaxis if which == "x" else ax.yaxis
+    axis.set_major_locator(LogLocator(subs=subs))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -217,8 +218,7 @@ def decades(axis: Any, subs: Sequence[float] | None = None) -> None:
 def errors_axis(ax: Axes, largest: float) -> None:
     """Make the axis of errors in units of the noise logarithmic where they are large."""
     if largest > 8.0:
-        ax.set_yscale("log")
-        decades(ax.yaxis, (1.0, 2.0, 5.0))
+        decades(ax, "y")
 
 
 def row_axes(
