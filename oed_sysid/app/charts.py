@@ -102,12 +102,6 @@ def signals(record: Record, models: Sequence[Said] = ()) -> go.Figure:
     return drawn(*charts, height=150 * (len(rows) + 1))
 
 
-def line_of_model(index: int) -> tuple[str, str]:
-    """Colour and dashes of the model at a position in a comparison."""
-    look = model_style(index)
-    return lit(look.colour), DASHES.get(str(look.dashes), "longdash")
-
-
 def lit(colour: str) -> str:
     """The colour of a model, lighter where the page is dark."""
     return _LIT.get(colour, colour) if st.context.theme.type == "dark" else colour
@@ -374,19 +368,19 @@ def replay(record: Record, models: Mapping[str, np.ndarray], frames: int = 60) -
     figure = make_subplots(1, len(kinds), specs=[kinds], horizontal_spacing=0.04)
     paths = [_Path("measured", record, record.outputs, MEASURED, "solid")]
     for number, (name, rows) in enumerate(models.items()):
-        colour, dash = line_of_model(number)
-        paths.append(_Path(name, record, np.asarray(rows), colour, dash))
+        look = model_style(number)
+        dash = DASHES.get(str(look.dashes), "longdash")
+        paths.append(_Path(name, record, np.asarray(rows), lit(look.colour), dash))
     if axes:
         _map(figure, paths, axes)
     still = len(figure.data)
     moments = np.linspace(record.times[0], record.times[-1], frames).tolist()
     for trace, column in _vehicles(paths, axes, turned, moments[0]):
         figure.add_trace(trace, row=1, col=column)
-    moved = list(range(still, len(figure.data)))
     figure.frames = [
         go.Frame(
             data=[trace for trace, _ in _vehicles(paths, axes, turned, moment)],
-            traces=moved, name=f"{moment:.1f}",
+            traces=list(range(still, len(figure.data))), name=f"{moment:.1f}",
             layout={"annotations": _words(paths, moment, axes) if turned else []},
         )
         for moment in moments

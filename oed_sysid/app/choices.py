@@ -138,12 +138,6 @@ def measured() -> tuple[str, ...]:
     return tuple(n for n, place in folders.items() if measured_sets(place) and at_hand(place))
 
 
-def open_measured(source: str) -> None:
-    """Choose a shipped problem and its measured records."""
-    st.session_state[kept("source")] = source
-    st.session_state[kept("origin", source, DEFAULT_MODEL)] = WITH_PROBLEM
-
-
 def _stamp(source: str) -> float:
     """Time of the last change of a folder's Python files; zero for a shipped problem."""
     folder = folder_of(source)
@@ -176,7 +170,7 @@ def _imported(source: str, asked: tuple[Any, ...], _made: LogMapping, _problem: 
 
 @st.cache_resource(show_spinner="Reading the files", max_entries=10)
 def _uploaded(source: str, variant: str, stamp: float, edition: str) -> Stock:
-    files: dict[str, bytes] = st.session_state.get(visit.FILES + source, {})
+    files = mapping.held(source)
     check_uploads(files)
     return read_uploads(_loaded(source, variant, stamp), files)
 

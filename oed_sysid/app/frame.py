@@ -173,8 +173,7 @@ def _aside() -> None:
     except OedSysidError:
         return
     st.markdown(f"**{study.problem.title}**")
-    parts = (("Training records", study.train), ("Validation records", study.test))
-    for words, records in parts:
+    for words, records in (("Training records", study.train), ("Validation records", study.test)):
         st.caption(f"{words}: {', '.join(records.names) if records else 'none'}")
     if running := visit.desk().running(visit.study_id()):
         st.caption(f":material/hourglass_top: {running} at work")

@@ -47,8 +47,7 @@ def orders(problem: str | None = None, *, port: int = 8501) -> list[str]:
     if problem is not None:
         load_problem(problem)  # said here, before a browser opens, if it cannot be
     table = tomllib.loads(Path(__file__).with_name("server.toml").read_text(encoding="utf-8"))
-    settings = {**table, "server.port": port}
-    options = [f"--{name}={value}" for name, value in settings.items()]
+    options = [f"--{name}={value}" for name, value in {**table, "server.port": port}.items()]
     given = [] if problem is None else ["--", problem]
     return ["run", str(_SCRIPT), *options, *given]
 

@@ -280,8 +280,7 @@ def log_key(source: str) -> str:
 
 def held(key: str) -> dict[str, bytes]:
     """Files that were given, by name."""
-    files: dict[str, bytes] = st.session_state.get(visit.FILES + key, {})
-    return files
+    return st.session_state.get(visit.FILES + key, {})
 
 
 def take_files(words: str, key: str, endings: Sequence[str]) -> None:
@@ -615,8 +614,7 @@ def _read_mapping(source: str) -> None:
         state[f"mapping refused:{source}"] = str(error)
         return
     for name, one in {**made.inputs, **made.outputs}.items():
-        facts = _answers(one)
-        state.update({_place(source, name, fact): value for fact, value in facts.items()})
+        state.update({_place(source, name, fact): value for fact, value in _answers(one).items()})
     how, cuts = WHOLE, dict[str, Any]()
     if made.cuts:
         how, cuts = BY_TIME, dict(zip(_SPAN, (made.cuts[0].start, made.cuts[0].stop), strict=True))

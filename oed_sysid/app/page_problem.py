@@ -94,8 +94,9 @@ def _measured() -> None:
 
 
 def _open_measured(name: str) -> None:
-    """Choose a measured set, and close the list of them."""
-    choices.open_measured(name)
+    """Choose a shipped problem and its measured records, and close the list of them."""
+    st.session_state[visit.kept("source")] = name
+    st.session_state[visit.kept("origin", name, DEFAULT_MODEL)] = choices.WITH_PROBLEM
     st.session_state[_OPEN] = False
 
 

@@ -161,8 +161,7 @@ def _work(
         return None
     if job is not None and job.state == "done" and key in asked:
         asked[key] = about
-        outcome: Outcome = job.result
-        return outcome
+        return job.result
     _say_ended(job, asked=key in asked)
     advised = st.session_state.pop(BEGIN, False)
     if st.button(button, type="primary", key=f"ask:{about.file}") or advised:

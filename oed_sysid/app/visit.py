@@ -299,14 +299,12 @@ def _hold() -> None:
 
 def study_id() -> str:
     """Id of the study of this tab."""
-    name: str = st.session_state.setdefault("study", new_id())
-    return name
+    return st.session_state.setdefault("study", new_id())
 
 
 def asked() -> dict[str, Asked]:
     """What was asked for in this study, by key of the job."""
-    found: dict[str, Asked] = st.session_state.setdefault("asked", {})
-    return found
+    return st.session_state.setdefault("asked", {})
 
 
 def kept(*names: str) -> str:
@@ -366,8 +364,7 @@ def _left(title: str) -> Left:
     state = st.session_state
     everything = {str(key): value for key, value in state.items()}
     choices = {key: one for key, one in everything.items() if key.startswith((KEEP, SEEN))}
-    held = [key for key in everything if key.startswith(FILES)]
-    files = {key.removeprefix(FILES): everything[key] for key in held}
+    files = {k.removeprefix(FILES): one for k, one in everything.items() if k.startswith(FILES)}
     return Left(title, choices, state.get("agreed", {}), asked(), files)
 
 

@@ -330,8 +330,7 @@ def report(
     document = kept.document(comparison)
     answer(document.answer, "" if comparison is None else comparison.verdict)
     note(f"Written: {document.write(out)}")
-    facts = kept.to_dict() | ({"validation": comparison.to_dict()} if comparison else {})
-    store(facts)
+    store(kept.to_dict() | ({"validation": comparison.to_dict()} if comparison else {}))
     own = Figure("figure_fit", kept, "")
     draw(own if comparison is None else predicted([comparison.best]), asked("picture"))
 
@@ -432,11 +431,9 @@ def _stream(
 
 def _live_page(document: Report, path: Path | None, *, over: bool = False) -> None:
     """Write the page of a run; while that goes on it loads itself again every other second."""
-    if path is not None and over:
-        document.write(path)
-    elif path is not None:
-        again = '<head><meta http-equiv="refresh" content="2">'
-        write_text(path, document.html().replace("<head>", again, 1))
+    if path is not None:
+        again = "" if over else '<meta http-equiv="refresh" content="2">'
+        write_text(path, document.html().replace("<head>", f"<head>{again}", 1))
 
 
 def campaign(

@@ -158,9 +158,7 @@ def _chosen(dataset: Dataset | None, kind: str) -> Dataset:
 
 def _content(dataset: Dataset | None) -> str:
     """Digest of the names and numbers of records."""
-    if dataset is None:
-        return "none"
-    return digest(*(f"{record.name} {record.content_hash}" for record in dataset))
+    return "none" if dataset is None else digest(*(f"{r.name} {r.content_hash}" for r in dataset))
 
 
 def digest(*parts: str | bytes) -> str:

@@ -125,10 +125,6 @@ class Expected(Weather):
 
     after: Path | None = None
 
-    def nominal(self, study: Study, show: Shown) -> Fit | Model:
-        """Return the nominal model, or the fit that is to be completed."""
-        return known(study, self.after, show)
-
 
 def known(study: Study, after: Path | None, show: Shown) -> Fit | Model:
     """Return the nominal model, or a fit: at hand, of the training records, or from a file."""
@@ -343,8 +339,7 @@ def _log_of(study: Study) -> LogCheck:
 
     train, validation = study.training(), study.validation()
     check_disjoint(train, validation)
-    found = oed_sysid.quick_check(together(train, validation), study.problem)
-    return found.without("duplicate")
+    return oed_sysid.quick_check(together(train, validation), study.problem).without("duplicate")
 
 
 def reduce(study: Study, show: Shown, *, keep: tuple[str, ...] = ()) -> Outcome:
@@ -410,8 +405,7 @@ def _compared(
 def predicted(models: Sequence[ModelMisfit]) -> Figure:
     """Return the picture of what models of a comparison predict."""
     options = {"labels": [part.label for part in models]}
-    predictions = [part.prediction for part in models]
-    return Figure("figure_predictions", predictions, "", options=options)
+    return Figure("figure_predictions", [part.prediction for part in models], "", options=options)
 
 
 def diagnose(study: Study, show: Shown) -> Outcome:
@@ -540,7 +534,7 @@ def design(
     pattern = patterns_of(problem, [like] if like else [])[0]
     limits = bounds.limits(problem, show)
     search, criterion = effort.search(), aim.made(study)
-    nominal = expected.nominal(study, show)
+    nominal = known(study, expected.after, show)
     spread = None if expected.after else expected.uncertainty
     noise = expected.noise(problem, nominal, show, [pattern])
     with expected.spread(show):
@@ -580,7 +574,7 @@ def programme(
     from oed_sysid.design import Knowledge, ProgrammeSearch, design_programme
 
     problem = study.problem
-    nominal = expected.nominal(study, show)
+    nominal = known(study, expected.after, show)
     durations = None if bounds.duration is None else (bounds.duration,)
     lent = patterns_of(problem, patterns)
     noise = expected.noise(problem, nominal, show, lent)
@@ -775,8 +769,7 @@ class Corrected(Files):
             return
         records = study.records()
         copies, done = corrected_copies(records, study.problem, outcome.result)
-        sources = [Path(one.source) for one in records]
-        for target in write_runs(copies, self.fix, "--fix", sources):
+        for target in write_runs(copies, self.fix, "--fix", [Path(one.source) for one in records]):
             yield f"Written: {target}"
         yield from (f"Corrected in the copies: {line}" for line in done)
         if reason := why_not_more(outcome.result):
