@@ -20,7 +20,6 @@ from oed_sysid.errors import ModelError
 from oed_sysid.likelihood.estimate import Posterior, Status
 from oed_sysid.likelihood.estimator import check_choice
 from oed_sysid.likelihood.information import autocorrelation
-from oed_sysid.physics.model import Model
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,8 +253,7 @@ class GibbsRegression(RegressionEstimator):
         effective: dict[str, float] = {}
 
         def solve(index: int) -> tuple[Sequence[str], Regression]:
-            features, targets, names = rows.equation(index)
-            draws = self._draws(rows.form.model, features, targets, names, rng)
+            names, draws = self._draws(rows, index, rng)
             flat = draws.reshape(-1, len(names))
             drawn.update(zip(names, np.moveaxis(draws, 2, 0), strict=True))
             r_hat.update(zip(names, map(float, split_r_hat(draws)), strict=True))
@@ -279,20 +277,16 @@ class GibbsRegression(RegressionEstimator):
         )
 
     def _draws(
-        self,
-        model: Model,
-        features: np.ndarray,
-        targets: np.ndarray,
-        names: tuple[str, ...],
-        rng: np.random.Generator,
-    ) -> np.ndarray:
-        """Draws ``(n_chains, n_draws, n_names)``."""
+        self, rows: Rows, index: int, rng: np.random.Generator
+    ) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names of the parameters of an equation, and draws ``(n_chains, n_draws, n_names)``."""
+        features, targets, names = rows.equation(index)
         size = float(np.sqrt(np.mean(targets**2))) or 1.0
         # Columns of unit size: chains of like pace, and one width of prior for all.
         units = size / np.sqrt(np.mean(features**2, axis=0))
         # Known parameters as whitened rows; the others have a wide prior.
-        known, means = prior_rows(model)
-        columns = [model.free_names.index(name) for name in names]
+        known, means = prior_rows(rows.form.model)
+        columns = [rows.form.names.index(name) for name in names]
         weights, aims = known.sum(axis=0)[columns], (known.T @ means)[columns]
         precision = np.where(weights > 0, (weights * units) ** 2, WIDE**-2)
         mean = np.divide(aims, weights**2, out=np.zeros(len(names)), where=weights > 0)
@@ -301,13 +295,11 @@ class GibbsRegression(RegressionEstimator):
             targets / size,
             precision=precision,
             mean=mean / units,
-            # A variance below rounding cannot be told from none.
-            shape=1e-3,
-            rate=1e-18,
+            rate=1e-18,  # a variance below rounding cannot be told from none
             draw=self.draw,
             n_draws=self.n_draws,
             burn_in=self.burn_in,
             n_chains=self.n_chains,
             rng=rng,
         )
-        return chains.coefficients * units
+        return names, chains.coefficients * units

@@ -240,8 +240,7 @@ class JointFilter:
         )
         self.unit = self.scale[self.n_z :]
         self.columns = [model.parameter_names.index(name) for name in model.free_names]
-        self.lower = np.array([p.lower for p in free])
-        self.upper = np.array([p.upper for p in free])
+        self.lower, self.upper = np.array([(p.lower, p.upper) for p in free]).T
         rates = [noise.get(s.name, 0.0) for s in model.states]
         drifts = [settings.drift_std.get(p.name, 0.0) for p in free]
         self.intensity = (np.array([*rates, *np.zeros(n_extra), *drifts]) / self.scale) ** 2

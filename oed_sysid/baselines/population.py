@@ -75,8 +75,7 @@ class TrajectoryCost:
         _check_searchable(model)
         self.model, self.dataset, self.n_workers = model, dataset, n_workers
         free = model.free_parameters
-        self.lower = np.array([p.lower for p in free])
-        self.upper = np.array([p.upper for p in free])
+        self.lower, self.upper = np.array([(p.lower, p.upper) for p in free]).T
         self._columns = [model.parameter_names.index(name) for name in model.free_names]
         self.scales = output_scales(model, dataset, scale)
         self.initial = dict(initial or {})

@@ -23,12 +23,7 @@ from typing import Any, ClassVar
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from oed_sysid.baselines.equations import (
-    WINDOW,
-    Rows,
-    regression_form,
-    rows_of,
-)
+from oed_sysid.baselines.equations import Rows, regression_form, rows_of
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import ModelError
@@ -195,13 +190,8 @@ class RegressionEstimator(Baseline):
         """Solve the rows of all records."""
 
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:
-        rows = rows_of(
-            regression_form(model),
-            dataset,
-            rule=self.rule,
-            window=getattr(self, "window", WINDOW) if self.rule == "local" else WINDOW,
-            rates=getattr(self, "rates", None),
-        )
+        known = {name: getattr(self, name) for name in ("window", "rates") if hasattr(self, name)}
+        rows = rows_of(regression_form(model), dataset, rule=self.rule, **known)
         if self.apart:
             rows.check_separate()
         return self._solve(rows)
@@ -300,8 +290,7 @@ def bounded_least_squares(matrix: np.ndarray, right: np.ndarray, model: Model) -
     """Least squares of smallest scaled norm, within the bounds of the free parameters."""
     scale = 1.0 / column_norms(matrix)
     solution = scale * np.linalg.lstsq(matrix * scale, right, rcond=1e-13)[0]
-    lower = np.array([p.lower for p in model.free_parameters])
-    upper = np.array([p.upper for p in model.free_parameters])
+    lower, upper = np.array([(p.lower, p.upper) for p in model.free_parameters]).T
     if np.all(solution >= lower) and np.all(solution <= upper):
         return solution
     # SciPy wants a lower bound below the upper one, also where both hold a value.
