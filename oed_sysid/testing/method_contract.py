@@ -50,7 +50,7 @@ the first for all that measure size, the second for those that are invariant.
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -66,7 +66,6 @@ from oed_sysid.likelihood.estimator import Estimator
 from oed_sysid.likelihood.fit import Fit
 from oed_sysid.likelihood.gauss_newton import ROUNDING
 from oed_sysid.physics.model import Model
-from oed_sysid.physics.parameters import Parameter
 from oed_sysid.testing.problem_contract import CENTRAL, STEP, refuse, unkept
 
 # -- the contract of an estimator ------------------------------------------------------
@@ -153,10 +152,13 @@ def check_estimator(
     if not isinstance(estimator, Estimator) or not str(estimator.name):
         raise AssertionError("An estimator has a name and fit(model, dataset) -> Fit.")
     free = model.free_parameters
-    if start is None:
-        start = {p.name: float(np.clip(_above(p), p.lower, p.upper)) for p in free}
-    first = model.with_values(start)
-    exact = Dataset(tuple(simulate(model, e, noise=False) for e in experiments))
+    away = {p.name: p.value + 0.1 * p.magnitude for p in free}
+    first = model.within_bounds(away) if start is None else model.with_values(start)
+
+    def simulated(**noise: Any) -> Dataset:
+        return Dataset(tuple(simulate(model, e, **noise) for e in experiments))
+
+    exact = simulated(noise=False)
     before = copy.deepcopy((first, _arrays(exact)))
     fit, again = estimator.fit(first, exact), estimator.fit(first, exact)
     same = before[0] == first and before[1] == _arrays(exact)
@@ -164,7 +166,7 @@ def check_estimator(
     error, share, least = float(max(errors)), float("nan"), coverage or 0.0
     worst = model.free_names[int(np.argmax(errors))]
     if coverage is not None:
-        share = _coverage(estimator, model, first, experiments, rng, n_repeats)
+        share = _coverage(estimator, model, first, (simulated(rng=rng) for _ in range(n_repeats)))
     claims = (
         (fit.status.code in ("converged", "iterations", "stalled"),
          f"ends without noise as {fit.status}"),
@@ -177,10 +179,6 @@ def check_estimator(
     )  # fmt: skip
     refuse(f"Estimator {estimator.name!r}", [*_shape(fit, first, exact), *unkept(claims)])
     return EstimatorCheck(error, share)
-
-
-def _above(parameter: Parameter) -> float:
-    return parameter.value + 0.1 * parameter.magnitude
 
 
 def _arrays(dataset: Dataset) -> list[bytes]:
@@ -207,18 +205,10 @@ def _shape(fit: Fit, model: Model, dataset: Dataset) -> list[str]:
     return unkept(claims)
 
 
-def _coverage(
-    estimator: Estimator,
-    model: Model,
-    start: Model,
-    experiments: Sequence[Experiment],
-    rng: np.random.Generator,
-    n_repeats: int,
-) -> float:
+def _coverage(estimator: Estimator, model: Model, start: Model, noisy: Iterable[Dataset]) -> float:
     """Share of intervals that hold the truth, over noise realisations and parameters."""
     held = []
-    for _ in range(n_repeats):
-        data = Dataset(tuple(simulate(model, e, rng=rng) for e in experiments))
+    for data in noisy:
         fit = estimator.fit(start, data)
         for name in model.free_names:
             low, high = fit.interval(name, 0.95)
