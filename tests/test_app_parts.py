@@ -230,7 +230,7 @@ def test_corridor_reaches_the_limits(study: Study) -> None:
 def test_saved_fit_and_exports_are_the_fit(outcome: Outcome, tmp_path: Path) -> None:
     """The fit file loads as the same fit, and the exported model repeats its simulation."""
     fit = takeaway.fits_of([(Asked("Fit", "fit", ""), outcome)])["nominal"]
-    (tmp_path / "nominal.json").write_bytes(takeaway.saved(fit))
+    (tmp_path / "nominal.json").write_bytes(takeaway.written("fit.json", fit.save))
     back = Fit.load(tmp_path / takeaway.file_of("nominal"))
     np.testing.assert_array_equal(back.estimates, fit.estimates)
     with zipfile.ZipFile(io.BytesIO(takeaway.model_archive(fit, "python"))) as packed:

@@ -137,7 +137,7 @@ def result_of(
     outcome = _work(button, about, Request.of(study, row, options), study, unasked=unasked)
     if outcome is not None and outcome.page is not None:
         show(outcome.page, tabs_of(outcome, study.train, file), glance=glance)
-        html_download(outcome.page, file)
+        download("Report (HTML)", outcome.page.html, f"{file}.html")
     with st.expander("The same on the command line"):
         st.code(line, language="bash", wrap_lines=True)
     return outcome
@@ -268,11 +268,6 @@ def download(
         label, content, file, guess_type(file)[0] or "text/plain", on_click="ignore",
         key=f"download:{file}", width="stretch" if wide else "content",
     )  # fmt: skip
-
-
-def html_download(page: Report, file: str, *, wide: bool = False) -> None:
-    """Offer a page as the HTML file that the command line writes."""
-    download("Report (HTML)", page.html, f"{file}.html", wide=wide)
 
 
 def zipped(write: Callable[[Path], object], under: str = "") -> bytes:

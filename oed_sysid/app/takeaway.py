@@ -10,7 +10,7 @@ from typing import Any
 import streamlit as st
 
 from oed_sysid.app import visit
-from oed_sysid.app.panels import download, html_download, message, written, zipped
+from oed_sysid.app.panels import download, message, written, zipped
 from oed_sysid.app.trust import folder_of
 from oed_sysid.app.visit import Asked
 from oed_sysid.cli.script import whole
@@ -45,7 +45,7 @@ def show(study: Study) -> None:
                 st.markdown(f"**{about.title}**")
                 st.caption("".join(outcome.page.first[:1]))
             with right:
-                html_download(outcome.page, about.file, wide=True)
+                download("Report (HTML)", outcome.page.html, f"{about.file}.html", wide=True)
     st.subheader("The same in Python")
     code = whole(study, [about.code for about, _ in done])
     download("Script (study.py)", lambda: code, "study.py")
@@ -138,7 +138,8 @@ def _models(fits: Mapping[str, Fit]) -> None:
                 message(str(error))
     left, right, _ = st.columns(3)
     with left:
-        download(f"Fit ({file})", partial(saved, fit), file)
+        # What `oed-sysid fit --save` writes: for `report`, `export` and Fit.load.
+        download(f"Fit ({file})", partial(written, "fit.json", fit.save), file)
     if here in made:
         with right:
             packed = f"{file.removesuffix('.json')}_{kind}.zip"
@@ -158,11 +159,6 @@ def _trim(fit: Fit) -> dict[str, float]:
 
 
 # -- files -------------------------------------------------------------------------------
-
-
-def saved(fit: Fit) -> bytes:
-    """The file that ``oed-sysid fit --save`` writes: for `report`, `export` and ``Fit.load``."""
-    return written("fit.json", fit.save)
 
 
 def model_archive(fit: Fit, kind: str, trim: Mapping[str, float] | None = None) -> bytes:

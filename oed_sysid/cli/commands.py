@@ -24,10 +24,8 @@ from oed_sysid.runtime.files import check_place, write_text
 
 if TYPE_CHECKING:
     from oed_sysid.baselines.fourier import FourierStream
-    from oed_sysid.cli.terminal import Shown
     from oed_sysid.data.dataset import Dataset
     from oed_sysid.data.logs import Log, LogMapping
-    from oed_sysid.design import Candidate
     from oed_sysid.experiments.experiment import Experiment
     from oed_sysid.experiments.problem import Problem
     from oed_sysid.runtime.display import Report
@@ -459,21 +457,29 @@ def campaign(
     [bold]Example[/bold]: oed-sysid campaign trial --problem remus_diving_plane --goal all=5
     --hours 2
     """
+    import numpy as np
+
+    from oed_sysid.design import candidate_runs
     from oed_sysid.design.decision import Logbook
+    from oed_sysid.design.vehicles import draw_models
 
     if _goes_on(folder, problem, goal):
         journal = Logbook.open(folder)
     else:
         study = Study.named(str(problem), model)
+        own = study.problem.model
         with progress("Making candidate runs") as show:
-            runs = _candidates(study.problem, patterns, bounds, weather, turnaround, seed, show)
+            limits, rng = bounds.limits(study.problem, show), np.random.default_rng(seed)
+            lent = patterns_of(study.problem, patterns)
+            runs = candidate_runs(
+                own, lent, limits=limits, rng=rng, turnaround=60.0 * turnaround,
+                vehicles=draw_models(own, weather.uncertainty, 12, None, rng),
+                durations=None if bounds.duration is None else (bounds.duration,),
+            )  # fmt: skip
             journal = Logbook(
-                folder, study.problem.model, problem=study.source, variant=model, candidates=runs,
+                folder, own, problem=study.source, variant=model, candidates=runs,
                 goals={n: v / 100.0 for n, v in numbers("--goal", goal or ()).items()},
-                hours=hours, seed=seed,
-                sea=weather.noise(
-                    study.problem, study.problem.model, show, patterns_of(study.problem, patterns)
-                ),
+                hours=hours, seed=seed, sea=weather.noise(study.problem, own, show, lent),
             )  # fmt: skip
             journal.write()
     if record is not None:
@@ -508,30 +514,6 @@ def _goes_on(folder: Path, problem: str | None, goal: Sequence[str] | None) -> b
             f"There is no campaign in {str(folder)!r}. Begin one with --problem and --goal."
         )
     return held
-
-
-def _candidates(
-    problem: Problem,
-    patterns: list[str] | None,
-    bounds: Bounds,
-    weather: Weather,
-    turnaround: float,
-    seed: int,
-    show: Shown,
-) -> Sequence[Candidate]:
-    """Runs that a campaign chooses from."""
-    import numpy as np
-
-    from oed_sysid.design import candidate_runs
-    from oed_sysid.design.vehicles import draw_models
-
-    limits, rng = bounds.limits(problem, show), np.random.default_rng(seed)
-    lent = patterns_of(problem, patterns)
-    return candidate_runs(
-        problem.model, lent, limits=limits, rng=rng, turnaround=60.0 * turnaround,
-        vehicles=draw_models(problem.model, weather.uncertainty, 12, None, rng),
-        durations=None if bounds.duration is None else (bounds.duration,),
-    )  # fmt: skip
 
 
 def app(problem: str | None = None, port: int = 8501, no_browser: bool = False) -> None:

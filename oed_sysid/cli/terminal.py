@@ -79,8 +79,7 @@ def answer(text: str, report: str = "") -> None:
 
 def asked(name: str) -> Any:
     """Where the user wants a file of the command that is being worked on; None if nowhere."""
-    context = _context()
-    return None if context is None else context.params.get(name)
+    return getattr(_context(), "params", {}).get(name)
 
 
 def deliver(outcome: Outcome, records: Iterable[Dataset | None] = (), *, text: str = "") -> None:
@@ -129,14 +128,12 @@ def note(text: str) -> None:
 
 def quiet() -> bool:
     """Whether the command that is being worked on was asked for its answer alone."""
-    context = _context()
-    return context is not None and bool(context.meta.get(QUIET))
+    return bool(kept(QUIET))
 
 
 def kept(key: str) -> str | None:
     """What the command that is being worked on was told by a shared option; None if nothing."""
-    context = _context()
-    return None if context is None else context.meta.get(key)
+    return getattr(_context(), "meta", {}).get(key)
 
 
 class Shown:
