@@ -481,17 +481,10 @@ def run_cell(cell: Cell) -> Outcome:
         status = "refused" if isinstance(error, ModelError) else "error"
         seconds = time.perf_counter() - began
         return Outcome(cell, status, _brief(error), {}, {}, bounds, np.inf, 0, seconds)
-    return Outcome(
-        cell,
-        fit.status.code if np.isfinite(fit.estimates).all() else "diverged",
-        fit.status.advice,
-        _errors(fit, scenario.truth),
-        _covered(fit, scenario.truth) if noisy else {},
-        bounds,
-        _prediction(fit, scenario, model),
-        fit.iterations,
-        fit.seconds,
-    )
+    status = fit.status.code if np.isfinite(fit.estimates).all() else "diverged"
+    covered = _covered(fit, scenario.truth) if noisy else {}
+    judged = _errors(fit, scenario.truth), covered, bounds, _prediction(fit, scenario, model)
+    return Outcome(cell, status, fit.status.advice, *judged, fit.iterations, fit.seconds)
 
 
 def _at(experiment: Experiment, sampling: int) -> Experiment:

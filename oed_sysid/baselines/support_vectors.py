@@ -277,15 +277,9 @@ class LeastSquaresSVM(RegressionEstimator):
             # Of Gamma = X X' + I/C in the dual; the primal's rows have its root.
             spectrum = np.linalg.svd(features, compute_uv=False)
             condition = 1.0 + weight * float(spectrum[0]) ** 2
-            return SeparateSolution(
-                machine.coefficients,
-                machine.bias,
-                ridge=1.0 / weight,
-                facts={
-                    "C": weight,
-                    "condition": condition if self.form == "dual" else np.sqrt(condition),
-                },
-            )
+            condition = condition if self.form == "dual" else np.sqrt(condition)
+            facts = {"C": weight, "condition": condition}
+            return SeparateSolution(machine.coefficients, machine.bias, 1.0 / weight, facts=facts)
 
         return separate(rows, solve, scale=self.scale)
 
