@@ -27,7 +27,6 @@ from oed_sysid.app.panels import (
 from oed_sysid.app.takeaway import finished, fits_of
 from oed_sysid.cli.study import Outcome, Study
 from oed_sysid.cli.tasks import Corrected, Played, Tables
-from oed_sysid.cli.terminal import Shown
 from oed_sysid.errors import DesignError, ProblemError
 from oed_sysid.evidence.check import why_not_more
 from oed_sysid.evidence.preparation import prepared
@@ -54,7 +53,7 @@ def check(study: Study) -> None:
 
 def _files(label: str, kind: Any, outcome: Outcome, study: Study, file: str) -> None:
     """Offer the files that the command writes into a folder."""
-    download(label, lambda: zipped(lambda to: [*kind(to).write(outcome, study, Shown())]), file)
+    download(label, lambda: zipped(lambda to: [*kind(to).write(outcome, study)]), file)
 
 
 def fit(study: Study) -> None:
@@ -267,7 +266,7 @@ def _design(study: Study, known: dict[str, Any]) -> None:
 
 def commands_csv(outcome: Outcome, study: Study) -> bytes:
     """Return the commands of a design as the file that an autopilot plays."""
-    return written("design.csv", lambda path: [*Played(path).write(outcome, study, Shown())])
+    return written("design.csv", lambda path: [*Played(path).write(outcome, study)])
 
 
 def _programme(study: Study, known: dict[str, Any]) -> None:

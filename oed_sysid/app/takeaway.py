@@ -16,7 +16,6 @@ from oed_sysid.app.visit import Asked
 from oed_sysid.cli.script import whole
 from oed_sysid.cli.study import Outcome, Study, digest
 from oed_sysid.cli.tasks import TASKS, Played, write_runs
-from oed_sysid.cli.terminal import Shown
 from oed_sysid.design import Design
 from oed_sysid.errors import OedSysidError
 from oed_sysid.export import KINDS, export
@@ -224,5 +223,4 @@ def write_all(study: Study, done: list[tuple[Asked, Outcome]], place: Path) -> N
         if outcome.page is not None:
             outcome.page.write(place / f"{about.file}.html")
         if isinstance(outcome.result, Design):
-            files = Played(place / "design.csv", place / "card.txt")
-            list(files.write(outcome, study, Shown()))
+            list(Played(place / "design.csv", place / "card.txt").write(outcome, study))

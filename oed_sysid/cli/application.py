@@ -11,7 +11,7 @@ from oed_sysid.cli import commands
 from oed_sysid.cli.arguments import Command
 from oed_sysid.cli.options import declared, described, reads_of, results_of
 from oed_sysid.cli.reading import study_of
-from oed_sysid.cli.study import Task, options_of
+from oed_sysid.cli.study import Task, grouped, options_of
 from oed_sysid.cli.tasks import TASKS, Files
 from oed_sysid.cli.terminal import deliver, journal, note, progress
 
@@ -61,14 +61,11 @@ def _settings(
 def command_of(task: Task) -> Callable[..., None]:
     """Return the command of a task: read, work, print, write, and leave with its exit code."""
     own = {one.name for one in options_of(task.run)}
-    written = list(options_of(task.writes)) if task.writes else []
+    writes = task.writes or Files
 
     def command(**given: Any) -> None:
         study = study_of(given)
-        files: Files = (task.writes or Files)(**{
-            one.name: tuple(given[one.name] or ()) if one.default == () else given[one.name]
-            for one in written
-        })  # fmt: skip
+        files: Files = writes(**grouped(writes, given))
         files.before(study)
         keeping = "kept_in" in given
         with journal(given.get("kept_in"), given.get("fresh", False), keeping=keeping) as keep:
@@ -76,12 +73,12 @@ def command_of(task: Task) -> Callable[..., None]:
                 outcome = task(study, show, {name: given[name] for name in own})
             text = "" if getattr(files, "card", None) else outcome.text
             deliver(outcome, (study.train, study.test), text=text)
-            for line in files.write(outcome, study, show):
+            for line in files.write(outcome, study):
                 note(line)
             if outcome.status:
                 raise typer.Exit(outcome.status)
 
-    listed = [*reads_of(task), *options_of(task.run), *written, *results_of(task)]
+    listed = [*reads_of(task), *options_of(task.run), *options_of(writes), *results_of(task)]
     command.__doc__ = task.run.__doc__
     return declared(command, task.name, listed)
 

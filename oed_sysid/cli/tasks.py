@@ -735,7 +735,7 @@ class Files:
     def before(self, study: Study) -> None:
         """Say before the work what cannot be written."""
 
-    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+    def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
         """Write them."""
         yield from ()
 
@@ -746,7 +746,7 @@ class Saved(Files):
 
     save: Path | None = None
 
-    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+    def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
         """Write the fit."""
         if self.save is not None:
             command, settings = invocation()
@@ -761,7 +761,7 @@ class Corrected(Files):
 
     fix: Path | None = None
 
-    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+    def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
         """Write the copies."""
         from oed_sysid.evidence.check import corrected_copies, why_not_more
 
@@ -784,7 +784,7 @@ class Tables(Files):
 
     out: Path | None = None
 
-    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+    def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
         """Write the tables."""
         if self.out is not None:
             yield from (f"Written: {path}" for path in outcome.result.write(self.out))
@@ -811,7 +811,7 @@ class Played(Files):
         if self.bag is not None and self.bag.exists():
             raise FileError(f"{str(self.bag)!r} exists already. Name a folder that does not.")
 
-    def write(self, outcome: Outcome, study: Study, show: Shown) -> Iterator[str]:
+    def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
         """Write table, card, pulses, bag and controllers."""
         import numpy as np
 
