@@ -306,8 +306,7 @@ def as_markdown(results: Sequence[Row], ours: str = OURS) -> str:
     if found := verdicts(results, ours):
         lines += [f"## {ours} against each of the others", "", LEGEND, ""]
         lines += [*verdict_table(found), ""]
-    fair = [one for one in verdicts(results, OURS_BELIEVING) if one.other in BELIEVERS]
-    if fair:
+    if fair := [one for one in verdicts(results, OURS_BELIEVING) if one.other in BELIEVERS]:
         lines += [f"## {OURS_BELIEVING} against those that believe start values too", ""]
         lines += [*verdict_table(fair), ""]
     return "\n".join(lines).rstrip() + "\n"

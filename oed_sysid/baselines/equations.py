@@ -137,8 +137,7 @@ def regression_form(model: Model) -> RegressionForm:
     slope = ca.jacobian(residual, p_free)
     _check_linear(model, graph, slope, p_free)
     # Equations without a free parameter (kinematics) are no regressions.
-    holds = np.array(ca.DM(slope.sparsity(), 1.0)) != 0
-    rows = np.flatnonzero(holds.any(axis=1))
+    rows = np.flatnonzero((np.array(ca.DM(slope.sparsity(), 1.0)) != 0).any(axis=1))
     names = model.free_names
     regressors = -slope[rows.tolist(), :]
     # The target is what is left when every free parameter is zero.

@@ -131,10 +131,7 @@ class FourierRegression(Baseline):
             length = float(record.times[-1] - record.times[0])
             period = float(np.median(np.diff(record.times)))
             frequencies = frequencies_of(form, length, period, self.band, self.without)
-            rows = rows_from(
-                form, record.times, states_of(form, record.outputs), record.inputs, "trapezoid"
-            )
-            sums = summed(frequencies, record.times - record.times[0], *rows)
+            sums = _sums_of(form, record, states_of(form, record.outputs), frequencies)
             runs.append(Sums(record, frequencies, *sums, length))
         return solved(form, runs)
 
@@ -168,12 +165,17 @@ class Sums:
         """Regressors of the model's own run at some values; None where it diverges."""
         model = form.model.with_values(dict(zip(form.names, map(float, values), strict=True)))
         begin = first_state(model, self.record, None)
-        times, inputs = self.record.times, self.record.inputs
-        run = kernel(model).simulate(times, inputs, model.value_vector, begin)
-        if not run.ok:
-            return None
-        rows = rows_from(form, times, run.states, inputs, "trapezoid")
-        return summed(self.frequencies, times - times[0], *rows)[1]
+        at = model.value_vector
+        run = kernel(model).simulate(self.record.times, self.record.inputs, at, begin)
+        return _sums_of(form, self.record, run.states, self.frequencies)[1] if run.ok else None
+
+
+def _sums_of(
+    form: RegressionForm, record: Record, states: np.ndarray, frequencies: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums ``Y`` and ``X`` of a run with some states at its frequencies; see :func:`summed`."""
+    rows = rows_from(form, record.times, states, record.inputs, "trapezoid")
+    return summed(frequencies, record.times - record.times[0], *rows)
 
 
 def solved(form: RegressionForm, runs: Sequence[Sums]) -> Regression:

@@ -118,7 +118,10 @@ class JointKalmanFilter(Baseline):
     def _estimate(self, model: Model, dataset: Dataset) -> Regression:
         """Filter all records in turn; parameters are carried over."""
         check_channels(model, dataset)
-        self._check(model)
+        if self.process_std != LIKELIEST:
+            located(ModelError, "process_std names", self.process_std, model.state_names)
+        located(ModelError, "drift_std names", self.drift_std, model.free_names)
+        check_free(model, "a filter")
         filter_ = self._filtered(model, dataset)
         values, covariance = filter_.known
         status = consistency(filter_.innovation**2, filter_.count)
@@ -162,13 +165,6 @@ class JointKalmanFilter(Baseline):
             options={"xatol": 0.1},  # a quarter of the level: errors of the values are flat there
         )
         return max(at(0.0), at(10.0**found.x), key=lambda one: one.log_likelihood)
-
-    def _check(self, model: Model) -> None:
-        """Raise :class:`ModelError` where settings and model do not belong together."""
-        if self.process_std != LIKELIEST:
-            located(ModelError, "process_std names", self.process_std, model.state_names)
-        located(ModelError, "drift_std names", self.drift_std, model.free_names)
-        check_free(model, "a filter")
 
 
 def consistency(square: float, count: int) -> Status:

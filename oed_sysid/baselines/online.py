@@ -460,8 +460,7 @@ class OnlineRegression(RegressionEstimator):
         check_choice("rule", self.rule, SPANS)
 
     def _solve(self, rows: Rows) -> Regression:
-        found = separate(rows, self._play)
-        return replace(found, iterations=sum(map(len, rows.targets)))
+        return replace(separate(rows, self._play), iterations=sum(map(len, rows.targets)))
 
     def _play(self, features: np.ndarray, targets: np.ndarray, bias: bool) -> SeparateSolution:
         machine = RecursiveLSSVM(C=self.C)

@@ -187,8 +187,7 @@ class TrajectoryCost:
         for jacobian, start in zip(jacobians, starts, strict=True):
             mixed = stacked([jacobian], self.scales).T @ (stacked([start], self.scales) * spread)
             middle = middle + mixed @ mixed.T
-        covariance = sandwich(informed(self.scales).covariance, middle)
-        return informed(sigma), covariance, coloured
+        return informed(sigma), sandwich(informed(self.scales).covariance, middle), coloured
 
 
 def _check_searchable(model: Model) -> None:

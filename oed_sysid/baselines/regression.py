@@ -169,8 +169,7 @@ def information_from_covariance(model: Model, covariance: np.ndarray) -> Informa
     matrix = np.zeros_like(scaled)
     block = np.ix_(finite, finite)
     matrix[block] = np.linalg.pinv(scaled[block], hermitian=True)
-    inner = matrix / scales[:, None] / scales
-    return Information.from_matrix(model.free_names, inner, scales)
+    return Information.from_matrix(model.free_names, matrix / scales[:, None] / scales, scales)
 
 
 class RegressionEstimator(Baseline):

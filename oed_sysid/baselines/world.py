@@ -123,8 +123,7 @@ class World:
             outputs = run.outputs.copy()
         if self.spikes:
             struck = for_spikes.random(outputs.shape) < self.spikes
-            signs = np.sign(for_spikes.standard_normal(outputs.shape))
-            outputs += 20.0 * struck * std * signs
+            outputs += 20.0 * struck * std * np.sign(for_spikes.standard_normal(outputs.shape))
         if self.offset:
             outputs += self.offset * std * np.sign(for_offset.standard_normal(len(std)))
         if self.sparse > 1:
