@@ -181,23 +181,21 @@ class _Probe:
 
     def outputs(self, model: Model, own: np.ndarray, commands: np.ndarray) -> np.ndarray:
         """Outputs of a trajectory, ``(n_times, n_outputs)``."""
-        return self._run(model, own, commands, sensitivities=False)[0]
+        return self._run(model, own, commands, sensitivities=False).outputs
 
     def _run(
         self, model: Model, own: np.ndarray, commands: np.ndarray, *, sensitivities: bool = True
-    ) -> tuple[np.ndarray, np.ndarray]:
-        kernel = Kernel(model, compiled=False)
+    ) -> Any:
         times = model.step * np.arange(self.n_times)
-        values = model.value_vector
-        run = kernel.simulate(times, commands, values, own, sensitivities=sensitivities)
+        run = Kernel(model, compiled=False).simulate(
+            times, commands, model.value_vector, own, sensitivities=sensitivities
+        )
         if not run.ok:
             raise AssertionError(
                 f"Effect {self.effect.name!r}: the trajectory is not finite after "
                 f"{times[run.failed_at]:g} s. Give smaller initial states, inputs or scales."
             )
-        if run.output_sensitivities is None:
-            return run.outputs, np.empty(0)
-        return run.outputs, run.output_sensitivities
+        return run
 
     def random_values(self, rng: np.random.Generator) -> dict[str, float]:
         """Values of the effect's estimated parameters about their typical sizes."""
@@ -230,7 +228,7 @@ class _Probe:
         own, commands = self.scenario(rng)
         values = self.random_values(rng)
         model = self.with_effect(values)
-        _, exact = self._run(model, own, commands)
+        exact = self._run(model, own, commands).output_sensitivities
         names = [*model.state_names, *model.free_names]
         sizes = [state.scale for state in model.states]
         sizes += [parameter.magnitude for parameter in model.free_parameters]
@@ -252,7 +250,8 @@ class _Probe:
         """Sensitivities at zero amplitude against growing amplitude."""
         own, commands = self.scenario(rng)
         model = self.with_effect(self.zero)
-        base, exact = self._run(model, own, commands)
+        run = self._run(model, own, commands)
+        base, exact = run.outputs, run.output_sensitivities
         broken = []
         for name in self.effect.amplitude_names:
             column = len(own) + model.free_names.index(name)
