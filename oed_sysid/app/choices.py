@@ -225,8 +225,7 @@ def simulated(problem: Problem, *, seed: int = 0) -> Dataset:
         )
     model = problem.true_model() if problem.truth else problem.model
     rng = np.random.default_rng(seed)
-    runs = [simulate(model, one, rng=rng) for one in problem.experiments.values()]
-    return Dataset(tuple(runs))
+    return Dataset(tuple(simulate(model, one, rng=rng) for one in problem.experiments.values()))
 
 
 def measured_sets(folder: Path) -> tuple[str, ...]:

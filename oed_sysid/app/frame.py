@@ -92,8 +92,7 @@ def _point(here: str, study: Study) -> None:
         words = f"Next: {told.page}"
         if st.button(words, icon=":material/arrow_forward:", key="next", type="primary"):
             # Once this page is drawn, and its choices kept; work that needs no choice begins there.
-            begins = told.page in (advice.FIT, advice.MISSING)
-            st.session_state["going"] = told.page, begins
+            st.session_state["going"] = told.page, told.page in (advice.FIT, advice.MISSING)
         st.markdown(told.why, width="content")
 
 

@@ -293,8 +293,7 @@ def _name(key: str) -> str:
 def _prune(folder: Path) -> None:
     """Forget the results that were not looked at for longest."""
     with suppress(OSError):
-        found = sorted(folder.glob("*.cell"), key=lambda file: file.stat().st_mtime)
-        for file in found[:-_STORED]:
+        for file in sorted(folder.glob("*.cell"), key=lambda file: file.stat().st_mtime)[:-_STORED]:
             file.unlink(missing_ok=True)
 
 

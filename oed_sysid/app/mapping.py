@@ -372,8 +372,7 @@ def asked(source: str, problem: Problem) -> LogMapping:
     if how == BY_COMMANDS:
         least, *around = (float(visit.chosen("map", source, n, default=1.0)) for n in _AROUND)
         least /= shown_unit(_departure_unit(problem))[0]
-        cuts = CommandCuts(least, before=around[0], after=around[1])
-        return replace(mapping, by_commands=cuts)
+        return replace(mapping, by_commands=CommandCuts(least, before=around[0], after=around[1]))
     return mapping
 
 
@@ -390,13 +389,11 @@ def _place(source: str, channel: str, fact: str) -> str:
 
 def _source(source: str, channel: Input | Output) -> Source:
     """Where a channel stands in the logs, by what was answered; a constant if it is not logged."""
-    answers = {fact: st.session_state.get(_place(source, channel.name, fact)) for fact in _FACTS}
-    found: dict[str, Any] = {fact: first if answers[fact] in (None, "") else answers[fact]
-                             for fact, first in _FACTS.items()}  # fmt: skip
+    said = ((fact, st.session_state.get(_place(source, channel.name, fact))) for fact in _FACTS)
+    found = {**_FACTS, **{fact: value for fact, value in said if value not in (None, "")}}
     numbers: dict[str, Any] = {fact: float(found[fact]) for fact in ("factor", "trim", "delay")}
     if found["field"] == NOT_LOGGED:
-        unit = shown_unit(channel.unit)[1] or "1"
-        return Source(constant=float(found["constant"]), unit=unit)
+        return Source(constant=float(found["constant"]), unit=shown_unit(channel.unit)[1] or "1")
     return Source(
         str(found["field"]), unit=str(found["unit"]).strip() or None,
         sign=-1 if found["flip"] else 1, wrap=bool(found["wrap"]),

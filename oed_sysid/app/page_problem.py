@@ -108,8 +108,7 @@ _NEW, _OPEN = "new vehicle", "measured data"
 def _new_vehicle() -> None:
     """Make the folder of a problem: from a template, or around a log."""
     st.text_input("Folder to make", key="new:folder", placeholder="~/vehicles/my_ship")
-    kind = st.selectbox("Begin with", [*TEMPLATES, _FROM_LOG], key="new:kind")
-    if kind == _FROM_LOG:
+    if st.selectbox("Begin with", [*TEMPLATES, _FROM_LOG], key="new:kind") == _FROM_LOG:
         words = "Log of any format; what its columns are is told by their numbers"
         file = st.file_uploader(words, type=list(mapping.ENDINGS), key="new:log")
         if file is not None and mapping.is_table(file.name):
@@ -179,8 +178,7 @@ def _records(problem: Problem, source: str, variant: str) -> None:
     """Choose records, and which of them are for training and which for validation."""
     left, right = st.columns([2, 1], vertical_alignment="bottom")
     options = choices.origins(problem)
-    first = choices.first_origin(source, problem)
-    key = visit.preset(visit.kept("origin", source, variant), first)
+    key = visit.preset(visit.kept("origin", source, variant), choices.first_origin(source, problem))
     left.segmented_control("Records", options, key=key, required=True, label_visibility="collapsed")
     origin = str(st.session_state[key])
     says = (
@@ -238,5 +236,4 @@ def _candidates(problem: Problem) -> Table:
         (one.name, one.stage, one.description, one.needs or "", one.source or "")
         for one in problem.effects
     )
-    headers = ("effect", "stage", "meaning", "shows in", "source")
-    return Table(headers, rows, words=(1, 2, 3, 4))
+    return Table(("effect", "stage", "meaning", "shows in", "source"), rows, words=(1, 2, 3, 4))

@@ -254,8 +254,7 @@ def part(section: Section) -> None:
     columns = st.columns(len(live) if section.beside else 1) * len(live) if live else []
     for column, picture in zip(columns, live, strict=False):
         with column:
-            key = f"{section.title}:{picture.finding}:{len(section.figures)}"
-            chart(drawn(picture.chart), key)
+            chart(drawn(picture.chart), f"{section.title}:{picture.finding}:{len(section.figures)}")
             st.caption(picture.caption)
     st.html(f'<div class="oed">{replace(section, figures=still).html()}</div>')
 

@@ -44,8 +44,7 @@ def read_records(files: Sequence[str], problem: Problem) -> Dataset:
         If a file cannot be used, or its times seem to be milliseconds and no ``--time-unit`` says
         what they are.
     """
-    intervals = (run.sample_time for run in problem.experiments.values())
-    return _read(files, problem.model, intervals)
+    return _read(files, problem.model, (run.sample_time for run in problem.experiments.values()))
 
 
 def read_records_of(files: Sequence[str], fit: Fit) -> Dataset:

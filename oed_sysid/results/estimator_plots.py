@@ -375,8 +375,7 @@ def _draw_level(
         fill = "none" if row.n_failed else look["color"]
         ax.plot(error, places[row.estimator], ms=5.5, mfc=fill, clip_on=False, **look)
     # The legend shows full marks, whichever estimator comes first.
-    words = f"noise {rows[0].noise:g} {UNITS[rows[0].noise_unit]}"
-    ax.plot([], [], ls="", label=words, **look)
+    ax.plot([], [], ls="", label=f"noise {rows[0].noise:g} {UNITS[rows[0].noise_unit]}", **look)
 
 
 def plot_comparison(
