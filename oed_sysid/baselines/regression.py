@@ -120,8 +120,7 @@ class Baseline(ABC):
             runner.simulate(record.times, record.inputs, at, own)
             for record, own in zip(dataset, initial, strict=True)
         ]
-        pairs = zip(dataset, runs, strict=True)
-        residuals = [record.outputs - run.outputs for record, run in pairs]
+        residuals = [one.outputs - run.outputs for one, run in zip(dataset, runs, strict=True)]
         declared, stacked = given_levels(model.outputs), np.vstack(residuals)
         estimated = ~np.isfinite(declared)
         sizes = np.maximum(np.nan_to_num(root_mean_square(residuals)), 1e-12)

@@ -291,17 +291,16 @@ def plot_orders(design: Design | TrialCard, *, ax: Axes | None = None) -> Axes:
     """
     ax = draw.new_axes(ax, size=(5.4, 2.2))
     moved = [n for n in design.model.inputs if n.name not in design.experiment.constants]
+    said = []
     for index, channel in enumerate(moved):
         values = draw.shown(channel, design.trajectory.signal(channel.name))
         words = f"{draw.symbol_of(channel.name)} [{shown_unit(channel.unit)[1]}]"
         colour = draw.model_style(index).colour
         ax.plot(design.trajectory.times, values, color=colour, lw=1.2, drawstyle="steps-post",
                 label=words)  # fmt: skip
+        said.append(draw.between(channel, values))
     draw.legend_above(ax, len(moved), fontsize=6.5)
-    said = " ".join(
-        draw.between(one, draw.shown(one, design.trajectory.signal(one.name))) for one in moved
-    )
-    return draw.done(ax, said, xlabel="time $t$ [s]", ylabel="orders")
+    return draw.done(ax, " ".join(said), xlabel="time $t$ [s]", ylabel="orders")
 
 
 def _folded(lines: list[str], most: int = 14) -> list[str]:

@@ -586,11 +586,9 @@ def _least_certain(fit: Fit) -> str:
 
 
 def _reference(fits: Sequence[Fit], name: str) -> float:
-    for fit in fits:
-        if name in fit.values:
-            parameter = fit.model.parameter(name)
-            return parameter.prior_mean or fit.values[name] or parameter.magnitude
-    return 1.0
+    fit = next(fit for fit in fits if name in fit.values)
+    parameter = fit.model.parameter(name)
+    return parameter.prior_mean or fit.values[name] or parameter.magnitude
 
 
 def plot_profile(profile: Profile, *, ax: Axes | None = None) -> Axes:

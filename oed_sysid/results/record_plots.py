@@ -167,16 +167,15 @@ def figure_check(found: LogCheck, *, n_shown: int = 3) -> Figure:
     names = found.records[:n_shown]
     n = len(found.balances)
     figure, axes = draw.new_figure(n, len(names), size=(1.2 + 3.4 * len(names), 0.6 + 1.9 * n))
-    for row, balance in enumerate(found.balances):
-        for column, name in enumerate(names):
-            ax = axes[row, column]
+    for row, balance in zip(axes, found.balances, strict=True):
+        for ax, name in zip(row, names, strict=True):
             plot_balance(balance, name, ax=ax)
-            if row == 0:
-                ax.set_title(name, fontsize=10)
-            if row < n - 1:
-                ax.set_xlabel("")
-            if column:
-                ax.set_ylabel("")
+    for ax, name in zip(axes[0], names, strict=True):
+        ax.set_title(name, fontsize=10)
+    for ax in axes[:-1].flat:
+        ax.set_xlabel("")
+    for ax in axes[:, 1:].flat:
+        ax.set_ylabel("")
     lines = {line.get_label(): line for ax in axes.flat for line in ax.get_lines()}
     handles = [lines[one["label"]] for one in (_BEFORE, _AFTER) if one["label"] in lines]
     figure.legend(handles=handles, loc="outside upper right", ncols=2, frameon=False, fontsize=9)
