@@ -166,9 +166,7 @@ def ridge(features: np.ndarray, targets: np.ndarray, C: float, *, bias: bool) ->
     return scale * np.linalg.lstsq(matrix * scale, right, rcond=None)[0]
 
 
-def best_weight(
-    features: np.ndarray, targets: np.ndarray, bias: bool, n_stretches: int = 5
-) -> float:
+def best_weight(features: np.ndarray, targets: np.ndarray, bias: bool) -> float:
     r"""Weight of the errors that predicts left-out stretches best.
 
     .. math:: \hat C = \arg\min_C \sum_{j} \sum_{i \in S_j}
@@ -183,11 +181,9 @@ def best_weight(
     targets : ndarray (n_samples,)
     bias : bool
         Whether there is a constant.
-    n_stretches : int
-        How many are left out, one after the other.
     """
     size = float(np.mean(features**2)) or 1.0
-    stretches = np.array_split(np.arange(len(targets)), n_stretches)
+    stretches = np.array_split(np.arange(len(targets)), 5)  # left out one after the other
 
     def error(weight: float) -> float:
         total = 0.0
