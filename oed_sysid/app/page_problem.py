@@ -15,7 +15,7 @@ from oed_sysid.app import choices, mapping, visit
 from oed_sysid.app.charts import look_at
 from oed_sysid.app.mapping import NothingMappedError, headers, plain_name
 from oed_sysid.app.panels import message, part, tabs
-from oed_sysid.app.trust import NotTrustedError, check_trusted, code_of
+from oed_sysid.app.trust import NotTrustedError, code_of
 from oed_sysid.cli.study import DEFAULT_MODEL
 from oed_sysid.data.csv_columns import TIME_NAMES
 from oed_sysid.errors import OedSysidError, ProblemError
@@ -45,11 +45,10 @@ def show() -> None:
         _measured()
     source = str(visit.chosen("source") or "").strip()
     try:
-        check_trusted(source, choices.agreed())
+        problem = choices.problem_of(source, DEFAULT_MODEL)
     except NotTrustedError:
         _ask_consent(source)
         return
-    problem = choices.problem_of(source, DEFAULT_MODEL)
     variant = DEFAULT_MODEL
     if len(problem.variants) > 1:
         variant = right.selectbox("Model", problem.variants, key=visit.kept("variant", source))

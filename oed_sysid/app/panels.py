@@ -76,15 +76,14 @@ def ask(
     if kind.startswith("tuple"):
         visit.preset(key, list(begin))
         return tuple(place.multiselect(words, offered, **settings))
+    if choices and begin not in offered:
+        begin = offered[0]
+    visit.preset(key, begin)
     if offered:
-        if choices is not None and begin not in offered:
-            begin = offered[0]
-        visit.preset(key, begin)
         return place.selectbox(
             words, offered, index=None if begin is None else 0,
             format_func=lambda one: row.words.get(str(one), str(one)), **settings,
         )  # fmt: skip
-    visit.preset(key, begin)
     number, form = (int, "%d") if "int" in kind else (float, "%.4g")
     least = None if row.least is None else number(row.least)
     return place.number_input(words, min_value=least, format=form, **settings)

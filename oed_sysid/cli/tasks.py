@@ -549,7 +549,7 @@ def design(
     return Outcome(
         found, found.document(title=problem.title), found.to_dict(),
         figure=Figure("figure_design", found, ""), text=found.sea_trial_card(),
-        settings={"spread": spread, "seed": effort.seed},
+        settings={"seed": effort.seed},
     )  # fmt: skip
 
 
@@ -813,13 +813,10 @@ class Played(Files):
 
     def write(self, outcome: Outcome, study: Study) -> Iterator[str]:
         """Write table, card, pulses, bag and controllers."""
-        import numpy as np
-
         from oed_sysid import design
         from oed_sysid.design.controllers import BY_SERVO
 
         found, limits = outcome.result, outcome.result.experiment.limits
-        closed, rng = found.assurance, np.random.default_rng(outcome.settings["seed"])
         table = found.model, found.trajectory.times, found.trajectory.inputs
         written: list[tuple[Path | None, Callable[[Path], object]]] = [
             (self.out, found.write_csv),
@@ -833,8 +830,8 @@ class Played(Files):
                 write(path)
                 yield f"Written: {path}"
         if found.experiment.reacts and (self.overrides or self.bag):
-            yield from self._as_table(found, rng)
-        rules = None if closed is None else closed.rules
+            yield from self._as_table(found, outcome.settings["seed"])
+        rules = None if found.assurance is None else found.assurance.rules
         for kind, place in self._controllers().items():
             servos = self._servos(limits) if kind in BY_SERVO else {}
             design.write_controller(
@@ -842,16 +839,18 @@ class Played(Files):
             )
             yield f"Written: {place}"
 
-    def _as_table(self, found: Design, rng: Any) -> Iterator[str]:
+    def _as_table(self, found: Design, seed: int) -> Iterator[str]:
         """How surely limits are kept where a run that reacts is played as a table."""
+        import numpy as np
+
         from oed_sysid import design
 
         closed = found.assurance
         if closed is not None and closed.limited:
             kept = design.assess_limits(
-                found.model, design.played(found.model, found.experiment), rng=rng,
-                limits=found.experiment.limits, spread=closed.spread, prior=found.prior,
-                vehicles=closed.n_checked, sea=found.sea,
+                found.model, design.played(found.model, found.experiment),
+                rng=np.random.default_rng(seed), limits=found.experiment.limits,
+                spread=closed.spread, prior=found.prior, vehicles=closed.n_checked, sea=found.sea,
             )  # fmt: skip
             yield f"Played as a table, without its feedback: {kept.report()}."
 
