@@ -18,7 +18,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
-from itertools import groupby, product
+from itertools import chain, groupby, product
 from pathlib import Path
 
 import numpy as np
@@ -176,13 +176,12 @@ def measure(outcomes: Iterable[Outcome]) -> tuple[Row, ...]:
         cell = outcome.cell
         by_name = settings.setdefault((cell.problem, cell.sampling, cell.noise, cell.world), {})
         by_name.setdefault(cell.estimator, []).append(outcome)
-    return tuple(
-        row
-        for by_name in settings.values()
-        for row in sorted(
-            map(_row, by_name.values()), key=lambda row: (bool(row.refused), row.rmse_determined)
-        )
-    )
+
+    def place(row: Row) -> tuple[bool, float]:
+        return bool(row.refused), row.rmse_determined
+
+    groups = (sorted(map(_row, by_name.values()), key=place) for by_name in settings.values())
+    return tuple(chain.from_iterable(groups))
 
 
 def logarithms_of_ratios(others: Sequence[float], own: Sequence[float]) -> np.ndarray:
@@ -447,11 +446,8 @@ class Benchmark:
             if not row.refused:
                 settings.setdefault(row.setting, row.estimator)
         wins = Counter(settings.values()).most_common(3)
-        return (
-            "Smallest errors of the parameters that the data determine: "
-            + ", ".join(f"{name} in {n} of {len(settings)} settings" for name, n in wins)
-            + "."
-        )
+        said = ", ".join(f"{name} in {n} of {len(settings)} settings" for name, n in wins)
+        return f"Smallest errors of the parameters that the data determine: {said}."
 
     def report(self) -> str:
         """Return the tables as Markdown."""

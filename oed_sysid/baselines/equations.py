@@ -144,11 +144,8 @@ def regression_form(model: Model) -> RegressionForm:
     target = ca.substitute(residual[rows.tolist(), 0], p_free, ca.DM.zeros(len(names)))
     # Only states that the rows hold have to be measured; a position, say, may be left out.
     both = ca.vertcat(target, ca.vec(regressors))
-    needed = tuple(
-        name
-        for i, name in enumerate(graph.state_names)
-        if ca.depends_on(both, ca.vertcat(x[i], rate[i]))
-    )
+    states = zip(graph.state_names, ca.vertsplit(x), ca.vertsplit(rate), strict=True)
+    needed = tuple(name for name, *pair in states if ca.depends_on(both, ca.vertcat(*pair)))
     function = ca.Function(
         "regression",
         [x, rate, d, p, t],
@@ -180,11 +177,8 @@ def _check_linear(model: Model, graph: Graph, slope: ca.SX, p_free: ca.SX) -> No
     # Linear in all together: no derivative may hold any of the parameters.
     wrong = [name for i, name in enumerate(names) if ca.depends_on(slope, p_free[i])]
     if wrong:
-        states = [
-            state
-            for row, state in enumerate(graph.state_names)
-            if ca.depends_on(slope[row, :], p_free)
-        ]
+        rows = zip(graph.state_names, ca.vertsplit(slope), strict=True)
+        states = [state for state, row in rows if ca.depends_on(row, p_free)]
         raise ModelError(
             f"Model {model.name!r} is not linear in {', '.join(wrong)}, in the equation of "
             f"{', '.join(states)}. Where one parameter divides another, write it as an inertia "

@@ -576,12 +576,8 @@ class FourierStream:
         needed = elapsed * (errors[worst] / goal) ** 2
         words = f"{worst} is known to {errors[worst]:.0%}"
         if elapsed >= self.duration and needed > 2 * elapsed:
-            silent = [
-                f"{response} hardly answers {command}"
-                for (command, response), share in self.coherence().items()
-                if share < 2.0 / NEIGHBOURS
-            ]
-            why = f" ({silent[0]})" if silent else ""
+            weak = [pair for pair, value in self.coherence().items() if value < 2.0 / NEIGHBOURS]
+            why = f" ({weak[0][1]} hardly answers {weak[0][0]})" if weak else ""
             return f"next run: {words}, this one does not excite it{why}"
         more = max(needed - elapsed, 0.0)
         runs = min(round(more / self.duration), 100)

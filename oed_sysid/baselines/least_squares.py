@@ -178,14 +178,14 @@ class TotalLeastSquares(RegressionEstimator):
         ]
         targets, regressors = np.vstack(rows.targets), np.vstack(rows.regressors)
         n_copies = 12  # of the data, to measure how noise enters the columns
+
+        def noisy(record: Record) -> Record:
+            errors = sigma * rng.standard_normal(record.outputs.shape)
+            return record.with_outputs(record.outputs + errors)
+
         for _ in range(n_copies):
-            copies = [
-                record.with_outputs(
-                    record.outputs + sigma * rng.standard_normal(record.outputs.shape)
-                )
-                for record in rows.dataset
-            ]
-            moved = rows_of(form, Dataset(tuple(copies)), rule=self.rule, window=self.window)
+            copies = Dataset(tuple(map(noisy, rows.dataset)))
+            moved = rows_of(form, copies, rule=self.rule, window=self.window)
             by_target = np.vstack(moved.targets) - targets
             by_regressor = np.vstack(moved.regressors) - regressors
             for index, columns in enumerate(used):

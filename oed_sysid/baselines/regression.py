@@ -116,10 +116,8 @@ class Baseline(ABC):
         # What is not known of the start of a record is measured, or zero.
         initial = [first_state(model, one, getattr(self, "initial", None)) for one in dataset]
         runner, at = kernel(fitted), fitted.value_vector
-        runs = [
-            runner.simulate(record.times, record.inputs, at, own)
-            for record, own in zip(dataset, initial, strict=True)
-        ]
+        starts = zip(dataset, initial, strict=True)
+        runs = [runner.simulate(one.times, one.inputs, at, own) for one, own in starts]
         residuals = [one.outputs - run.outputs for one, run in zip(dataset, runs, strict=True)]
         declared, stacked = given_levels(model.outputs), np.vstack(residuals)
         estimated = ~np.isfinite(declared)
