@@ -430,10 +430,8 @@ def _words(paths: list[_Path], moment: float, axes: tuple[str, str] | None) -> l
     """The angles of all vehicles at a moment, degrees, above the picture."""
     lines = []
     for path in paths:
-        said = ", ".join(
-            f"{ANGLES[name][1]} {np.degrees(angle):.1f}°"
-            for name, angle in path.attitude(moment).items()
-        )
+        turned = path.attitude(moment).items()
+        said = ", ".join(f"{ANGLES[name][1]} {np.degrees(angle):.1f}°" for name, angle in turned)
         lines.append(f"{path.name}: {said}")
     return [{
         "text": "<br>".join(lines), "xref": "paper", "yref": "paper", "align": "left",

@@ -443,10 +443,8 @@ def figure_benchmark(result: Benchmark) -> Figure:
         names = list(dict.fromkeys(row.estimator for row in result.rows if not row.refused))
         ax = plot_comparison(_against(result.rows, names, worlds), names, worlds)
         return cast(Figure, ax.figure)
-    groups = [
-        (title, list(group))
-        for title, group in groupby(result.rows, key=lambda row: (row.problem, row.sampling))
-    ]
+    titled = groupby(result.rows, key=lambda row: (row.problem, row.sampling))
+    groups = [(title, list(group)) for title, group in titled]
     figure, axes = draw.panels(len(groups), 2, (5.6, 3.4))
     for ax, ((problem, sampling), rows) in zip(axes, groups, strict=True):
         plot_errors(rows, ax=ax)

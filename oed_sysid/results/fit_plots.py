@@ -693,10 +693,8 @@ def plot_ellipses(
         ax.plot(centre[0] + edge[0], centre[1] + edge[1], **look.line, lw=1.6, label=name)
         ax.plot(*centre, "+", color=look.colour, ms=8)
         errors = np.sqrt(np.diag(covariance))
-        half = ", ".join(
-            f"{n} ± {TWO_SIDED_95 * e:.2g} {unit}".rstrip()
-            for n, e, unit in zip(pair, errors, units, strict=True)
-        )
+        each = zip(pair, errors, units, strict=True)
+        half = ", ".join(f"{n} ± {TWO_SIDED_95 * e:.2g} {unit}".rstrip() for n, e, unit in each)
         rho = covariance[0, 1] / errors.prod()
         said.append(f"{name}: {half} (95 %), correlation {rho:+.2f}.")
     if truth is not None:

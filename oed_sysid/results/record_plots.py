@@ -79,10 +79,8 @@ def plot_balances(found: LogCheck, ax: Axes | None = None) -> Axes:
     ax.xaxis.set_major_formatter("{x:g}")
     words = "unexplained share of the left side's changes [%]"
     rest = "{:.3g} % of {} is unexplained as logged, {:.3g} % with the findings undone.".format
-    said = " ".join(
-        rest(before, one.relation, after)
-        for one, (before, after) in zip(found.balances, both, strict=True)
-    )
+    shares = zip(found.balances, both, strict=True)
+    said = " ".join(rest(before, one.relation, after) for one, (before, after) in shares)
     return draw.done(ax, said, grid="x", legend=2, xlabel=words)
 
 
