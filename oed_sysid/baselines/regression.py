@@ -269,10 +269,8 @@ def solve_rows(rows: Rows, coloured: str = "auto") -> Regression:
         # A prior is one observation, and no series that could be correlated in time.
         middle = coloured_score_covariance(jacobians, scaled) + known.T @ known
         covariance = sandwich(covariance, middle)
-    extras = {
-        "equation_errors": dict(zip(form.equations, map(float, levels), strict=True)),
-        "equation_residuals": residuals,
-    }
+    by_equation = dict(zip(form.equations, map(float, levels), strict=True))
+    extras = {"equation_errors": by_equation, "equation_residuals": residuals}
     return Regression(estimates, covariance, information, use, facts=extras)
 
 
