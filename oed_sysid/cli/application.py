@@ -27,7 +27,8 @@ ORDER = (
     "report diagnose improve export app"
 )
 # What becomes of their results, where that is not numbers alone; `app` has none.
-RESULTS = dict.fromkeys(("simulate", "import", "report"), "json_file picture") | {"app": ""}
+_DRAWN = ("simulate", "import", "report", "estimators")
+RESULTS = dict.fromkeys(_DRAWN, "json_file picture") | {"app": ""}
 _SETTINGS: dict[str, Any] = {"no_args_is_help": True, "rich_markup_mode": "rich"}
 
 app = typer.Typer(
@@ -84,22 +85,17 @@ def command_of(task: Task) -> Callable[..., None]:
 
 
 for _name in ORDER.split():
-    _command = (
-        command_of(TASKS[_name])
-        if _name in TASKS
-        else described(
-            getattr(commands, _name, None) or getattr(commands, f"{_name}_"),
-            RESULTS.get(_name, "json_file"),
-        )
-    )
+    if _name in TASKS:
+        _command = command_of(TASKS[_name])
+    else:
+        _own = getattr(commands, _name, None) or getattr(commands, f"{_name}_")
+        _command = described(_own, RESULTS.get(_name, "json_file"))
     app.command(_name, cls=Command, no_args_is_help=_name not in ("problems", "app"))(_command)
 
 benchmarks = typer.Typer(
     name="benchmark", help="Compare methods on problems whose truth is known.", **_SETTINGS
 )
-for _made, _results in (
-    (commands.estimators, "json_file picture"),
-    (commands.missing_physics, "json_file"),
-):
-    benchmarks.command(_made.__name__.replace("_", "-"), cls=Command)(described(_made, _results))
+for _own in (commands.estimators, commands.missing_physics):
+    _command = described(_own, RESULTS.get(_own.__name__, "json_file"))
+    benchmarks.command(_own.__name__.replace("_", "-"), cls=Command)(_command)
 app.add_typer(benchmarks)

@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import inspect
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, is_dataclass, replace
+from dataclasses import dataclass, field, is_dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, get_type_hints
 
@@ -265,18 +265,13 @@ def options_of(function: Callable[..., Any]) -> Iterator[Option]:
     [('runs', 3), ('criterion', 'A')]
     """
     hints = get_type_hints(function)
-    if is_dataclass(function):
-        for part in fields(function):
-            yield Option(part.name, hints[part.name], part.default)
-        return
     for name, one in inspect.signature(function).parameters.items():
         kind = hints.get(name)
         if name in ("study", "show"):  # what a task is about, and who is told
             continue
-        if is_dataclass(kind):
-            inner = get_type_hints(kind)
-            for part in fields(kind):
-                yield Option(part.name, inner[part.name], getattr(one.default, part.name), name)
+        if isinstance(kind, type) and is_dataclass(kind):
+            for part in options_of(kind):
+                yield replace(part, default=getattr(one.default, part.name), group=name)
         else:
             yield Option(name, kind, one.default)
 
