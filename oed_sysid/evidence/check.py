@@ -29,7 +29,7 @@ The equations come from the model's own text, or follow from standard names of s
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain, product
 from time import perf_counter
@@ -478,7 +478,7 @@ def _without(fit: Fit, records: Dataset, effects: Sequence[Effect]) -> Dataset:
     return Dataset(tuple(undone))
 
 
-def _sensed(effects: Iterable[Effect]) -> frozenset[str]:
+def _sensed(effects: Sequence[Effect]) -> frozenset[str]:
     """Signals on which sensors have an effect."""
     return frozenset(str(key) for e in effects if e.stage == "sensor" for key in e.terms)
 

@@ -214,7 +214,7 @@ def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float
         )
         for effect in study.effects_of(fit)
     ]
-    free = study.estimate(wide, fit.values, fit, max_iterations=25)
+    free = study.estimate(wide, fit.values, fit)
     return 0.0 if free is None else max(fit.objective - free.objective, 0.0)
 
 

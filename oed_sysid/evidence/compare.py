@@ -146,11 +146,10 @@ class Comparison:
     def __getitem__(self, key: str | int) -> ModelMisfit:
         if isinstance(key, int):
             return self.models[key]
-        for part in self.models:
-            if part.label == key:
-                return part
-        known = ", ".join(part.label for part in self.models)
-        raise DataError(f"The comparison has no model {key!r}. It has: {known}.")
+        named = {part.label: part for part in self.models}
+        if key not in named:
+            raise DataError(f"The comparison has no model {key!r}. It has: {', '.join(named)}.")
+        return named[key]
 
     @property
     def best(self) -> ModelMisfit:

@@ -45,7 +45,7 @@ M. B. Tischler, R. K. Remple, *Aircraft and Rotorcraft System Identification*, A
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
 from typing import Any
@@ -336,7 +336,20 @@ class FrequencyComparison:
 
     def bands_of(self, one: ModelResponse, command: str, output: str) -> tuple[Band, ...]:
         """Bands of a model for one response, in the order of their frequencies."""
-        return tuple(_bands(self.record, one, command, output))
+        record, found = self.record, list[Band]()
+        at = slice(None), record.outputs.index(output), record.inputs.index(command)
+        said = one.verdicts[at]
+        edges = [0, *(np.flatnonzero(said[1:] != said[:-1]) + 1), len(said)]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            apart = np.log(one.values[at] / record.values[at])
+        for low, high in pairwise(edges):
+            mean = apart[low:high].mean()
+            found.append(Band(
+                one.label, command, output, float(record.frequencies[low]),
+                float(record.frequencies[high - 1]), str(said[low]),
+                float(np.exp(mean.real)), float(mean.imag), int(high - low),
+            ))  # fmt: skip
+        return tuple(found)
 
     @property
     def bands(self) -> tuple[Band, ...]:
@@ -359,7 +372,25 @@ class FrequencyComparison:
         return [(command, out) for out in self.record.outputs for command in self.record.inputs]
 
     def _sentence(self, one: ModelResponse, command: str, output: str) -> str:
-        return _sentence(one.label, command, output, self.bands_of(one, command, output))
+        """Where a model holds for one response."""
+        bands, head = self.bands_of(one, command, output), f"{one.label}, {command} to {output}: "
+        told = [band for band in bands if band.verdict != UNTOLD]
+        if not told:
+            return f"{head}the records tell nothing at any frequency."
+        spans = [band for band in told if band.verdict == HOLDS]
+        missed = [band for band in told if band.verdict == FAILS]
+        if not spans or not missed or len(told) <= CHANGES:
+            words = f"holds over {_spans(spans)}" if spans else "holds nowhere"
+            more = f", fails over {_spans(missed)}" if missed else ""
+            return f"{head}{words}{more}; elsewhere the records tell nothing."
+        # Of verdicts that alternate the reader wants the extent, the share and the worst.
+        worst = max(missed, key=lambda band: abs(np.log(band.ratio) + 1j * band.phase))
+        n, total = sum(band.count for band in spans), sum(band.count for band in told)
+        return (
+            f"{head}holds at {n} of {total} frequencies that the records tell of, "
+            f"{told[0].low:.3g} to {told[-1].high:.3g} Hz; most off over {_spans([worst])} "
+            f"({', '.join(_apart(worst))} deg)."
+        )
 
     def section(self) -> Section:
         """Return the comparison as a part of a document."""
@@ -469,49 +500,9 @@ def _linear(one: ModelMisfit, record: FrequencyResponse) -> np.ndarray | None:
     return found
 
 
-def _bands(
-    record: FrequencyResponse, one: ModelResponse, command: str, output: str
-) -> Iterator[Band]:
-    """Neighbouring frequencies of one verdict of a response."""
-    at = slice(None), record.outputs.index(output), record.inputs.index(command)
-    said = one.verdicts[at]
-    edges = [0, *(np.flatnonzero(said[1:] != said[:-1]) + 1), len(said)]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        apart = np.log(one.values[at] / record.values[at])
-    for low, high in pairwise(edges):
-        mean = apart[low:high].mean()
-        yield Band(
-            one.label, command, output, float(record.frequencies[low]),
-            float(record.frequencies[high - 1]), str(said[low]),
-            float(np.exp(mean.real)), float(mean.imag), int(high - low),
-        )  # fmt: skip
-
-
 def _apart(band: Band) -> tuple[str, str]:
     """Mean distance of model and record over a band, in words."""
     return f"x {band.ratio:.3g}", f"{np.degrees(band.phase):+.1f}"
-
-
-def _sentence(label: str, command: str, output: str, bands: Sequence[Band]) -> str:
-    """Where a model holds for one response."""
-    head = f"{label}, {command} to {output}: "
-    told = [band for band in bands if band.verdict != UNTOLD]
-    if not told:
-        return f"{head}the records tell nothing at any frequency."
-    spans = [band for band in told if band.verdict == HOLDS]
-    missed = [band for band in told if band.verdict == FAILS]
-    if not spans or not missed or len(told) <= CHANGES:
-        words = f"holds over {_spans(spans)}" if spans else "holds nowhere"
-        more = f", fails over {_spans(missed)}" if missed else ""
-        return f"{head}{words}{more}; elsewhere the records tell nothing."
-    # Of verdicts that alternate the reader wants the extent, the share and the worst.
-    worst = max(missed, key=lambda band: abs(np.log(band.ratio) + 1j * band.phase))
-    n, total = sum(band.count for band in spans), sum(band.count for band in told)
-    return (
-        f"{head}holds at {n} of {total} frequencies that the records tell of, {told[0].low:.3g} to "
-        f"{told[-1].high:.3g} Hz; most off over {_spans([worst])} "
-        f"({', '.join(_apart(worst))} deg)."
-    )
 
 
 def _spans(bands: Sequence[Band]) -> str:

@@ -251,9 +251,7 @@ class _Run:
         calm, first, last = self.search.ended(Standing(study, (), base, (base,)))
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
-        fit = calm.added and found.estimate(
-            calm.effects, calm.fit.values, calm.fit, noise=noise, max_iterations=25
-        )
+        fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
         if not fit:
             return end
         more = sum(calm.needed(effect) for effect in calm.effects)

@@ -18,7 +18,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterKernel, filter_kernel
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.misfit import in_words
@@ -32,8 +31,8 @@ from oed_sysid.evidence.residual_forces import (
 )
 from oed_sysid.evidence.traces import LEAST, RELATIVE
 from oed_sysid.information.shifts import GROUP_WIDTH
-from oed_sysid.likelihood.disturbances import Place, disturbance, places
-from oed_sysid.likelihood.filtered import Filtered, disturbed_model
+from oed_sysid.likelihood.disturbances import Place, places
+from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
@@ -345,15 +344,6 @@ def _apart(problem: Filtered, point: Point) -> np.ndarray:
     return point.unknowns[: problem.layout.levels.start]
 
 
-def _kernel(fit: FilteredSolution) -> FilterKernel:
-    """A filter with a disturbance at every place but the sensors."""
-    known = fit.problem.kernel.model
-    chain = [disturbance(p).name for p in places(fit.problem.model) if p.stage != "sensor"]
-    if set(chain) <= set(known.parameter_names):
-        return fit.problem.kernel
-    return filter_kernel(disturbed_model(known, chain))
-
-
 @dataclass(frozen=True, eq=False)
 class _Bench:
     """What every place is judged by.
@@ -383,7 +373,7 @@ class _Bench:
         noise = NoiseModel.white_only(white, model.output_names)
         levels = Levels.of(noise, noise, white=unknown)
         known = fit.problem.known_starts if pieces == 1 else None
-        problem = Filtered(model, dataset, levels, kernel=_kernel(fit), known_starts=known)
+        problem = Filtered(model, dataset, levels, kernel=fit.problem.kernel, known_starts=known)
         point = problem.point(initial, local)
         quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
         if quiet.finite is None:

@@ -430,7 +430,7 @@ def deepen(study: Study, fit: FilteredSolution, quick: Refit) -> Refit:
     if at_bounds(quick.fit, quick.effects):
         own = {effect.name for effect in quick.effects}
         effects = tuple(one.widened() if one.name in own else one for one in effects)
-    found = study.estimate(effects, quick.fit.values, quick.fit, max_iterations=25)
+    found = study.estimate(effects, quick.fit.values, quick.fit)
     if found is None or found.objective > quick.fit.objective:
         return quick
     deep = replace(quick, fit=found, gain=fit.objective - found.objective)

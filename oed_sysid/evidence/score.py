@@ -96,16 +96,6 @@ class Score:
 
 
 @dataclass(frozen=True, eq=False)
-class _Variant:
-    """Columns ``(n_rows, n_amplitudes)`` of one candidate at one shape."""
-
-    effect: Effect
-    amplitudes: tuple[str, ...]
-    shape: dict[str, float]
-    columns: np.ndarray
-
-
-@dataclass(frozen=True, eq=False)
 class _Rows:
     """Innovations of all records in units of their standard deviation, with derivatives.
 
@@ -196,11 +186,10 @@ def scores(
     # Sizes and starts of single records are estimated anew on the validation records.
     n_records = len(rows.passes) + len(study.validation or ())
     best: dict[str, Score] = {}
-    for variant in _variants(study, fit, candidates, rows):
-        name = variant.effect.name
-        score = _score(variant, projected(variant.columns), residual, n_records)
-        if name not in best or score.statistic > best[name].statistic:
-            best[name] = replace(score, trials=_trials(variant.effect, rows))
+    for effect, shape, raw in _variants(study, fit, candidates, rows):
+        score = _score(effect, shape, raw, projected(raw), residual, n_records)
+        if effect.name not in best or score.statistic > best[effect.name].statistic:
+            best[effect.name] = replace(score, trials=_trials(effect, rows))
     return sorted(best.values(), key=lambda s: -s.statistic), residual
 
 
@@ -247,17 +236,23 @@ def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
     return _Rows(passes, times, np.concatenate(residual), np.concatenate(known), named)
 
 
-def _score(variant: _Variant, projected: np.ndarray, residual: np.ndarray, n_records: int) -> Score:
-    effect, raw = variant.effect, variant.columns
-    size = np.linalg.norm(raw, axis=0)
-    left = np.linalg.norm(projected, axis=0)
+def _score(
+    effect: Effect,
+    shape: dict[str, float],
+    raw: np.ndarray,
+    projected: np.ndarray,
+    residual: np.ndarray,
+    n_records: int,
+) -> Score:
+    """Score at one shape, from columns as they are and with the unknowns projected out."""
+    names = effect.amplitude_names
+    size, left = np.linalg.norm(raw, axis=0), np.linalg.norm(projected, axis=0)
     distinct = float(np.min(left / np.where(size > 0, size, np.inf)))
     local = _local_names(effect)
     each = len(local) + len(effect.start_names)
-    freedom = len(variant.amplitudes) - len(local) + len(effect.shape_names) + n_records * each
+    freedom = len(names) - len(local) + len(effect.shape_names) + n_records * each
     if distinct < ABSORBED:
-        nothing = dict.fromkeys(variant.amplitudes, 0.0)
-        endless = dict.fromkeys(variant.amplitudes, np.inf)
+        nothing, endless = dict.fromkeys(names, 0.0), dict.fromkeys(names, np.inf)
         return Score(effect, 0.0, freedom, nothing, endless, distinct, 0 * projected)
     matrix = projected.T @ projected
     right = projected.T @ residual
@@ -265,23 +260,23 @@ def _score(variant: _Variant, projected: np.ndarray, residual: np.ndarray, n_rec
     inverse = inverse_of(matrix)
     amplitude, errors = inverse @ right, np.sqrt(np.maximum(np.diag(inverse), 0.0))
     statistic = float(right @ amplitude)
-    count = len(variant.amplitudes)
+    count = len(names)
     if raw.shape[1] > count:  # one amplitude for every record
         amplitude = amplitude.reshape(count, -1).mean(axis=1)
         # What a size that all records share would be known to.
         errors = np.sum(errors.reshape(count, -1) ** -2.0, axis=1) ** -0.5
-    sizes = [_parameter(effect, name) for name in variant.amplitudes]
+    sizes = [_parameter(effect, name) for name in names]
     lower, upper = [one.lower for one in sizes], [one.upper for one in sizes]
     # An effect whose sign physics gives is no evidence with the other one.
     if len(amplitude) == 1 and (lower[0] >= 0 > amplitude[0] or upper[0] <= 0 < amplitude[0]):
         statistic, amplitude = 0.0, np.zeros(1)
-    estimate = dict(zip(variant.amplitudes, np.clip(amplitude, lower, upper), strict=True))
+    estimate = dict(zip(names, np.clip(amplitude, lower, upper), strict=True))
     return Score(
         effect,
         statistic,
         freedom,
-        {name: float(value) for name, value in (estimate | variant.shape).items()},
-        dict(zip(variant.amplitudes, map(float, errors), strict=True)),
+        {name: float(value) for name, value in (estimate | shape).items()},
+        dict(zip(names, map(float, errors), strict=True)),
         distinct,
         projected,
     )
@@ -293,21 +288,19 @@ def _parameter(effect: Effect, name: str) -> Parameter:
 
 def _variants(
     study: Study, fit: FilteredSolution, candidates: Sequence[Effect], rows: _Rows
-) -> Iterator[_Variant]:
-    """Columns of every candidate, for every shape it may have."""
+) -> Iterator[tuple[Effect, dict[str, float], np.ndarray]]:
+    """Columns ``(n_rows, n_amplitudes)`` of every candidate, for every shape it may have."""
     for effect in candidates:
-        amplitudes = effect.amplitude_names
-        is_smooth = rows.extra.keys() >= {*amplitudes}
+        is_smooth = rows.extra.keys() >= {*effect.amplitude_names}
         smooth_sizes = (TANGENT,) if two_sided(effect) else SIZES
         for shape, size in product(_shapes(effect, rows), smooth_sizes):
             columns = (
-                np.column_stack([rows.extra[name] for name in amplitudes])
+                np.column_stack([rows.extra[name] for name in effect.amplitude_names])
                 if is_smooth
                 else _secant(study, fit, effect, shape, rows, size)
             )
             if columns is not None:
-                columns = rows.by_record(columns) if _local_names(effect) else columns
-                yield _Variant(effect, amplitudes, shape, columns)
+                yield effect, shape, rows.by_record(columns) if _local_names(effect) else columns
 
 
 def two_sided(effect: Effect) -> bool:
@@ -329,19 +322,16 @@ def _secant(
     problem, model = fit.problem, fit.problem.model + effect
     columns = []
     for group in groups:
-        sizes = {
-            name: min(share * _parameter(effect, name).magnitude, _parameter(effect, name).upper)
-            for name in group
-        }
+        typical = [_parameter(effect, name) for name in group]
+        sizes = {p.name: min(share * p.magnitude, p.upper) for p in typical}
         trial = Filtered(
             model.with_values(fit.values | shape | sizes),
             problem.dataset,
             problem.levels.starting(fit.noise).held(),
             kernel=study.kernel_by(model.step),
         )
-        local = [dict(own) for own in fit.local]
-        point = trial.point(fit.initial, local)
-        found = problem.replayed(trial, point.unknowns, rows.passes)
+        unknowns = trial.point(fit.initial, fit.local).unknowns
+        found = problem.replayed(trial, unknowns, rows.passes)
         if found is None:
             return None
         columns.append(rows.moved(found) / sum(sizes.values()))

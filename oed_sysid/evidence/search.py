@@ -233,7 +233,7 @@ def calmed(state: Standing) -> Standing:
     if state.calm is None or not state.fit.noise.seas:
         return state
     study, fit = state.study, state.fit
-    calm = study.estimate(state.effects, fit.values, fit, noise=state.calm, max_iterations=25)
+    calm = study.estimate(state.effects, fit.values, fit, noise=state.calm)
     needed = threshold(len(state.left) + 1, len(fit.noise.seas[0].places) + 2)
     if calm is None or claim(study, calm, fit, (), needed).stands:
         return state
@@ -318,7 +318,7 @@ def not_astray(study: Study, fit: FilteredSolution) -> FilteredSolution:
     if not (fit.noise.force > 0).any():
         return fit
     effects, quiet = study.effects_of(fit), study.quiet(fit.noise)
-    again = partial(study.estimate, effects, noise=quiet, max_iterations=25)
+    again = partial(study.estimate, effects, noise=quiet)
     own = {p.name for effect in effects for p in effect.parameters}
     values = study.base.values | {k: v for k, v in fit.values.items() if k in own}
     best = _clearly(fit, again(values, fit))
@@ -375,9 +375,7 @@ def eliminated(
         return state
     there = state
     if judge is not None:
-        fit = judge.estimate(
-            state.effects, state.fit.values, state.fit, noise=noise, max_iterations=25
-        )
+        fit = judge.estimate(state.effects, state.fit.values, state.fit, noise=noise)
         if fit is None:
             return state
         there = replace(state, study=judge, fit=fit)
@@ -432,7 +430,7 @@ def _without(state: Standing, one: Added) -> FilteredSolution | None:
     """The fit with all effects but one."""
     values = dict(state.fit.values) | dict.fromkeys(one.effect.amplitude_names, 0.0)
     effects = [other.effect for other in state.others(one)]
-    return state.study.estimate(effects, values, state.fit, max_iterations=25)
+    return state.study.estimate(effects, values, state.fit)
 
 
 def every_step(state: Standing) -> tuple[FilteredSolution, ...]:
@@ -455,7 +453,7 @@ def _reached(
     yield from seen
     for values in () if seen else (state.fit.values, last.values):
         noise = study.loosened(last.noise)
-        fit = study.estimate(effects, values, last, max_iterations=25, noise=noise)
+        fit = study.estimate(effects, values, last, noise=noise)
         if fit is not None:
             yield fit
 
@@ -519,7 +517,6 @@ def _beside(state: Standing, proposals: Proposals, max_effects: int) -> Standing
         proposals.best.refit.fit.values,
         start,
         noise=study.loosened(start.noise),
-        max_iterations=25,
     )
     if found is None:
         return None

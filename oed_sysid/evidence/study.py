@@ -284,9 +284,7 @@ class Study:
 
     def with_levels(self, found: FilteredSolution, levels: Levels) -> FilteredSolution | None:
         """A fit to the training records again, with other levels unknown."""
-        problem = self.as_in(found, levels, self.train)
-        point = problem.point(found.initial, found.local)
-        return solve_filtered(problem, point, max_iterations=8, tolerance=0.01, polish=0).finite
+        return _solved(self.as_in(found, levels, self.train), found, 8)
 
     def estimate(
         self,
@@ -296,7 +294,7 @@ class Study:
         *,
         update_noise: bool = True,
         noise: NoiseModel | None = None,
-        max_iterations: int = 12,
+        max_iterations: int = 25,
         step: float = np.inf,
     ) -> FilteredSolution | None:
         """Estimate the nominal model with some effects on the training records.
@@ -328,10 +326,7 @@ class Study:
         levels = self.levels(noise, self.train)
         levels = levels if update_noise else levels.held()
         problem = self.problem(effects, values, levels, self.train, step=step)
-        point = problem.point(start.initial, start.local)
-        return solve_filtered(
-            problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
-        ).finite
+        return _solved(problem, start, max_iterations)
 
     def without_forces(
         self, effects: Sequence[Effect], values: Mapping[str, float]
@@ -352,9 +347,7 @@ class Study:
 
         def again(step: float, fit: Fit) -> Fit:
             before = ends[fit.model.step]
-            after = self.estimate(
-                self.effects_of(before), before.values, before, max_iterations=25, step=step
-            )
+            after = self.estimate(self.effects_of(before), before.values, before, step=step)
             ends[step] = before if after is None else after
             return self.result(ends[step], "")
 
@@ -420,9 +413,8 @@ class Study:
         alone = self.alone(found, self.validation)
         if alone is None:
             return None
-        point = problem.point(alone.initial, alone.local)
-        solution = solve_filtered(problem, point, max_iterations=20, tolerance=0.01, polish=0)
-        if solution.finite is None:
+        solution = _solved(problem, alone, 20)
+        if solution is None:
             return None
         total = solution.matrix + np.diag(problem.limits.prior_weight)
         both = eliminate(total, shared, np.arange(len(shared), problem.layout.n_unknowns))
@@ -443,7 +435,7 @@ class Study:
         if alone is None:
             return None
         levels = levels.holding_forces() if same_forces else levels
-        return self._held(found, dataset, levels, alone.initial, alone.local, tolerance=0.01)
+        return self._held(found, dataset, levels, alone, tolerance=0.01)
 
     def alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
         """A fit on other records: parameters and noise levels held, start states estimated.
@@ -455,9 +447,9 @@ class Study:
         def work() -> FilteredSolution | None:
             # Sizes of single records are far from their mean: whole runs have found them.
             runs = self.runs(found, dataset)
-            starts = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
-            levels = self.levels(found.noise, dataset).held()
-            return self._held(found, dataset, levels, starts, [run.local for run in runs])
+            own = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
+            start = Start(found.values, own, [run.local for run in runs])
+            return self._held(found, dataset, self.levels(found.noise, dataset).held(), start)
 
         return _once("alone", self, found, dataset, work)
 
@@ -466,14 +458,13 @@ class Study:
         found: FilteredSolution,
         dataset: Dataset,
         levels: Levels,
-        initial: Sequence[np.ndarray],
-        local: Sequence[Mapping[str, float]],
+        start: FilteredSolution | Start,
         tolerance: float = FROZEN_TOLERANCE,
     ) -> FilteredSolution | None:
         """Start states, values of each record and open levels, all shared parameters held."""
         problem = self.as_in(found, levels, dataset)
         shared = np.arange(len(problem.layout.shared))
-        point = problem.point(initial, local)
+        point = problem.point(start.initial, start.local)
         held = problem.holding(shared, point.unknowns[shared])
         end = solve_filtered(held, point, max_iterations=15, tolerance=tolerance, polish=0)
         return end.finite
@@ -506,6 +497,16 @@ def _once(
     result = work()
     kept.append((name, study, dataset, result))
     return result
+
+
+def _solved(
+    problem: Filtered, start: FilteredSolution | Start, max_iterations: int
+) -> FilteredSolution | None:
+    """A fit from start states and values of each record; None where it diverges at once."""
+    point = problem.point(start.initial, start.local)
+    return solve_filtered(
+        problem, point, max_iterations=max_iterations, tolerance=0.01, polish=0
+    ).finite
 
 
 def total_error(rms: np.ndarray) -> float:

@@ -104,11 +104,11 @@ class Trace:
         if group < 2:
             return self
         n = self.times.size // group * group
-        with np.errstate(invalid="ignore"):
-            values = {
-                name: _group_means(series[:n].reshape(-1, group))
-                for name, series in self.values.items()
-            }
+        present = {name: np.ma.masked_invalid(series) for name, series in self.values.items()}
+        values = {
+            name: series[:n].reshape(-1, group).mean(axis=1).filled(np.nan)
+            for name, series in present.items()
+        }
         times = self.times[:n].reshape(-1, group).mean(axis=1)
         noise = {name: std / np.sqrt(group) for name, std in self.noise.items()}
         pushed = self.pushed
@@ -202,11 +202,3 @@ def fast_noise(values: np.ndarray) -> float:
     if series.size < LEAST:
         return 0.0
     return fast_level([series], order=4)
-
-
-def _group_means(groups: np.ndarray) -> np.ndarray:
-    """Mean of each row over its finite samples; NaN where there is none."""
-    present = np.isfinite(groups)
-    counts = present.sum(axis=1)
-    sums = np.where(present, groups, 0.0).sum(axis=1)
-    return np.where(counts > 0, sums / np.maximum(counts, 1), np.nan)
