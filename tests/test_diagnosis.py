@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -21,9 +23,10 @@ from turning_ship import improved as improved_ship
 from oed_sysid.compiled.kernels import kernel
 from oed_sysid.data.dataset import Dataset, Record, read_csv
 from oed_sysid.errors import DataError, OedSysidError
+from oed_sysid.evidence import improvement
 from oed_sysid.evidence.compare import Comparison, compare, forecasts
 from oed_sysid.evidence.improve import improve
-from oed_sysid.evidence.improvement import Improvement, advice
+from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.misfit import Signal, concentrations, correlate, regimes
 from oed_sysid.evidence.propose import Signal as Cause
@@ -557,6 +560,30 @@ def step(*group: str, test_gain: float = 9.0, test_error: float = 1.0) -> Simple
         test_error=test_error,
         fit=None,
     )
+
+
+def advice(
+    steps: Sequence[SimpleNamespace],
+    ranking: Ranking,
+    parameters: Sequence[dict[str, Any]],
+    *,
+    explained: bool,
+    suspect: bool = False,
+    before: float = np.nan,
+    last: Ranking | None = None,
+) -> list[str]:
+    """Advice on a result as far as it is looked at."""
+    kind = "log suspect" if suspect else "adequate" if explained else "structure missing"
+    result: Any = SimpleNamespace(
+        steps=steps,
+        ranking=ranking,
+        last=last,
+        parameters=parameters,
+        base_error={"test": before},
+        base=SimpleNamespace(inputs=("fin",)),
+        remains=SimpleNamespace(kind=kind),
+    )
+    return improvement.advice(result)
 
 
 def test_one_effect_is_believed_with_its_size() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,6 @@ from oed_sysid.evidence.locate import Located
 from oed_sysid.evidence.propose import Proposals
 from oed_sysid.evidence.rank import Ranking, hopeful
 from oed_sysid.evidence.remainder import Remains
-from oed_sysid.evidence.result import angle_aware
 from oed_sysid.likelihood.fit import MOST_DRAWN, Fit
 from oed_sysid.likelihood.noise_levels import signal_spread
 from oed_sysid.physics import Effect
@@ -25,6 +25,7 @@ from oed_sysid.physics.model import Model
 from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.words import in_words
 from oed_sysid.runtime import display
+from oed_sysid.text.units import shown_unit
 
 # Half a 95 % interval, in typical sizes, from which the records do not tell a size.
 UNTOLD = 100.0
@@ -66,7 +67,7 @@ class Yardstick:
         rows = []
         for index, output in enumerate(self.outputs):
             # Angles are read in degrees.
-            factor, unit = angle_aware(1.0, output.unit)
+            factor, unit = shown_unit(output.unit)
             for kind, records in (("train", "training"), ("test", "validation")):
                 if not np.isnan(before[kind][index]):  # measured
                     errors = (self._cell(kind, one, index) for one in models.values())
@@ -92,7 +93,7 @@ class Yardstick:
         error = errors[kind][index]
         if not np.isfinite(error):
             return "diverges" if np.isinf(error) else "-"
-        value, _ = angle_aware(error, self.outputs[index].unit)
+        value = shown_unit(self.outputs[index].unit)[0] * error
         share = error / self.spread[kind][index]
         percent = f"{100 * share:.2g} %" if share < 0.995 else f"{100 * share:.0f} %"
         return f"{value:.3g} ({percent})"
@@ -257,16 +258,7 @@ class Improvement:
     @property
     def advice(self) -> list[str]:
         """What to believe, what not, and what to do next at sea; one line each."""
-        return advice(
-            self.steps,
-            self.ranking,
-            self.parameters,
-            before=self.base_error["test"],
-            explained=self.remains.kind in EXPLAINED,
-            suspect=self.remains.kind == "log suspect",
-            commanded=bool(self.base.inputs),
-            last=self.last,
-        )
+        return advice(self)
 
     @property
     def remainder(self) -> float:
@@ -541,60 +533,35 @@ def parameter_table(fit: Fit) -> tuple[Mapping[str, Any], ...]:
     )
 
 
-def advice(
-    steps: Sequence[Any],
-    ranking: Ranking,
-    parameters: Sequence[Mapping[str, Any]],
-    *,
-    explained: bool,
-    suspect: bool = False,
-    before: float = np.nan,
-    commanded: bool = True,
-    last: Ranking | None = None,
-) -> list[str]:
+def advice(result: Improvement) -> list[str]:
     """Sentences for whoever goes to sea again.
 
     Parameters
     ----------
-    steps : sequence of :class:`oed_sysid.evidence.improvement.Step`
-    ranking : Ranking
-        Of the first round: all candidates.
-    parameters : sequence of mapping
-        ``name``, ``value``, ``std_error`` and ``unit`` of every estimate.
-    explained : bool
-        Whether what remains is noise, or disturbance forces that the standard errors hold.
-    suspect : bool
-        Whether the log contradicts itself, so that nothing found in it is to be believed.
-    before : float
-        Validation error of the nominal model, in units of the noise.
-    commanded : bool
-        Whether the model has inputs, so that a manoeuvre can be designed.
-    last : Ranking, optional
-        Of the last round, where that was not the first: it says what would not have shown.
+    result : Improvement
+        Its steps and estimates; its rankings, of which the last says what would not have shown.
     """
-    known = {score.effect.name: score.effect for score in ranking.scores}
-    estimates = {row["name"]: row for row in parameters}
+    known = {score.effect.name: score.effect for score in result.ranking.scores}
+    estimates = {row["name"]: row for row in result.parameters}
     believe, doubt, sea = list[str](), list[str](), list[str]()
-    for step in steps:
+    before, kind = result.base_error["test"], result.remains.kind
+    for step in result.steps:
         found, doubts = _judged(step, estimates, before)
         believe.append(found)
         doubt += doubts
-        sea += _manoeuvre(step.group, known, commanded)
+        sea += _manoeuvre(step.group, known, bool(result.base.inputs))
         before = step.test_error
-    doubt += _not_shown(steps, last or ranking)
-    if not explained:
+    doubt += _not_shown(result.steps, result.last or result.ranking)
+    # Noise and disturbance forces the standard errors hold.
+    if kind not in EXPLAINED:
         doubt.append("standard errors of the parameters: more is missing than was found.")
     lists = {
-        "Only if the log is right" if suspect else "Believe": believe,
+        "Only if the log is right" if kind == "log suspect" else "Believe": believe,
         "Do not believe": doubt,
         "Next at sea": list(dict.fromkeys(sea)),
     }
-    return [line for title, lines in lists.items() for line in _listed(title, lines)]
-
-
-def _listed(title: str, lines: Sequence[str]) -> list[str]:
-    """A title and lines below it; nothing where there are none."""
-    return [f"{title}:", *(f"  - {one}" for one in lines)] if lines else []
+    filled = ([f"{title}:", *(f"  - {one}" for one in of)] for title, of in lists.items() if of)
+    return [*chain.from_iterable(filled)]
 
 
 def _judged(
@@ -609,8 +576,9 @@ def _judged(
     unknown = ", ".join(p.name for row, p in own if not _is_told(row, p))
     rises = step.test_error > RISE * before
     doubts = {
+        # Correlated residuals widen the interval after a claim.
         f"{what} before more records have shown it: the 95 % interval holds zero ({shown}).": own
-        and not any(_is_clear(row) for row, _ in own),
+        and not any(abs(r["value"]) > display.TWO_SIDED_95 * r["std_error"] for r, _ in own),
         f"the size of {unknown}: these records do not give it.": unknown,
         f"{step.added} alone: with it whole validation runs are {step.test_error:.3g} x noise off, "
         f"{before:.3g} before. Its claim rests on the model as a whole.": rises,
@@ -620,11 +588,6 @@ def _judged(
     }
     told = f": {shown}." if sizes and not rivals else "."
     return found + told, [text for text, applies in doubts.items() if applies]
-
-
-def _is_clear(row: Mapping[str, Any]) -> bool:
-    """Whether zero is outside the interval: correlated residuals widen it after a claim."""
-    return bool(abs(row["value"]) > display.TWO_SIDED_95 * row["std_error"])
 
 
 def _not_shown(steps: Sequence[Any], ended: Ranking) -> list[str]:

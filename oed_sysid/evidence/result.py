@@ -26,6 +26,7 @@ from oed_sysid.runtime.display import (
     share,
 )
 from oed_sysid.runtime.display import interval as shown_interval
+from oed_sysid.text.units import shown_unit
 
 # Kinds of finding: sentences, and what follows from each.
 KINDS: dict[str, dict[str, Any]] = tomllib.loads(
@@ -428,24 +429,19 @@ class LogCheck:
     )  # fmt: skip
 
 
-def angle_aware(value: float, unit: str) -> tuple[float, str]:
-    """Turn rad into degrees for people.
+def size_unit(unit: str) -> tuple[float, str]:
+    """Factor and unit in which people read the size of a fault: shares are per cent.
 
-    >>> angle_aware(0.1, "rad/s")
-    (5.729577951308233, 'deg/s')
+    >>> size_unit("1"), size_unit("m")
+    ((100.0, '%'), (1.0, 'm'))
     """
-    if unit.startswith("rad"):
-        return math.degrees(value), unit.replace("rad", "deg")
-    return value, unit
+    return (100.0, "%") if unit == "1" else shown_unit(unit)
 
 
 def amount(size: float, bounds: tuple[float, float], unit: str) -> str:
     """Estimate with half the width of its 95 % interval, in people's units."""
-    value, shown = angle_aware(size, unit)
-    half, _ = angle_aware(0.5 * (bounds[1] - bounds[0]), unit)
-    if unit == "1":
-        value, half, shown = 100.0 * value, 100.0 * half, "%"
-    return f"{shown_interval(value, half)} {shown}"
+    factor, shown = size_unit(unit)
+    return f"{shown_interval(factor * size, factor * (0.5 * (bounds[1] - bounds[0])))} {shown}"
 
 
 def interval(size: float, std: float) -> tuple[float, float]:

@@ -23,9 +23,9 @@ from oed_sysid.evidence.result import (
     Finding,
     Judged,
     amount,
-    angle_aware,
     interval,
     is_a,
+    size_unit,
 )
 from oed_sysid.evidence.screens import Fault, Jitter
 from oed_sysid.evidence.traces import Trace
@@ -33,6 +33,7 @@ from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.noise_levels import credible_levels
 from oed_sysid.physics.channels import Channels, Input, Output
 from oed_sysid.runtime.display import counted
+from oed_sysid.text.units import shown_unit
 
 COPY = "oed-sysid check ... --fix FOLDER writes corrected copies"
 # Faults that are other readings of the same numbers: seen where a scale of one would be.
@@ -93,8 +94,8 @@ def _say_sized(one: Candidate, size: float) -> str:
 
 def _size(size: float, unit: str, form: str) -> str:
     """Size of a fault in people's units."""
-    value, shown = (100.0 * size, "%") if unit == "1" else angle_aware(size, unit)
-    return f"{value:{form}} {shown}"
+    factor, shown = size_unit(unit)
+    return f"{factor * size:{form}} {shown}"
 
 
 @dataclass(frozen=True)
@@ -317,11 +318,11 @@ def _screened(kind: str, signal: str, here: list[Fault], series: dict[str, Trace
     row = int(largest.rows[largest.sizes.index(largest.amount)]) if largest.sizes else 0
     rows = {fault.record: tuple(fault.rows.tolist()) for fault in here}
     n = sum(map(len, rows.values()))
-    value, shown = angle_aware(size, trace.units[names[0]])
+    factor, shown = shown_unit(trace.units[names[0]])
     words = {
         "commas": signal, "samples": counted(n, "sample"), "record": largest.record,
-        "at": float(trace.times[row]), "value": f"{value:.4g} {shown}", "size": size,
-        "jump": f"{value:+.3g} {shown}", "its": "its" if n == 1 else "their",
+        "at": float(trace.times[row]), "value": f"{factor * size:.4g} {shown}", "size": size,
+        "jump": f"{factor * size:+.3g} {shown}", "its": "its" if n == 1 else "their",
         "more": f" (and {n - 1} more {'jump' if n == 2 else 'jumps'})" * (n > 1),
     }  # fmt: skip
     facts: dict[str, Any] = {"size": size, "unit": ""}
@@ -342,16 +343,17 @@ def _noise(dataset: Dataset, traces: Sequence[Trace], made: set[str]) -> Iterabl
     """Declared noise levels that the fast noise of measured samples contradicts."""
     levels, seen = credible_levels(dataset)
     for output, level, told in zip(dataset.channels.outputs, levels, seen, strict=True):
+        declared = output.noise_std
+        if output.name in made or not (told and declared and level > WORTH_TELLING * declared):
+            continue
         records = tuple(t.name for t in traces if output.name in t.noise)
-        if not (told and output.noise_std and level > WORTH_TELLING * output.noise_std):
-            continue
-        if output.name in made:
-            continue
-        value, unit = angle_aware(level, output.unit)
-        ratio, declared = level / output.noise_std, angle_aware(output.noise_std, output.unit)[0]
-        words = {"ratio": ratio, "level": value, "said": declared, "unit": unit, "found": level}
-        words |= {"si": output.unit}
-        yield said("noise", (output.name,), records, words, size=float(ratio), unit="1")
+        factor, unit = shown_unit(output.unit)
+        words = {
+            "ratio": level / declared, "level": factor * level, "said": factor * declared,
+            "unit": unit, "found": level, "si": output.unit,
+        }  # fmt: skip
+        size = float(level / declared)
+        yield said("noise", (output.name,), records, words, size=size, unit="1")
 
 
 def _gaps(traces: Sequence[Trace]) -> Iterable[Finding]:
