@@ -22,7 +22,7 @@ from oed_sysid.evidence.improve import improve
 from oed_sysid.evidence.misfit import failing
 from oed_sysid.evidence.preparation import prepared
 from oed_sysid.evidence.study import Study
-from oed_sysid.evidence.usual import equipped, settled, sizes_of
+from oed_sysid.evidence.usual import Sizes, equipped, settled
 from oed_sysid.experiments.problem import Problem, load_problem
 from oed_sysid.experiments.simulation import simulate
 from oed_sysid.likelihood.captive import CaptiveTests
@@ -57,7 +57,7 @@ def test_sizes_are_those_of_the_records() -> None:
     """A unit force accelerates by one over the inertia; swings are those of the signals."""
     problem = load_problem("remus_diving_plane")
     data = problem.data()
-    found = sizes_of(problem.model, data)
+    found = Sizes(problem.model, data)
     values = problem.model.values
     inertia = values["m"] - values["X_udot"]
     assert 1.0 / found.mobility["X"] == pytest.approx(inertia, rel=5e-3)

@@ -164,18 +164,14 @@ class Motion:
         for i, one in self.known.items():
             if one.is_rate:
                 predicted = one.integral(times, self.right[i][:, None])[:, 0]
-                values[one.target] = predicted + _line(times, self.raw[one.target] - predicted)
+                line = np.polyfit(self.elapsed, self.raw[one.target] - predicted, 1)
+                values[one.target] = predicted + np.polyval(line, self.elapsed)
         return values
 
     def has(self, one: Candidate) -> bool:
         """Whether a fault may be in this record."""
         here = one.record in ("", self.trace.name)
         return here and {*one.signals, *one.other} <= self.raw.keys()
-
-
-def _line(times: np.ndarray, series: np.ndarray) -> np.ndarray:
-    """Straight line of least squares, ``(n_times,)``."""
-    return np.polyval(np.polyfit(times - times[0], series, 1), times - times[0])
 
 
 def hann(series: np.ndarray, width: int) -> np.ndarray:
@@ -574,12 +570,11 @@ def assemble(
     ``n_more`` the number of those that are asked elsewhere.
     """
     n = len(faults)
-    gram, right, doubt = np.zeros((n, n)), np.zeros(n), np.zeros(n)
-    relative = np.zeros(n)
+    gram, (right, doubt, relative) = np.zeros((n, n)), np.zeros((3, n))
     levels: dict[int, np.ndarray] = {}
     for index in sorted({piece.relation for piece in pieces}):
         mine = [piece for piece in pieces if piece.relation == index]
-        noise = noise_of(mine, faults, nuisance)
+        noise = Noise(mine, faults, nuisance)
         shares, variance, law = noise.shares, noise.variance, noise.law
         part = shares * law.mean(axis=1)
         active = part > RELATIVE * part.sum()
@@ -613,59 +608,49 @@ def assemble(
     return System(faults, gram, right, limits, doubt, tuple(levels[id(p)] for p in pieces))
 
 
-@dataclass(frozen=True)
 class Noise:
-    """Noise of one equation, and what is left of it.
+    """Noise of one equation, estimated with some faults in the regression, and what is left of it.
 
     ``law`` are the variances of unit noise of each kind, ``(n_kinds, n)``, ``shares`` the estimated
-    sizes of these and ``floor`` the least ones, ``target`` the coefficients of the left side,
+    sizes of these and ``floor`` the least ones, ``variance`` that of every coefficient by these,
+    ``target`` the coefficients of the left side,
     ``distance`` what is left, whitened and squared, and the price of the faults in it.
     """
 
-    law: np.ndarray
-    floor: np.ndarray
-    shares: np.ndarray
-    target: np.ndarray
-    distance: float
-
-    @property
-    def variance(self) -> np.ndarray:
-        """Variance of every coefficient."""
-        return np.asarray(self.shares @ self.law)
+    def __init__(
+        self, mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray
+    ) -> None:
+        self.law = law = _joint_law(mine)
+        y = np.concatenate([p.residual for p in mine])
+        self.target = np.concatenate([p.target for p in mine])
+        used = np.intersect1d(nuisance, np.concatenate([p.used for p in mine]))
+        matrix = np.concatenate([p.columns_of(used) for p in mine])
+        matrix *= np.array([faults[k].plausible for k in used])
+        self.floor = floor = np.zeros(len(law))
+        level, least = np.mean([p.level for p in mine]), 3e-5 * float(np.std(self.target))
+        floor[0] = max(0.5 * float(level), least) ** 2
+        floor[len(CORRELATIONS)] = 0.7 * float(np.mean([p.walk for p in mine]))
+        # From the least noise there can be: under much noise the faults would be taken for it.
+        variance, shares = floor @ law, None
+        turns = 4 if used.size else 1  # what is left depends on the noise by the faults alone
+        for _ in range(turns):
+            white = matrix / np.sqrt(variance)[:, None]
+            # Faults in units of their usual size, with a prior of one.
+            inner = np.linalg.inv(white.T @ white + np.eye(used.size))
+            hat = np.einsum("ij,ij->i", white @ inner, white)
+            size = inner @ (white.T @ (y / np.sqrt(variance)))
+            rest = y - matrix @ size
+            left = np.clip(1.0 - hat, 0.05, 1.0)
+            shares = fitted_law(rest**2, law, floor, left, shares, SWEEPS**2 // turns)
+            variance = shares @ law
+        self.shares, self.variance = np.asarray(shares), variance
+        self.distance = float(np.sum(rest**2 / variance) + size @ size)
 
     @property
     def told(self) -> float:
         """Information that the equation gives about its left side."""
         alone = fitted_law(self.target**2, self.law, self.floor) @ self.law
         return float(np.sum(np.log(alone / self.variance) + 1.0) - self.distance)
-
-
-def noise_of(mine: Sequence[Piece], faults: Sequence[Candidate], nuisance: np.ndarray) -> Noise:
-    """Estimate the noise of one equation, some faults in the regression."""
-    law = _joint_law(mine)
-    y = np.concatenate([p.residual for p in mine])
-    target = np.concatenate([p.target for p in mine])
-    used = np.intersect1d(nuisance, np.concatenate([p.used for p in mine]))
-    matrix = np.concatenate([p.columns_of(used) for p in mine])
-    matrix *= np.array([faults[k].plausible for k in used])
-    floor = np.zeros(len(law))
-    floor[0] = max(0.5 * float(np.mean([p.level for p in mine])), 3e-5 * float(np.std(target))) ** 2
-    floor[len(CORRELATIONS)] = 0.7 * float(np.mean([p.walk for p in mine]))
-    # From the least noise there can be: under much noise the faults would be taken for it.
-    variance, shares = floor @ law, None
-    turns = 4 if used.size else 1  # what is left depends on the noise by the faults alone
-    for _ in range(turns):
-        white = matrix / np.sqrt(variance)[:, None]
-        # Faults in units of their usual size, with a prior of one.
-        inner = np.linalg.inv(white.T @ white + np.eye(used.size))
-        hat = np.einsum("ij,ij->i", white @ inner, white)
-        size = inner @ (white.T @ (y / np.sqrt(variance)))
-        rest = y - matrix @ size
-        left = np.clip(1.0 - hat, 0.05, 1.0)
-        shares = fitted_law(rest**2, law, floor, left, shares, SWEEPS**2 // turns)
-        variance = shares @ law
-    distance = float(np.sum(rest**2 / variance) + size @ size)
-    return Noise(law, floor, np.asarray(shares), target, distance)
 
 
 def _joint_law(mine: Sequence[Piece]) -> np.ndarray:

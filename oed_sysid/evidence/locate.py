@@ -240,7 +240,7 @@ def locate(
         return Located.nothing(fit)
     found.sort(key=lambda part: part.order)
     # Forces in all equations at once, whichever place is best: what they look like is a finding.
-    smoother = ResidualForces.of(*let_in(fit, unit))
+    smoother = ResidualForces(*let_in(fit, unit))
     placed = (place.partition(" ") for place in fit.noise.places)
     columns = {i: signal for i, (stage, _, signal) in enumerate(placed) if stage == "force"}
     forces = tuple(series.only([*columns]) for series in smoother.series())

@@ -330,7 +330,6 @@ def _worst(windows: Sequence[np.ndarray], dataset: Dataset) -> tuple[str, float,
 VALUES, CLASSES = 7, 5
 
 
-@dataclass(frozen=True, eq=False)
 class ByMotion:
     """How the residual of an output depends on an input.
 
@@ -347,12 +346,31 @@ class ByMotion:
         Mean of the input in each class, in its unit, and of the residual, in units of the noise.
     """
 
-    output: Output
-    signal: Input | None
-    error: float
-    share: float
-    values: np.ndarray
-    means: np.ndarray
+    def __init__(
+        self, output: Output, rows: np.ndarray, inputs: np.ndarray, signals: tuple[Input, ...]
+    ) -> None:
+        self.output, self.share = output, 0.0
+        self.error = float(np.sqrt(np.mean(rows**2))) if len(rows) else 0.0
+        self.signal: Input | None = None
+        self.values = self.means = np.empty(0)
+        best = (np.inf, -1)
+        for place, column in enumerate(inputs.T):
+            labels = _classes(column)
+            count = len(np.unique(labels))
+            if count < 2 or len(rows) <= count:
+                continue
+            share = _share(rows, labels)
+            # Analysis of variance: F of the class means, none of which was fitted.
+            ratio = (len(rows) - count) / count * share / max(1.0 - share, 1e-12)
+            # Where chance is beyond the digits of a number, the larger share is the clearer one.
+            chance = float(fdtrc(count, len(rows) - count, ratio)) - 1e-12 * share
+            best = min(best, (chance, place))
+        if best[0] * len(signals) < FALSE_CLAIMS:
+            column = inputs[:, best[1]]
+            labels = _classes(column)
+            counts = np.bincount(labels)
+            self.values, self.means = (np.bincount(labels, of) / counts for of in (column, rows))
+            self.signal, self.share = signals[best[1]], _share(rows, labels)
 
     @property
     def text(self) -> str:
@@ -389,10 +407,9 @@ def failing(fit: FilteredSolution) -> tuple[ByMotion, ...]:
     found = []
     for column, output in enumerate(outputs):
         seen = np.isfinite(residuals[:, column])
-        rows = residuals[seen, column]
-        error = float(np.sqrt(np.mean(rows**2))) if len(rows) else 0.0
-        if error > _noise_limit(len(rows)):
-            found.append(_dependence(output, error, rows, inputs[seen], problem.model.inputs))
+        one = ByMotion(output, residuals[seen, column], inputs[seen], problem.model.inputs)
+        if one.error > _noise_limit(int(seen.sum())):
+            found.append(one)
     return tuple(sorted(found, key=lambda one: -one.error))
 
 
@@ -403,33 +420,6 @@ def in_words(fit: FilteredSolution) -> str:
     if not found:
         return begin + "no force is off by more than its noise."
     return begin + "; ".join(one.text for one in found) + "."
-
-
-def _dependence(
-    output: Output,
-    error: float,
-    rows: np.ndarray,
-    inputs: np.ndarray,
-    signals: tuple[Input, ...],
-) -> ByMotion:
-    best, nothing = (np.inf, -1), np.empty(0)
-    for place, column in enumerate(inputs.T):
-        labels = _classes(column)
-        count = int(labels.max()) + 1
-        if count < 2 or len(rows) <= count:
-            continue
-        share = _share(rows, labels)
-        # Analysis of variance: F of the class means, none of which was fitted.
-        ratio = (len(rows) - count) / count * share / max(1.0 - share, 1e-12)
-        # Where chance is beyond the digits of a number, the larger share is the clearer one.
-        best = min(best, (float(fdtrc(count, len(rows) - count, ratio)) - 1e-12 * share, place))
-    if not best[0] * len(signals) < FALSE_CLAIMS:
-        return ByMotion(output, None, error, 0.0, nothing, nothing)
-    column = inputs[:, best[1]]
-    labels = _classes(column)
-    counts = np.bincount(labels)
-    values, means = (np.bincount(labels, of) / counts for of in (column, rows))
-    return ByMotion(output, signals[best[1]], error, _share(rows, labels), values, means)
 
 
 def _share(rows: np.ndarray, labels: np.ndarray) -> float:

@@ -26,11 +26,11 @@ from oed_sysid.evidence.contrasts import (
     CLOSE,
     MOST_BLOCKS,
     Found,
+    Noise,
     Question,
     Reading,
     Result,
     contrasts,
-    noise_of,
     search,
 )
 from oed_sysid.evidence.corrections import undo
@@ -119,7 +119,7 @@ class Evidence:
         pieces = [p for t in traces for p in contrasts(t, asked, given)] if asked else []
         for k, key in enumerate(fresh):
             mine = [piece for piece in pieces if piece.relation == k]
-            self.told[key] = noise_of(mine, given, np.arange(len(given))).told if mine else 0.0
+            self.told[key] = Noise(mine, given, np.arange(len(given))).told if mine else 0.0
 
 
 def _numbers(trace: Trace, names: Iterable[str]) -> tuple[Hashable, ...]:

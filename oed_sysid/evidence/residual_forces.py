@@ -24,7 +24,7 @@ from oed_sysid.likelihood.filtered import Filtered
 from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.noise_model import NoiseModel
 from oed_sysid.likelihood.projection import bounded_step, inverse_of
-from oed_sysid.likelihood.smoother import Path, smoothable
+from oed_sysid.likelihood.smoother import smoothable
 from oed_sysid.runtime.display import as_dict
 
 # Smallest force admitted, as a share of its unit: where none was found one may have acted all the
@@ -103,7 +103,6 @@ def let_in(
     return problem, problem.point(fit.initial, fit.local).unknowns
 
 
-@dataclass(frozen=True, eq=False)
 class ResidualForces:
     """Smoother of one fit.
 
@@ -112,32 +111,22 @@ class ResidualForces:
     problem : Filtered
         With no level unknown.
     unknowns : ndarray (n_unknowns,)
-    paths : tuple of Path
+    paths : sequence of Path
         Of every record.
-    columns : tuple of ndarray (n_times, n_disturbances, n_unknowns_here)
+    columns : list of ndarray (n_times, n_disturbances, n_unknowns_here)
         Derivatives of the smoothed disturbances by the unknowns of each record.
-    innovations : tuple of ndarray (n_times, n_outputs)
+    innovations : list of ndarray (n_times, n_outputs)
     """
 
-    problem: Filtered
-    unknowns: np.ndarray
-    paths: tuple[Path, ...]
-    columns: tuple[np.ndarray, ...]
-    innovations: tuple[np.ndarray, ...]
-    matrix: np.ndarray
-    right: np.ndarray
-
-    @classmethod
-    def of(cls, problem: Filtered, unknowns: np.ndarray) -> ResidualForces:
-        """Filter and smooth the records of a problem."""
-        passes, paths = smoothable(problem, unknowns)
-        matrix, right = problem.gathered(unknowns, passes)
-        columns = []
-        for index, (part, path) in enumerate(zip(passes, paths, strict=True)):
+    def __init__(self, problem: Filtered, unknowns: np.ndarray) -> None:
+        self.problem, self.unknowns = problem, unknowns
+        passes, self.paths = smoothable(problem, unknowns)
+        self.matrix, self.right = problem.gathered(unknowns, passes)
+        self.innovations = [part.innovations for part in passes]
+        self.columns = []
+        for index, (part, path) in enumerate(zip(passes, self.paths, strict=True)):
             rows = rows_of(problem, unknowns, index, part.rows)
-            columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
-        innovations = tuple(part.innovations for part in passes)
-        return cls(problem, unknowns, paths, tuple(columns), innovations, matrix, right)
+            self.columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
 
     def series(self) -> tuple[Series, ...]:
         """Smoothed disturbances, per record."""

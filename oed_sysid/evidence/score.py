@@ -31,7 +31,6 @@ from itertools import product
 
 import numpy as np
 
-from oed_sysid.compiled.filtering import FilterPass
 from oed_sysid.evidence.preparation import ENOUGH
 from oed_sysid.evidence.residual_forces import rows_of
 from oed_sysid.evidence.study import Study
@@ -95,25 +94,39 @@ class Score:
         return self.distinct < ABSORBED
 
 
-@dataclass(frozen=True, eq=False)
 class _Rows:
     """Innovations of all records in units of their standard deviation, with derivatives.
 
-    ``passes`` and ``times`` are per record. ``residual`` ``(n_rows,)`` holds every sample of every
-    output, zero where it was not measured, and the priors; ``known`` are columns of the unknowns of
-    the fit, ``extra`` those of candidates, by name.
+    ``passes``, ``times`` and the innovations ``scaled`` so ``(n_times, n_outputs)``, NaN if none,
+    are per record. ``residual`` ``(n_rows,)`` holds every sample of every output, zero where it was
+    not measured, and the priors; ``known`` are columns of the unknowns of the fit, ``extra`` those
+    of ``smooth`` candidates along the same pass, by name.
     """
 
-    passes: list[FilterPass]
-    times: list[np.ndarray]
-    residual: np.ndarray
-    known: np.ndarray
-    extra: dict[str, np.ndarray]
-
-    @property
-    def scaled(self) -> list[np.ndarray]:
-        """Innovations ``(n_times, n_outputs)`` per record in standard deviations, NaN if none."""
-        return [part.innovations / np.sqrt(part.variances) for part in self.passes]
+    def __init__(self, fit: FilteredSolution, smooth: Sequence[str]) -> None:
+        problem, unknowns = fit.problem, fit.point.unknowns
+        layout, limits = problem.layout, problem.limits
+        n_known = layout.levels.start
+        names = (*layout.free_names, *smooth)
+        self.passes = problem.passes(unknowns, rows=True, gains=True, names=names)
+        self.scaled = [part.innovations / np.sqrt(part.variances) for part in self.passes]
+        self.times = [record.times for record in problem.records]
+        known, extra = [], []
+        for index, part in enumerate(self.passes):
+            columns, size = layout.record_columns(index), part.innovations.size
+            rows = rows_of(problem, unknowns, index, part.rows, len(smooth)).reshape(size, -1)
+            block = np.zeros((len(rows), n_known))
+            block[:, columns] = -rows[:, : len(columns)]
+            known.append(block)
+            extra.append(-rows[:, len(columns) :])
+        held = np.flatnonzero(limits.prior_weight[: len(layout.shared)] > 0)
+        roots = np.sqrt(limits.prior_weight[held])
+        known.append(roots[:, None] * np.eye(n_known)[held])
+        extra.append(np.zeros((len(held), len(smooth))))
+        away = roots * (limits.prior_mean[held] - unknowns[held])
+        self.residual = np.concatenate([*map(_row, self.scaled), away])
+        self.known = np.concatenate(known)
+        self.extra = dict(zip(smooth, np.concatenate(extra).T, strict=True))
 
     def moved(self, innovations: Sequence[np.ndarray]) -> np.ndarray:
         """Rows by which innovations fall short of these, ``(n_rows,)``."""
@@ -170,7 +183,7 @@ def scores(
     fit = study.widened(fit)
     plain = (e for e in candidates if not e.shape_names and two_sided(e))
     smooth = [name for effect in plain for name in effect.amplitude_names]
-    rows = _rows(fit, smooth)
+    rows = _Rows(fit, smooth)
     # Columns that move nothing cannot be scaled, and explain nothing.
     along = np.linalg.norm(rows.known, axis=0) > 0
     shared = fit.problem.layout.shared_names
@@ -208,32 +221,6 @@ def imitated_by(
 def _local_names(effect: Effect) -> tuple[str, ...]:
     sizes = effect.amplitude_names
     return tuple(p.name for p in effect.parameters if p.per_record and p.name in sizes)
-
-
-def _rows(fit: FilteredSolution, smooth: Sequence[str]) -> _Rows:
-    """One pass along the filtered path, candidates' columns included."""
-    problem, unknowns = fit.problem, fit.point.unknowns
-    layout, limits = problem.layout, problem.limits
-    n_known = layout.levels.start
-    names = (*layout.free_names, *smooth)
-    passes = problem.passes(unknowns, rows=True, gains=True, names=names)
-    known, extra, residual = [], [], []
-    for index, part in enumerate(passes):
-        columns, size = layout.record_columns(index), part.innovations.size
-        rows = rows_of(problem, unknowns, index, part.rows, len(smooth)).reshape(size, -1)
-        block = np.zeros((len(rows), n_known))
-        block[:, columns] = -rows[:, : len(columns)]
-        known.append(block)
-        extra.append(-rows[:, len(columns) :])
-        residual.append(_row(part.innovations / np.sqrt(part.variances)))
-    held = np.flatnonzero(limits.prior_weight[: len(layout.shared)] > 0)
-    roots = np.sqrt(limits.prior_weight[held])
-    known.append(roots[:, None] * np.eye(n_known)[held])
-    extra.append(np.zeros((len(held), len(smooth))))
-    residual.append(roots * (limits.prior_mean[held] - unknowns[held]))
-    times = [record.times for record in problem.records]
-    named = dict(zip(smooth, np.concatenate(extra).T, strict=True))
-    return _Rows(passes, times, np.concatenate(residual), np.concatenate(known), named)
 
 
 def _score(

@@ -68,9 +68,8 @@ SIDES = ("port", "starboard", "left", "right", "upper", "lower")
 FROM_DAY_TO_DAY = ("*_offset", "current*", "drift_*", "wind")
 
 
-@dataclass(frozen=True)
 class Sizes:
-    """Typical sizes, by name.
+    """Typical sizes of signals along records, by name; states are measured or guessed.
 
     Attributes
     ----------
@@ -90,15 +89,25 @@ class Sizes:
         Median sample time, shortest integration step and median duration of a record, s.
     """
 
-    swing: dict[str, float]
-    level: dict[str, float]
-    rate: dict[str, float]
-    mobility: dict[str, float]
-    reach: dict[str, float]
-    reversing: frozenset[str]
-    sample: float
-    step: float
-    duration: float
+    def __init__(self, model: Model, dataset: Dataset) -> None:
+        pairs = [(record, _states(model, record)) for record in dataset]
+        joined = _joined([series | _others(model, record) for record, series in pairs])
+        rates = _joined(
+            [{name: slope(r.times, values)[0] for name, values in of.items()} for r, of in pairs]
+        )
+        self.sample = float(np.median([record.sample_time for record in dataset]))
+        self.step = min(
+            r.sample_time / max(ceil(r.sample_time / model.step - 1e-9), 1) for r in dataset
+        )
+        self.duration = float(np.median([r.times[-1] - r.times[0] for r in dataset]))
+        declared = {state.name: state.scale for state in model.states}  # where nothing tells one
+        slow = {name: 10.0 * scale / self.duration for name, scale in declared.items()}
+        self.swing = declared | _each(np.std, joined)
+        self.level = declared | _each(_rms, joined)
+        self.rate = slow | _each(_rms, rates)
+        self.mobility = _mobility(model, dataset, _each(lambda values: values[0], joined))
+        self.reach = _each(lambda values: np.max(np.abs(values)), joined)
+        self.reversing = frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max())
 
     @property
     def time(self) -> float:
@@ -110,38 +119,9 @@ class Sizes:
         return self.rate[state] / self.mobility[equation]
 
 
-def sizes_of(model: Model, dataset: Dataset) -> Sizes:
-    """Sizes that a model's signals have along records, their states measured or guessed."""
-    own = [_states(model, record) for record in dataset]
-    pairs = [*zip(dataset, own, strict=True)]
-    joined = _joined([series | _others(model, record) for record, series in pairs])
-    rates = _joined(
-        [{name: slope(r.times, values)[0] for name, values in of.items()} for r, of in pairs]
-    )
-    duration = float(np.median([record.times[-1] - record.times[0] for record in dataset]))
-    declared = {state.name: state.scale for state in model.states}  # where nothing tells a state
-    slow = {name: 10.0 * scale / duration for name, scale in declared.items()}
-    return Sizes(
-        swing=declared | _each(np.std, joined),
-        level=declared | _each(_rms, joined),
-        rate=slow | _each(_rms, rates),
-        mobility=_mobility(model, dataset, _each(lambda values: values[0], joined)),
-        reach=_each(lambda values: np.max(np.abs(values)), joined),
-        reversing=frozenset(name for name, v in joined.items() if v.min() < 0.0 < v.max()),
-        sample=float(np.median([record.sample_time for record in dataset])),
-        step=min(_step(model, record) for record in dataset),
-        duration=duration,
-    )
-
-
 def _each(size: Callable[[np.ndarray], float], of: dict[str, np.ndarray]) -> dict[str, float]:
     """A size of every signal."""
     return {name: float(size(values)) for name, values in of.items()}
-
-
-def _step(model: Model, record: Record) -> float:
-    """Integration step between the samples of a record, s."""
-    return record.sample_time / max(ceil(record.sample_time / model.step - 1e-9), 1)
 
 
 def _joined(parts: Sequence[Mapping[str, np.ndarray]]) -> dict[str, np.ndarray]:
@@ -222,7 +202,7 @@ def usual_effects(model: Model, dataset: Dataset) -> tuple[Effect, ...]:
     ['constant_X', 'linear_X_u_r', 'quadratic_X_u_r']
     """
     check_channels(model, dataset)
-    sizes = sizes_of(model, dataset)
+    sizes = Sizes(model, dataset)
     found: dict[str, Effect] = {}
     kinds = (
         _forces, _resistances, _hidden_states, _waves, _flows, _winds, _weights, _inertias,
