@@ -202,18 +202,13 @@ def independent_share(study: Study, before: FilteredSolution) -> float:
 
 def _beyond(study: Study, fit: FilteredSolution, bounds: Sequence[str]) -> float:
     """What the training statistic rises by where amplitudes are not held at their bounds."""
-    wide = [
-        with_parameters(
-            effect,
-            tuple(
-                replace(p, lower=-np.inf if p.lower < 0.0 else p.lower, upper=np.inf)
-                if p.name in bounds
-                else p
-                for p in effect.parameters
-            ),
-        )
-        for effect in study.effects_of(fit)
-    ]
+
+    def opened(p: Parameter) -> Parameter:
+        lower = -np.inf if p.lower < 0.0 else p.lower
+        return replace(p, lower=lower, upper=np.inf) if p.name in bounds else p
+
+    effects = study.effects_of(fit)
+    wide = [with_parameters(one, tuple(map(opened, one.parameters))) for one in effects]
     free = study.estimate(wide, fit.values, fit)
     return 0.0 if free is None else max(fit.objective - free.objective, 0.0)
 

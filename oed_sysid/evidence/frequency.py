@@ -48,7 +48,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain, pairwise
-from typing import Any
 
 import numpy as np
 from scipy.signal import csd, get_window
@@ -59,7 +58,7 @@ from oed_sysid.errors import DataError, SimulationError
 from oed_sysid.evidence.chance import FALSE_CLAIMS
 from oed_sysid.evidence.compare import Comparison, ModelMisfit
 from oed_sysid.experiments.steady import equilibrium, linearise
-from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text, plain
+from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict, as_text
 
 # Partial coherence from which a record tells of a response: with ten windows the random error is
 # 18 per cent; the rule of Tischler and Remple. Higher narrows the bands that are judged.
@@ -290,6 +289,8 @@ class ModelResponse:
     linear: np.ndarray | None
     verdicts: np.ndarray
 
+    to_dict = as_dict("label", "values", "linear")
+
 
 @dataclass(frozen=True)
 class Band:
@@ -428,14 +429,7 @@ class FrequencyComparison:
 
     report = as_text
 
-    def to_dict(self) -> dict[str, Any]:
-        """Return plain data; complex numbers are pairs."""
-        return dict(plain({
-            "record": self.record, "bands": self.bands, "verdict": self.verdict,
-            "models": [
-                {"label": m.label, "values": m.values, "linear": m.linear} for m in self.models
-            ],
-        }))  # fmt: skip
+    to_dict = as_dict("record", "bands", "verdict", "models")
 
 
 def compare_frequency(

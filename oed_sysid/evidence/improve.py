@@ -167,7 +167,7 @@ def improve(
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
-    run = _Run(Search(max_effects, tell, keep, notes), ready.whole, terms)
+    run = _Run(max_effects, tell, keep, notes, ready.whole, terms)
     end = run.beyond(run.known(study, base))
     if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without disturbance forces")
@@ -175,7 +175,7 @@ def improve(
         end = run.calmer(end, *calm)
     tell("locating where the nominal model fails")
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
-    location = run.search.stage("location", work) or Located.nothing(end.base)
+    location = run.stage("location", work) or Located.nothing(end.base)
     tell("fits and errors of every step")
     nominal = {p.name: p.value for p in model.free_parameters}
     result = keep.once("every step", lambda: _result(end, location, notes, log, nominal, logs))
@@ -196,23 +196,21 @@ def _measured(
 
 
 @dataclass(frozen=True, eq=False)
-class _Run:
+class _Run(Search):
     """How a search is made: once with disturbance forces, perhaps again without."""
 
-    search: Search
     all_samples: Dataset | None
     terms: bool
 
     def known(self, study: Study, base: FilteredSolution) -> _Ended:
         """Search among the candidates from a nominal fit, and ask all samples."""
-        search = self.search
-        state, first, last = search.ended(Standing(study, (), base, (base,)))
+        state, first, last = self.ended(Standing(study, (), base, (base,)))
         if self.all_samples is not None and state.added:
-            search.tell("asking all samples")
+            self.tell("asking all samples")
             full = replace(study, train=self.all_samples, validation=None)
             asking = partial(eliminated, state, full, state.fit.noise)
-            thinned, state = state, search.keep.once("all samples", asking)
-            search.notes.extend(
+            thinned, state = state, self.keep.once("all samples", asking)
+            self.notes.extend(
                 f"{one.effect.name} was seen in the thinned records and is not in all samples: it "
                 "is no claim."
                 for one in thinned.added
@@ -224,9 +222,8 @@ class _Run:
         """Look for a term for what is left, where that is more than noise."""
         if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
             return end
-        search, state = self.search, end.state
-        search.tell("looking for a term that no known effect holds")
-        found = search.stage("unknown term", partial(with_term, state, search.max_effects))
+        self.tell("looking for a term that no known effect holds")
+        found = self.stage("unknown term", partial(with_term, end.state, self.max_effects))
         if found is None:
             return end
         wider, proposals, tied = found
@@ -235,7 +232,7 @@ class _Run:
 
     def _left(self, state: Standing) -> Remains:
         work = partial(remains, state.study, state.fit)
-        return self.search.stage("what remains", work) or Remains(np.inf, None)
+        return self.stage("what remains", work) or Remains(np.inf, None)
 
     def calmer(self, end: _Ended, study: Study, base: FilteredSolution) -> _Ended:
         """Of a search with disturbance forces and one without, the one that is worth more.
@@ -248,7 +245,7 @@ class _Run:
         that follows motion or commands is none, so that any better runs do of no more effects.
         """
         price = 1.0 if end.left.follows else BOUGHT
-        calm, first, last = self.search.ended(Standing(study, (), base, (base,)))
+        calm, first, last = self.ended(Standing(study, (), base, (base,)))
         found, present = end.state.study, end.state.fit
         noise = found.quiet(found.loosened(present.noise))
         fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
@@ -259,7 +256,7 @@ class _Run:
         decided = claim(found, present, fit, calm.effects, more)
         state = replace(calm, decisions=(*end.state.decisions, decided))
         if decided.stands:
-            self.search.notes.append(
+            self.notes.append(
                 "Disturbance forces had grown over what is missing: it was searched for without "
                 "them, and is likelier with them, too."
             )
@@ -271,7 +268,7 @@ class _Run:
         here, there = own_error(found, present, records), own_error(study, state.fit, records)
         if not price * there < here:
             return replace(end, state=replace(end.state, decisions=state.decisions))
-        self.search.notes.append(
+        self.notes.append(
             "Disturbance forces had grown over what is missing: whole runs of what was found "
             f"without them are {here / there:.2g} times better."
         )
@@ -337,7 +334,7 @@ def _result(
     fits = [study.result(fit, "improve, disturbance forces") for fit in path]
     sigma = _sigma(study, fits)
     records = {"train": study.train, "test": study.validation}
-    rms = [{name: _rms(study, fit, of) for name, of in records.items()} for fit in path]
+    rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
     errors = [_relative(records, one, sigma) for one in rms]
     steps = _steps(state, fits, rms, errors)
     if log is not None:
@@ -388,11 +385,6 @@ def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
     declared = given_levels(study.base.outputs)
     found = np.min([fit.noise.sensors for fit in fits], axis=0)
     return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)
-
-
-def _rms(study: Study, fit: FilteredSolution, dataset: Dataset | None) -> np.ndarray:
-    """Errors of every output on some records, ``(n_outputs,)``; NaN without any."""
-    return np.full(len(study.base.outputs), np.nan) if dataset is None else study.rms(fit, dataset)
 
 
 def _steps(

@@ -37,7 +37,6 @@ from oed_sysid.likelihood.fit import MOST_DRAWN
 from oed_sysid.likelihood.gauss_newton import FEW, NEAR, FilteredSolution, Iterate, solve_filtered
 from oed_sysid.likelihood.noise_model import Levels, NoiseModel
 from oed_sysid.likelihood.random_forces import begun, solved
-from oed_sysid.likelihood.shooting import Point
 from oed_sysid.runtime.display import Figure, Report, Section, Table, as_dict
 from oed_sysid.text.units import shown_unit
 
@@ -333,52 +332,40 @@ def evidence(fit: FilteredSolution, unit: NoiseModel) -> list[Evidence] | None:
     """
     shortest = min(record.n_samples for record in fit.problem.records)
     for pieces in PIECES:
-        bench = _Bench.of(fit, unit, pieces) if shortest >= LEAST * pieces or pieces == 1 else None
-        if bench is not None:
-            return bench.judged(places(fit.problem.model))
+        if pieces == 1 or shortest >= LEAST * pieces:
+            bench = _Bench(fit, unit, pieces)
+            if bench.quiet.finite is not None:
+                return bench.judged(places(fit.problem.model))
     return None
 
 
-def _apart(problem: Filtered, point: Point) -> np.ndarray:
-    """Unknowns of a point but the levels, which come last."""
-    return point.unknowns[: problem.layout.levels.start]
-
-
-@dataclass(frozen=True, eq=False)
 class _Bench:
-    """What every place is judged by.
+    """What every place is judged by, with records in some pieces.
 
     Attributes
     ----------
     quiet : FilteredSolution
-        The fit to white noise alone.
-    starts : tuple of ndarray (n_unknowns,)
+        The fit to white noise alone; not finite where the model diverges along a record.
+    starts : list of ndarray (n_unknowns,)
         Unknowns but the levels: of the fit with disturbance forces, whose parameters have bent less
         to what is missing, and of that to white noise alone.
     unknown : ndarray of bool (n_outputs,)
         Sensors whose noise nobody declared: it must not make every misfit evidence.
     """
 
-    quiet: FilteredSolution
-    starts: tuple[np.ndarray, ...]
-    unknown: np.ndarray
-
-    @classmethod
-    def of(cls, fit: FilteredSolution, unit: NoiseModel, pieces: int) -> _Bench | None:
-        """Fit to white noise alone; None where the model diverges along a record."""
+    def __init__(self, fit: FilteredSolution, unit: NoiseModel, pieces: int) -> None:
         model = fit.problem.model.with_values(fit.values)
         dataset, initial, local = _cut(fit, pieces)
         white = np.maximum(fit.noise.white, LEAST_WHITE * unit.white)
-        unknown = np.array([output.noise_std is None for output in model.outputs])
+        self.unknown = np.array([output.noise_std is None for output in model.outputs])
         noise = NoiseModel.white_only(white, model.output_names)
-        levels = Levels.of(noise, noise, white=unknown)
+        levels = Levels.of(noise, noise, white=self.unknown)
         known = fit.problem.known_starts if pieces == 1 else None
         problem = Filtered(model, dataset, levels, kernel=fit.problem.kernel, known_starts=known)
         point = problem.point(initial, local)
-        quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
-        if quiet.finite is None:
-            return None
-        return cls(quiet, (_apart(problem, point), _apart(problem, quiet.point)), unknown)
+        self.quiet = solve_filtered(problem, point, max_iterations=MOST_STEPS, polish=0)
+        ends = (point.unknowns, self.quiet.point.unknowns)
+        self.starts = [unknowns[: problem.layout.levels.start] for unknowns in ends]
 
     def judged(self, where: Sequence[Place]) -> list[Evidence]:
         """The most likely disturbance of every place, the likeliest first.

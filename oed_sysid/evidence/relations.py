@@ -155,19 +155,15 @@ def relations(
     # A state is measured where an output shows it and nothing else.
     shown = {o.source: o.name for o in outputs if o.source in model.state_names}
     measured = {state: shown[state] for state in model.state_names if state in shown}
-    stated = [(measured[s], text, True) for s, text in _kinematics(model, measured)]
+    # Kinematics to which no effect adds anything.
+    free = measured.keys() - _touched(model)
+    stated = [(measured[s], text, True) for s, text in model.kinematics.items() if s in free]
     stated += [(o.name, o.source, False) for o in outputs if o.source not in shown]
     declared = [_declared(model, *one, measured) for one in stated]
     found = tuple(filter(None, declared))
     # Where the model has an equation for one of these states, it knows better.
     taken = {*model.kinematics, *(r.target for r in found)}
     return (*found, *standard(outputs, set(spare), taken))
-
-
-def _kinematics(model: Model, measured: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Kinematics of measured states to which no effect adds anything."""
-    free = measured.keys() - _touched(model)
-    return [(state, text) for state, text in model.kinematics.items() if state in free]
 
 
 def _touched(model: Model) -> set[str]:

@@ -13,19 +13,8 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset
 from oed_sysid.likelihood.fit import MOST_DRAWN
-from oed_sysid.runtime.display import (
-    TWO_SIDED_95,
-    Figure,
-    Report,
-    Section,
-    Table,
-    as_dict,
-    as_html,
-    as_text,
-    counted,
-    share,
-)
-from oed_sysid.runtime.display import interval as shown_interval
+from oed_sysid.runtime import display
+from oed_sysid.runtime.display import Figure, Section, Table, as_dict, counted, share
 from oed_sysid.text.units import shown_unit
 
 # Kinds of finding: sentences, and what follows from each.
@@ -274,7 +263,7 @@ class LogCheck:
     judged: tuple[Judged, ...] = field(default=(), repr=False)
     duration: float = math.nan
 
-    _repr_html_ = as_html
+    _repr_html_ = display.as_html
 
     def __repr__(self) -> str:
         return f"<LogCheck of {len(self.records)} records: {self.verdict}>"
@@ -317,11 +306,8 @@ class LogCheck:
 
     def named(self, kind: str, signal: str | None = None) -> Finding | None:
         """Return the first finding of a kind, of a signal if given; None if there is none."""
-        return next(
-            (one for one in self.findings
-             if one.kind == kind and (signal is None or signal in one.signals)),
-            None,
-        )  # fmt: skip
+        alike = (one for one in self.findings if one.kind == kind)
+        return next((one for one in alike if signal in (None, *one.signals)), None)
 
     def without(self, kind: str) -> LogCheck:
         """Return the result without the findings of one kind."""
@@ -334,7 +320,7 @@ class LogCheck:
         lines = (f"  - {one.says} Fix: {one.fix}" for one in self.serious)
         return "\n".join((self.verdict, *lines))
 
-    def document(self, dataset: Dataset | None = None, *, title: str = "") -> Report:
+    def document(self, dataset: Dataset | None = None, *, title: str = "") -> display.Report:
         """Return the result; with the records, these drawn."""
         undone = "with the findings undone"
         records = () if dataset is None else dataset.records[:MOST_DRAWN]
@@ -343,7 +329,7 @@ class LogCheck:
             f"{row.relation}: {share(row.before)}" + f", {share(row.after)} {undone}" * self.suspect
             for row in self.balances
         ]
-        return Report(
+        return display.Report(
             title=title or "Log check",
             subtitle=f"Log check of {', '.join(self.records)}",
             headline=f"Log check of {counted(len(self.records), 'record')}: "
@@ -367,7 +353,7 @@ class LogCheck:
             ),
         )  # fmt: skip
 
-    report = as_text
+    report = display.as_text
 
     def _listed(self, title: str, *, suspect: bool) -> list[Section]:
         """Findings of one weight as a numbered list."""
@@ -441,7 +427,7 @@ def size_unit(unit: str) -> tuple[float, str]:
 def amount(size: float, bounds: tuple[float, float], unit: str) -> str:
     """Estimate with half the width of its 95 % interval, in people's units."""
     factor, shown = size_unit(unit)
-    return f"{shown_interval(factor * size, factor * (0.5 * (bounds[1] - bounds[0])))} {shown}"
+    return f"{display.interval(factor * size, factor * (0.5 * (bounds[1] - bounds[0])))} {shown}"
 
 
 def interval(size: float, std: float) -> tuple[float, float]:
@@ -450,4 +436,4 @@ def interval(size: float, std: float) -> tuple[float, float]:
     >>> interval(1.0, 0.1)
     (0.804, 1.196)
     """
-    return size - TWO_SIDED_95 * std, size + TWO_SIDED_95 * std
+    return size - display.TWO_SIDED_95 * std, size + display.TWO_SIDED_95 * std

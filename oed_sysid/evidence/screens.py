@@ -614,13 +614,12 @@ def _left(trace: Trace, name: str) -> tuple[np.ndarray, np.ndarray]:
     Both are zero where neighbours are missing, and where motion is no slower than the samples.
     """
     left, rate = np.zeros((2, trace.times.size))
-    nothing = left, rate
     values = trace.values.get(name)
     if values is None or name in trace.fast:
-        return nothing
+        return left, rate
     rows = np.flatnonzero(np.isfinite(values))
     if rows.size < LEAST:
-        return nothing
+        return left, rate
     times, series = trace.times[rows], values[rows]
     apart = np.stack([times[k : times.size - 4 + k] - times[2:-2] for k in (0, 1, 3, 4)])
     around = np.stack([series[k : series.size - 4 + k] for k in (0, 1, 3, 4)])
@@ -633,10 +632,10 @@ def _left(trace: Trace, name: str) -> tuple[np.ndarray, np.ndarray]:
     deviation = np.where(even, deviation, 0.0)
     noise = float(np.sqrt(np.mean(deviation**2)))
     if noise == 0.0:
-        return nothing
+        return left, rate
     follow = float(np.sum(deviation[1:] * deviation[:-1]) / np.sum(deviation**2))
     if follow > 0.5 * CORRELATED[1]:
-        return nothing
+        return left, rate
     smooth = np.convolve(np.gradient(series, times), np.hanning(9)[1:-1] / 4.0, mode="same")
     left[rows[2:-2]] = deviation / noise
     rate[rows[2:-2]] = np.where(even, smooth[2:-2], 0.0) / noise

@@ -23,9 +23,9 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import wraps
 from time import perf_counter
-from typing import Any, TypeVar, cast
+from typing import TypeVar
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -64,11 +64,26 @@ VAGUE = 1e-8
 
 # A fit to white noise, on the way to one with disturbance forces.
 PLAIN = MultipleShooting(solver=Solver(max_iterations=15), coloured="never", disturbances="none")
-# What is found of a fit on records: claims and the table of errors ask for the same.
-_FOUND: WeakKeyDictionary[FilteredSolution, list[tuple[str, Study, Dataset, Any]]] = (
-    WeakKeyDictionary()
-)
 Found = TypeVar("Found")
+
+
+def _once(
+    work: Callable[[Study, FilteredSolution, Dataset], Found],
+) -> Callable[[Study, FilteredSolution, Dataset], Found]:
+    """Do what is asked of a fit on records once: claims and the table of errors ask the same."""
+    known: WeakKeyDictionary[FilteredSolution, list[tuple[Study, Dataset, Found]]]
+    known = WeakKeyDictionary()
+
+    @wraps(work)
+    def kept(study: Study, found: FilteredSolution, dataset: Dataset) -> Found:
+        results = known.setdefault(found, [])
+        for whose, records, result in results:
+            if whose is study and records is dataset:
+                return result
+        results.append((study, dataset, work(study, found, dataset)))
+        return results[-1][2]
+
+    return kept
 
 
 @dataclass(frozen=True, eq=False)
@@ -397,20 +412,20 @@ class Study:
     def predict(self, found: FilteredSolution) -> Prediction | None:
         """What :meth:`validate` is made of; None where the model cannot be run."""
         assert self.validation is not None
-        return _once("predicted", self, found, self.validation, partial(self._predicted, found))
+        return self._predicted(found, self.validation)
 
-    def _predicted(self, found: FilteredSolution) -> Prediction | None:
-        assert self.validation is not None
+    @_once
+    def _predicted(self, found: FilteredSolution, validation: Dataset) -> Prediction | None:
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
         matrix = found.matrix + np.diag(limits.prior_weight)
         scale = limits.scale[shared]
         known = eliminate(matrix, shared, np.arange(len(shared), layout.n_unknowns))
         known = known + np.diag(VAGUE / scale**2)
-        levels = self.levels(self.loosened(found.noise), self.validation)
+        levels = self.levels(self.loosened(found.noise), validation)
         knowledge = Knowledge(found.point.unknowns[shared].copy(), known)
-        problem = self.as_in(found, levels, self.validation, knowledge)
-        alone = self.alone(found, self.validation)
+        problem = self.as_in(found, levels, validation, knowledge)
+        alone = self.alone(found, validation)
         if alone is None:
             return None
         solution = _solved(problem, alone, 20)
@@ -437,21 +452,18 @@ class Study:
         levels = levels.holding_forces() if same_forces else levels
         return self._held(found, dataset, levels, alone, tolerance=0.01)
 
+    @_once
     def alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
         """A fit on other records: parameters and noise levels held, start states estimated.
 
         Where levels are estimated too, it is from here that they are: a start state that is far
         off would be taken for a disturbance force, which it is not.
         """
-
-        def work() -> FilteredSolution | None:
-            # Sizes of single records are far from their mean: whole runs have found them.
-            runs = self.runs(found, dataset)
-            own = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
-            start = Start(found.values, own, [run.local for run in runs])
-            return self._held(found, dataset, self.levels(found.noise, dataset).held(), start)
-
-        return _once("alone", self, found, dataset, work)
+        # Sizes of single records are far from their mean: whole runs have found them.
+        runs = self.runs(found, dataset)
+        own = [run.shooting.initial_state(run.unknowns, 0) for run in runs]
+        start = Start(found.values, own, [run.local for run in runs])
+        return self._held(found, dataset, self.levels(found.noise, dataset).held(), start)
 
     def _held(
         self,
@@ -469,34 +481,22 @@ class Study:
         end = solve_filtered(held, point, max_iterations=15, tolerance=tolerance, polish=0)
         return end.finite
 
+    @_once
     def runs(self, found: FilteredSolution, dataset: Dataset) -> tuple[WholeRun, ...]:
         """Whole runs of the model on its own, start states and values of each record fitted."""
         sigma = found.noise.sensors
         model = self.model(self.effects_of(found), found.values, found.problem.model.step)
         runner = found.problem.kernel.part(model, found.problem.own)
-        work = partial(whole_runs, model, dataset, sigma, runner=runner)
-        return _once("runs", self, found, dataset, work)
+        return whole_runs(model, dataset, sigma, runner=runner)
 
-    def rms(self, found: FilteredSolution, dataset: Dataset) -> np.ndarray:
+    def rms(self, found: FilteredSolution, dataset: Dataset | None) -> np.ndarray:
         """Errors of the model on its own, ``(n_outputs,)``, as `compare` finds them.
 
         Shared parameters are held, start states fitted to each whole record; infinite where the
-        model diverges.
+        model diverges, NaN without records.
         """
-        return rms(self.runs(found, dataset))
-
-
-def _once(
-    name: str, study: Study, found: FilteredSolution, dataset: Dataset, work: Callable[[], Found]
-) -> Found:
-    """The result of some work on a fit and records, done once."""
-    kept = _FOUND.setdefault(found, [])
-    for what, whose, records, result in kept:
-        if what == name and whose is study and records is dataset:
-            return cast(Found, result)
-    result = work()
-    kept.append((name, study, dataset, result))
-    return result
+        nothing = np.full(len(self.base.outputs), np.nan)
+        return nothing if dataset is None else rms(self.runs(found, dataset))
 
 
 def _solved(

@@ -48,7 +48,7 @@ from oed_sysid.physics.parameters import Parameter
 from oed_sysid.physics.table import ABKOWITZ, POLYNOMIAL, SOURCES
 from oed_sysid.text import expressions
 from oed_sysid.text.dimensions import dimension_of
-from oed_sysid.text.units import Dimension, dimension
+from oed_sysid.text.units import dimension
 
 # Typical sizes, as shares of the accelerations, inertia and lift seen, and of what signals do.
 SHARE, TENTH = 0.2, 0.1
@@ -271,7 +271,7 @@ class _Equation:
 
     def per(self, unit: str) -> str:
         """Unit of the force over another."""
-        return _unit_of(dimension(self.load) / dimension(unit))
+        return str((dimension(self.load) / dimension(unit)).plain)
 
 
 def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
@@ -285,7 +285,7 @@ def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
         if not size > 0 or state in still:
             continue
         moment = "N m" if name in ("K", "M", "N") else "N"
-        load = moment if model.axes else _unit_of(dimension(units[state]) / dimension("s"))
+        load = moment if model.axes else str((dimension(units[state]) / dimension("s")).plain)
         places = [p for p, text in model.kinematics.items() if text == state and p in units]
         found.append(_Equation(name, state, size, load, units[state], next(iter(places), "")))
     return found
@@ -330,21 +330,17 @@ def _waves(model: Model, sizes: Sizes) -> Iterator[Effect]:
 def _named(force: Force, word: str, equation: str, text: str) -> Force:
     """A term of the dictionary under a name that says what it is."""
     kind, _, signal = word.partition("_")
+    # Drag, lift and trims are physics, other powers terms of a series. Where the equation is the
+    # rate of a state, only its own square is a drag.
+    squared = kind == "quadratic" and equation not in "XYZKMN" and signal != equation
+    is_series = squared or kind in ("cubic", "hardening", "advance")
     return replace(
         force,
         name="_".join(part for part in (kind, equation, signal) if part),
         description=f"constant {equation}" if text == "1" else f"{text} in the {equation} equation",
-        source=ABKOWITZ if _is_physics(kind, equation, signal) else POLYNOMIAL,
+        source=POLYNOMIAL if is_series else ABKOWITZ,
         needs=f"{signal} of varied size" if signal else "a steady part of the motion",
     )
-
-
-def _is_physics(kind: str, equation: str, signal: str) -> bool:
-    """Whether a term is drag, lift or a trim; other powers are terms of a series."""
-    if kind in ("cubic", "hardening", "advance"):
-        return False
-    # Where the equation is the rate of a state, only its own square is a drag.
-    return kind != "quadratic" or equation in "XYZKMN" or signal == equation
 
 
 def _products(
@@ -410,13 +406,8 @@ def commanded(model: Model) -> dict[str, str]:
             of = dimension_of(text, {name: dimension(unit) for name, unit in known.items()})
         except OedSysidError:  # units that do not fit are another message's matter
             of = None
-        found[signal] = units.get(text, "" if of is None else _unit_of(of))
+        found[signal] = units.get(text, "" if of is None else str(of.plain))
     return found
-
-
-def _unit_of(found: Dimension) -> str:
-    """A dimension as text, radians dropped as in the units of derivatives."""
-    return str(found.plain)
 
 
 def _flows(model: Model, sizes: Sizes) -> Iterator[Effect]:

@@ -130,9 +130,6 @@ class Log:
     def _column(self, name: str) -> str:
         return getattr(self._channel(name), "column", "") or name
 
-    def _is_input(self, name: str) -> bool:
-        return name in self.channels.input_names
-
     def _declared(self, name: str, change: str) -> str:
         """Declaration of a channel with something changed; words for a column nobody declared."""
         channel = self._channel(name)
@@ -186,7 +183,7 @@ class Log:
             "units": ", ".join(f'"{name}": "{one.meaning}"' for name in names),
         }  # fmt: skip
         row, others = "twice" if twice else fix.kind, tuple(map(say_reading, one.rivals))
-        if self._is_input(names[0]):
+        if names[0] in self.channels.input_names:
             row, others = f"input {row}", (*others, NOMINAL)
         return said(
             fix.kind, names, self.records, words, row=row, gain=one.gain, alternatives=others,
@@ -196,7 +193,7 @@ class Log:
     def sized(self, one: Found) -> Finding:
         """Words for a fault with a size."""
         fault, early = one.candidate, " and ".join(one.candidate.signals)
-        of_input = self._is_input(fault.signals[0])
+        of_input = fault.signals[0] in self.channels.input_names
         row, names, size = self._row_of(fault, one.size, of_input=of_input)
         bounds, at = interval(size, one.std), self.at(fault)
         words = {
