@@ -30,7 +30,7 @@ from oed_sysid.evidence.improvement import Improvement
 from oed_sysid.evidence.locate import locate
 from oed_sysid.evidence.misfit import Signal, concentrations, correlate, regimes
 from oed_sysid.evidence.propose import Signal as Cause
-from oed_sysid.evidence.propose import Term, propose, signals_along, term_scores, terms
+from oed_sysid.evidence.propose import Signals, Term, propose, term_scores, terms
 from oed_sysid.evidence.rank import Ranking, rank
 from oed_sysid.evidence.residual_forces import let_in
 from oed_sysid.evidence.score import Score, scores
@@ -460,7 +460,7 @@ def test_a_heading_is_no_cause() -> None:
         ship.channels,
     )
     states = np.linspace(0.0, 0.2, 5)[:, None] * np.ones(len(ship.states))
-    named = {signal.name for signal in signals_along(ship, Dataset((record,)), [states]).signals}
+    named = {signal.name for signal in Signals(ship, Dataset((record,)), [states]).signals}
     assert "r" in named
     assert "psi" not in named
 

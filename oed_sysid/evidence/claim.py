@@ -157,19 +157,19 @@ def claim(
     needed : float
         Threshold.
     """
-    share, known = independent_share(study, before), study.validation is not None
-    fits = (before, after)
+    share, records, fits = independent_share(study, before), study.validation, (before, after)
+    told = [None if records is None else study.predict(fit, records) for fit in fits]
     found = Claim(
         " + ".join(effect.name for effect in effects),
         share * (before.objective - after.objective),
         np.nan,
         needed,
         independent=share,
-        models=tuple((fit.objective, study.predict(fit) if known else None) for fit in fits),
+        models=((before.objective, told[0]), (after.objective, told[1])),
     )
-    if study.validation is not None:
+    if records is not None:
         validation = share * difference(*map(study.validate, fits))
-        old, new = (own_error(study, fit, study.validation) for fit in fits)
+        old, new = (own_error(study, fit, records) for fit in fits)
         found = replace(
             found, validation=validation, before=old, after=new, allowed=allowed_rise(after)
         )

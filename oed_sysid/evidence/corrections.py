@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from oed_sysid.data.dataset import Dataset
-from oed_sysid.data.record import Record
 from oed_sysid.evidence.relations import Relation, relations
 from oed_sysid.evidence.result import Correction, Finding, LogCheck, is_a
 from oed_sysid.evidence.traces import Trace
@@ -63,16 +62,12 @@ def corrected(
             trace.values.get(name, np.full(record.n_samples, np.nan))
             for name in record.channels.output_names
         ]
-        records.append(record.with_outputs(np.column_stack(columns)))
-    return Dataset(tuple(_with_inputs(record, chosen) for record in records))
-
-
-def _with_inputs(record: Record, corrections: tuple[Correction, ...]) -> Record:
-    names, inputs = record.channels.input_names, np.array(record.inputs)
-    for one in corrections:
-        if one.kind in ("sign", "unit"):
-            inputs[:, [names.index(name) for name in one.signals if name in names]] *= one.value
-    return replace(record, inputs=inputs)
+        names, inputs = record.channels.input_names, np.array(record.inputs)
+        for one in chosen:
+            if one.kind in ("sign", "unit"):
+                inputs[:, [names.index(name) for name in one.signals if name in names]] *= one.value
+        records.append(replace(record.with_outputs(np.column_stack(columns)), inputs=inputs))
+    return Dataset(tuple(records))
 
 
 def pivot(series: np.ndarray, unit: str) -> float:

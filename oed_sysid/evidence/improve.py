@@ -177,8 +177,7 @@ def improve(
     work = partial(locate, end.base, end.state.study.unit, likeliest(end.first))
     location = run.stage("location", work) or Located.nothing(end.base)
     tell("fits and errors of every step")
-    nominal = {p.name: p.value for p in model.free_parameters}
-    result = keep.once("every step", lambda: _result(end, location, notes, log, nominal, logs))
+    result = keep.once("every step", lambda: _result(end, location, notes, log, logs))
     found = (*_other_noise(result.fit), *_bought(end))
     return replace(result, notes=(*found, *result.notes))
 
@@ -321,12 +320,7 @@ def _other_noise(fit: Fit) -> list[str]:
 
 
 def _result(
-    end: _Ended,
-    location: Located,
-    notes: Sequence[str],
-    log: LogCheck | None,
-    nominal: Mapping[str, float],
-    logs: Dataset,
+    end: _Ended, location: Located, notes: Sequence[str], log: LogCheck | None, logs: Dataset
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.
@@ -338,7 +332,8 @@ def _result(
     errors = [_relative(records, one, sigma) for one in rms]
     steps = _steps(state, fits, rms, errors)
     if log is not None:
-        log = with_estimates(log, fits[-1], [one.effect for one in steps], nominal, logs)
+        claimed = [one.effect for one in steps]
+        log = with_estimates(log, fits[-1], claimed, study.base.values, logs)
     return Improvement(
         model=fits[-1].model,
         base=fits[0].model,

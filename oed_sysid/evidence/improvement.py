@@ -389,10 +389,7 @@ class Improvement:
                     "would tell."
                 )
             return display.Section("What is missing", [*lines, *self._refused()], self._asked())
-        headers = (
-            "effect added", "training", "validation", "T", "threshold", "training error",
-            "validation error",
-        )  # fmt: skip
+        headers = ("effect added", *TERMS, "training error", "validation error")
         rows = [("(nominal)", "", "", "", "", *_cells(".3g", *self.base_error.values()))]
         lines = []
         for step in self.steps:
@@ -418,10 +415,7 @@ class Improvement:
         """Every decision with every term of it."""
         if not self.decisions:
             return ()
-        headers = (
-            "asked", "training", "validation", "T", "threshold", "whole runs before", "after",
-            "decision",
-        )  # fmt: skip
+        headers = ("asked", *TERMS, "whole runs before", "after", "decision")
         added = {step.claim.name for step in self.steps}
         rows = [
             (
@@ -452,7 +446,7 @@ class Improvement:
             figures.append(
                 display.Figure("plot_force_found", self, f"{words}.", (train,), size=half)
             )
-        headers = ("effect", "training", "validation", "T", "threshold", "error after")
+        headers = ("effect", *TERMS, "error after")
         _, records = self._judged
         rows = [
             (step.added, *_terms(step.claim), *_cells(".3g", step.error(records)))
@@ -511,6 +505,10 @@ class Improvement:
 def _cells(form: str, *values: float) -> list[str]:
     """Numbers of a table; a dash for what there is not."""
     return ["-" if np.isnan(value) else f"{value:{form}}" for value in values]
+
+
+# The terms of a decision, as tables have them.
+TERMS = ("training", "validation", "T", "threshold")
 
 
 def _terms(one: Claim) -> list[str]:

@@ -176,28 +176,8 @@ def _coefficient_unit(term: Term, model: Model, units: Mapping[str, str]) -> str
     return "" if factor is None else str((force / factor).plain)
 
 
-@dataclass(frozen=True, eq=False)
 class Signals:
-    """Signals of a model along given trajectories.
-
-    Attributes
-    ----------
-    signals : tuple of Signal
-    values : tuple of dict
-        ``name -> ndarray (n_times,)`` halfway between samples, per record.
-    """
-
-    signals: tuple[Signal, ...]
-    values: tuple[dict[str, np.ndarray], ...]
-
-    @property
-    def units(self) -> dict[str, str]:
-        """Unit of every signal."""
-        return {signal.name: signal.unit for signal in self.signals}
-
-
-def signals_along(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> Signals:
-    """Evaluate what terms are made of along trajectories.
+    """What terms are made of, along given trajectories.
 
     Parameters
     ----------
@@ -207,34 +187,47 @@ def signals_along(model: Model, dataset: Dataset, states: Sequence[np.ndarray]) 
         Gives times and inputs.
     states : sequence of ndarray (n_times, n_full)
         Full states, per record.
+
+    Attributes
+    ----------
+    signals : tuple of Signal
+    values : list of dict
+        ``name -> ndarray (n_times,)`` halfway between samples, per record.
     """
-    kinds = _kinds(model)
-    shown = replace(
-        model,
-        outputs=tuple(Output(f"term_{name}", unit, expression=name) for name, unit, _ in kinds),
-        effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
-    )
-    shown = shown.fix(*shown.free_names)
-    compiled = kernel(shown)
-    values = []
-    for record, full in zip(dataset, states, strict=True):
-        middle = full.copy()
-        middle[:-1] = 0.5 * (full[:-1] + full[1:])
-        run = compiled.run(
-            record.times,
-            record.inputs,
-            shown.value_vector,
-            middle[:, : compiled.n_full],
-            starts=np.arange(record.n_samples, dtype=np.intc),
+
+    def __init__(self, model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> None:
+        kinds = _kinds(model)
+        shown = replace(
+            model,
+            outputs=tuple(Output(f"term_{name}", unit, expression=name) for name, unit, _ in kinds),
+            effects=tuple(effect for effect in model.effects if effect.stage != "sensor"),
         )
-        values.append({name: run.outputs[:, i] for i, (name, _, _) in enumerate(kinds)})
-    signals = []
-    for name, unit, kind in kinds:
-        pooled = np.concatenate([part[name] for part in values])
-        low, high = np.quantile(pooled, [0.01, 0.99])
-        if np.ptp(pooled) > 1e-9 * np.abs(pooled).max(initial=0.0):
-            signals.append(Signal(name, unit, kind, bool(low > 0 or high < 0)))
-    return Signals(tuple(signals), tuple(values))
+        shown = shown.fix(*shown.free_names)
+        compiled = kernel(shown)
+        self.values = []
+        for record, full in zip(dataset, states, strict=True):
+            middle = full.copy()
+            middle[:-1] = 0.5 * (full[:-1] + full[1:])
+            run = compiled.run(
+                record.times,
+                record.inputs,
+                shown.value_vector,
+                middle[:, : compiled.n_full],
+                starts=np.arange(record.n_samples, dtype=np.intc),
+            )
+            self.values.append({name: run.outputs[:, i] for i, (name, _, _) in enumerate(kinds)})
+        signals = []
+        for name, unit, kind in kinds:
+            pooled = np.concatenate([part[name] for part in self.values])
+            low, high = np.quantile(pooled, [0.01, 0.99])
+            if np.ptp(pooled) > 1e-9 * np.abs(pooled).max(initial=0.0):
+                signals.append(Signal(name, unit, kind, bool(low > 0 or high < 0)))
+        self.signals = tuple(signals)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """Unit of every signal."""
+        return {signal.name: signal.unit for signal in self.signals}
 
 
 def _kinds(model: Model) -> list[tuple[str, str, str]]:
@@ -280,7 +273,7 @@ def terms(model: Model, signals: Sequence[Signal]) -> list[Term]:
     ----------
     model : Model
     signals : sequence of Signal
-        From :func:`signals_along`.
+        Of :class:`Signals`.
     """
     products = [(), *_products([s for s in signals if s.kind == "motion"])]
     found = [(factors, product_text(factors)) for factors in products]
@@ -548,7 +541,7 @@ def term_scores(
     passes, paths = smoothable(problem, unknowns)
     if signals is None:
         states = [part.path[:, problem.own] for part in passes]
-        signals = signals_along(problem.model, problem.dataset, states)
+        signals = Signals(problem.model, problem.dataset, states)
     dictionary = terms(problem.model, signals.signals)
     matrix, right = problem.gathered(unknowns, passes)
     limits = problem.limits

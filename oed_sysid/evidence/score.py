@@ -104,7 +104,7 @@ class _Rows:
     """
 
     def __init__(self, fit: FilteredSolution, smooth: Sequence[str]) -> None:
-        problem, unknowns = fit.problem, fit.point.unknowns
+        self.fit, problem, unknowns = fit, fit.problem, fit.point.unknowns
         layout, limits = problem.layout, problem.limits
         n_known = layout.levels.start
         names = (*layout.free_names, *smooth)
@@ -199,7 +199,7 @@ def scores(
     # Sizes and starts of single records are estimated anew on the validation records.
     n_records = len(rows.passes) + len(study.validation or ())
     best: dict[str, Score] = {}
-    for effect, shape, raw in _variants(study, fit, candidates, rows):
+    for effect, shape, raw in _variants(study, candidates, rows):
         score = _score(effect, shape, raw, projected(raw), residual, n_records)
         if effect.name not in best or score.statistic > best[effect.name].statistic:
             best[effect.name] = replace(score, trials=_trials(effect, rows))
@@ -274,7 +274,7 @@ def _parameter(effect: Effect, name: str) -> Parameter:
 
 
 def _variants(
-    study: Study, fit: FilteredSolution, candidates: Sequence[Effect], rows: _Rows
+    study: Study, candidates: Sequence[Effect], rows: _Rows
 ) -> Iterator[tuple[Effect, dict[str, float], np.ndarray]]:
     """Columns ``(n_rows, n_amplitudes)`` of every candidate, for every shape it may have."""
     for effect in candidates:
@@ -284,7 +284,7 @@ def _variants(
             columns = (
                 np.column_stack([rows.extra[name] for name in effect.amplitude_names])
                 if is_smooth
-                else _secant(study, fit, effect, shape, rows, size)
+                else _secant(study, effect, shape, rows, size)
             )
             if columns is not None:
                 yield effect, shape, rows.by_record(columns) if _local_names(effect) else columns
@@ -296,17 +296,13 @@ def two_sided(effect: Effect) -> bool:
 
 
 def _secant(
-    study: Study,
-    fit: FilteredSolution,
-    effect: Effect,
-    shape: dict[str, float],
-    rows: _Rows,
-    share: float,
+    study: Study, effect: Effect, shape: dict[str, float], rows: _Rows, share: float
 ) -> np.ndarray | None:
     """Change of the innovations per unit of each amplitude, from nothing to a share of its size."""
     names = effect.amplitude_names
     groups = [names] if not two_sided(effect) else [(name,) for name in names]
-    problem, model = fit.problem, fit.problem.model + effect
+    fit, problem = rows.fit, rows.fit.problem
+    model = problem.model + effect
     columns = []
     for group in groups:
         typical = [_parameter(effect, name) for name in group]

@@ -299,8 +299,7 @@ def with_refit(
     fit = study.resolved(not_astray(study, study.settle(refit.fit)))
     if rises(study, refit.fit, fit):
         fit = refit.fit  # a better likelihood elsewhere, which the validation records refuse
-    names = [effect.name for effect in refit.effects]
-    single = len(names) == 1
+    single = len(refit.effects) == 1
     added = [
         Added(effect, decided, ranking.claimed_with(refit, claims) if single else (effect.name,))
         for effect in refit.effects

@@ -406,16 +406,13 @@ class Study:
         float
             Up to a constant that all models share; infinite where the model cannot be run.
         """
-        prediction = self.predict(found)
+        assert self.validation is not None
+        prediction = self.predict(found, self.validation)
         return np.inf if prediction is None else prediction.value
 
-    def predict(self, found: FilteredSolution) -> Prediction | None:
-        """What :meth:`validate` is made of; None where the model cannot be run."""
-        assert self.validation is not None
-        return self._predicted(found, self.validation)
-
     @_once
-    def _predicted(self, found: FilteredSolution, validation: Dataset) -> Prediction | None:
+    def predict(self, found: FilteredSolution, validation: Dataset) -> Prediction | None:
+        """What :meth:`validate` is made of; None where the model cannot be run."""
         layout, limits = found.problem.layout, found.problem.limits
         shared = np.arange(len(layout.shared))
         matrix = found.matrix + np.diag(limits.prior_weight)
@@ -445,12 +442,10 @@ class Study:
         With ``same_forces`` disturbance forces are as strong and last as long as the fit says; only
         the sensors' levels are estimated.
         """
-        levels = self.levels(found.noise if same_forces else self.loosened(found.noise), dataset)
+        same = self.levels(found.noise, dataset).holding_forces()
+        levels = same if same_forces else self.levels(self.loosened(found.noise), dataset)
         alone = self.alone(found, dataset)
-        if alone is None:
-            return None
-        levels = levels.holding_forces() if same_forces else levels
-        return self._held(found, dataset, levels, alone, tolerance=0.01)
+        return alone and self._held(found, dataset, levels, alone, tolerance=0.01)
 
     @_once
     def alone(self, found: FilteredSolution, dataset: Dataset) -> FilteredSolution | None:
