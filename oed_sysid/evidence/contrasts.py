@@ -40,7 +40,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations, product
 
@@ -868,10 +868,11 @@ class System:
         moved = np.array([abs(size - before.get(fault, np.inf)) for fault, size in now.items()])
         return before.keys() == now.keys() and bool(np.all(moved < 0.1 * std + 1e-9))
 
-    def visible(self, chosen: Sequence[int]) -> np.ndarray:
-        """Least size of every candidate that would be seen beside some, ``(n,)``."""
+    def visible(self, chosen: Sequence[int]) -> list[tuple[Candidate, float]]:
+        """Every candidate with the least size that would be seen beside some."""
         error = self.beside(chosen)[2]
-        return np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
+        least = np.sqrt(self.limits) * np.where(error > 0.0, error, np.inf)
+        return [*zip(self.faults, least.tolist(), strict=True)]
 
     def price(self, chosen: Sequence[int]) -> np.ndarray:
         """What each has to gain beside a set that gains so much."""
@@ -966,23 +967,15 @@ class Reading:
 
 @dataclass(frozen=True)
 class Result:
-    """What a search ends with: faults, the dictionary, and the least visible size of each.
+    """What a search ends with: faults, and all that were asked with the least visible size of each.
 
-    ``local`` has that of what may begin at any place of a record, at the median place.
-    ``strained`` where the signals were so far from agreeing that the linearised scores mislead.
+    Of what may begin at any place of a record that is the size at the median place. ``strained``
+    where the signals were so far from agreeing that the linearised scores mislead.
     """
 
     found: tuple[Found, ...]
-    faults: tuple[Candidate, ...]
-    visible: np.ndarray
+    seen: Sequence[tuple[Candidate, float]]
     strained: bool = False
-    local: Mapping[Candidate, float] = field(default_factory=dict)
-
-    @property
-    def seen(self) -> Iterator[tuple[Candidate, float]]:
-        """All faults that were asked, each with its least visible size."""
-        yield from zip(self.faults, self.visible, strict=True)
-        yield from self.local.items()
 
 
 def search(
@@ -1009,14 +1002,14 @@ def search(
         faults = list(dict.fromkeys([*faults, *active, *near, *picked]))
         undone, pieces = _linearised(traces, relations, faults, active, local)
         if not pieces:
-            return Result((), tuple(faults), np.full(len(faults), np.inf))
+            return Result((), [*dict.fromkeys(faults, np.inf).items()])
         now = [faults.index(fault) for fault in active]
         inside = np.union1d(np.arange(n_common), now).astype(int)
         system = assemble(pieces, faults, inside, n_more).given(n_given)
         bench = replace(system, right=system.right + system.gram[:, now] @ [*active.values()])
         strained = strained if turn else bench.strained(now)
         if strained and only_linear:
-            return Result((), tuple(faults), bench.visible(now), strained)
+            return Result((), bench.visible(now), strained)
         found, seen = scanned(undone, pieces, system, now, local)
         picked = [fault for fault in found if fault not in faults]
         chosen = bench.chosen(now)
@@ -1024,7 +1017,7 @@ def search(
         if not picked and (shift < 1e-3 or not near) and bench.settled(before, chosen):
             break
         shift *= 0.5 if near else 1.0
-    return Result(bench.found(chosen), tuple(faults), bench.visible(chosen), strained, seen)
+    return Result(bench.found(chosen), [*bench.visible(chosen), *seen.items()], strained)
 
 
 def _begun(

@@ -330,10 +330,20 @@ def _result(
     records = {"train": study.train, "test": study.validation}
     rms = [{name: study.rms(fit, of) for name, of in records.items()} for fit in path]
     errors = [_relative(records, one, sigma) for one in rms]
-    steps = _steps(state, fits, rms, errors)
+    steps = tuple(
+        Step(
+            effect=one.effect.with_values(fit.model.values),
+            group=one.group,
+            claim=one.claim,
+            train_error=error["train"],
+            test_error=error["test"],
+            fit=fit,
+            rms=own,
+        )
+        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
+    )
     if log is not None:
-        claimed = [one.effect for one in steps]
-        log = with_estimates(log, fits[-1], claimed, study.base.values, logs)
+        log = with_estimates(log, fits[-1], state.effects, study.base.values, logs)
     return Improvement(
         model=fits[-1].model,
         base=fits[0].model,
@@ -380,27 +390,6 @@ def _sigma(study: Study, fits: Sequence[Fit]) -> np.ndarray:
     declared = given_levels(study.base.outputs)
     found = np.min([fit.noise.sensors for fit in fits], axis=0)
     return np.where(np.isnan(declared), np.maximum(found, study.setting.least_white), declared)
-
-
-def _steps(
-    state: Standing,
-    fits: Sequence[Fit],
-    rms: Sequence[dict[str, np.ndarray]],
-    errors: Sequence[dict[str, float]],
-) -> tuple[Step, ...]:
-    """What was added, with the fits and errors after every step."""
-    return tuple(
-        Step(
-            effect=one.effect.with_values(fit.model.values),
-            group=one.group,
-            claim=one.claim,
-            train_error=error["train"],
-            test_error=error["test"],
-            fit=fit,
-            rms=own,
-        )
-        for one, fit, own, error in zip(state.added, fits[1:], rms[1:], errors[1:], strict=True)
-    )
 
 
 def _relative(
