@@ -295,7 +295,7 @@ def _related(
     findings += clock_findings(mended, equations)
     findings += misfit_finding(contrasts.unexplained(mended, equations), equations)
     faults = [_resized(one, steps.get(one), sized) for one in faults]
-    return faults, findings, _balances(clean, mended, equations), ended
+    return faults, findings, tuple(_balances(clean, mended, equations)), ended
 
 
 def _steps(
@@ -561,9 +561,8 @@ def _either(equations: tuple[Relation, ...], units: Mapping[str, str]) -> Iterat
 
 def _balances(
     before: Sequence[Trace], after: Sequence[Trace], equations: tuple[Relation, ...]
-) -> tuple[Balance, ...]:
+) -> Iterator[Balance]:
     """How well each equation holds, as it is and with the findings undone."""
-    result = []
     for relation in equations:
         old, new = (
             [piece for t in traces for piece in contrasts.contrasts(t, (relation,))]
@@ -572,8 +571,7 @@ def _balances(
         series = tuple((p.record, p.times, p.series, _same(p, new)) for p in old)
         unit = before[0].units.get(relation.target, "")
         shares = _share(old), _share(new)
-        result.append(Balance(str(relation), *shares, relation.target, unit, series))
-    return tuple(result)
+        yield Balance(str(relation), *shares, relation.target, unit, series)
 
 
 def _same(piece: Piece, others: Sequence[Piece]) -> np.ndarray:

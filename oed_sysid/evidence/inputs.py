@@ -155,7 +155,7 @@ def input_findings(
     """
     if not model.inputs:
         return [], [], ""
-    beyond = _beyond(dataset, model, ranges or {})
+    beyond = [*_beyond(dataset, model, ranges or {})]
     traces = _traces(dataset, model, fixes)
     asked = [*product(model.inputs, ASKED)]
     if isinstance(traces, str):
@@ -224,9 +224,8 @@ def _changes_by(trace: Trace, name: str, equations: tuple[Relation, ...]) -> Ite
 
 def _beyond(
     dataset: Dataset, model: Model, ranges: Mapping[str, tuple[float, float]]
-) -> list[Finding]:
+) -> Iterator[Finding]:
     """Inputs far beyond their declared limits, and angles beyond half a turn."""
-    result = []
     for index, channel in enumerate(model.inputs):
         values = np.concatenate([record.inputs[:, index] for record in dataset])
         largest = float(np.nanmax(np.abs(values)))
@@ -241,8 +240,7 @@ def _beyond(
             "as_if": f", as if it were in {' or '.join(units)}" if units else "",
         }  # fmt: skip
         name = (channel.name,)
-        result.append(said("limit", name, dataset.names, words, size=largest, unit=channel.unit))
-    return result
+        yield said("limit", name, dataset.names, words, size=largest, unit=channel.unit)
 
 
 def _traces(dataset: Dataset, model: Model, fixes: Sequence[Correction]) -> list[Trace] | str:

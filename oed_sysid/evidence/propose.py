@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement, product
 
@@ -196,7 +196,7 @@ class Signals:
     """
 
     def __init__(self, model: Model, dataset: Dataset, states: Sequence[np.ndarray]) -> None:
-        kinds = _kinds(model)
+        kinds = [*_kinds(model)]
         shown = replace(
             model,
             outputs=tuple(Output(f"term_{name}", unit, expression=name) for name, unit, _ in kinds),
@@ -230,27 +230,25 @@ class Signals:
         return {signal.name: signal.unit for signal in self.signals}
 
 
-def _kinds(model: Model) -> list[tuple[str, str, str]]:
+def _kinds(model: Model) -> Iterator[tuple[str, str, str]]:
     """Name, unit and kind of everything that terms may be made of."""
     velocities = set(model.axes.values())
     through_water = {text: signal for signal, text in model.signals.items()}
-    found = []
     still = cyclic(model)
     for state in model.states:
         if state.name in still:
             continue
         name = through_water.get(state.name, state.name)
         if state.name in velocities or not model.axes:
-            found.append((name, state.unit, "motion"))
+            yield name, state.unit, "motion"
         elif state.unit == "rad":
-            found.append((state.name, state.unit, "angle"))
+            yield state.name, state.unit, "angle"
         elif state.name not in HORIZONTAL:
-            found.append((state.name, state.unit, "position"))
+            yield state.name, state.unit, "position"
     inputs = {channel.name: channel.unit for channel in model.inputs}
     for signal, text in model.actuator_signals.items():
         unit = inputs.get(text, "")
-        found.append((signal, unit, "motion" if unit == "rad" or not model.axes else "thrust"))
-    return found
+        yield signal, unit, "motion" if unit == "rad" or not model.axes else "thrust"
 
 
 def cyclic(model: Model) -> set[str]:
@@ -313,18 +311,16 @@ def _forces_depend_on(effect: Effect) -> set[str]:
     return {name for text in effect.terms.values() for name in expressions.names(text)}
 
 
-def _products(signals: Sequence[Signal]) -> list[Factors]:
+def _products(signals: Sequence[Signal]) -> Iterator[Factors]:
     """Factors of products of up to three signals, absolute values included."""
     ways = {s.name: (False,) if s.one_sided else (False, True) for s in signals}
     most = MOST_FACTORS if len(signals) <= MANY_SIGNALS else 2
-    found: list[Factors] = []
     for count in range(1, MOST_FACTORS + 1):
         for names in combinations_with_replacement(ways, count):
             powers = Counter(names)
             if len(powers) <= most:
                 choices = product(*(ways[name] for name in powers))
-                found += [_factors(powers, absolute) for absolute in choices]
-    return found
+                yield from (_factors(powers, absolute) for absolute in choices)
 
 
 def _factors(powers: Mapping[str, int], absolute: Sequence[bool]) -> Factors:

@@ -15,7 +15,7 @@ through the same projection and the same smoother before it is compared with it.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -128,19 +128,18 @@ class ResidualForces:
             rows = rows_of(problem, unknowns, index, part.rows)
             self.columns.append(path.disturbances(rows * np.sqrt(part.variances)[:, :, None]))
 
-    def series(self) -> tuple[Series, ...]:
+    def series(self) -> Iterator[Series]:
         """Smoothed disturbances, per record."""
         covariance = inverse_of(self.matrix + np.diag(self.problem.limits.prior_weight))
-        values = self._smoothed(self.innovations, self.right)
-        result = []
-        for index, (path, columns) in enumerate(zip(self.paths, self.columns, strict=True)):
+        smoothed = self._smoothed(self.innovations, self.right)
+        parts = zip(self.paths, self.columns, smoothed, strict=True)
+        for index, (path, columns, values) in enumerate(parts):
             where = self.problem.layout.record_columns(index)
             spread = np.sum((columns @ covariance[np.ix_(where, where)]) * columns, axis=2)
             std = np.sqrt(path.std**2 + np.maximum(spread, 0.0))
-            result.append(Series(self.problem.records[index].times, values[index], std))
-        return tuple(result)
+            yield Series(self.problem.records[index].times, values, std)
 
-    def signature(self, measured: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:
+    def signature(self, measured: Sequence[np.ndarray]) -> Iterator[np.ndarray]:
         """What would be smoothed had the records been others.
 
         Parameters
@@ -148,9 +147,9 @@ class ResidualForces:
         measured : sequence of ndarray (n_times, n_outputs)
             What to put in place of the measurements, per record.
 
-        Returns
-        -------
-        tuple of ndarray (n_times, n_disturbances)
+        Yields
+        ------
+        ndarray (n_times, n_disturbances)
         """
         passes = self.problem.passes(self.unknowns, measured=measured)
         _, right = self.problem.gathered(self.unknowns, passes)
@@ -158,7 +157,7 @@ class ResidualForces:
 
     def _smoothed(
         self, innovations: Sequence[np.ndarray], right: np.ndarray
-    ) -> tuple[np.ndarray, ...]:
+    ) -> Iterator[np.ndarray]:
         limits = self.problem.limits
         free = np.full(len(right), np.inf)
         step = bounded_step(
@@ -168,12 +167,10 @@ class ResidualForces:
             free,
             0.0,
         )
-        result = []
         for index, (path, part) in enumerate(zip(self.paths, innovations, strict=True)):
             own = path.disturbances(part[:, :, None])[:, :, 0]
             where = self.problem.layout.record_columns(index)
-            result.append(own + self.columns[index] @ step[where])
-        return tuple(result)
+            yield own + self.columns[index] @ step[where]
 
 
 def rows_of(

@@ -426,12 +426,11 @@ def _uneven(times: np.ndarray) -> np.ndarray:
 
 def _candidates(
     y: np.ndarray, length: int, limit: float, least: float
-) -> Sequence[tuple[float, int, int]]:
+) -> Iterator[tuple[float, int, int]]:
     """Excess, first sample and length of each group that stands out."""
     d = np.abs(off_cubic(y, length))
     ends = np.minimum(d[:, 0], d[:, -1])
     usual = robust_deviation(d[:, [0, -1]])
-    result = []
     # What rises from sample to sample stands out most in its middle.
     sharp = ends >= 0.5 * d.max(axis=1)
     for k in np.flatnonzero(sharp & (ends > max(limit * usual, least))):
@@ -450,8 +449,7 @@ def _candidates(
         # Calm surroundings: their own changes are no size that would make a group stand out.
         calm = 3.0 * max(abs(before), abs(after))
         if ends[k] > max(nearby, calm):
-            result.append((float(ends[k] / max(limit * usual, nearby, least)), first, length))
-    return result
+            yield float(ends[k] / max(limit * usual, nearby, least)), first, length
 
 
 class Step(NamedTuple):

@@ -274,11 +274,9 @@ class _Equation:
         return str((dimension(self.load) / dimension(unit)).plain)
 
 
-def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
+def _equations(model: Model, sizes: Sizes) -> Iterator[_Equation]:
     """Equations that may lack a force; coordinates that merely integrate a velocity do not."""
-    units = _units(model)
-    still = cyclic(model)
-    found = []
+    units, still = _units(model), cyclic(model)
     for name in sizes.mobility:
         state = model.axes.get(name, name)
         size = SHARE * sizes.force(name, state)
@@ -287,13 +285,12 @@ def _equations(model: Model, sizes: Sizes) -> list[_Equation]:
         moment = "N m" if name in ("K", "M", "N") else "N"
         load = moment if model.axes else str((dimension(units[state]) / dimension("s")).plain)
         places = [p for p, text in model.kinematics.items() if text == state and p in units]
-        found.append(_Equation(name, state, size, load, units[state], next(iter(places), "")))
-    return found
+        yield _Equation(name, state, size, load, units[state], next(iter(places), ""))
 
 
 def _resistances(model: Model, sizes: Sizes) -> Iterator[Effect]:
     """Dry friction of every motion, end stops of coordinates on which a force may depend."""
-    equations, units = _equations(model, sizes), _units(model)
+    equations, units = [*_equations(model, sizes)], _units(model)
     for one in equations:
         if one.state in sizes.reversing:  # of one sign: a constant
             yield from listed("usual_friction", **one.facts, level=sizes.level[one.state])

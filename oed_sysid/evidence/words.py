@@ -274,9 +274,8 @@ def judged_row(
     return Judged(kind, name, "not tested", next(why for why, true in whys.items() if true))
 
 
-def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -> list[Finding]:
+def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -> Iterator[Finding]:
     """One finding for each equation that fails somewhere, with the record where it fails most."""
-    result = []
     for index in dict.fromkeys(one.relation for one in misfits):
         relation = relations[index]
         here = [one for one in misfits if one.relation == index]
@@ -286,8 +285,7 @@ def misfit_finding(misfits: Sequence[Misfit], relations: tuple[Relation, ...]) -
             "at": worst.time, "more": f" (and in {len(here) - 1} more)" * (len(here) > 1),
         }  # fmt: skip
         names, records = tuple(dict.fromkeys(relation.names)), tuple(one.record for one in here)
-        result.append(said("unexplained", names, records, words, size=worst.share, unit="1"))
-    return result
+        yield said("unexplained", names, records, words, size=worst.share, unit="1")
 
 
 # -- single signals --------------------------------------------------------------------------
@@ -399,17 +397,15 @@ def jitter_rows(found: Jitter, names: Sequence[str]) -> list[Judged]:
             for n in names]  # fmt: skip
 
 
-def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> list[Finding]:
+def clock_findings(traces: list[Trace], relations: tuple[Relation, ...]) -> Iterator[Finding]:
     """Gaps in time over which the signals contradict the clock."""
-    result = []
     for trace in traces:
         steps = np.diff(trace.times)
         for k in np.flatnonzero(steps > WORTH_TELLING * trace.step):
             if _contradicts(trace, relations, int(k)):
                 more = float(steps[k] - trace.step)
                 words = {"size": steps[k], "at": trace.times[k], "step": trace.step, "more": more}
-                result.append(said("clock", (), (trace.name,), words, size=more, unit="s"))
-    return result
+                yield said("clock", (), (trace.name,), words, size=more, unit="s")
 
 
 def _contradicts(trace: Trace, relations: tuple[Relation, ...], k: int) -> bool:
