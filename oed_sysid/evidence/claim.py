@@ -227,17 +227,11 @@ def _amplitudes(
     fit: FilteredSolution, effects: Sequence[Effect], asked: Callable[[Parameter, float], bool]
 ) -> tuple[str, ...]:
     """Amplitudes of which something holds, in any record."""
-    own = {name for effect in effects for name in effect.amplitude_names}
-    return tuple(
-        parameter.name
-        for parameter in fit.problem.model.free_parameters
-        if parameter.name in own
-        and any(
-            asked(parameter, part[parameter.name])
-            for part in (fit.values, *fit.local)
-            if parameter.name in part
-        )
-    )
+    own = set[str]().union(*(effect.amplitude_names for effect in effects))
+    free = (one for one in fit.problem.model.free_parameters if one.name in own)
+    parts = (fit.values, *fit.local)
+    sizes = ((one, [part[one.name] for part in parts if one.name in part]) for one in free)
+    return tuple(one.name for one, values in sizes if any(asked(one, value) for value in values))
 
 
 def rests(parameter: Parameter, value: float) -> bool:

@@ -277,11 +277,8 @@ def as_measured(dataset: Dataset, found: LogCheck) -> tuple[Dataset, tuple[str, 
     records : Dataset
     left_out : tuple of str
     """
-    made = [
-        one
-        for one in found.findings
-        if is_a(one.kind, "made") and {*one.records} & {*dataset.names}
-    ]
+    here = {*dataset.names}
+    made = [one for one in found.findings if is_a(one.kind, "made") and here & {*one.records}]
     if not made:
         return dataset, ()
     words = tuple(

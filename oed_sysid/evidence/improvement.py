@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any
@@ -455,18 +455,16 @@ class Improvement:
         note = "T, on training and validation records together, has to pass the threshold."
         tables = (display.Table(headers, rows, note),) if rows else ()
         return display.Section(
-            "At a glance", self._meanings(), tables, figures, only="page", beside=True
+            "At a glance", [*self._meanings()], tables, figures, only="page", beside=True
         )
 
-    def _meanings(self) -> list[str]:
+    def _meanings(self) -> Iterator[str]:
         """What the effects added are, in words with their formulas, and how large."""
         sizes = {row["name"]: row for row in self.parameters}
-        lines = []
         for step in self.steps:
             own = (_size(sizes[p.name], p) for p in step.effect.parameters if p.name in sizes)
             words = in_words(step.effect, self.base)
-            lines.append(f"{step.added}: {'; '.join((words, *own, *_sizes(step)))}.")
-        return lines
+            yield f"{step.added}: {'; '.join((words, *own, *_sizes(step)))}."
 
     def _estimates(self) -> display.Section:
         """Estimates after the last step, beside those without the effects; on a page."""

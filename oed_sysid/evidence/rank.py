@@ -153,13 +153,11 @@ class Ranking:
         own = next(score for score in self.scores if score.effect.name == name)
         explained = _within(own, self.residual)
         size = float(np.linalg.norm(explained))
-        refitted = {refit.name for refit in self.refits}
+        told = {name, f"{name}{BY_RECORD}", *(refit.name for refit in self.refits)}
         found = {
             score.effect.name: float(np.linalg.norm(_within(score, explained))) / size
             for score in self.scores
-            if size > 0
-            and score.effect.name not in refitted
-            and score.effect.name not in (name, f"{name}{BY_RECORD}")
+            if size > 0 and score.effect.name not in told
         }
         return tuple(n for n in sorted(found, key=lambda n: -found[n]) if found[n] > limit)
 
