@@ -8,7 +8,7 @@ call finds the steps of one that did not end.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -16,7 +16,7 @@ import numpy as np
 
 from oed_sysid.data.dataset import Dataset, check_disjoint, together
 from oed_sysid.evidence.check import LogCheck, check, with_estimates
-from oed_sysid.evidence.claim import claim, own_error
+from oed_sysid.evidence.claim import own_error
 from oed_sysid.evidence.corrections import as_measured
 from oed_sysid.evidence.improvement import (
     Improvement,
@@ -27,25 +27,13 @@ from oed_sysid.evidence.improvement import (
 )
 from oed_sysid.evidence.locate import Located, likeliest, locate
 from oed_sysid.evidence.preparation import Prepared, prepared
-from oed_sysid.evidence.propose import Proposals
-from oed_sysid.evidence.rank import Ranking
-from oed_sysid.evidence.remainder import Remains, remains
-from oed_sysid.evidence.search import (
-    BOUGHT,
-    Search,
-    Standing,
-    asked_again,
-    eliminated,
-    every_step,
-    overgrown,
-    with_term,
-)
+from oed_sysid.evidence.remainder import Remains
+from oed_sysid.evidence.search import Ended, Search, Standing, every_step, overgrown
 from oed_sysid.evidence.study import Study
 from oed_sysid.evidence.usual import settled
 from oed_sysid.likelihood.archive import encode
 from oed_sysid.likelihood.between_records import WORTH_TELLING
 from oed_sysid.likelihood.fit import Fit
-from oed_sysid.likelihood.gauss_newton import FilteredSolution
 from oed_sysid.likelihood.judgement import concerns_of
 from oed_sysid.likelihood.noise_levels import given_levels
 from oed_sysid.likelihood.noise_model import Disturbances
@@ -54,18 +42,6 @@ from oed_sysid.physics import Effect
 from oed_sysid.physics.model import Model
 from oed_sysid.runtime.journal import Journal, opened
 from oed_sysid.runtime.threads import single_threaded
-
-
-@dataclass(frozen=True, eq=False)
-class _Ended:
-    """Where a search ended and began, what is left of the records, and a term for that."""
-
-    state: Standing
-    base: FilteredSolution
-    first: Ranking
-    last: Ranking | None
-    left: Remains
-    proposals: Proposals | None
 
 
 @single_threaded
@@ -167,7 +143,7 @@ def improve(
     tell("fitting the nominal model")
     study, base = keep.once("nominal model", partial(begin, disturbances=disturbances))
     notes = [*ready.notes, *left_out, *told, *_not_asked(candidates, study)]
-    run = _Run(max_effects, tell, keep, notes, ready.whole, terms)
+    run = Search(max_effects, tell, keep, notes, ready.whole, terms)
     end = run.beyond(run.known(study, base))
     if disturbances == "auto" and _hidden_by_forces(end):
         tell("searching without disturbance forces")
@@ -194,86 +170,6 @@ def _measured(
     return (prepared(train, test), words) if words else (ready, ())
 
 
-@dataclass(frozen=True, eq=False)
-class _Run(Search):
-    """How a search is made: once with disturbance forces, perhaps again without."""
-
-    all_samples: Dataset | None
-    terms: bool
-
-    def known(self, study: Study, base: FilteredSolution) -> _Ended:
-        """Search among the candidates from a nominal fit, and ask all samples."""
-        state, first, last = self.ended(Standing(study, (), base, (base,)))
-        if self.all_samples is not None and state.added:
-            self.tell("asking all samples")
-            full = replace(study, train=self.all_samples, validation=None)
-            asking = partial(eliminated, state, full, state.fit.noise)
-            thinned, state = state, self.keep.once("all samples", asking)
-            self.notes.extend(
-                f"{one.effect.name} was seen in the thinned records and is not in all samples: it "
-                "is no claim."
-                for one in thinned.added
-                if one not in state.added
-            )
-        return _Ended(state, state.path[0], first, last, self._left(state), None)
-
-    def beyond(self, end: _Ended) -> _Ended:
-        """Look for a term for what is left, where that is more than noise."""
-        if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
-            return end
-        self.tell("looking for a term that no known effect holds")
-        found = self.stage("unknown term", partial(with_term, end.state, self.max_effects))
-        if found is None:
-            return end
-        wider, proposals, tied = found
-        left = end.left if proposals is None else self._left(wider)
-        return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
-
-    def _left(self, state: Standing) -> Remains:
-        work = partial(remains, state.study, state.fit)
-        return self.stage("what remains", work) or Remains(np.inf, None)
-
-    def calmer(self, end: _Ended, study: Study, base: FilteredSolution) -> _Ended:
-        """Of a search with disturbance forces and one without, the one that is worth more.
-
-        A large missing effect makes forces grow until the records are likely and whole runs are
-        not: the right effect does not lead out of that valley. What the other search finds is
-        claimed against what this one has, with disturbance forces in both. Where that is not
-        likelier, whole runs decide: a constant force, say, does not show beside forces that
-        wander, and process noise could not have left runs that are so much better. Process noise
-        that follows motion or commands is none, so that any better runs do of no more effects.
-        """
-        price = 1.0 if end.left.follows else BOUGHT
-        calm, first, last = self.ended(Standing(study, (), base, (base,)))
-        found, present = end.state.study, end.state.fit
-        noise = found.quiet(found.loosened(present.noise))
-        fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
-        if not fit:
-            return end
-        more = sum(calm.needed(effect) for effect in calm.effects)
-        more -= sum(end.state.needed(effect) for effect in end.state.effects)
-        decided = claim(found, present, fit, calm.effects, more)
-        state = replace(calm, decisions=(*end.state.decisions, decided))
-        if decided.stands:
-            self.notes.append(
-                "Disturbance forces had grown over what is missing: it was searched for without "
-                "them, and is likelier with them, too."
-            )
-            state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
-            return self.beyond(_Ended(state, base, first, last, self._left(state), None))
-        state = eliminated(state, found, noise, price)
-        price = BOUGHT if len(state.added) > len(end.state.added) else price
-        records = study.train if study.validation is None else study.validation
-        here, there = own_error(found, present, records), own_error(study, state.fit, records)
-        if not price * there < here:
-            return replace(end, state=replace(end.state, decisions=state.decisions))
-        self.notes.append(
-            "Disturbance forces had grown over what is missing: whole runs of what was found "
-            f"without them are {here / there:.2g} times better."
-        )
-        return self.beyond(_Ended(state, base, first, last, self._left(state), None))
-
-
 def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:
     """A note on candidates that the model cannot take."""
     known = {one.name for one in (*study.candidates, *study.base.effects)}
@@ -281,14 +177,14 @@ def _not_asked(candidates: Sequence[Effect], study: Study) -> list[str]:
     return [f"Not asked, since the model cannot take them: {', '.join(left)}."] if left else []
 
 
-def _hidden_by_forces(end: _Ended) -> bool:
+def _hidden_by_forces(end: Ended) -> bool:
     """Whether disturbance forces may hide what is missing: structured ones, or at what cost."""
     if end.left.is_noise:
         return False
     return bool(end.left.structured) or overgrown(end.state.study, end.state.fit)
 
 
-def _bought(end: _Ended) -> list[str]:
+def _bought(end: Ended) -> list[str]:
     """Words where disturbance forces still explain the records at the price of whole runs."""
     study, fit = end.state.study, end.state.fit
     if not overgrown(study, fit):
@@ -320,7 +216,7 @@ def _other_noise(fit: Fit) -> list[str]:
 
 
 def _result(
-    end: _Ended, location: Located, notes: Sequence[str], log: LogCheck | None, logs: Dataset
+    end: Ended, location: Located, notes: Sequence[str], log: LogCheck | None, logs: Dataset
 ) -> Improvement:
     state, study = end.state, end.state.study
     # Fits and the table of errors are of the same estimates, as anybody finds them from the fits.

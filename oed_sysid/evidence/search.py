@@ -15,12 +15,13 @@ from typing import TypeVar
 
 import numpy as np
 
+from oed_sysid.data.dataset import Dataset
 from oed_sysid.errors import OedSysidError
 from oed_sysid.evidence.chance import threshold
 from oed_sysid.evidence.claim import Claim, claim, own_error, rises
 from oed_sysid.evidence.propose import Proposals, propose
 from oed_sysid.evidence.rank import Ranking, Refit, hopeful, pairs, rank
-from oed_sysid.evidence.remainder import followed
+from oed_sysid.evidence.remainder import Remains, followed, remains
 from oed_sysid.evidence.score import imitated_by
 from oed_sysid.evidence.study import Study, likelier
 from oed_sysid.information.shifts import GROUP_WIDTH
@@ -107,8 +108,20 @@ class Standing:
 
 
 @dataclass(frozen=True, eq=False)
+class Ended:
+    """Where a search ended and began, what is left of the records, and a term for that."""
+
+    state: Standing
+    base: FilteredSolution
+    first: Ranking
+    last: Ranking | None
+    left: Remains
+    proposals: Proposals | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Search:
-    """How a search is made.
+    """How a search is made: once with disturbance forces, perhaps again without.
 
     Attributes
     ----------
@@ -120,12 +133,90 @@ class Search:
         Of finished steps.
     notes : list of str
         What the result has to say beside its numbers.
+    all_samples : Dataset or None
+        Training records with all samples, where some were left out.
+    terms : bool
+        Whether a term that no candidate holds is sought.
     """
 
     max_effects: int
     tell: Callable[[str], None]
     keep: Journal
     notes: list[str]
+    all_samples: Dataset | None
+    terms: bool
+
+    def known(self, study: Study, base: FilteredSolution) -> Ended:
+        """Search among the candidates from a nominal fit, and ask all samples."""
+        state, first, last = self.ended(study, base)
+        if self.all_samples is not None and state.added:
+            self.tell("asking all samples")
+            full = replace(study, train=self.all_samples, validation=None)
+            asking = partial(eliminated, state, full, state.fit.noise)
+            thinned, state = state, self.keep.once("all samples", asking)
+            self.notes.extend(
+                f"{one.effect.name} was seen in the thinned records and is not in all samples: it "
+                "is no claim."
+                for one in thinned.added
+                if one not in state.added
+            )
+        return Ended(state, state.path[0], first, last, self._left(state))
+
+    def beyond(self, end: Ended) -> Ended:
+        """Look for a term for what is left, where that is more than noise."""
+        if end.left.is_noise or not self.terms or not np.isfinite(end.left.forces):
+            return end
+        self.tell("looking for a term that no known effect holds")
+        found = self.stage("unknown term", partial(with_term, end.state, self.max_effects))
+        if found is None:
+            return end
+        wider, proposals, tied = found
+        left = end.left if proposals is None else self._left(wider)
+        return replace(end, state=wider, left=replace(left, tied=tied), proposals=proposals)
+
+    def _left(self, state: Standing) -> Remains:
+        work = partial(remains, state.study, state.fit)
+        return self.stage("what remains", work) or Remains(np.inf, None)
+
+    def calmer(self, end: Ended, study: Study, base: FilteredSolution) -> Ended:
+        """Of a search with disturbance forces and one without, the one that is worth more.
+
+        A large missing effect makes forces grow until the records are likely and whole runs are
+        not: the right effect does not lead out of that valley. What the other search finds is
+        claimed against what this one has, with disturbance forces in both. Where that is not
+        likelier, whole runs decide: a constant force, say, does not show beside forces that
+        wander, and process noise could not have left runs that are so much better. Process noise
+        that follows motion or commands is none, so that any better runs do of no more effects.
+        """
+        price = 1.0 if end.left.follows else BOUGHT
+        calm, first, last = self.ended(study, base)
+        found, present = end.state.study, end.state.fit
+        noise = found.quiet(found.loosened(present.noise))
+        fit = calm.added and found.estimate(calm.effects, calm.fit.values, calm.fit, noise=noise)
+        if not fit:
+            return end
+        more = sum(calm.needed(effect) for effect in calm.effects)
+        more -= sum(end.state.needed(effect) for effect in end.state.effects)
+        decided = claim(found, present, fit, calm.effects, more)
+        state = replace(calm, decisions=(*end.state.decisions, decided))
+        if decided.stands:
+            self.notes.append(
+                "Disturbance forces had grown over what is missing: it was searched for without "
+                "them, and is likelier with them, too."
+            )
+            state = asked_again(replace(state, study=found, fit=fit, path=(*calm.path, fit)))
+            return self.beyond(Ended(state, base, first, last, self._left(state)))
+        state = eliminated(state, found, noise, price)
+        price = BOUGHT if len(state.added) > len(end.state.added) else price
+        records = study.train if study.validation is None else study.validation
+        here, there = own_error(found, present, records), own_error(study, state.fit, records)
+        if not price * there < here:
+            return replace(end, state=replace(end.state, decisions=state.decisions))
+        self.notes.append(
+            "Disturbance forces had grown over what is missing: whole runs of what was found "
+            f"without them are {here / there:.2g} times better."
+        )
+        return self.beyond(Ended(state, base, first, last, self._left(state)))
 
     def stage(self, label: str, work: Callable[[], Done]) -> Done | None:
         """What a stage returns; None, and a note, where it fails: earlier results are kept."""
@@ -135,8 +226,11 @@ class Search:
             self.notes.append(f"One stage could not be done: {error}")
             return None
 
-    def ended(self, state: Standing) -> tuple[Standing, Ranking, Ranking | None]:
+    def ended(
+        self, study: Study, base: FilteredSolution
+    ) -> tuple[Standing, Ranking, Ranking | None]:
         """Search to the end: the state, the first and the last ranking; what was found stays."""
+        state = Standing(study, (), base, (base,))
         seen: list[tuple[Standing, Ranking]] = []
         try:
             seen.extend(self.rounds(state))
